@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Plain data that the modules pass to each other. NumPy only, never bpy.
+
+`extract` fills these from a Blender scene, `build` and `simulate` consume them, `sinks` writes the result back.
+
+Spaces: *local* is the mesh object's own space (what shape keys store), *bind* is local space with the object's scale
+applied, so lengths are metres there, *world* is Blender's world space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+LAWS = ("LINEAR", "STVK", "STABLE_STVK")
+SOLVERS = ("REDUCED", "FULL")
+BLENDINGS = ("FORCES", "EVEN")
+SCHEMES = ("BDF2", "EULER")
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """The armature at rest: B bones, parents before children.
+
+    names (B,), parents (B,) index or -1, rest (B, 4, 4) = bone.matrix_local, armature space.
+    """
+
+    names: tuple[str, ...]
+    parents: np.ndarray
+    rest: np.ndarray
+
+    def local_transforms(self, pose: np.ndarray) -> np.ndarray:
+        """Each bone's transform relative to its evaluated parent, rest removed: identity in the rest pose.
+
+        pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. Returns (..., B, 4, 4).
+        Uses the evaluated matrices, so constraints and IK count (METHOD 4).
+        """
+        rest_inverse = np.linalg.inv(self.rest)
+        unposed = np.broadcast_to(self.rest, pose.shape).copy()
+        child = self.parents >= 0
+        parent = self.parents[child]
+        unposed[..., child, :, :] = pose[..., parent, :, :] @ rest_inverse[parent] @ self.rest[child]
+        return np.linalg.inv(unposed) @ pose
+
+    def pose(self, local: np.ndarray) -> np.ndarray:
+        """The inverse of `local_transforms`: armature-space pose matrices (..., B, 4, 4) of local transforms."""
+        rest_inverse = np.linalg.inv(self.rest)
+        pose = np.empty_like(local)
+        for b, parent in enumerate(self.parents):
+            unposed = self.rest[b] if parent < 0 else pose[..., parent, :, :] @ rest_inverse[parent] @ self.rest[b]
+            pose[..., b, :, :] = unposed @ local[..., b, :, :]
+        return pose
+
+    def index(self, name: str) -> int:
+        return self.names.index(name)
+
+
+@dataclass(frozen=True)
+class RigSamples:
+    """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4)."""
+
+    pose: np.ndarray
+    rig_world: np.ndarray
+    object_world: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+    def __getitem__(self, samples: slice) -> RigSamples:
+        return RigSamples(self.pose[samples], self.rig_world[samples], self.object_world[samples])
+
+    def skin_matrices(self, skeleton: Skeleton, to_bind: np.ndarray) -> np.ndarray:
+        """The transforms that carry bind space to world space, one for each bone and one for the object itself.
+
+        Returns (S, B + 1, 3, 4). The last one moves vertices without weights, as Blender's Armature modifier leaves
+        those where the object puts them.
+        """
+        from_bind = np.eye(4)
+        from_bind[:3, :3] = np.linalg.inv(to_bind)
+        object_from_bind = self.object_world @ from_bind
+        rig_from_bind = np.linalg.inv(self.rig_world) @ object_from_bind
+        bones = (self.rig_world[:, None] @ self.pose @ np.linalg.inv(skeleton.rest)) @ rig_from_bind[:, None]
+        return np.ascontiguousarray(np.concatenate([bones, object_from_bind[:, None]], axis=1)[:, :, :3, :])
+
+
+@dataclass(frozen=True)
+class Material:
+    """Elastic properties at one target, SI: stiffness is Young's modulus in Pa, damping is Rayleigh's."""
+
+    stiffness: float = 2.0e4
+    poisson: float = 0.4
+    density: float = 1000.0
+    mass_damping: float = 1.0  # alpha, 1/s
+    stiffness_damping: float = 0.005  # beta, s
+
+    def lame(self) -> tuple[float, float]:
+        """Lame's lambda and mu, Pa."""
+        e, nu = self.stiffness, self.poisson
+        return e * nu / ((1 + nu) * (1 - 2 * nu)), e / (2 * (1 + nu))
+
+
+@dataclass(frozen=True)
+class Target:
+    """One dynamic morph target.
+
+    name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
+    neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
+    the whole skeleton as `Skeleton.local_transforms`.
+    """
+
+    name: str
+    shape: np.ndarray
+    bones: tuple[str, ...]
+    local: np.ndarray
+    material: Material
+
+
+@dataclass(frozen=True)
+class TargetSet:
+    """Targets whose weights sum to one; the first is the neutral. METHOD 4 (regions)."""
+
+    name: str
+    targets: tuple[Target, ...]
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """What a built model depends on, apart from the character itself."""
+
+    law: str = "STABLE_STVK"
+    solver: str = "REDUCED"
+    blending: str = "EVEN"
+    modes: int = 20
+    cage_nodes: int = 2000
+    pin_radius: float = 0.25  # fraction of the way from a bone to the skin that is held by the bone
+
+
+@dataclass(frozen=True)
+class Character:
+    """One soft skin, as authored.
+
+    vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
+    weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
+    the bones.
+    """
+
+    name: str
+    vertices: np.ndarray
+    triangles: np.ndarray
+    to_bind: np.ndarray
+    weights: np.ndarray
+    softness: np.ndarray
+    skeleton: Skeleton
+    target_sets: tuple[TargetSet, ...]
+    settings: ModelSettings = field(default_factory=ModelSettings)
+
+    @property
+    def targets(self) -> list[Target]:
+        """All targets, set after set: the order of every (..., J) array."""
+        return [target for target_set in self.target_sets for target in target_set.targets]
+
+    def single_material(self) -> Character:
+        """The same character with its neutral target alone: the ordinary, pose-independent soft body."""
+        sets = tuple(replace(s, targets=s.targets[:1]) for s in self.target_sets[:1])
+        return replace(self, target_sets=sets)
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2."""
+
+    start: int = 1
+    end: int = 250
+    fps: float = 24.0
+    substeps: int = 5
+    scheme: str = "BDF2"
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    preroll: int = 0  # frames held at the first pose before `start`
+
+    @property
+    def frames(self) -> np.ndarray:
+        return np.arange(self.start, self.end + 1)
+
+    @property
+    def step(self) -> float:
+        """Seconds a step."""
+        return 1.0 / (self.fps * self.substeps)
+
+
+@dataclass(frozen=True)
+class Bake:
+    """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
+
+    frames (F,), coordinates (F, r), weights (F, J), modes (r, V, 3), details (J, V, 3): what the cage cannot carry of
+    each target's shape. target_names (J,).
+    """
+
+    frames: np.ndarray
+    coordinates: np.ndarray
+    weights: np.ndarray
+    modes: np.ndarray
+    details: np.ndarray
+    target_names: tuple[str, ...]
+
+    def displacement(self, index: int) -> np.ndarray:
+        """Displacement (V, 3) of the bound surface at frame number `index`, local space."""
+        return np.tensordot(self.coordinates[index], self.modes, 1) + np.tensordot(
+            self.weights[index], self.details, 1
+        )
