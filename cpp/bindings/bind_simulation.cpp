@@ -1,4 +1,357 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
+// Models, pose space and time stepping as NumPy sees them.
 #include "bindings.hpp"
+#include <chrono>
 
-void bind_simulation(pybind11::module_&) {}
+#include "dynamorph/integrator.hpp"
+#include "dynamorph/pose_space.hpp"
+
+namespace py = pybind11;
+using namespace dynamorph;
+using namespace pybind11::literals;
+
+namespace {
+
+using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+std::string shape_of(const py::array& array) {
+  std::string text = "(";
+  for (py::ssize_t i = 0; i < array.ndim(); ++i) text += (i ? ", " : "") + std::to_string(array.shape(i));
+  return text + ")";
+}
+
+/// -1 in `expected` stands for any size.
+void check_shape(const char* name, const py::array& array, const std::vector<py::ssize_t>& expected) {
+  bool good = array.ndim() == py::ssize_t(expected.size());
+  for (size_t i = 0; good && i < expected.size(); ++i) good = expected[i] < 0 || array.shape(i) == expected[i];
+  if (good) return;
+  std::string text;
+  for (py::ssize_t e : expected) text += (text.empty() ? "" : ", ") + (e < 0 ? std::string("any") : std::to_string(e));
+  throw std::invalid_argument(std::string(name) + ": expected shape (" + text + "), got " + shape_of(array));
+}
+
+VectorXd flat_points(const char* name, const Array& array, py::ssize_t rows) {
+  check_shape(name, array, {rows, 3});
+  return Eigen::Map<const VectorXd>(array.data(), array.size());
+}
+
+Transforms transforms(const double* data, py::ssize_t bones) {
+  return Eigen::Map<const Transforms>(data, bones, 12);
+}
+
+Transforms transforms(const char* name, const Array& array) {
+  check_shape(name, array, {-1, 3, 4});
+  return transforms(array.data(), array.shape(0));
+}
+
+/// Bind-space node displacement (n, 3) of coordinates q.
+template <class Model>
+Points node_displacement(const Model& model, const VectorXd& q) {
+  if (q.size() != model.dofs())
+    throw std::invalid_argument("q: expected " + std::to_string(model.dofs()) + " coordinates, got " +
+                                std::to_string(q.size()));
+  VectorXd u;
+  model.displacement(q, u);
+  return as_points(model.body().expand(u));
+}
+
+/// What both kinds of model offer.
+template <class Model>
+void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
+  c.def_property_readonly("dofs", &Model::dofs, "Number of coordinates.")
+      .def_property_readonly("body", [](const Model& m) { return std::make_shared<SoftBody>(m.body()); })
+      .def(
+          "energy",
+          [](const Model& m, const VectorXd& weights, const VectorXd& q) {
+            typename Model::Blend blend;
+            m.blend(weights, blend);
+            return m.energy(blend, q);
+          },
+          "weights"_a, "q"_a, "Elastic energy, J, at target weights (J) and coordinates q.")
+      .def(
+          "linearize",
+          [](const Model& m, const VectorXd& weights, const VectorXd& q) {
+            typename Model::Blend blend;
+            m.blend(weights, blend);
+            VectorXd force;
+            typename Model::Matrix stiffness = m.zero();
+            const double energy = m.linearize(blend, q, force, stiffness);
+            return py::make_tuple(energy, force, stiffness);
+          },
+          "weights"_a, "q"_a,
+          "(energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full "
+          "model is a scipy.sparse matrix.")
+      .def(
+          "inertia",
+          [](const Model& m, const Array& bones, double density) {
+            SkinFrame frame;
+            frame.bones = transforms("bones", bones);
+            pose_nodes(m.body().skin, frame);
+            typename Model::Matrix out = m.zero();
+            m.inertia(frame, VectorXd::Constant(m.body().sets(), density), out);
+            return out;
+          },
+          "bones"_a, "density"_a, "A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).")
+      .def("target", &Model::target, "index"_a, "Coordinates of a target's shape.")
+      .def("displacement", &node_displacement<Model>, "q"_a, "Bind-space node displacement (n, 3), metres.");
+}
+
+py::dict summary(const StepReport& worst, int steps, double seconds) {
+  return py::dict("steps"_a = steps, "iterations"_a = worst.iterations, "converged"_a = worst.converged,
+                  "residual"_a = worst.residual, "energy"_a = worst.energy, "teleported"_a = worst.teleported,
+                  "seconds"_a = seconds);
+}
+
+template <class Model>
+void bind_simulation_of(py::module_& m, const char* name) {
+  using Sim = Simulation<Model>;
+  py::class_<Sim>(m, name, "Steps a model through time. World space, SI.")
+      .def(py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity,
+                       double tolerance, int max_iterations, double teleport) {
+             return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport});
+           }),
+           "model"_a, "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
+           "tolerance"_a = 1e-7, "max_iterations"_a = 30, "teleport"_a = 0.0,
+           "h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which "
+           "the past is carried along (0: never).")
+      .def(
+          "hold_targets",
+          [](Sim& s, const Array& bones) {
+            check_shape("bones", bones, {-1, -1, 3, 4});
+            std::vector<Transforms> frames;
+            for (py::ssize_t j = 0; j < bones.shape(0); ++j)
+              frames.push_back(transforms(bones.data(j, 0, 0, 0), bones.shape(1)));
+            s.hold_targets(frames);
+          },
+          "bones"_a,
+          "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
+      .def(
+          "start",
+          [](Sim& s, const Array& now, const Array& next, const VectorXd& weights) {
+            const Transforms a = transforms("now", now), b = transforms("next", next);
+            StepReport report;
+            {
+              py::gil_scoped_release release;
+              report = s.start(a, b, weights);
+            }
+            return summary(report, 0, 0);
+          },
+          "now"_a, "next"_a, "weights"_a,
+          "Static solution at the bones `now` (B, 3, 4); the past follows the rig backward from its motion to `next`.")
+      .def(
+          "advance",
+          [](Sim& s, const Array& bones, const Array& weights, const std::optional<Array>& external) {
+            check_shape("bones", bones, {-1, -1, 3, 4});
+            check_shape("weights", weights, {bones.shape(0), py::ssize_t(s.model().targets().size())});
+            const VectorXd force =
+                external ? s.model().body().restrict_to_free(
+                               flat_points("external", *external, s.model().body().mesh.nodes.rows()))
+                         : VectorXd();
+            StepReport worst;
+            const py::ssize_t steps = bones.shape(0), count = bones.shape(1);
+            const auto begin = std::chrono::steady_clock::now();
+            {
+              py::gil_scoped_release release;
+              Transforms frame;
+              VectorXd w;
+              for (py::ssize_t i = 0; i < steps; ++i) {
+                frame = Eigen::Map<const Transforms>(bones.data() + i * count * 12, count, 12);
+                w = Eigen::Map<const VectorXd>(weights.data() + i * weights.shape(1), weights.shape(1));
+                const StepReport report = s.step(frame, w, force);
+                worst.iterations += report.iterations;
+                worst.converged &= report.converged;
+                worst.residual = std::max(worst.residual, report.residual);
+                worst.energy = report.energy;
+                worst.teleported |= report.teleported;
+              }
+            }
+            const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+            return summary(worst, int(steps), elapsed.count());
+          },
+          "bones"_a, "weights"_a, "external"_a = py::none(),
+          "One step to each of the bones (S, B, 3, 4) and target weights (S, J); external (n, 3): newtons on the "
+          "nodes, world space, constant over the call. Returns what the steps did: iterations in all, converged, the "
+          "worst residual, elastic energy at the end, seconds.")
+      .def(
+          "solve_static",
+          [](Sim& s, const Array& bones, const VectorXd& weights, const std::optional<Array>& external) {
+            VectorXd q;
+            const VectorXd force =
+                external ? s.model().body().restrict_to_free(
+                               flat_points("external", *external, s.model().body().mesh.nodes.rows()))
+                         : VectorXd();
+            const StepReport report = s.solve_static(transforms("bones", bones), weights, q, force);
+            return py::make_tuple(q, summary(report, 0, 0));
+          },
+          "bones"_a, "weights"_a, "external"_a = py::none(), "(coordinates, report) of the static solution.")
+      .def_property_readonly("coordinates", &Sim::coordinates)
+      .def_property_readonly("kinetic_energy", &Sim::kinetic_energy, "J, of the posed nodes.")
+      .def_property_readonly("elastic_energy", &Sim::elastic_energy, "J.")
+      .def_property_readonly(
+          "posed", [](const Sim& s) { return Points(as_points(s.state().x[0])); }, "World positions of the free nodes.")
+      .def_property(
+          "state", [](const Sim& s) { return py::make_tuple(s.state().q, s.state().x); },
+          [](Sim& s, const std::pair<std::array<VectorXd, 2>, std::array<VectorXd, 4>>& state) {
+            s.set_state({state.first, state.second});
+          },
+          "(coordinates of the last two steps, posed positions of the last four): set it to resume.");
+}
+
+void bind_pose_space(py::module_& m) {
+  py::enum_<Kernel>(m, "Kernel")
+      .value("LINEAR", Kernel::linear)
+      .value("GAUSSIAN", Kernel::gaussian)
+      .value("THIN_PLATE", Kernel::thin_plate);
+  const auto rotations = [](const char* name, const Array& local) {
+    check_shape(name, local, {-1, 4, 4});
+    return rotations_of(
+        Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>(local.data(), local.shape(0), 16));
+  };
+  py::class_<TargetSet>(m, "TargetSet", "Targets whose weights sum to one.")
+      .def(py::init([rotations](std::vector<int> bones, std::vector<std::string> names, const std::vector<Array>& poses,
+                                Kernel kernel) {
+             TargetSet set{std::move(bones), std::move(names), {}, kernel};
+             for (const Array& pose : poses) set.poses.push_back(rotations("poses", pose));
+             return set;
+           }),
+           "bones"_a, "names"_a, "poses"_a, "kernel"_a = Kernel::linear,
+           "bones: indices whose local rotations place the targets; poses: per target the local transforms (B, 4, 4) "
+           "of the whole skeleton.");
+  py::class_<PoseSpace>(m, "PoseSpace", "Interpolates target weights over pose space.")
+      .def(py::init<std::vector<TargetSet>>(), "sets"_a,
+           "Raises Error, naming both, when two targets of a set have the same pose.")
+      .def_property_readonly("targets", &PoseSpace::targets)
+      .def(
+          "weights",
+          [](const PoseSpace& space, const Array& local) {
+            check_shape("local", local, {-1, -1, 4, 4});
+            const py::ssize_t bones = local.shape(1);
+            Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> out(local.shape(0), space.targets());
+            py::gil_scoped_release release;
+            VectorXd w(space.targets());
+            for (py::ssize_t i = 0; i < local.shape(0); ++i) {
+              space.weights(rotations_of(Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>(
+                                local.data() + i * bones * 16, bones, 16)),
+                            w);
+              out.row(i) = w;
+            }
+            return out;
+          },
+          "local"_a,
+          "Weights (S, J) at the local transforms (S, B, 4, 4): each set's are >= 0, sum to 1, and are one at a "
+          "target's own pose.");
+}
+
+void bind_models(py::module_& m) {
+  py::enum_<Law>(m, "Law")
+      .value("LINEAR", Law::linear)
+      .value("STVK", Law::stvk)
+      .value("STABLE_STVK", Law::stable_stvk);
+  py::enum_<Blending>(m, "Blending").value("FORCES", Blending::forces).value("EVEN", Blending::even);
+  py::enum_<Scheme>(m, "Scheme").value("EULER", Scheme::euler).value("BDF2", Scheme::bdf2);
+
+  py::class_<MorphTarget>(m, "MorphTarget", "A dynamic morph target: shape and elastic properties.")
+      .def(py::init([](std::string name, const Array& displacement, double lambda, double mu, double density,
+                       double mass_damping, double stiffness_damping, int set) {
+             return MorphTarget{std::move(name), set,      flat_points("displacement", displacement, -1),
+                                {lambda, mu},    density,  mass_damping,
+                                stiffness_damping};
+           }),
+           "name"_a, "displacement"_a, py::kw_only(), "lame_lambda"_a, "lame_mu"_a, "density"_a,
+           "mass_damping"_a = 0.0, "stiffness_damping"_a = 0.0, "set"_a = 0,
+           "displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, "
+           "Rayleigh damping in 1/s and s; set: index of its target set.");
+
+  py::class_<SoftBody, std::shared_ptr<SoftBody>>(m, "SoftBody", "What all models of one character share.")
+      .def(py::init([](const TetMesh& mesh, const VectorXd& fill, const VectorXd& stiffness, const MatrixXd& shares,
+                       const std::vector<bool>& pinned, const MatrixXd& weights) {
+             return std::make_shared<SoftBody>(mesh, fill, stiffness, shares, pinned, weights);
+           }),
+           "mesh"_a, "fill"_a, "stiffness"_a, "shares"_a, "pinned"_a, "weights"_a,
+           "fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's "
+           "part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale.")
+      .def_readonly("size", &SoftBody::size, "Bounding-box diagonal, metres.")
+      .def_readonly("free_nodes", &SoftBody::free_nodes)
+      .def_readonly("volumes", &SoftBody::volumes, "Lumped volume of the free nodes by target set, m^3.")
+      .def(
+          "extend_shape",
+          [](const SoftBody& body, const Embedding& embedding, const Array& surface) {
+            const VectorXd flat = flat_points("surface", surface, embedding.nodes.rows());
+            py::gil_scoped_release release;
+            return Points(as_points(extend_shape(body, embedding, as_points(flat))));
+          },
+          "embedding"_a, "surface"_a,
+          "Node displacement (n, 3) that follows the surface displacement (V, 3): elastic in between, zero at pins.");
+
+  py::class_<FullModel, std::shared_ptr<FullModel>> full(m, "FullModel", "The unreduced soft skin.");
+  full.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, Law, Blending>(), "body"_a, "targets"_a,
+           "law"_a, "blending"_a)
+      .def(
+          "linear_modes",
+          [](const FullModel& model, int target, int k) {
+            py::gil_scoped_release release;
+            const LinearModes modes = linear_modes(model, target, k);
+            return std::make_pair(modes.frequencies, modes.shapes);
+          },
+          "target"_a, "k"_a, "(omega (k) rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.")
+      .def(
+          "worst_element",
+          [](const FullModel& model, const VectorXd& weights, const VectorXd& q) {
+            FullModel::Blend blend;
+            model.blend(weights, blend);
+            return model.worst_element(blend, q);
+          },
+          "weights"_a, "q"_a, "(smallest det F, number of inverted tetrahedra).")
+      .def(
+          "fallbacks", [](const FullModel& model, int target) { return model.shape(target).fallbacks; }, "target"_a,
+          "Tetrahedra of a target that keep the neutral rest shape, because the sculpt would invert or crush them.");
+  bind_model(full);
+
+  py::class_<Basis>(m, "Basis")
+      .def_readonly("U", &Basis::U, "(3 free, r), orthonormal in unit-density mass.")
+      .def_readonly("frequencies", &Basis::frequencies, "Per target omega of the modes that went in, rad/s.")
+      .def_readonly("captured", &Basis::captured, "Fraction of the candidates' variance in the span.");
+  m.def(
+      "make_basis",
+      [](const FullModel& model, int r, const py::object& progress) {
+        const ProgressFn report = with_gil(progress);
+        py::gil_scoped_release release;
+        return make_basis(model, r, report);
+      },
+      "model"_a, "r"_a, "progress"_a = py::none(),
+      "r modes: the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. "
+      "progress(fraction) -> bool, False raises Cancelled.");
+
+  py::class_<ReducedTables>(m, "ReducedTables", "What a built reduced model stores: geometry only, no material.")
+      .def(py::init([](Law law, const MatrixXd& basis, const std::vector<MatrixXd>& lambda,
+                       const std::vector<MatrixXd>& mu) {
+             return ReducedTables{law, basis, lambda, mu};
+           }),
+           "law"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a)
+      .def_readonly("law", &ReducedTables::law)
+      .def_readonly("basis", &ReducedTables::basis)
+      .def_readonly("lame_lambda", &ReducedTables::lambda, "Per target, for lambda = 1 Pa.")
+      .def_readonly("lame_mu", &ReducedTables::mu, "Per target, for mu = 1 Pa.");
+  m.def(
+      "reduce",
+      [](const FullModel& model, const MatrixXd& U, const py::object& progress) {
+        const ProgressFn report = with_gil(progress);
+        py::gil_scoped_release release;
+        return reduce(model, U, report);
+      },
+      "model"_a, "U"_a, "progress"_a = py::none(), "Energy polynomials of every target in the basis U (3 free, r).");
+
+  py::class_<ReducedModel, std::shared_ptr<ReducedModel>> reduced(m, "ReducedModel", "The soft skin in r modes.");
+  reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(),
+              "body"_a, "targets"_a, "tables"_a, "blending"_a);
+  bind_model(reduced);
+}
+
+}  // namespace
+
+void bind_simulation(py::module_& m) {
+  bind_pose_space(m);
+  bind_models(m);
+  bind_simulation_of<FullModel>(m, "FullSimulation");
+  bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
+}

@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`python -m dynamic_morph_targets`: the command line without Blender, on the bpy wheel."""
+
+import sys
+
+
+def run() -> int:
+    try:
+        import bpy
+    except ImportError as error:
+        print(f"dynamorph: error: Blender's Python module is missing ({error}): pip install bpy", file=sys.stderr)
+        return 2
+    from . import cli, register
+
+    if not hasattr(bpy.types.Object, "dynamorph"):  # the installed extension may have registered already
+        register()
+    return cli.main(sys.argv[1:], opens_file=True)
+
+
+if __name__ == "__main__":
+    sys.exit(run())

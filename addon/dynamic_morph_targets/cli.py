@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Command line, the same for two callers:
+
+    blender -b shot.blend -c dynamorph bake --object Body -o baked.blend
+    python -m dynamic_morph_targets bake shot.blend --object Body -o baked.blend
+
+Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 130 Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from pathlib import Path
+
+import bpy
+
+from . import extract, jobs, properties, sinks
+
+DONE, BAD_INPUT, SELF_CHECK_FAILED, INTERRUPTED = 0, 2, 3, 130
+
+
+class InputError(ValueError):
+    """The command line or the file does not say what to do. The message does."""
+
+
+def main(argv, opens_file: bool = False) -> int:
+    """Run one command and return its exit code. opens_file: the .blend is an argument, not the one already open."""
+    try:
+        args = parser(opens_file).parse_args(argv)
+    except SystemExit as stop:  # argparse has printed why; Blender must not be ended by it
+        return stop.code if isinstance(stop.code, int) else BAD_INPUT
+    # Blender swallows the first Ctrl-C unless Python's own handler is in place.
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        open_file(args, opens_file)
+        args.run(args)
+        return DONE
+    except KeyboardInterrupt:
+        print("dynamorph: interrupted, nothing was saved", file=sys.stderr)
+        return INTERRUPTED
+    except jobs.SelfCheckError as error:
+        print(f"dynamorph: error: {error}", file=sys.stderr)
+        return SELF_CHECK_FAILED
+    except jobs.expected_errors() as error:
+        print(f"dynamorph: error: {error}", file=sys.stderr)
+        return BAD_INPUT
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        sys.stdout.flush()
+
+
+def parser(opens_file: bool) -> argparse.ArgumentParser:
+    root = argparse.ArgumentParser(
+        prog="python -m dynamic_morph_targets" if opens_file else "dynamorph",
+        description="Dynamic morph targets: soft skin for rigged characters.",
+    )
+    commands = root.add_subparsers(title="commands", required=True)
+
+    def command(name, run, text, writes=True):
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(run=run)
+        if opens_file:
+            sub.add_argument("file", type=Path, help="the .blend to open")
+        chosen = sub.add_mutually_exclusive_group(required=writes)
+        chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
+        chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
+        if writes:
+            target = sub.add_mutually_exclusive_group(required=True)
+            target.add_argument("-o", "--output", type=Path, metavar="FILE", help="the .blend to write")
+            target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
+        return sub
+
+    bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
+    bake.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
+    bake.add_argument("--substeps", type=int, help="steps a frame; by default what keeps a step below 1/120 s")
+    bake.set_defaults(bake=True)
+    command("build", run_job, "build models").set_defaults(bake=False, frames=None, substeps=None)
+    command("free", run_free, "remove bakes and restore the target keys")
+    command("info", run_info, "print what the file holds", writes=False)
+    return root
+
+
+def open_file(args, opens_file: bool):
+    """Make sure that the .blend is open, and that the result can be written, before any work."""
+    if opens_file:
+        if not args.file.is_file():
+            raise InputError(f"there is no file '{args.file}'")
+        try:
+            bpy.ops.wm.open_mainfile(filepath=str(args.file.resolve()))
+        except RuntimeError as error:
+            raise InputError(f"'{args.file}' cannot be opened: {error}") from error
+    if not bpy.data.filepath:  # Blender goes on with an empty scene when its file is missing
+        raise InputError("no .blend is open: name one that exists before -c")
+    output = getattr(args, "output", None)
+    if output is None:
+        return
+    if not output.resolve().parent.is_dir():
+        raise InputError(f"there is no folder '{output.resolve().parent}' to write '{output.name}' to")
+    if output.resolve() == Path(bpy.data.filepath).resolve():
+        raise InputError(f"'{output}' is the file that is open: say --in-place to overwrite it")
+
+
+def run_job(args):
+    """bake and build."""
+    if args.substeps is not None and args.substeps < 1:
+        raise InputError(f"--substeps is {args.substeps}: give 1 or more")
+    folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
+    done = []
+    for obj in chosen_objects(args):
+        frames = tuple(args.frames) if args.frames else None
+        job = jobs.Job(obj, args.bake, frames, args.substeps, folder, rebuild=not args.bake)
+        jobs.run(job, Progress())
+        for reason in job.reasons:
+            print(f"{job.name}: built: {reason}")
+        for warning in job.warnings:
+            print(f"{job.name}: warning: {warning}")
+        done.append(job)
+    seconds = save(args)
+    for job in done:
+        print_table(job, seconds)
+
+
+def run_free(args):
+    for obj in chosen_objects(args):
+        sinks.check(obj)
+        baked = len(obj.dynamorph.bake.keys)
+        sinks.free(obj)
+        print(f"{obj.name}: {baked} baked keys removed")
+    save(args)
+
+
+def run_info(args):
+    for obj in chosen_objects(args):
+        settings = obj.dynamorph
+        print(f"{obj.name}: {', '.join(target.name for target in settings.targets)}")
+        print(f"  model: {settings.model.summary or 'none'}")
+        try:
+            reasons = "; ".join(jobs.stale_reasons(obj, extract.character(obj))) or "up to date"
+        except jobs.expected_errors() as error:
+            reasons = str(error)
+        print(f"  state: {reasons}")
+        print(f"  bake: {f'{len(settings.bake.keys)} keys, {settings.bake.summary}' if settings.bake.keys else 'none'}")
+
+
+def chosen_objects(args) -> list:
+    """The objects that --object or --all name."""
+    if not args.object:
+        found = properties.soft_skins(bpy.context.scene.objects)
+        if not found:
+            raise InputError(f"scene '{bpy.context.scene.name}' has no soft skin: press Add Soft Skin in Blender first")
+        return found
+    missing = [name for name in args.object if name not in bpy.context.scene.objects]
+    if missing:
+        raise InputError(f"scene '{bpy.context.scene.name}' has no object named '{missing[0]}'")
+    return [bpy.context.scene.objects[name] for name in args.object]
+
+
+def save(args) -> float:
+    """Save the .blend; returns the seconds it took."""
+    began = time.perf_counter()
+    path = str(args.output.resolve()) if args.output else bpy.data.filepath
+    bpy.ops.wm.save_as_mainfile(filepath=path, copy=args.output is not None)
+    print(f"saved {args.output or bpy.data.filepath}")
+    return time.perf_counter() - began
+
+
+class Progress:
+    """Prints a line when the stage changes and at each tenth, not at each tick."""
+
+    def __init__(self):
+        self.tenth = -1
+
+    def __call__(self, job):
+        tenth = int(10 * job.fraction)
+        if tenth > self.tenth:
+            self.tenth = tenth
+            print(f"{job.name}: {10 * tenth:3d} %  {job.message}", flush=True)
+
+
+def print_table(job, save_seconds: float):
+    made = job.model.summary
+    rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
+    rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
+    if job.bake:
+        rows.append(("frames x substeps", f"{len(job.settings.frames)} x {job.settings.substeps}"))
+        rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
+    rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.seconds.items(), ("save", save_seconds))]
+    print(f"\n{job.name}")
+    for name, value in rows:
+        print(f"  {name:<18}{value:>12}")

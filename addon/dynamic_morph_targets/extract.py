@@ -1,0 +1,389 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender scene -> scene_data. Reads only; what cannot be simulated is refused here, with the remedy.
+
+Skinning is Blender's: shape keys first, then the Armature modifier, weights normalised over the deforming bones.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+
+from .properties import key_points, reconcile, rest_skeleton
+from .scene_data import Character, RigSamples, SimulationSettings, Skeleton, Target, TargetSet
+
+SAME_POSE = np.radians(0.1)  # targets nearer than this in every bone cannot be told apart
+MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
+NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
+
+# Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
+GENERATING = frozenset(
+    "ARRAY BEVEL BOOLEAN BUILD DECIMATE EDGE_SPLIT MASK MESH_TO_VOLUME MIRROR MULTIRES NODES OCEAN PARTICLE_INSTANCE "
+    "REMESH SCREW SKIN SOLIDIFY SUBSURF VOLUME_TO_MESH WELD WIREFRAME".split()
+)
+DEFORMING = frozenset(
+    "CAST CLOTH CORRECTIVE_SMOOTH CURVE DISPLACE HOOK LAPLACIANDEFORM LAPLACIANSMOOTH LATTICE MESH_CACHE MESH_DEFORM "
+    "MESH_SEQUENCE_CACHE SHRINKWRAP SIMPLE_DEFORM SMOOTH SOFT_BODY SURFACE_DEFORM VOLUME_DISPLACE WARP WAVE".split()
+)
+
+
+class SceneError(ValueError):
+    """The scene cannot be simulated as it is. The message names the object and what to do."""
+
+
+class Cancelled(Exception):
+    """The user stopped the job."""
+
+
+# The character -----------------------------------------------------------------------------------------------------
+
+
+def character(obj) -> Character:
+    """The soft skin authored on `obj`. Raises SceneError."""
+    reconcile(obj)
+    check(obj)
+    modifier = armature_modifier(obj)
+    skeleton = rest_skeleton(modifier.object.data)
+    targets = tuple(_target(obj, target, skeleton) for target in _active_targets(obj))
+    _check_poses(obj, targets)
+    basis = obj.data.shape_keys.reference_key
+    settings = obj.dynamorph
+    return Character(
+        name=obj.name,
+        vertices=key_points(basis).astype(np.float64),
+        triangles=_triangles(obj.data),
+        to_bind=_stretch(obj),
+        weights=_skin_weights(obj, modifier, skeleton),
+        softness=_softness(obj),
+        skeleton=skeleton,
+        target_sets=(TargetSet(obj.name, targets),),
+        settings=settings.model.settings(),
+    )
+
+
+def armature_modifier(obj):
+    """The one Armature modifier that skins `obj`. Raises SceneError."""
+    if obj is None or obj.type != "MESH":
+        raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
+    modifiers = [m for m in obj.modifiers if m.type == "ARMATURE" and m.object]
+    if not modifiers:
+        raise SceneError(f"'{obj.name}' has no Armature modifier with an armature: add one, or parent the mesh to it")
+    if len(modifiers) > 1:
+        names = " and ".join(f"'{m.name}'" for m in modifiers)
+        raise SceneError(f"'{obj.name}' has more than one Armature modifier ({names}): keep one")
+    return modifiers[0]
+
+
+def check(obj) -> list[str]:
+    """Warnings about what will be ignored. Raises SceneError about what makes `obj` impossible to simulate."""
+    modifier = armature_modifier(obj)
+    _check_rig(obj, modifier)
+    _check_mesh(obj)
+    _check_keys(obj)
+    warnings = _check_modifiers_before(obj, modifier)
+    if obj.show_only_shape_key:
+        warnings.append(f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake")
+    return warnings
+
+
+def _check_rig(obj, modifier):
+    rig = modifier.object
+    if rig.mode == "EDIT":
+        raise SceneError(f"Armature '{rig.name}' is in Edit Mode: leave it first")
+    if rig.data.pose_position == "REST":
+        raise SceneError(f"Armature '{rig.name}' is shown in rest position: choose Pose Position in its Data tab")
+    if rig.hide_viewport:
+        raise SceneError(f"Armature '{rig.name}' is disabled in viewports, so Blender does not move it: enable it")
+    if modifier.use_deform_preserve_volume:
+        raise SceneError(f"'{obj.name}' uses Preserve Volume: turn it off in Armature modifier '{modifier.name}'")
+    if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
+        raise SceneError(
+            f"'{obj.name}' is skinned by bone envelopes: in Armature modifier '{modifier.name}' turn Bone Envelopes "
+            "off and Vertex Groups on"
+        )
+    if modifier.use_multi_modifier:
+        raise SceneError(f"'{obj.name}': turn Multi Modifier off in Armature modifier '{modifier.name}'")
+    bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
+    if not bones:
+        raise SceneError(f"'{obj.name}' has no vertex group named after a deforming bone of '{rig.name}': weight it first")
+    longest = max(bone.length for bone in bones)
+    for bone in bones:
+        if bone.bbone_segments > 1:
+            raise SceneError(f"Bone '{bone.name}' of '{rig.name}' is a bendy bone: set its Segments to 1")
+        if bone.use_envelope_multiply:
+            raise SceneError(f"Bone '{bone.name}' of '{rig.name}': turn off Envelope Multiply in its Deform panel")
+        if bone.length <= 1e-5 * longest:
+            raise SceneError(f"Bone '{bone.name}' of '{rig.name}' has no length: move its tail, or turn off its Deform")
+
+
+def _check_mesh(obj):
+    mesh = obj.data
+    if obj.mode == "EDIT":
+        raise SceneError(f"'{obj.name}' is in Edit Mode: leave it first")
+    if not mesh.polygons:
+        raise SceneError(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
+    if abs(np.linalg.det(_world(obj)[:3, :3])) < 1e-18:
+        raise SceneError(f"'{obj.name}' is scaled to zero: give it a size")
+
+
+def _check_keys(obj):
+    keys = obj.data.shape_keys
+    if keys is None:
+        raise SceneError(f"'{obj.name}' has no shape keys: add a Basis and one key a target")
+    if not keys.use_relative:
+        raise SceneError(f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
+    targets = _active_targets(obj)
+    if len(targets) < 2:
+        raise SceneError(f"'{obj.name}' has no targets: select a shape key, pose the armature and press Add Target")
+    for target in targets[1:]:
+        if target.name not in keys.key_blocks:
+            raise SceneError(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
+    for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in targets[1:])):
+        bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
+        if len(bad):
+            raise SceneError(
+                f"'{obj.name}': shape key '{block.name}' has coordinates that are not numbers at vertices "
+                f"{', '.join(map(str, bad[:5]))}: delete or repair them"
+            )
+
+
+def _check_modifiers_before(obj, armature) -> list[str]:
+    before = []
+    for modifier in obj.modifiers[: obj.modifiers.find(armature.name)]:
+        if not (modifier.show_viewport or modifier.show_render):
+            continue
+        if modifier.type in GENERATING:
+            raise SceneError(f"'{obj.name}': modifier '{modifier.name}' comes before the Armature: move it below")
+        if modifier.type in DEFORMING:
+            before.append(f"'{obj.name}': modifier '{modifier.name}' before the Armature is not simulated")
+    return before
+
+
+def _active_targets(obj):
+    """The neutral target and those that are not muted."""
+    return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
+
+
+def _target(obj, target, skeleton: Skeleton) -> Target:
+    missing = [name for name in target.bone_names() if name not in skeleton.names]
+    if missing:
+        raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
+    neutral = target == obj.dynamorph.targets[0]
+    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name)
+    return Target(target.name, shape, target.bone_names(), target.local(skeleton), target.material())
+
+
+def _check_poses(obj, targets):
+    """Refuse targets that their bones' rotations cannot tell apart."""
+    for target in targets[1:]:
+        if not target.bones:
+            raise SceneError(
+                f"'{obj.name}': target '{target.name}' has no bones: pose the armature away from the neutral target "
+                "and press Capture Pose"
+            )
+    for i, first in enumerate(targets):
+        for second in targets[i + 1 :]:
+            if turned(first.local, second.local).max() < SAME_POSE:
+                raise SceneError(
+                    f"'{obj.name}': targets '{first.name}' and '{second.name}' have the same pose: "
+                    "capture one of them in another pose, or remove it"
+                )
+
+
+def target_shape(obj, key_name: str) -> np.ndarray:
+    """What the shape key adds at value 1: (V, 3), local space."""
+    block = obj.data.shape_keys.key_blocks[key_name]
+    shape = key_points(block).astype(np.float64) - key_points(block.relative_key)
+    if block.vertex_group:
+        shape *= group_weights(obj, [block.vertex_group])
+    return shape
+
+
+def group_weights(obj, names) -> np.ndarray:
+    """Weights (V, len(names)) of the vertex groups; 0 for vertices and groups that are not there."""
+    column = {obj.vertex_groups[name].index: i for i, name in enumerate(names) if name in obj.vertex_groups}
+    weights = np.zeros((len(obj.data.vertices), len(names)))
+    for vertex in obj.data.vertices:
+        for element in vertex.groups:
+            if element.group in column:
+                weights[vertex.index, column[element.group]] = element.weight
+    bad = np.flatnonzero(~np.isfinite(weights).all(axis=0))
+    if len(bad):
+        raise SceneError(f"'{obj.name}': vertex group '{names[bad[0]]}' has weights that are not numbers")
+    return weights
+
+
+def _skin_weights(obj, modifier, skeleton: Skeleton) -> np.ndarray:
+    bones = modifier.object.data.bones
+    weights = group_weights(obj, skeleton.names)
+    weights[:, [not bones[name].use_deform for name in skeleton.names]] = 0.0
+    total = weights.sum(axis=1, keepdims=True)
+    moved = total > NO_WEIGHT
+    weights = np.where(moved, weights / np.where(moved, total, 1.0), 0.0)
+    if modifier.vertex_group in obj.vertex_groups:  # the modifier's own mask blends with the unskinned position
+        mask = group_weights(obj, [modifier.vertex_group])
+        weights *= 1.0 - mask if modifier.invert_vertex_group else mask
+    return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
+
+
+def _softness(obj) -> np.ndarray:
+    name = obj.dynamorph.soft_group
+    if not name:
+        return np.ones(len(obj.data.vertices))
+    if name not in obj.vertex_groups:
+        raise SceneError(f"'{obj.name}': the vertex group '{name}' for Soft is gone: choose another")
+    return group_weights(obj, [name])[:, 0]
+
+
+def _triangles(mesh) -> np.ndarray:
+    mesh.calc_loop_triangles()
+    triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
+    mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
+    return triangles
+
+
+def _world(obj) -> np.ndarray:
+    return np.array(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world)
+
+
+def _stretch(obj) -> np.ndarray:
+    """The object's scale without its rotation: the symmetric factor of the world transform's polar decomposition."""
+    world = _world(obj)[:3, :3]
+    values, vectors = np.linalg.eigh(world.T @ world)
+    stretch = (vectors * np.sqrt(values)) @ vectors.T
+    # Rounded, or the object's rotation would show in the last digits and make the model out of date.
+    unit = 10.0 ** np.floor(np.log10(stretch.max()))
+    return np.round(stretch / unit, 5) * unit
+
+
+# The pose ----------------------------------------------------------------------------------------------------------
+
+
+def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angle, in radians, between the rotations of two arrays of transforms (B, 4, 4)."""
+
+    def rotation(transforms):
+        u, _, vt = np.linalg.svd(transforms[:, :3, :3])
+        return u @ vt
+
+    # From the chord, because the arc cosine of the trace loses small angles.
+    chord = np.linalg.norm(rotation(first) - rotation(second), axis=(1, 2)) / np.sqrt(8.0)
+    return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+
+
+def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4)."""
+    modifier = armature_modifier(obj)
+    _check_rig(obj, modifier)
+    rig = modifier.object
+    skeleton = rest_skeleton(rig.data)
+    evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
+    flat = [name for name, matrix in zip(skeleton.names, pose) if not _invertible(matrix)]
+    if flat:
+        raise SceneError(f"Bone '{flat[0]}' of '{rig.name}' is scaled to zero: give it a size to capture the pose")
+    return skeleton, skeleton.local_transforms(pose), np.array(evaluated.matrix_world)
+
+
+def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
+    """Names of the deforming bones whose local rotation differs by more than MOVED."""
+    bones = armature_modifier(obj).object.data.bones
+    angles = turned(first, second)
+    return [name for name, angle in zip(skeleton.names, angles) if angle > MOVED and bones[name].use_deform]
+
+
+def _pose_order(rig, skeleton: Skeleton) -> list[int]:
+    return [rig.pose.bones.find(name) for name in skeleton.names]
+
+
+def _pose_matrices(evaluated_rig, order) -> np.ndarray:
+    """Pose matrices (B, 4, 4), armature space. foreach_get delivers them column after column."""
+    columns = np.empty((len(order), 4, 4), np.float32)
+    evaluated_rig.pose.bones.foreach_get("matrix", columns.ravel())
+    return columns.transpose(0, 2, 1)[order].astype(np.float64)
+
+
+def _invertible(matrices: np.ndarray) -> np.ndarray:
+    with np.errstate(invalid="ignore"):
+        return np.abs(np.linalg.det(matrices[..., :3, :3])) > 1e-12  # false for NaN too
+
+
+# The moving rig ----------------------------------------------------------------------------------------------------
+
+
+def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSamples:
+    """The rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh.
+
+    progress(fraction, message) -> bool; False raises Cancelled. The user's frame and pose are not touched.
+    """
+    rig = armature_modifier(obj).object
+    order = _pose_order(rig, rest_skeleton(rig.data))
+    count = 1 + (end - start) * substeps
+    samples = RigSamples(np.empty((count, len(order), 4, 4)), np.empty((count, 4, 4)), np.empty((count, 4, 4)))
+    with _rig_scene(obj, rig) as scene:
+        for s in range(count):
+            frame, substep = divmod(s, substeps)
+            scene.frame_set(start + frame, subframe=substep / substeps)
+            depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
+            evaluated = rig.evaluated_get(depsgraph)
+            samples.pose[s] = _pose_matrices(evaluated, order)
+            samples.rig_world[s] = evaluated.matrix_world
+            samples.object_world[s] = obj.evaluated_get(depsgraph).matrix_world
+            if progress and not progress(s / count, f"Sampling frame {start + frame}"):
+                raise Cancelled
+    return samples
+
+
+@contextmanager
+def _rig_scene(obj, rig):
+    """A scene with the rig alone, so that a frame costs what the rig costs.
+
+    An empty that copies the mesh object's transform makes the dependency graph evaluate that transform, with its
+    parents, constraints and drivers, but not the mesh.
+    """
+    user = bpy.context.scene.render
+    scene = bpy.data.scenes.new("Dynamorph Sampling")
+    probe = bpy.data.objects.new("Dynamorph Sampling", None)
+    try:
+        for field in ("fps", "fps_base", "frame_map_old", "frame_map_new"):
+            setattr(scene.render, field, getattr(user, field))
+        probe.constraints.new("COPY_TRANSFORMS").target = obj
+        scene.collection.objects.link(rig)
+        scene.collection.objects.link(probe)
+        yield scene
+    finally:
+        bpy.data.scenes.remove(scene)
+        bpy.data.objects.remove(probe)
+
+
+def hold_collapsed(samples: RigSamples, skeleton: Skeleton) -> tuple[RigSamples, list[str]]:
+    """Replace bones scaled to zero (the pop-to-nothing trick) by their last size; returns warnings naming them."""
+    good = _invertible(samples.pose)
+    if good.all():
+        return samples, []
+    times = np.arange(len(samples))[:, None]
+    last = np.maximum.accumulate(np.where(good, times, -1), axis=0)
+    held = np.where(last >= 0, last, good.argmax(axis=0))  # before its first size: that first size
+    pose = samples.pose[held, np.arange(good.shape[1])]
+    never = ~good.any(axis=0)
+    pose[:, never] = skeleton.rest[never]
+    names = ", ".join(f"'{skeleton.names[b]}'" for b in np.flatnonzero(~good.all(axis=0)))
+    frames = int((~good).any(axis=1).sum())
+    warning = f"Bones scaled to zero are held at their last size ({frames} of {len(samples)} samples): {names}"
+    return RigSamples(pose, samples.rig_world, samples.object_world), [warning]
+
+
+def simulation_settings(obj, scene, start=None, end=None, substeps=None) -> SimulationSettings:
+    """The run that `obj` asks for in `scene`; arguments override it. Raises SceneError."""
+    chosen = obj.dynamorph.simulation
+    fps = scene.render.fps / scene.render.fps_base
+    if start is None:
+        start, end = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)
+    if end < start:
+        raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
+    gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
+    return SimulationSettings(
+        start, end, fps, substeps or chosen.steps_per_frame(fps), chosen.scheme, tuple(gravity.tolist()), chosen.preroll
+    )

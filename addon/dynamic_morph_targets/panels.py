@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Drawing only: one function draws the settings in the sidebar and below the Shape Keys panel."""
+
+from __future__ import annotations
+
+import textwrap
+
+import bpy
+from bpy.types import Panel, UIList
+
+from . import jobs
+
+
+class DYNAMORPH_UL_targets(UIList):
+    """Dynamic morph targets, as Blender lists shape keys."""
+
+    def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, index):
+        neutral = index == 0
+        keys = data.id_data.data.shape_keys
+        gone = not neutral and (keys is None or item.name not in keys.key_blocks)
+        icon = "ERROR" if gone else "ARMATURE_DATA" if neutral else "SHAPEKEY_DATA"
+        row = layout.row()
+        row.active = not item.mute
+        row.label(text=item.name, icon=icon, translate=False)
+        if not neutral:
+            row.prop(item, "mute", text="", icon="CHECKBOX_DEHLT" if item.mute else "CHECKBOX_HLT", emboss=False)
+
+
+def draw_soft_skin(layout, obj):
+    """The whole interface for one object."""
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+    settings = obj.dynamorph
+    if jobs.engine_problem():
+        draw_message(layout, jobs.engine_problem())
+    if not settings.targets:
+        layout.operator("dynamorph.add_soft_skin", icon="ADD")
+        return
+    draw_targets(layout, settings)
+    draw_model(layout, obj)
+    draw_bake(layout, settings)
+
+
+def draw_targets(layout, settings):
+    row = layout.row()
+    row.template_list("DYNAMORPH_UL_targets", "", settings, "targets", settings, "active_target_index", rows=4)
+    column = row.column(align=True)
+    column.operator("dynamorph.add_target", text="", icon="ADD")
+    column.operator("dynamorph.remove_target", text="", icon="REMOVE")
+    target = settings.active_target
+    if target is None:
+        return
+    row = layout.row(align=True)
+    row.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
+    if settings.active_target_index > 0:
+        row.operator("dynamorph.use_selected_bones", icon="BONE_DATA")
+        draw_message(layout, "Bones: " + (", ".join(target.bone_names()) or "none"), icon="BONE_DATA")
+    column = layout.column(align=True)
+    for name in ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping"):
+        column.prop(target, name)
+
+
+def draw_model(layout, obj):
+    settings = obj.dynamorph
+    model = settings.model
+    header, body = layout.panel("dynamorph_model")
+    header.label(text="Model")
+    if body:
+        for name in ("law", "solver", "blending", "modes", "cage_nodes", "pin_radius"):
+            body.prop(model, name)
+        body.prop_search(settings, "soft_group", obj, "vertex_groups")
+    if model.stale:
+        draw_message(layout, f"Out of date: {model.stale}")
+    draw_job(layout, "dynamorph.build", "MOD_LATTICE")
+    if model.summary:
+        draw_message(layout, model.summary, icon="CHECKMARK")
+
+
+def draw_bake(layout, settings):
+    simulation = settings.simulation
+    header, body = layout.panel("dynamorph_simulation")
+    header.label(text="Simulation")
+    if body:
+        body.prop(simulation, "use_scene_range")
+        column = body.column(align=True)
+        column.active = not simulation.use_scene_range
+        column.prop(simulation, "start")
+        column.prop(simulation, "end")
+        for name in ("substeps", "scheme", "gravity", "preroll"):
+            body.prop(simulation, name)
+    draw_job(layout, "dynamorph.bake", "REC")
+    if settings.bake.keys:
+        if settings.bake.summary:
+            draw_message(layout, settings.bake.summary, icon="CHECKMARK")
+        layout.operator("dynamorph.free_bake", icon="X")
+
+
+def draw_job(layout, operator: str, icon: str):
+    """The button, or in its place the progress of its job."""
+    job = jobs.running
+    if job is None or job.bake != (operator == "dynamorph.bake"):
+        layout.operator(operator, icon=icon)
+        return
+    row = layout.row(align=True)
+    row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")
+    row.operator("dynamorph.cancel", text="", icon="X")
+
+
+def draw_message(layout, text: str, icon="ERROR"):
+    """Text broken into lines, because labels do not wrap."""
+    column = layout.column(align=True)
+    for i, line in enumerate(textwrap.wrap(text, 48)):
+        column.label(text=line, icon="BLANK1" if i else icon, translate=False)
+
+
+class SoftSkinPanel:
+    bl_label = "Dynamorph"
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and context.object.type == "MESH"
+
+    def draw(self, context):
+        draw_soft_skin(self.layout, context.object)
+
+
+class DYNAMORPH_PT_sidebar(SoftSkinPanel, Panel):
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Dynamorph"
+
+
+class DYNAMORPH_PT_object_data(SoftSkinPanel, Panel):
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "data"
+    bl_parent_id = "DATA_PT_shape_keys"
+    bl_options = {"DEFAULT_CLOSED"}
+
+
+CLASSES = (DYNAMORPH_UL_targets, DYNAMORPH_PT_sidebar, DYNAMORPH_PT_object_data)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

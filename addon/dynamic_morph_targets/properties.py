@@ -1,0 +1,412 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the artist authored, stored on the Object as `Object.dynamorph`, and how it follows renames.
+
+Blender gives shape keys no lasting identity and bones only their names, so each reference keeps a second clue: a hash
+of the key's shape, the bone's rest matrix. `reconcile` uses it when a name is gone. The settings live on the Object
+(not the Key, which vanishes with its last shape key, and not the ShapeKey, which takes no properties).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+from bpy.types import PropertyGroup
+
+from .scene_data import Material, ModelSettings, Skeleton
+
+NEUTRAL = "Neutral"
+OVERRIDE = {"LIBRARY_OVERRIDABLE"}
+OVERRIDE_LIST = {"LIBRARY_OVERRIDABLE", "USE_INSERTION"}
+IDENTITY = tuple(np.eye(4).ravel())
+
+
+# Reading the two things that references point at -------------------------------------------------------------------
+
+
+def rig_of(obj):
+    """The armature object of the first Armature modifier that has one, or None."""
+    return next((m.object for m in obj.modifiers if m.type == "ARMATURE" and m.object), None)
+
+
+def rest_skeleton(armature) -> Skeleton:
+    """The armature's bones at rest, parents before children."""
+    bones = sorted(armature.bones, key=lambda bone: len(bone.parent_recursive))  # stable: siblings keep their order
+    names = tuple(bone.name for bone in bones)
+    parents = np.array([names.index(bone.parent.name) if bone.parent else -1 for bone in bones], dtype=np.int64)
+    rest = np.array([bone.matrix_local for bone in bones], dtype=np.float64).reshape(-1, 4, 4)
+    return Skeleton(names, parents, rest)
+
+
+def key_points(block) -> np.ndarray:
+    """The points of a shape key, (V, 3) float32, local space. float32 because Blender then copies in one piece."""
+    points = np.empty((len(block.points), 3), np.float32)
+    block.points.foreach_get("co", points.ravel())
+    return points
+
+
+def key_hash(block) -> str:
+    """Identifies a shape key by what it sculpts, whatever its name or place in the list."""
+    return hashlib.blake2b((key_points(block) - key_points(block.relative_key)).tobytes(), digest_size=8).hexdigest()
+
+
+# Property groups ---------------------------------------------------------------------------------------------------
+
+
+class KeyReference:
+    """Mixin: a shape key, found again after a rename. The group's own `name` is the key's name."""
+
+    key_index: IntProperty(name="Key Index", description="Place of the shape key in the list", override=OVERRIDE)
+    key_hash: StringProperty(name="Key Hash", description="Identifies the sculpted shape", override=OVERRIDE)
+
+    def refer_to(self, blocks, index: int):
+        """Point at `blocks[index]`. Writes only what changed: a write tags the object for evaluation."""
+        block = blocks[index]
+        for field, value in (("name", block.name), ("key_index", index), ("key_hash", key_hash(block))):
+            if getattr(self, field) != value:
+                setattr(self, field, value)
+
+
+class DynamorphKey(KeyReference, PropertyGroup):
+    """A shape key that a bake added or muted."""
+
+    was_muted: BoolProperty(name="Was Muted", description="Whether the artist had muted the key before the bake")
+
+
+class DynamorphBone(PropertyGroup):
+    """The name of a bone that places a target in pose space."""
+
+
+class DynamorphBonePose(PropertyGroup):
+    """One bone of a captured pose. Matrices are row after row."""
+
+    rest: FloatVectorProperty(name="Rest", description="Rest matrix, to find a renamed bone", size=16, override=OVERRIDE)
+    local: FloatVectorProperty(
+        name="Local", description="Transform relative to the evaluated parent", size=16, override=OVERRIDE
+    )
+
+
+class DynamorphTarget(KeyReference, PropertyGroup):
+    """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
+
+    The first target of an object is the neutral one; its shape is the Basis.
+    """
+
+    mute: BoolProperty(name="Mute", description="Leave this target out of the model", override=OVERRIDE)
+    stiffness: FloatProperty(
+        name="Stiffness",
+        description="Young's modulus at this target, in pascal: fat about 3e3, relaxed muscle 2e4, flexed muscle 2e5",
+        default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
+        override=OVERRIDE,
+    )  # fmt: skip
+    poisson: FloatProperty(
+        name="Poisson's Ratio",
+        description="How much the flesh keeps its volume: 0 not at all, near 0.5 entirely. Values over 0.4 make "
+        "coarse cages too stiff",
+        default=Material.poisson, min=0.0, max=0.49, soft_max=0.45, override=OVERRIDE,
+    )  # fmt: skip
+    density: FloatProperty(
+        name="Density",
+        description="Mass per volume at this target, in kg/m³: water 1000",
+        default=Material.density, min=1.0, max=1e5, soft_min=500.0, soft_max=2000.0, step=1000, precision=0,
+        override=OVERRIDE,
+    )  # fmt: skip
+    mass_damping: FloatProperty(
+        name="Mass Damping",
+        description="Rayleigh damping in proportion to mass, in 1/s: calms slow, large motion",
+        default=Material.mass_damping, min=0.0, max=1e4, soft_max=20.0, override=OVERRIDE,
+    )  # fmt: skip
+    stiffness_damping: FloatProperty(
+        name="Stiffness Damping",
+        description="Rayleigh damping in proportion to stiffness, in seconds: calms fast ripples",
+        default=Material.stiffness_damping, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
+    )  # fmt: skip
+    bones: CollectionProperty(
+        name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
+        override=OVERRIDE_LIST,
+    )  # fmt: skip
+    pose: CollectionProperty(
+        name="Pose", description="The captured pose of every bone", type=DynamorphBonePose, override=OVERRIDE_LIST
+    )
+    rig_world: FloatVectorProperty(
+        name="Armature Transform", description="World transform of the armature when the pose was captured",
+        size=16, default=IDENTITY, override=OVERRIDE,
+    )  # fmt: skip
+
+    def material(self) -> Material:
+        return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
+
+    def bone_names(self) -> tuple[str, ...]:
+        return tuple(bone.name for bone in self.bones)
+
+    def set_bones(self, names):
+        self.bones.clear()
+        for name in names:
+            self.bones.add().name = name
+
+    def set_pose(self, skeleton: Skeleton, local: np.ndarray, rig_world: np.ndarray):
+        """Store a pose: local (B, 4, 4) as `Skeleton.local_transforms` gives it, rig_world (4, 4)."""
+        self.pose.clear()
+        for name, rest, transform in zip(skeleton.names, skeleton.rest, local):
+            bone = self.pose.add()
+            bone.name, bone.rest, bone.local = name, rest.ravel(), transform.ravel()
+        self.rig_world = rig_world.ravel()
+
+    def local(self, skeleton: Skeleton) -> np.ndarray:
+        """The captured pose (B, 4, 4) in the skeleton's order; bones added since then are at rest."""
+        stored = np.empty((len(self.pose), 4, 4), np.float32)
+        self.pose.foreach_get("local", stored.ravel())
+        by_name = dict(zip((bone.name for bone in self.pose), stored.astype(np.float64)))
+        return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
+
+
+class DynamorphModel(PropertyGroup):
+    """How the model of an object is built, and what came of it."""
+
+    law: EnumProperty(
+        name="Law",
+        description="How the flesh resists deformation",
+        items=(
+            ("LINEAR", "Linear", "Fastest; good for small jiggle, swells when it rotates far"),
+            ("STVK", "StVK", "St. Venant-Kirchhoff: right under large rotations, may stay inverted after a hard stop"),
+            ("STABLE_STVK", "Stable StVK", "As StVK, and recovers from any compression"),
+        ),
+        default=ModelSettings.law, override=OVERRIDE,
+    )  # fmt: skip
+    solver: EnumProperty(
+        name="Solver",
+        description="How many degrees of freedom are simulated",
+        items=(
+            ("REDUCED", "Reduced", "A few characteristic modes: fast"),
+            ("FULL", "Full", "Every node of the cage: slow, the reference"),
+        ),
+        default=ModelSettings.solver, override=OVERRIDE,
+    )  # fmt: skip
+    blending: EnumProperty(
+        name="Blending",
+        description="What happens halfway between two targets",
+        items=(
+            ("FORCES", "Forces", "The forces are blended: the stiffer target's shape dominates"),
+            ("EVEN", "Even", "Halfway in pose is halfway in shape, whatever the stiffness"),
+        ),
+        default=ModelSettings.blending, override=OVERRIDE,
+    )  # fmt: skip
+    modes: IntProperty(
+        name="Modes", description="How many displacement modes the reduced solver uses",
+        default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40, override=OVERRIDE,
+    )  # fmt: skip
+    cage_nodes: IntProperty(
+        name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
+        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000, override=OVERRIDE,
+    )  # fmt: skip
+    pin_radius: FloatProperty(
+        name="Bone Pinning",
+        description="How far from a bone to the skin the flesh is held by the bone: 0 only at the bone",
+        default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR", override=OVERRIDE,
+    )  # fmt: skip
+    content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
+    summary: StringProperty(name="Result", description="What the last build made")
+    stale: StringProperty(name="Out of Date", description="Why the model must be built again")
+
+    def settings(self) -> ModelSettings:
+        return ModelSettings(self.law, self.solver, self.blending, self.modes, self.cage_nodes, self.pin_radius)
+
+
+class DynamorphSimulation(PropertyGroup):
+    """How a shot is simulated."""
+
+    use_scene_range: BoolProperty(
+        name="Scene Range", description="Bake the frames of the scene", default=True, override=OVERRIDE
+    )
+    start: IntProperty(name="Start", description="First frame", default=1, override=OVERRIDE)
+    end: IntProperty(name="End", description="Last frame", default=250, override=OVERRIDE)
+    substeps: IntProperty(
+        name="Substeps",
+        description="Steps a frame; 0 chooses as many as keep a step below 1/120 s",
+        default=0, min=0, max=1000, soft_max=20, override=OVERRIDE,
+    )  # fmt: skip
+    scheme: EnumProperty(
+        name="Scheme",
+        description="Time integration",
+        items=(
+            ("BDF2", "BDF2", "Second order: keeps the bounce"),
+            ("EULER", "Implicit Euler", "First order: damps strongly"),
+        ),
+        default="BDF2", override=OVERRIDE,
+    )  # fmt: skip
+    gravity: FloatProperty(
+        name="Gravity",
+        description="Factor on the scene's gravity. 0 by default: targets are sculpted as seen under gravity",
+        default=0.0, min=-10.0, max=10.0, soft_min=0.0, soft_max=1.0, override=OVERRIDE,
+    )  # fmt: skip
+    preroll: IntProperty(
+        name="Pre-Roll", description="Frames in which the first pose is held before the start",
+        default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
+    )  # fmt: skip
+
+    def steps_per_frame(self, fps: float) -> int:
+        return self.substeps or max(1, math.ceil(120.0 / fps - 1e-6))
+
+
+class DynamorphBake(PropertyGroup):
+    """What a bake changed, so that Free Bake can undo exactly that. A bake exists when `keys` is not empty."""
+
+    keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
+    muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
+    action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
+    had_animation_data: BoolProperty(name="Had Animation Data")
+    active_index: IntProperty(name="Active Key")
+    summary: StringProperty(name="Result", description="What the last bake made")
+
+
+class DynamorphSettings(PropertyGroup):
+    """Everything about the soft skin of one object."""
+
+    targets: CollectionProperty(
+        name="Targets", description="Dynamic morph targets; the first is the neutral one", type=DynamorphTarget,
+        override=OVERRIDE_LIST,
+    )  # fmt: skip
+    active_target_index: IntProperty(name="Active Target", override=OVERRIDE)
+    soft_group: StringProperty(
+        name="Soft",
+        description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
+        override=OVERRIDE,
+    )
+    model: PointerProperty(type=DynamorphModel, override=OVERRIDE)
+    simulation: PointerProperty(type=DynamorphSimulation, override=OVERRIDE)
+    bake: PointerProperty(type=DynamorphBake)
+
+    @property
+    def active_target(self):
+        """The target selected in the list, or None."""
+        inside = 0 <= self.active_target_index < len(self.targets)
+        return self.targets[self.active_target_index] if inside else None
+
+
+# Following renames -------------------------------------------------------------------------------------------------
+
+
+def reconcile(obj):
+    """Make the references of `obj` follow renamed or moved shape keys and renamed bones.
+
+    A reference whose key or bone is really gone stays as it is; whoever uses it reports that.
+    """
+    settings = obj.dynamorph
+    if obj.data.shape_keys:
+        blocks = obj.data.shape_keys.key_blocks
+        for references in (settings.targets[1:], settings.bake.keys, settings.bake.muted):
+            _follow_keys(blocks, references)
+    rig = rig_of(obj)
+    if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
+        skeleton = rest_skeleton(rig.data)
+        for target in settings.targets:
+            _follow_bones(skeleton, target)
+
+
+def _follow_keys(blocks, references):
+    named = {reference.name for reference in references}
+    free = None
+    for reference in references:
+        index = blocks.find(reference.name)
+        if index < 0:
+            if free is None:
+                free = {i: key_hash(block) for i, block in enumerate(blocks) if i and block.name not in named}
+            same = [i for i, digest in free.items() if digest == reference.key_hash]
+            if not same:
+                continue
+            index = reference.key_index if reference.key_index in same else same[0]
+            del free[index]
+        reference.refer_to(blocks, index)
+
+
+def _follow_bones(skeleton: Skeleton, target):
+    index = {name: b for b, name in enumerate(skeleton.names)}
+    rest = np.empty((len(target.pose), 4, 4), np.float32)
+    target.pose.foreach_get("rest", rest.ravel())
+    free = sorted(set(index.values()) - {index.get(bone.name) for bone in target.pose})
+    for bone, stored in zip(target.pose, rest):
+        b = index.get(bone.name)
+        if b is None:
+            b = next((b for b in free if np.allclose(skeleton.rest[b], stored, rtol=1e-5, atol=1e-6)), None)
+            if b is None:
+                continue
+            free.remove(b)
+            for used in target.bones:
+                if used.name == bone.name:
+                    used.name = skeleton.names[b]
+            bone.name = skeleton.names[b]
+        if not np.array_equal(skeleton.rest[b].astype(np.float32), stored):
+            bone.rest = skeleton.rest[b].ravel()
+
+
+def soft_skins(objects):
+    """Those of `objects` that carry a soft skin."""
+    return [obj for obj in objects if obj.type == "MESH" and obj.dynamorph.targets]
+
+
+@persistent
+def _follow_changes(_scene, depsgraph):
+    """depsgraph_update_post: a rename updates the Key or the Armature. So does posing, hence the look at names first.
+
+    The hash of the active key is kept fresh, because it is the one that is sculpted.
+    """
+    changed = {u.id.original for u in depsgraph.updates if isinstance(u.id, (bpy.types.Key, bpy.types.Armature))}
+    if not changed:
+        return
+    for obj in soft_skins(bpy.data.objects):
+        if obj.library is None and obj.data.shape_keys in changed:
+            if _name_lost(obj):
+                reconcile(obj)
+            active = obj.active_shape_key
+            for target in obj.dynamorph.targets[1:]:
+                if active and target.name == active.name:
+                    target.refer_to(obj.data.shape_keys.key_blocks, obj.active_shape_key_index)
+
+
+def _name_lost(obj) -> bool:
+    settings = obj.dynamorph
+    rig = rig_of(obj)
+    bones = rig.data.bones if rig else ()
+    blocks = obj.data.shape_keys.key_blocks
+    return any(key.name not in blocks for key in (*settings.targets[1:], *settings.bake.keys)) or any(
+        bone.name not in bones for target in settings.targets for bone in target.pose
+    )
+
+
+CLASSES = (
+    DynamorphKey,
+    DynamorphBone,
+    DynamorphBonePose,
+    DynamorphTarget,
+    DynamorphModel,
+    DynamorphSimulation,
+    DynamorphBake,
+    DynamorphSettings,
+)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Object.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphSettings, override=OVERRIDE)
+    bpy.app.handlers.depsgraph_update_post.append(_follow_changes)
+
+
+def unregister():
+    bpy.app.handlers.depsgraph_update_post.remove(_follow_changes)
+    del bpy.types.Object.dynamorph
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "arrays.hpp"
+#include "bindings.hpp"
+#include "dynamorph/cage.hpp"
+#include "dynamorph/tetrahedralize.hpp"
+
+namespace py = pybind11;
+using namespace py::literals;
+using namespace dynamorph;
+
+namespace {
+
+template <class Function>
+auto without_gil(Function function) {
+  py::gil_scoped_release released;
+  return function();
+}
+
+Points points(const FloatArray& array, const char* name) { return to_matrix<Points>(array, name); }
+Triangles triangles(const IntArray& array) { return to_matrix<Triangles>(array, "triangles"); }
+
+void check_rows(const FloatArray& array, const char* name, Eigen::Index expected) {
+  if (array.shape(0) != expected)
+    throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(expected) + " rows, got shape " +
+                                shape_of(array));
+}
+
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+void bind_tet_mesh(py::module_& m) {
+  py::class_<TetMesh>(m, "TetMesh", "Tetrahedra: n nodes, m tets.")
+      .def(py::init([](const FloatArray& nodes, const IntArray& tets) {
+             return make_tet_mesh(points(nodes, "nodes"), to_matrix<Tets>(tets, "tets"));
+           }),
+           "nodes"_a, "tets"_a, R"(A mesh from stored arrays.
+
+nodes (n, 3): rest positions, metres. tets (m, 4): node indices. Raises ValueError on an index out of range, a NaN, a
+tet that is flat or inside out, or a node of no tet.)")
+      .def_readonly("nodes", &TetMesh::nodes, "Rest positions (n, 3), metres.")
+      .def_readonly("tets", &TetMesh::tets, "Node indices (m, 4), positively oriented.")
+      .def_property_readonly("volumes", &volumes, "Volumes (m,), cubic metres.");
+
+  py::class_<Embedding>(m, "Embedding", "Where V surface points sit in a TetMesh.")
+      .def_readonly("nodes", &Embedding::nodes, "The nodes (V, 4) that carry each point: those of one tet.")
+      .def_readonly("weights", &Embedding::weights, "Their weights (V, 4): rows sum to 1; negative only outside.")
+      .def_readonly("distances", &Embedding::distances, "Distance (V,) to the mesh, metres: 0 inside.")
+      .def(
+          "interpolate",
+          [](const Embedding& self, const FloatArray& values) {
+            const auto matrix = to_matrix<RowMajor>(values, "values");
+            if (self.nodes.size() && self.nodes.maxCoeff() >= matrix.rows())
+              throw std::invalid_argument("values: expected one row a node, got shape " + shape_of(values));
+            return without_gil([&] { return RowMajor(self.matrix(matrix.rows()) * matrix); });
+          },
+          "values"_a, "Values (V, k) at the points from values (n, k) at the nodes.");
+}
+
+void bind_meshers(py::module_& m) {
+  m.def(
+      "make_cage",
+      [](const FloatArray& vertices, const IntArray& faces, int target_vertices, const py::object& progress) {
+        const Points v = points(vertices, "vertices");
+        const Triangles f = triangles(faces);
+        const ProgressFn report = with_gil(progress);
+        Cage cage = without_gil([&] { return make_cage(v, f, target_vertices, report); });
+        return std::make_pair(std::move(cage.vertices), std::move(cage.triangles));
+      },
+      "vertices"_a, "triangles"_a, "target_vertices"_a, "progress"_a = py::none(),
+      R"(A closed cage of about `target_vertices` vertices around any triangle soup.
+
+vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
+Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not
+between 1e-6 and 1e6 m across.)");
+  m.def(
+      "tetrahedralize",
+      [](const FloatArray& vertices, const IntArray& faces, int target_nodes) {
+        const Points v = points(vertices, "vertices");
+        const Triangles f = triangles(faces);
+        return without_gil([&] { return tetrahedralize(v, f, target_nodes); });
+      },
+      "vertices"_a, "triangles"_a, "target_nodes"_a,
+      R"(Fills a closed surface without self-intersections with about `target_nodes` nodes.
+
+vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. Raises Error when it cannot
+be filled. Crashes or hangs on some input: `mesh_body` contains that.)");
+}
+
+void bind_body_in_mesh(py::module_& m) {
+  m.def(
+      "embed",
+      [](const TetMesh& mesh, const FloatArray& array) {
+        const Points p = points(array, "points");
+        return without_gil([&] { return embed(mesh, p); });
+      },
+      "mesh"_a, "points"_a, R"(Embeds surface points (V, 3), metres, by barycentric weights.
+
+A point outside takes the nearest tet, extrapolating as far as weights of -1/2.)");
+  m.def(
+      "fill_fractions",
+      [](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces, const py::object& progress) {
+        const Points v = points(vertices, "vertices");
+        const Triangles f = triangles(faces);
+        const ProgressFn report = with_gil(progress);
+        return without_gil([&] { return fill_fractions(mesh, v, f, report); });
+      },
+      "mesh"_a, "vertices"_a, "triangles"_a, "progress"_a = py::none(),
+      R"(Fraction (m,) of each tet that the body fills, 0.05 .. 1; the body need not be closed.
+
+vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.)");
+  m.def(
+      "extend_to_nodes",
+      [](const TetMesh& mesh, const Embedding& embedding, const FloatArray& values) {
+        const MatrixXd v = to_matrix<RowMajor>(values, "values");
+        check_rows(values, "values", embedding.nodes.rows());
+        return without_gil([&] { return RowMajor(extend_to_nodes(mesh, embedding, v)); });
+      },
+      "mesh"_a, "embedding"_a, "values"_a, R"(Values (n, k) at the nodes from values (V, k) at the embedded points.
+
+Least squares at the points, smooth inside. Constants stay constant; overshoots slightly, so skin weights want clamping
+and normalising.)");
+  m.def(
+      "pinned",
+      [](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces, const FloatArray& heads,
+         const FloatArray& tails, double ratio) {
+        const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
+        const Triangles f = triangles(faces);
+        check_rows(tails, "tails", h.rows());
+        const std::vector<bool> held = without_gil([&] { return pinned(mesh, v, f, h, t, ratio); });
+        py::array_t<bool> result(held.size());
+        std::copy(held.begin(), held.end(), result.mutable_data());
+        return result;
+      },
+      "mesh"_a, "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
+      R"(Whether the bones hold each node, bool (n,).
+
+A node is held when its distance to the nearest bone is less than `ratio` of the way from bone to skin: 0 holds none, 1
+all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All metres, in
+the mesh's space.)");
+}
+
+}  // namespace
+
+void bind_meshing(py::module_& m) {
+  bind_tet_mesh(m);
+  bind_meshers(m);
+  bind_body_in_mesh(m);
+}

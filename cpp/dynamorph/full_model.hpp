@@ -1,0 +1,135 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The unreduced soft skin: E(u, q) = sum_j w_j(q) E_j(u) over the free nodes of a tet mesh (METHOD 1, 2).
+//
+// FullModel and ReducedModel have one interface, which step() is written against:
+//   Matrix, Blend             dense or sparse; the model at one set of target weights
+//   blend(w, out)             paid once per pose
+//   energy, linearize         E, F = dE/dq and K = dF/dq at coordinates q
+//   inertia(frame, density)   A^T M A
+//   displacement, project     q -> u and its transpose
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "dynamorph/elasticity.hpp"
+#include "dynamorph/skinning.hpp"
+#include "dynamorph/types.hpp"
+
+namespace dynamorph {
+
+/// forces: sum w_j F_j(u), the source's; even: sum w_j F_j(u - d(q) + d_j) with d = sum w_j d_j, halfway in pose is
+/// halfway in shape whatever the stiffness. Both are exact at the targets.
+enum class Blending { forces, even };
+
+/// A dynamic morph target as the engine knows it.
+struct MorphTarget {
+  std::string name;
+  int set = 0;            ///< index of its target set
+  VectorXd displacement;  ///< d_j (3n), metres, bind space, zero at pinned nodes
+  Lame lame{};            ///< Pa
+  double density = 1000;  ///< kg/m^3
+  double mass_damping = 0;       ///< alpha, 1/s
+  double stiffness_damping = 0;  ///< beta, s
+};
+
+/// What all models of one character share. Throws std::invalid_argument when sizes disagree.
+struct SoftBody {
+  /// fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of
+  /// a tet, rows sum to one; pinned (n); weights (n, B), any positive scale.
+  SoftBody(TetMesh mesh, VectorXd fill, const VectorXd& stiffness, MatrixXd shares, const std::vector<bool>& pinned,
+           const Eigen::Ref<const MatrixXd>& weights);
+
+  TetMesh mesh;
+  VectorXd fill;
+  MatrixXd shares;
+  VectorXd stiffness_scale;       ///< (m) fill times painted stiffness
+  std::vector<int> free_nodes;    ///< node of each free node
+  std::vector<int> free_of_node;  ///< -1 where pinned
+  SkinWeights skin;               ///< (free nodes, B)
+  VectorXd rest;                  ///< X of the free nodes (3 free)
+  MatrixXd volumes;               ///< (free nodes, S) lumped, m^3
+  double size;                    ///< bounding-box diagonal, m
+
+  int sets() const { return int(shares.cols()); }
+  VectorXd restrict_to_free(const VectorXd& node_values) const;  ///< (3n) -> (3 free)
+  VectorXd expand(const VectorXd& free_values) const;            ///< (3 free) -> (3n), zero at pins
+};
+
+/// Density and mass damping of each target set at weights w: sum_j w_j rho_j and sum_j w_j alpha_j rho_j.
+struct SetDensities {
+  VectorXd density, damped;
+  void blend(const std::vector<MorphTarget>& targets, int sets, const VectorXd& w);
+};
+
+/// All stored values of a dense or sparse matrix: matrices of one model share their pattern.
+inline Eigen::Map<VectorXd> values(MatrixXd& m) { return {m.data(), m.size()}; }
+inline Eigen::Map<const VectorXd> values(const MatrixXd& m) { return {m.data(), m.size()}; }
+inline Eigen::Map<VectorXd> values(SparseMatrix& m) { return {m.valuePtr(), m.nonZeros()}; }
+inline Eigen::Map<const VectorXd> values(const SparseMatrix& m) { return {m.valuePtr(), m.nonZeros()}; }
+
+class FullModel {
+ public:
+  using Matrix = SparseMatrix;
+
+  struct Blend {
+    VectorXd weights;
+    SetDensities mass;
+    Matrix damping;         ///< sum_j w_j beta_j K_j
+    VectorXd displacement;  ///< d(q) of even blending (3 free), else empty
+    Matrix stiffness;       ///< linear law only: f = stiffness q + force, E = energy + ...
+    VectorXd force;
+    double energy = 0;
+  };
+
+  FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending);
+
+  const SoftBody& body() const { return *body_; }
+  const std::shared_ptr<const SoftBody>& shared_body() const { return body_; }
+  const std::vector<MorphTarget>& targets() const { return targets_; }
+  Law law() const { return law_; }
+  Blending blending() const { return blending_; }
+  const RestShape& shape(int target) const { return shapes_[target]; }
+  int dofs() const { return int(3 * body_->free_nodes.size()); }
+
+  void blend(const VectorXd& w, Blend& out) const;
+  double energy(const Blend& blend, const VectorXd& q) const;
+  double linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const;
+  void inertia(const SkinFrame& frame, const VectorXd& density, Matrix& out) const;
+  void displacement(const VectorXd& q, VectorXd& u) const { u = q; }
+  void project(const VectorXd& f, VectorXd& out) const { out = f; }
+  VectorXd target(int j) const { return rest_displacements_[j]; }
+
+  /// K_j at u = d_j over the free degrees of freedom.
+  Matrix rest_stiffness(int target) const;
+  /// A zero matrix with this model's pattern.
+  Matrix zero() const { return pattern_; }
+  /// Directional second derivative of target j's StVK force at its shape: d2F[a, b], all over free nodes (3 free).
+  VectorXd force_curvature(int target, const VectorXd& a, const VectorXd& b) const;
+  /// Smallest det F over the elements at weights w, and how many are inverted.
+  std::pair<double, int> worst_element(const Blend& blend, const VectorXd& q) const;
+
+ private:
+  Eigen::Matrix<double, 3, 4> gather(Eigen::Index e, const VectorXd& u) const;
+  void scatter(Eigen::Index e, const ElementForce& f, VectorXd& force) const;
+  void scatter(Eigen::Index e, const ElementStiffness& K, double scale, Matrix& out) const;
+  void build_pattern();
+  VectorXd shifted(const Blend& blend, const VectorXd& q, int target) const;
+
+  std::shared_ptr<const SoftBody> body_;
+  std::vector<MorphTarget> targets_;
+  Law law_;
+  Blending blending_;
+  std::vector<RestShape> shapes_;
+  std::vector<VectorXd> rest_displacements_;  ///< d_j over the free nodes
+  Matrix pattern_;
+  std::vector<std::array<int, 16>> slots_;     ///< per tet, first value of block (a, b), -1 where pinned
+  std::vector<VectorXd> rest_stiffness_;       ///< values of each K_j
+};
+
+/// Node displacement (3n) that follows `surface` (V, 3) where the mesh embeds it and is elastic in between: minimises
+/// the neutral material's energy plus a stiff pull to the surface; zero at pins. Bind space, metres.
+VectorXd extend_shape(const SoftBody& body, const Embedding& embedding, const Points& surface);
+
+}  // namespace dynamorph

@@ -1,0 +1,283 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/integrator.hpp"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <Eigen/SparseCholesky>
+
+namespace dynamorph {
+
+namespace {
+
+struct Coefficients {
+  std::array<double, 4> past;      ///< of x^
+  double c;                        ///< inertia is 1/(h c)^2
+  std::array<double, 3> velocity;  ///< h u' = sum velocity[m] u(n+1-m)
+};
+
+Coefficients coefficients(Scheme scheme) {
+  if (scheme == Scheme::euler) return {{2, -1, 0, 0}, 1, {1, -1, 0}};
+  return {{24 / 9., -22 / 9., 8 / 9., -1 / 9.}, 2 / 3., {1.5, -2, 0.5}};
+}
+
+/// Cholesky of the tangent; analyses a sparse pattern once.
+class DenseCholesky {
+ public:
+  bool factor(const MatrixXd& H) {
+    llt_.compute(H);
+    return llt_.info() == Eigen::Success;
+  }
+  VectorXd solve(const VectorXd& b) const { return llt_.solve(b); }
+
+ private:
+  Eigen::LLT<MatrixXd> llt_;
+};
+
+class SparseCholesky {
+ public:
+  bool factor(const SparseMatrix& H) {
+    if (!analysed_) llt_.analyzePattern(H);
+    analysed_ = true;
+    llt_.factorize(H);
+    return llt_.info() == Eigen::Success;
+  }
+  VectorXd solve(const VectorXd& b) const { return llt_.solve(b); }
+
+ private:
+  Eigen::SimplicialLLT<SparseMatrix> llt_;
+  bool analysed_ = false;
+};
+
+template <class Matrix>
+using Cholesky = std::conditional_t<std::is_same_v<Matrix, MatrixXd>, DenseCholesky, SparseCholesky>;
+
+void scale_rows(const VectorXd& mass, VectorXd& x) {
+  for (Eigen::Index i = 0; i < mass.size(); ++i) x.segment<3>(3 * i) *= mass(i);
+}
+
+}  // namespace
+
+template <class Model>
+class Simulation<Model>::Solver : public Cholesky<typename Model::Matrix> {};
+
+template <class Model>
+Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions options)
+    : model_(std::move(model)), options_(options), solver_(std::make_shared<Solver>()) {
+  if (!(options_.h > 0) || !std::isfinite(options_.h))
+    throw std::invalid_argument("h: the step must be a positive number of seconds");
+  if (!options_.gravity.allFinite()) throw std::invalid_argument("gravity: must be finite");
+  inertia_ = damped_ = stiffness_ = quadratic_.H = model_->zero();
+}
+
+template <class Model>
+VectorXd Simulation<Model>::node_mass() const {
+  return model_->body().volumes * blend_.mass.density;
+}
+
+template <class Model>
+void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
+  if (bones.rows() != model_->body().skin.cols())
+    throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) +
+                                " transforms, got " + std::to_string(bones.rows()));
+  if (!bones.allFinite() || !weights.allFinite())
+    throw Error("the rig has a transform that is not a number: check its drivers and constraints at this frame");
+  frame_.bones = bones;
+  pose_nodes(model_->body().skin, frame_);
+  model_->blend(weights, blend_);
+  mass_ = node_mass();
+  to_world(frame_, model_->body().rest, skinned_);
+}
+
+template <class Model>
+void Simulation<Model>::forces(const VectorXd& external, Quadratic& out) {
+  VectorXd pull(skinned_.size());
+  for (Eigen::Index i = 0; i < mass_.size(); ++i) pull.segment<3>(3 * i) = -mass_(i) * options_.gravity;
+  if (external.size() > 0) {
+    if (external.size() != pull.size())
+      throw std::invalid_argument("external: expected " + std::to_string(pull.size()) + " values, got " +
+                                  std::to_string(external.size()));
+    pull -= external;
+  }
+  pull_back(frame_, pull);
+  model_->project(pull, out.g);
+  if (held_.size() > 0) out.g += held_ * blend_.weights;
+}
+
+template <class Model>
+void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
+  const auto& targets = model_->targets();
+  if (bones.size() != targets.size())
+    throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
+                                " targets, got " + std::to_string(bones.size()));
+  MatrixXd held(model_->dofs(), targets.size());
+  held_.resize(0, 0);
+  for (size_t j = 0; j < targets.size(); ++j) {
+    // The target alone, among those of its set: f_g^(j) = rho_j (A^(j))^T M1 g.
+    VectorXd alone = VectorXd::Zero(targets.size());
+    alone(j) = 1;
+    pose(bones[j], alone);
+    Quadratic gravity;
+    forces(VectorXd(), gravity);
+    held.col(j) = -gravity.g;
+  }
+  held_ = held;
+}
+
+template <class Model>
+StepReport Simulation<Model>::solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
+                                           const VectorXd& external) {
+  pose(bones, weights);
+  if (q.size() != model_->dofs()) {
+    // The blended targets are close to the answer, and often are it.
+    q.setZero(model_->dofs());
+    for (Eigen::Index j = 0; j < weights.size(); ++j)
+      if (weights(j) != 0) q += weights(j) * model_->target(int(j));
+  }
+  forces(external, quadratic_);
+  values(quadratic_.H).setZero();
+  quadratic_.scale = quadratic_.g.norm();
+  model_->inertia(frame_, blend_.mass.density, inertia_);
+  return minimize(quadratic_, q);
+}
+
+template <class Model>
+StepReport Simulation<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights) {
+  VectorXd q;
+  const StepReport report = solve_static(now, weights, q);
+  state_.q = {q, q};
+  VectorXd u;
+  model_->displacement(q, u);
+  u += model_->body().rest;
+  SkinFrame past;
+  for (int k = 0; k < 4; ++k) {
+    past.bones = extrapolate_back(now, next, k);
+    pose_nodes(model_->body().skin, past);
+    to_world(past, u, state_.x[k]);
+  }
+  return report;
+}
+
+template <class Model>
+void Simulation<Model>::set_state(const State& state) {
+  for (const VectorXd& q : state.q)
+    if (q.size() != model_->dofs()) throw std::invalid_argument("state: is of another model");
+  for (const VectorXd& x : state.x)
+    if (x.size() != model_->body().rest.size()) throw std::invalid_argument("state: is of another model");
+  state_ = state;
+}
+
+template <class Model>
+bool Simulation<Model>::carry_past(const VectorXd& before, const VectorXd& now) {
+  if (options_.teleport <= 0 || before.size() != now.size()) return false;
+  const Eigen::Map<const Eigen::Matrix3Xd> from(before.data(), 3, before.size() / 3), to(now.data(), 3, from.cols());
+  if ((to - from).rowwise().mean().norm() < options_.teleport) return false;
+  const Eigen::Matrix4d jump = Eigen::umeyama(from, to, false);
+  for (VectorXd& x : state_.x) {
+    Eigen::Map<Eigen::Matrix3Xd> points(x.data(), 3, x.size() / 3);
+    points = ((jump.topLeftCorner<3, 3>() * points).colwise() + jump.topRightCorner<3, 1>()).eval();
+  }
+  return true;
+}
+
+template <class Model>
+StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
+  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
+  const VectorXd before = skinned_;
+  pose(bones, weights);
+  const bool teleported = carry_past(before, skinned_);
+
+  const Coefficients c = coefficients(options_.scheme);
+  const double h = options_.h, inertial = 1 / (h * h * c.c * c.c);
+  Quadratic& quadratic = quadratic_;
+  forces(external, quadratic);
+  quadratic.scale = quadratic.g.norm();
+
+  // Inertia about the plain skin: (A (X + u) + a - x^) = A u + (skinned - x^).
+  VectorXd lag = skinned_;
+  for (int m = 0; m < 4; ++m)
+    if (c.past[m] != 0) lag -= c.past[m] * state_.x[m];
+  scale_rows(mass_ * inertial, lag);
+  pull_back(frame_, lag);
+  VectorXd projected;
+  model_->project(lag, projected);
+  quadratic.g += projected;
+  model_->inertia(frame_, blend_.mass.density, inertia_);
+
+  // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
+  model_->inertia(frame_, blend_.mass.damped, damped_);
+  values(damped_) += values(blend_.damping);
+  values(quadratic.H) = inertial * values(inertia_) + (c.velocity[0] / h) * values(damped_);
+  quadratic.g += damped_ * ((c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h);
+  quadratic.scale += projected.norm();
+
+  // Start from constant bind-pose velocity.
+  VectorXd q = 2 * state_.q[0] - state_.q[1];
+  StepReport report = minimize(quadratic, q);
+  report.teleported = teleported;
+
+  VectorXd u;
+  model_->displacement(q, u);
+  u += model_->body().rest;
+  std::rotate(state_.x.rbegin(), state_.x.rbegin() + 1, state_.x.rend());
+  to_world(frame_, u, state_.x[0]);
+  std::swap(state_.q[0], state_.q[1]);
+  state_.q[0] = q;
+  return report;
+}
+
+template <class Model>
+StepReport Simulation<Model>::minimize(const Quadratic& quadratic, VectorXd& q) {
+  StepReport report;
+  VectorXd force, gradient, moved;
+  Matrix H = stiffness_;
+  const auto potential = [&](const VectorXd& at, double elastic) {
+    return at.dot(0.5 * (quadratic.H * at) + quadratic.g) + elastic;
+  };
+  double elastic = model_->linearize(blend_, q, force, stiffness_);
+  const double mean_mass = values(inertia_).cwiseAbs().maxCoeff();
+  for (;; ++report.iterations) {
+    moved = quadratic.H * q;
+    gradient = moved + quadratic.g + force;
+    // Round-off of the terms that cancel in the gradient bounds what any iteration can reach.
+    const double scale = quadratic.scale + force.norm() + moved.norm() +
+                         1e-9 * values(stiffness_).cwiseAbs().maxCoeff() * model_->body().size;
+    report.residual = scale > 0 ? gradient.norm() / scale : 0;
+    report.energy = elastic;
+    if (report.residual <= options_.tolerance) return report;
+    if (report.iterations == options_.max_iterations) break;
+
+    values(H) = values(quadratic.H) + values(stiffness_);
+    // An indefinite tangent (StVK under compression) is regularised with the mass until it is a descent direction.
+    for (double sigma = 0; !solver_->factor(H);) {
+      const double more = sigma == 0 ? 1e-3 * values(stiffness_).cwiseAbs().maxCoeff() / mean_mass : 4 * sigma;
+      if (!std::isfinite(more) || more > 1e30) throw Error("a step failed: the stiffness of this set-up is not finite");
+      values(H) += (more - sigma) * values(inertia_);
+      sigma = more;
+    }
+    const VectorXd direction = -solver_->solve(gradient);
+    const double slope = gradient.dot(direction), start = potential(q, elastic);
+    const double slack = 1e-12 * (std::abs(start) + std::abs(elastic));
+    double length = 1;
+    VectorXd trial = q + direction;
+    for (; length > 1e-6; length /= 2, trial = q + length * direction)
+      if (potential(trial, model_->energy(blend_, trial)) <= start + 1e-4 * length * slope + slack) break;
+    if (length <= 1e-6) break;  // no descent left in round-off
+    q = trial;
+    elastic = model_->linearize(blend_, q, force, stiffness_);
+  }
+  report.converged = report.residual <= 100 * options_.tolerance;
+  return report;
+}
+
+template <class Model>
+double Simulation<Model>::kinetic_energy() const {
+  const VectorXd v = (1.5 * state_.x[0] - 2 * state_.x[1] + 0.5 * state_.x[2]) / options_.h;
+  VectorXd momentum = v;
+  scale_rows(mass_, momentum);
+  return 0.5 * v.dot(momentum);
+}
+
+template class Simulation<FullModel>;
+template class Simulation<ReducedModel>;
+
+}  // namespace dynamorph

@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// One time step for every model. With posed positions x(q) = A (X + u(q)) + a, a step minimises (METHOD 3)
+//
+//   Phi(q) = 1/(2 h^2 c^2) |x(q) - x^|^2_M + E(q) + D(q) - f . x(q)
+//
+// over the bind-pose coordinates q. x^ is a fixed combination of past *posed* positions, so the moving bones' Euler,
+// Coriolis and centrifugal forces act without their accelerations ever being formed, and a velocity that jumps is a
+// finite impulse. D damps the bind-pose velocity, so a bone's rigid motion is not damped.
+//
+//   implicit Euler     x^ = 2 x(n) - x(n-1),                                           c = 1
+//   BDF2 twice         x^ = (24 x(n) - 22 x(n-1) + 8 x(n-2) - x(n-3)) / 9,             c = 2/3
+#pragma once
+
+#include <array>
+#include <memory>
+#include <optional>
+
+#include "dynamorph/full_model.hpp"
+#include "dynamorph/reduced_model.hpp"
+
+namespace dynamorph {
+
+enum class Scheme { euler, bdf2 };
+
+struct StepOptions {
+  double h = 1.0 / 120;                    ///< seconds
+  Scheme scheme = Scheme::bdf2;
+  Vector3d gravity = Vector3d::Zero();     ///< m/s^2, world
+  double tolerance = 1e-7;                 ///< on the gradient, relative to the largest force term
+  int max_iterations = 30;
+  /// Mean jump of the skin in one step, metres, above which the past is carried along with it. 0: never.
+  double teleport = 0;
+};
+
+/// Where a soft skin is: coordinates now and one step ago, and the last four posed positions (3 free), world space.
+/// Copy it to undo, resume or fork a simulation.
+struct State {
+  std::array<VectorXd, 2> q;
+  std::array<VectorXd, 4> x;
+};
+
+struct StepReport {
+  int iterations = 0;        ///< of Newton's method
+  bool converged = true;     ///< when false the state is the best found, and finite
+  double residual = 0;       ///< gradient relative to the largest force term
+  double energy = 0;         ///< elastic energy, J
+  bool teleported = false;
+};
+
+template <class Model>
+class Simulation {
+ public:
+  Simulation(std::shared_ptr<const Model> model, StepOptions options);
+
+  /// Targets were sculpted as seen under gravity: from now on only the difference between gravity in a pose and gravity
+  /// in the targets' own poses acts, so that they do not sag. `bones` per target (B, 12), the skin frame of its pose.
+  void hold_targets(const std::vector<Transforms>& bones);
+
+  /// At rest with the bones `now`, the rig moving on to `next` at the end of the first step: u is the static solution
+  /// and the past follows the rig backward.
+  StepReport start(const Transforms& now, const Transforms& next, const VectorXd& weights);
+
+  /// One step to the bones and target weights at its end. `external` (3 free) newtons, world space, or empty.
+  StepReport step(const Transforms& bones, const VectorXd& weights, const VectorXd& external = VectorXd());
+
+  /// Static solution at fixed bones, from the current coordinates (or zero). Does not change the state.
+  StepReport solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
+                          const VectorXd& external = VectorXd());
+
+  const Model& model() const { return *model_; }
+  const StepOptions& options() const { return options_; }
+  const State& state() const { return state_; }
+  void set_state(const State& state);
+  const VectorXd& coordinates() const { return state_.q[0]; }
+  double kinetic_energy() const;
+  double elastic_energy() const { return model_->energy(blend_, state_.q[0]); }
+  const typename Model::Blend& blend() const { return blend_; }
+
+ private:
+  using Matrix = typename Model::Matrix;
+  class Solver;
+
+  /// The quadratic part of Phi: 1/2 q.H q + g.q (inertia, damping, gravity, external forces).
+  struct Quadratic {
+    Matrix H;
+    VectorXd g;
+    double scale;  ///< of the force terms, N
+  };
+
+  void pose(const Transforms& bones, const VectorXd& weights);
+  void forces(const VectorXd& external, Quadratic& out);
+  StepReport minimize(const Quadratic& quadratic, VectorXd& q);
+  bool carry_past(const VectorXd& skinned_before, const VectorXd& skinned_now);
+  VectorXd node_mass() const;
+
+  std::shared_ptr<const Model> model_;
+  StepOptions options_;
+  State state_;
+  SkinFrame frame_;
+  typename Model::Blend blend_;
+  Matrix inertia_, damped_, stiffness_;
+  Quadratic quadratic_;
+  MatrixXd held_;           ///< gravity in each target's own pose (dofs, J), or empty
+  VectorXd skinned_, mass_; ///< A X + a (3 free); (free)
+  std::shared_ptr<Solver> solver_;
+};
+
+extern template class Simulation<FullModel>;
+extern template class Simulation<ReducedModel>;
+
+}  // namespace dynamorph

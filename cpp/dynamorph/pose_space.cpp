@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/pose_space.hpp"
+
+#include <Eigen/Geometry>
+#include <Eigen/SVD>
+#include <algorithm>
+#include <cmath>
+
+namespace dynamorph {
+
+namespace {
+
+constexpr double kSamePose = 0.5 * M_PI / 180;  // radians: closer poses make the interpolation ill-conditioned
+
+double kernel(Kernel kind, double width, double distance) {
+  const double d = distance / width;
+  switch (kind) {
+    case Kernel::gaussian:
+      return std::exp(-d * d);
+    case Kernel::thin_plate:
+      return d > 0 ? d * d * std::log(d) : 0;
+    default:
+      return d;
+  }
+}
+
+/// Rotation vector from the reference to the pose, the short way round.
+Vector3d rotation_vector(const Rotations& reference, const Eigen::Ref<const Rotations>& pose, int bone) {
+  const Eigen::Quaterniond a(reference(bone, 0), reference(bone, 1), reference(bone, 2), reference(bone, 3));
+  Eigen::Quaterniond q = a.conjugate() * Eigen::Quaterniond(pose(bone, 0), pose(bone, 1), pose(bone, 2), pose(bone, 3));
+  if (q.w() < 0) q.coeffs() = -q.coeffs();
+  const double sine = q.vec().norm();
+  return sine > 0 ? Vector3d(q.vec() * (2 * std::atan2(sine, q.w()) / sine)) : Vector3d::Zero();
+}
+
+double distance_between(const std::vector<int>& bones, const Rotations& a, const Eigen::Ref<const Rotations>& b) {
+  double sum = 0;
+  for (int bone : bones) sum += rotation_vector(a, b, bone).squaredNorm();
+  return std::sqrt(sum);
+}
+
+}  // namespace
+
+Rotations rotations_of(const Eigen::Ref<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>& transforms) {
+  Rotations rotations(transforms.rows(), 4);
+  for (Eigen::Index b = 0; b < transforms.rows(); ++b) {
+    const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> m(transforms.row(b).data());
+    const Eigen::JacobiSVD<Matrix3d> svd(m.topLeftCorner<3, 3>(), Eigen::ComputeFullU | Eigen::ComputeFullV);
+    Matrix3d R = svd.matrixU() * svd.matrixV().transpose();
+    if (R.determinant() < 0) {  // a mirrored bone: keep the nearest proper rotation
+      Matrix3d U = svd.matrixU();
+      U.col(2) *= -1;
+      R = U * svd.matrixV().transpose();
+    }
+    const Eigen::Quaterniond q(R);
+    rotations.row(b) << q.w(), q.x(), q.y(), q.z();
+  }
+  return rotations;
+}
+
+double pose_distance(const std::vector<int>& bones, const Rotations& a, const Rotations& b) {
+  return distance_between(bones, a, b);
+}
+
+PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
+  if (sets.empty()) throw std::invalid_argument("sets: at least one target set is needed");
+  for (TargetSet& set : sets) {
+    if (set.poses.empty() || set.names.size() != set.poses.size())
+      throw std::invalid_argument("sets: every target set needs at least one target, and a name for each");
+    for (const Rotations& pose : set.poses)
+      for (int bone : set.bones)
+        if (bone < 0 || bone >= pose.rows())
+          throw std::invalid_argument("sets: bone index " + std::to_string(bone) + " is not in a pose of " +
+                                      std::to_string(pose.rows()) + " bones");
+    targets_ += int(set.poses.size());
+    sets_.push_back(interpolate(std::move(set)));
+  }
+}
+
+PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
+  const int count = int(set.poses.size());
+  MatrixXd distances = MatrixXd::Zero(count, count);
+  for (int j = 0; j < count; ++j)
+    for (int k = 0; k < j; ++k) {
+      distances(j, k) = distances(k, j) = pose_distance(set.bones, set.poses[j], set.poses[k]);
+      if (distances(j, k) < kSamePose)
+        throw Error("targets '" + set.names[k] + "' and '" + set.names[j] +
+                    "' have the same pose: pose the character differently and capture one of them again");
+    }
+
+  Interpolant out;
+  out.width = count > 1 ? distances.sum() / (count * (count - 1.0)) : 1.0;
+  out.span.resize(3 * set.bones.size(), 0);
+  if (set.kernel == Kernel::thin_plate && count > 1) {
+    // Linear terms only where the poses have extent: elsewhere they could not be determined.
+    MatrixXd coordinates(3 * set.bones.size(), count);
+    for (int j = 0; j < count; ++j)
+      for (size_t i = 0; i < set.bones.size(); ++i)
+        coordinates.col(j).segment<3>(3 * i) = rotation_vector(set.poses[0], set.poses[j], set.bones[i]);
+    const Eigen::JacobiSVD<MatrixXd> svd(coordinates, Eigen::ComputeThinU);
+    const int rank = std::min<int>(count - 1, (svd.singularValues().array() > 1e-6).count());
+    out.span = svd.matrixU().leftCols(rank);
+  }
+
+  const int terms = 1 + int(out.span.cols());
+  MatrixXd A = MatrixXd::Zero(count + terms, count + terms);
+  for (int j = 0; j < count; ++j) {
+    for (int k = 0; k < count; ++k) A(j, k) = kernel(set.kernel, out.width, distances(j, k));
+    A(j, count) = 1;
+    for (size_t i = 0; terms > 1 && i < set.bones.size(); ++i)
+      A.row(j).tail(terms - 1) += rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() *
+                                  out.span.middleRows<3>(3 * i);
+  }
+  A.bottomLeftCorner(terms, count) = A.topRightCorner(count, terms).transpose();
+  MatrixXd cardinal = MatrixXd::Zero(count + terms, count);
+  cardinal.topRows(count).setIdentity();
+  const MatrixXd solution = A.fullPivLu().solve(cardinal);
+  if (!solution.allFinite() || (A * solution - cardinal).cwiseAbs().maxCoeff() > 1e-8)
+    throw Error("the poses of targets '" + set.names.front() + "' to '" + set.names.back() +
+                "' cannot be interpolated: capture poses that differ more, or remove a target");
+  out.coefficients = solution.topRows(count);
+  out.polynomial = solution.bottomRows(terms);
+  out.set = std::move(set);
+  return out;
+}
+
+void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const {
+  Eigen::Index first = 0;
+  for (const Interpolant& in : sets_) {
+    const TargetSet& set = in.set;
+    auto out = w.segment(first, Eigen::Index(set.poses.size()));
+    out = in.polynomial.row(0).transpose();
+    for (size_t k = 0; k < set.poses.size(); ++k)
+      out += kernel(set.kernel, in.width, distance_between(set.bones, set.poses[k], pose)) *
+             in.coefficients.row(k).transpose();
+    for (Eigen::Index term = 0; term < in.span.cols(); ++term) {
+      double coordinate = 0;
+      for (size_t i = 0; i < set.bones.size(); ++i)
+        coordinate += rotation_vector(set.poses[0], pose, set.bones[i]).dot(in.span.col(term).segment<3>(3 * i));
+      out += coordinate * in.polynomial.row(1 + term).transpose();
+    }
+    out = out.cwiseMax(0.0);
+    out /= out.sum();  // >= 1: clamping only adds to a sum of one
+    first += out.size();
+  }
+}
+
+}  // namespace dynamorph

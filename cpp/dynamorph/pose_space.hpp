@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Pose space: how much each dynamic morph target counts at a pose.
+//
+// Per target set, cardinal radial basis functions over the joint rotations q of the set's bones (METHOD 4):
+//
+//   w(q) = C^T phi(q) + P^T p(q),   w_j(q_k) = delta_jk,   sum_j w_j = 1,
+//
+// then negatives are clamped and the rest renormalised, so that the blended stiffness stays positive definite.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "dynamorph/types.hpp"
+
+namespace dynamorph {
+
+/// One rotation a row, unit quaternion w x y z; bones in the skeleton's order.
+using Rotations = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::RowMajor>;
+
+/// linear: |q - q_k|, in one dimension the piecewise-linear hat of a driver. gaussian and thin_plate are smooth.
+enum class Kernel { linear, gaussian, thin_plate };
+
+/// Targets whose weights sum to one, placed by the local rotations of `bones` (indices into the skeleton).
+struct TargetSet {
+  std::vector<int> bones;
+  std::vector<std::string> names;   ///< of the targets, for messages
+  std::vector<Rotations> poses;     ///< per target, (bones of the skeleton, 4)
+  Kernel kernel = Kernel::linear;
+};
+
+/// Rotation part of local transforms as unit quaternions, scale and shear removed. `transforms` (B, 16) row-major 4 x 4.
+Rotations rotations_of(const Eigen::Ref<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>& transforms);
+
+/// Geodesic distance in radians over the set's bones: sqrt(sum of squared joint angles). Blind to quaternion sign.
+double pose_distance(const std::vector<int>& bones, const Rotations& a, const Rotations& b);
+
+class PoseSpace {
+ public:
+  /// Throws Error, naming both, when two targets of a set have (nearly) the same pose.
+  explicit PoseSpace(std::vector<TargetSet> sets);
+
+  /// Number of targets of all sets.
+  int targets() const { return targets_; }
+  int sets() const { return int(sets_.size()); }
+
+  /// Weights (J), set after set: each set's are >= 0 and sum to 1, and are a unit vector at a target's pose.
+  /// Allocates nothing. `pose` (B, 4).
+  void weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const;
+
+ private:
+  struct Interpolant {
+    TargetSet set;
+    double width;           ///< of the kernel, radians
+    MatrixXd coefficients;  ///< (J, J): row k times phi(|q - q_k|)
+    MatrixXd polynomial;    ///< (1 + dims, J): the constant, then the linear terms on the poses' span
+    MatrixXd span;          ///< (3 bones, dims) orthonormal, empty but for thin_plate
+  };
+  static Interpolant interpolate(TargetSet set);
+
+  std::vector<Interpolant> sets_;
+  int targets_ = 0;
+};
+
+}  // namespace dynamorph

@@ -1,0 +1,403 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced_model.hpp"
+
+#include <map>
+
+#include "dynamorph/kernels.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+Eigen::Index pair_count(Eigen::Index r) { return r * (r + 1) / 2; }
+
+/// Index of the pair (k, l) in the packed upper triangle, rows first.
+Eigen::Index pair_index(Eigen::Index r, Eigen::Index k, Eigen::Index l) {
+  if (k > l) std::swap(k, l);
+  return k * r - k * (k - 1) / 2 + (l - k);
+}
+
+void pack(const MatrixXd& symmetric, VectorXd& packed) {
+  const Eigen::Index r = symmetric.rows();
+  packed.resize(pair_count(r));
+  for (Eigen::Index k = 0, p = 0; k < r; ++k)
+    for (Eigen::Index l = k; l < r; ++l, ++p) packed(p) = symmetric(k, l);
+}
+
+void unpack(const VectorXd& packed, MatrixXd& symmetric) {
+  const Eigen::Index r = symmetric.rows();
+  for (Eigen::Index k = 0, p = 0; k < r; ++k)
+    for (Eigen::Index l = k; l < r; ++l, ++p) symmetric(k, l) = symmetric(l, k) = packed(p);
+}
+
+/// y = S x for a packed symmetric S.
+void packed_product(const VectorXd& S, const VectorXd& x, VectorXd& y) {
+  const Eigen::Index r = x.size();
+  y.setZero(r);
+  for (Eigen::Index k = 0, p = 0; k < r; ++k) {
+    y(k) += S(p) * x(k);
+    ++p;
+    for (Eigen::Index l = k + 1; l < r; ++l, ++p) {
+      y(k) += S(p) * x(l);
+      y(l) += S(p) * x(k);
+    }
+  }
+}
+
+double packed_quadratic(const VectorXd& S, const VectorXd& x) {
+  double sum = 0;
+  for (Eigen::Index k = 0, p = 0; k < x.size(); ++k)
+    for (Eigen::Index l = k; l < x.size(); ++l, ++p) sum += (k == l ? 1 : 2) * S(p) * x(k) * x(l);
+  return sum;
+}
+
+using ModeGradients = Eigen::Matrix<double, 9, Eigen::Dynamic>;  ///< column k: dF/dz_k, column-major 3 x 3
+
+Matrix3d mode_gradient(const ModeGradients& G, Eigen::Index k) {
+  return Eigen::Map<const Matrix3d>(G.col(k).data());
+}
+
+/// sqrt(2) on the shear entries, so that the dot product of two of these is A:B of symmetric A and B.
+Eigen::Matrix<double, 6, 1> six(const Matrix3d& m) {
+  const double s = std::sqrt(0.5);
+  Eigen::Matrix<double, 6, 1> out;
+  out << m(0, 0), m(1, 1), m(2, 2), s * (m(0, 1) + m(1, 0)), s * (m(1, 2) + m(2, 1)), s * (m(2, 0) + m(0, 2));
+  return out;
+}
+
+Matrix3d tensor_cross(const Matrix3d& A, const Matrix3d& B) {
+  Matrix3d C;
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3, k = (i + 2) % 3;
+    C.col(i) = A.col(j).cross(B.col(k)) + B.col(j).cross(A.col(k));
+  }
+  return C;
+}
+
+/// Sums over the tetrahedra of one target that its tables are made of. Green's strain is quadratic in v,
+/// E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l), so with the monomials m = (v_k, v_k v_l) each tet adds
+/// B^T B to a Gram matrix, B the rows of its strain; columns of pairs hold the coefficient of the full double sum.
+class TargetSums {
+ public:
+  TargetSums(Law law, Eigen::Index r) : law_(law), r_(r), pairs_(pair_count(r)) {
+    const Eigen::Index monomials = law == Law::linear ? r : r + pairs_;
+    trace_gram_.setZero(monomials, monomials);
+    if (law != Law::stable_stvk) strain_gram_.setZero(monomials, monomials);
+    trace_rows_.setZero(kBatch, monomials);
+    strain_rows_.setZero(6 * kBatch, monomials);
+    if (law == Law::stable_stvk) {
+      det_quadratic_.setZero(r, r);
+      det_cubic_.setZero(pairs_, r);
+      crosses_.resize(pairs_, 9 * kBatch);
+      gradients_.resize(9 * kBatch, r);
+    }
+  }
+
+  void add(double volume, const ModeGradients& G) {
+    const Eigen::Matrix<double, 1, 9> identity = flat_identity();
+    trace_rows_.row(filled_).head(r_) = std::sqrt(volume / 2) * (identity * G);
+    for (Eigen::Index k = 0; law_ == Law::stvk && k < r_; ++k)
+      strain_rows_.block<6, 1>(6 * filled_, k) = std::sqrt(volume) * six(mode_gradient(G, k));
+    for (Eigen::Index k = 0; law_ == Law::linear && k < r_; ++k)
+      strain_rows_.block<6, 1>(6 * filled_, k) = std::sqrt(volume) * six(mode_gradient(G, k));
+    if (law_ != Law::linear) add_pairs(volume, G);
+    if (law_ == Law::stable_stvk) gradients_.middleRows(9 * filled_, 9) = G;
+    if (++filled_ == kBatch) flush();
+  }
+
+  void tables(MatrixXd& lambda, MatrixXd& mu) {
+    flush();
+    lambda = table(trace_gram_);
+    if (law_ != Law::stable_stvk) {
+      mu = table(strain_gram_);
+      return;
+    }
+    mu = lambda;  // 1/2 mu tr(E)^2, and mu (tr E - det F + 1)
+    VectorXd packed;
+    pack(det_quadratic_, packed);
+    mu.col(0) += packed;
+    mu.middleCols(1, r_) += det_cubic_;
+  }
+
+ private:
+  static constexpr Eigen::Index kBatch = 32;
+
+  static Eigen::Matrix<double, 1, 9> flat_identity() {
+    const Matrix3d identity = Matrix3d::Identity();
+    return Eigen::Map<const Eigen::Matrix<double, 1, 9>>(identity.data());
+  }
+
+  void add_pairs(double volume, const ModeGradients& G) {
+    const MatrixXd products = G.transpose() * G;  // G_k : G_l
+    const VectorXd traces = (flat_identity() * G).transpose();
+    for (Eigen::Index k = 0, p = 0; k < r_; ++k) {
+      const Matrix3d Gk = mode_gradient(G, k);
+      for (Eigen::Index l = k; l < r_; ++l, ++p) {
+        trace_rows_(filled_, r_ + p) = std::sqrt(volume / 2) * 0.5 * products(k, l);
+        const Matrix3d Gl = mode_gradient(G, l);
+        if (law_ == Law::stvk) {
+          strain_rows_.block<6, 1>(6 * filled_, r_ + p) = std::sqrt(volume) * 0.5 * six(Gk.transpose() * Gl);
+          continue;
+        }
+        const Matrix3d cross = volume * tensor_cross(Gk, Gl);
+        crosses_.block<1, 9>(p, 9 * filled_) = Eigen::Map<const Eigen::Matrix<double, 1, 9>>(cross.data());
+        // tr E - det F + 1 to second order: 1/2 G:G - 1/2 ((tr G)^2 - G : G^T).
+        det_quadratic_(k, l) +=
+            volume * (products(k, l) + Gk.cwiseProduct(Gl.transpose()).sum() - traces(k) * traces(l));
+      }
+    }
+  }
+
+  void flush() {
+    const auto trace = trace_rows_.topRows(filled_);
+    trace_gram_.selfadjointView<Eigen::Upper>().rankUpdate(trace.transpose());
+    if (law_ != Law::stable_stvk)
+      strain_gram_.selfadjointView<Eigen::Upper>().rankUpdate(strain_rows_.topRows(6 * filled_).transpose());
+    else
+      det_cubic_.noalias() -= crosses_.leftCols(9 * filled_) * gradients_.topRows(9 * filled_);
+    filled_ = 0;
+  }
+
+  /// Differentiates E = m^T gram m twice, symmetrised over all indices.
+  MatrixXd table(const MatrixXd& upper) const {
+    const MatrixXd g = upper.selfadjointView<Eigen::Upper>();
+    MatrixXd out(pairs_, law_ == Law::linear ? 1 : 1 + r_ + pairs_);
+    const auto pair = [&](Eigen::Index k, Eigen::Index l) { return r_ + pair_index(r_, k, l); };
+    for (Eigen::Index k = 0, p = 0; k < r_; ++k)
+      for (Eigen::Index l = k; l < r_; ++l, ++p) {
+        out(p, 0) = 2 * g(k, l);
+        if (law_ == Law::linear) continue;
+        for (Eigen::Index m = 0, q = 0; m < r_; ++m) {
+          out(p, 1 + m) = 4 * (g(k, pair(l, m)) + g(l, pair(k, m)) + g(m, pair(k, l)));
+          for (Eigen::Index n = m; n < r_; ++n, ++q)
+            out(p, 1 + r_ + q) = (m == n ? 4 : 8) * (g(pair(k, l), pair(m, n)) + g(pair(k, m), pair(l, n)) +
+                                                     g(pair(k, n), pair(l, m)));
+        }
+      }
+    return out;
+  }
+
+  Law law_;
+  Eigen::Index r_, pairs_, filled_ = 0;
+  MatrixXd trace_gram_, strain_gram_, trace_rows_, strain_rows_;
+  MatrixXd det_quadratic_, det_cubic_, crosses_, gradients_;
+};
+
+}  // namespace
+
+ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress) {
+  const SoftBody& body = model.body();
+  if (U.rows() != model.dofs())
+    throw std::invalid_argument("U: expected " + std::to_string(model.dofs()) + " rows, got " +
+                                std::to_string(U.rows()));
+  ReducedTables tables;
+  tables.law = model.law();
+  tables.basis = U;
+  const int targets = int(model.targets().size());
+  const Eigen::Index tets = body.mesh.tets.rows();
+  ModeGradients G(9, U.cols());
+  for (int j = 0; j < targets; ++j) {
+    TargetSums sums(model.law(), U.cols());
+    for (Eigen::Index e = 0; e < tets; ++e) {
+      if (e % 512 == 0) report(progress, (j + double(e) / tets) / targets);
+      const Element& element = model.shape(j).elements[e];
+      if (element.volume == 0) continue;  // a tet outside this target's region
+      G.setZero();
+      for (int a = 0; a < 4; ++a) {
+        const int i = body.free_of_node[body.mesh.tets(e, a)];
+        for (int c = 0; i >= 0 && c < 3; ++c) G.middleRows<3>(3 * c) += element.gradients(c, a) * U.middleRows<3>(3 * i);
+      }
+      sums.add(element.volume, G);
+    }
+    sums.tables(tables.lambda.emplace_back(), tables.mu.emplace_back());
+  }
+  report(progress, 1);
+  return tables;
+}
+
+ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets,
+                           const ReducedTables& tables, Blending blending)
+    : body_(std::move(body)), targets_(std::move(targets)), blending_(blending), U_(tables.basis) {
+  const Eigen::Index r = U_.cols(), pairs = pair_count(r);
+  const Eigen::Index columns = tables.law == Law::linear ? 1 : 1 + r + pairs;
+  if (U_.rows() != Eigen::Index(3 * body_->free_nodes.size()))
+    throw std::invalid_argument("basis: expected " + std::to_string(3 * body_->free_nodes.size()) + " rows, got " +
+                                std::to_string(U_.rows()));
+  if (tables.lambda.size() != targets_.size() || tables.mu.size() != targets_.size())
+    throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
+  VectorXd mass = body_->volumes.rowwise().sum();
+  for (size_t j = 0; j < targets_.size(); ++j) {
+    if (tables.lambda[j].rows() != pairs || tables.lambda[j].cols() != columns || tables.mu[j].rows() != pairs ||
+        tables.mu[j].cols() != columns)
+      throw std::invalid_argument("tables: of '" + targets_[j].name + "' do not fit " + std::to_string(r) + " modes");
+    VectorXd momentum = body_->restrict_to_free(targets_[j].displacement);
+    for (Eigen::Index i = 0; i < mass.size(); ++i) momentum.segment<3>(3 * i) *= mass(i);
+    coordinates_.push_back(U_.transpose() * momentum);
+    tables_.push_back(targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j]);
+    rest_stiffness_.push_back(tables_[j].col(0));
+    forces_.push_back(VectorXd::Zero(r));
+    energies_.push_back(0);
+    if (blending_ == Blending::forces) recentre(int(j));
+  }
+  build_inertia();
+}
+
+void ReducedModel::recentre(int j) {
+  // Taylor shift of the polynomial from v = z - z_j to z.
+  const Eigen::Index r = dofs();
+  Blend at;
+  at.table = tables_[j];
+  at.force.setZero(r);
+  at.centre = coordinates_[j];
+  const VectorXd origin = VectorXd::Zero(r);
+  MatrixXd tangent = zero();
+  energies_[j] = linearize(at, origin, forces_[j], tangent);
+  MatrixXd& T = tables_[j];
+  VectorXd packed;
+  pack(tangent, packed);
+  T.col(0) = packed;
+  if (T.cols() == 1) return;
+  const VectorXd c = -coordinates_[j];
+  for (Eigen::Index m = 0, q = 1 + r; m < r; ++m)
+    for (Eigen::Index n = m; n < r; ++n, ++q) {
+      T.col(1 + m) += c(n) * T.col(q);
+      T.col(1 + n) += c(m) * T.col(q);
+    }
+}
+
+void ReducedModel::blend(const VectorXd& w, Blend& out) const {
+  if (w.size() != Eigen::Index(targets_.size()))
+    throw std::invalid_argument("weights: expected " + std::to_string(targets_.size()) + ", got " +
+                                std::to_string(w.size()));
+  if (out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  const Eigen::Index r = dofs();
+  out.weights = w;
+  out.mass.blend(targets_, body_->sets(), w);
+  out.table.setZero(tables_[0].rows(), tables_[0].cols());
+  out.force.setZero(r);
+  out.centre.setZero(r);
+  out.energy = 0;
+  out.constant.setZero(tables_[0].rows());
+  for (size_t j = 0; j < targets_.size(); ++j) {
+    if (w(j) == 0) continue;
+    add_scaled(w(j), tables_[j].data(), tables_[j].size(), out.table.data());
+    out.constant += w(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
+    if (blending_ == Blending::even) {
+      out.centre += w(j) * coordinates_[j];
+    } else {
+      out.force += w(j) * forces_[j];
+      out.energy += w(j) * energies_[j];
+    }
+  }
+  out.damping.resize(r, r);
+  unpack(out.constant, out.damping);
+}
+
+void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
+  const Eigen::Index r = dofs(), pairs = pair_count(r);
+  blend.v = z - blend.centre;
+  blend.constant = blend.table.col(0);
+  blend.linear.setZero(pairs);
+  blend.quadratic.setZero(pairs);
+  if (blend.table.cols() == 1) return;
+  blend.pairs.resize(pairs);
+  for (Eigen::Index k = 0, p = 0; k < r; ++k)
+    for (Eigen::Index l = k; l < r; ++l, ++p) blend.pairs(p) = blend.v(k) * blend.v(l);
+  add_product(blend.table, 1, blend.v.data(), r, blend.linear.data());
+  add_product(blend.table, 1 + r, blend.pairs.data(), pairs, blend.quadratic.data());
+}
+
+double ReducedModel::energy(const Blend& blend, const VectorXd& z) const {
+  expand(blend, z);
+  blend.constant = blend.constant / 2 + blend.linear / 6 + blend.quadratic / 12;
+  return blend.energy + blend.force.dot(blend.v) + packed_quadratic(blend.constant, blend.v);
+}
+
+double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const {
+  const double E = energy(blend, z);
+  blend.constant = blend.table.col(0) + blend.linear / 2 + blend.quadratic / 3;
+  packed_product(blend.constant, blend.v, force);
+  force += blend.force;
+  blend.constant = blend.table.col(0) + blend.linear + blend.quadratic;
+  stiffness.resize(dofs(), dofs());
+  unpack(blend.constant, stiffness);
+  return E;
+}
+
+void ReducedModel::build_inertia() {
+  const SoftBody& body = *body_;
+  const Eigen::Index r = dofs(), pairs = pair_count(r), bones = body.skin.cols();
+  std::map<std::pair<int, int>, double> shared;
+  const VectorXd volumes = body.volumes.rowwise().sum();
+  for (Eigen::Index i = 0; i < body.skin.rows(); ++i)
+    for (SkinWeights::InnerIterator b(body.skin, i); b; ++b)
+      for (SkinWeights::InnerIterator c(body.skin, i); c; ++c)
+        if (b.col() < c.col()) shared[{int(b.col()), int(c.col())}] += volumes(i) * b.value() * c.value();
+  for (const auto& [pair, volume] : shared) bone_pairs_.push_back(pair);
+
+  std::map<std::pair<int, int>, Eigen::Index> column;
+  for (size_t p = 0; p < bone_pairs_.size(); ++p) column[bone_pairs_[p]] = Eigen::Index(6 * p);
+  for (int s = 0; s < body.sets(); ++s) {
+    InertiaTables& out = inertia_.emplace_back();
+    out.mass.setZero(pairs);
+    out.bones.setZero(pairs, 6 * bones);
+    out.pairs.setZero(pairs, 6 * Eigen::Index(bone_pairs_.size()));
+    Eigen::Matrix<double, Eigen::Dynamic, 6> node(pairs, 6);  // U^T S U for each entry of a symmetric S
+    for (Eigen::Index i = 0; i < body.skin.rows(); ++i) {
+      const double volume = body.volumes(i, s);
+      if (volume == 0) continue;
+      for (Eigen::Index k = 0, p = 0; k < r; ++k)
+        for (Eigen::Index l = k; l < r; ++l, ++p) {
+          const Vector3d a = U_.block<3, 1>(3 * i, k), b = U_.block<3, 1>(3 * i, l);
+          node.row(p) << a.x() * b.x(), a.y() * b.y(), a.z() * b.z(), a.x() * b.y() + a.y() * b.x(),
+              a.y() * b.z() + a.z() * b.y(), a.z() * b.x() + a.x() * b.z();
+        }
+      node *= volume;
+      out.mass += node.leftCols<3>().rowwise().sum();
+      for (SkinWeights::InnerIterator b(body.skin, i); b; ++b) {
+        out.bones.middleCols<6>(6 * b.col()) += b.value() * node;
+        for (SkinWeights::InnerIterator c(body.skin, i); c; ++c)
+          if (b.col() < c.col())
+            out.pairs.middleCols<6>(column.at({int(b.col()), int(c.col())})) += b.value() * c.value() * node;
+      }
+    }
+  }
+}
+
+void ReducedModel::inertia(const SkinFrame& frame, const VectorXd& density, Matrix& out) const {
+  const auto rotation = [&](Eigen::Index b) { return Matrix3d(transform(frame.bones, b).leftCols<3>()); };
+  const auto entries = [](const Matrix3d& S) {
+    return std::array<double, 6>{S(0, 0), S(1, 1), S(2, 2), S(0, 1), S(1, 2), S(2, 0)};
+  };
+  out.resize(dofs(), dofs());
+  VectorXd packed = VectorXd::Zero(pair_count(dofs()));
+  for (size_t s = 0; s < inertia_.size(); ++s) {
+    const InertiaTables& tables = inertia_[s];
+    packed += density(s) * tables.mass;
+    for (Eigen::Index b = 0; b < frame.bones.rows(); ++b) {
+      const Matrix3d R = rotation(b);
+      const Matrix3d strain = R.transpose() * R - Matrix3d::Identity();
+      if (strain.cwiseAbs().maxCoeff() < 1e-14) continue;
+      auto x = entries(density(s) * strain);
+      add_product(tables.bones, 6 * b, x.data(), 6, packed.data());
+    }
+    for (size_t p = 0; p < bone_pairs_.size(); ++p) {
+      const Matrix3d difference = rotation(bone_pairs_[p].first) - rotation(bone_pairs_[p].second);
+      const auto x = entries(-density(s) * (difference.transpose() * difference));
+      add_product(tables.pairs, Eigen::Index(6 * p), x.data(), 6, packed.data());
+    }
+  }
+  unpack(packed, out);
+}
+
+void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
+  u.setZero(U_.rows());
+  add_product(U_, 0, z.data(), z.size(), u.data());
+}
+
+void ReducedModel::project(const VectorXd& f, VectorXd& out) const {
+  out.resize(dofs());
+  transposed_product(U_, f.data(), out.data());
+}
+
+}  // namespace dynamorph

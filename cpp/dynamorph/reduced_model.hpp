@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The soft skin in a modal subspace, u = U z, with the interface of FullModel.
+//
+// Every law's energy is a polynomial of degree <= 4 in z (thesis eq. 5.7). About a target's own coordinates z_j, with
+// v = z - z_j, its tangent is, as packed pairs (k <= l),
+//
+//   H(v) = K0 + K1 v + K2 (v v),   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,   E = v . (1/2 K0 + 1/6 K1 v + 1/12 K2 (v v)) v
+//
+// so one table [K0 | K1 | K2] gives energy, force and tangent from one product (METHOD 5).
+#pragma once
+
+#include "dynamorph/basis.hpp"
+#include "dynamorph/full_model.hpp"
+
+namespace dynamorph {
+
+/// What a built reduced model stores: geometry only. Each target's table for lambda = 1 Pa and mu = 1 Pa, so that
+/// changing a target's stiffness is a linear recombination and never a new precompute.
+struct ReducedTables {
+  Law law = Law::linear;
+  MatrixXd basis;                ///< U (3 free, r)
+  std::vector<MatrixXd> lambda;  ///< per target (r(r+1)/2, 1 + r + r(r+1)/2), or one column for the linear law
+  std::vector<MatrixXd> mu;
+};
+
+/// Tables of every target of `model` in the basis U (3 free, r), orthonormal in unit-density mass.
+ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {});
+
+class ReducedModel {
+ public:
+  using Matrix = MatrixXd;
+
+  struct Blend {
+    VectorXd weights;
+    SetDensities mass;
+    Matrix damping;    ///< sum_j w_j beta_j K_j (r, r)
+    MatrixXd table;    ///< sum_j w_j table_j
+    VectorXd force;    ///< f at v = 0
+    double energy = 0; ///< E at v = 0
+    VectorXd centre;   ///< v = z - centre
+    /// Scratch of linearize: v, its pairs, and the packed tangent by order.
+    mutable VectorXd v, pairs, constant, linear, quadratic;
+  };
+
+  ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, const ReducedTables& tables,
+               Blending blending);
+
+  const SoftBody& body() const { return *body_; }
+  const std::vector<MorphTarget>& targets() const { return targets_; }
+  const MatrixXd& basis() const { return U_; }
+  int dofs() const { return int(U_.cols()); }
+
+  void blend(const VectorXd& w, Blend& out) const;
+  double energy(const Blend& blend, const VectorXd& z) const;
+  double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
+  void inertia(const SkinFrame& frame, const VectorXd& density, Matrix& out) const;
+  void displacement(const VectorXd& z, VectorXd& u) const;
+  void project(const VectorXd& f, VectorXd& out) const;
+  VectorXd target(int j) const { return coordinates_[j]; }
+  Matrix zero() const { return Matrix::Zero(dofs(), dofs()); }
+
+ private:
+  /// The orders of the tangent at v (in the scratch), packed.
+  void expand(const Blend& blend, const VectorXd& z) const;
+  void recentre(int target);
+  void build_inertia();
+
+  std::shared_ptr<const SoftBody> body_;
+  std::vector<MorphTarget> targets_;
+  Blending blending_;
+  MatrixXd U_;
+  std::vector<VectorXd> coordinates_;     ///< z_j
+  std::vector<MatrixXd> tables_;          ///< of each target with its material, about z_j (even) or 0 (forces)
+  std::vector<VectorXd> rest_stiffness_;  ///< packed K_j at z_j
+  std::vector<VectorXd> forces_;          ///< of forces blending, at z = 0
+  std::vector<double> energies_;
+
+  /// U^T A^T M A U without the mesh, exact for weights that sum to one (METHOD 6):
+  ///   A^T A = sum_b w_b R_b^T R_b - sum_{b<c} w_b w_c (R_b - R_c)^T (R_b - R_c),
+  /// one column of `table` for each of the six entries of those symmetric 3 x 3 matrices. Rigid bones need only the
+  /// pairs: the first sum is the identity.
+  struct InertiaTables {
+    VectorXd mass;   ///< packed U^T M1 U
+    MatrixXd bones;  ///< (pairs of modes, 6 B)
+    MatrixXd pairs;  ///< (pairs of modes, 6 P)
+  };
+  std::vector<InertiaTables> inertia_;           ///< per target set
+  std::vector<std::pair<int, int>> bone_pairs_;  ///< bones that share nodes
+};
+
+}  // namespace dynamorph

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/tetrahedralize.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <string>
+
+#include "dynamorph/surface.hpp"
+#include "tetgen.h"
+
+namespace dynamorph {
+
+namespace {
+
+/// Why TetGen gave up (the int that it throws), and what to do about it.
+std::string advice(int code) {
+  switch (code) {
+    case 1:
+      return "The mesher ran out of memory. Lower the cage resolution.";
+    case 3:
+      return "The cage intersects itself. Remove the intersections, or use the automatic cage.";
+    case 4:
+    case 5:
+      return "The cage has details too small to mesh. Merge its vertices by distance, or change the cage resolution.";
+    default:
+      return "The cage could not be filled with tetrahedra (TetGen error " + std::to_string(code) +
+             "). Make it closed, or change the cage resolution a little.";
+  }
+}
+
+/// `in` is filled in place: a tetgenio owns its arrays but does not know how to be copied.
+void load(tetgenio& in, const Points& vertices, const Triangles& triangles) {
+  in.numberofpoints = static_cast<int>(vertices.rows());
+  in.pointlist = new REAL[vertices.size()];
+  std::copy_n(vertices.data(), vertices.size(), in.pointlist);
+  in.numberoffacets = static_cast<int>(triangles.rows());
+  in.facetlist = new tetgenio::facet[triangles.rows()];
+  for (int t = 0; t < triangles.rows(); ++t) {
+    tetgenio::facet& facet = in.facetlist[t];
+    tetgenio::init(&facet);
+    facet.numberofpolygons = 1;
+    facet.polygonlist = new tetgenio::polygon[1];
+    tetgenio::init(facet.polygonlist);
+    facet.polygonlist->numberofvertices = 3;
+    facet.polygonlist->vertexlist = new int[3]{triangles(t, 0), triangles(t, 1), triangles(t, 2)};
+  }
+}
+
+/// volume_limit <= 0: none.
+TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
+  // p: fill a surface, Q: quiet, Y: add nothing on it, q: radius-edge ratio / dihedral angle, S: most nodes added.
+  char switches[96];
+  std::snprintf(switches, sizeof switches, "pQYq1.5/8S%d", most_nodes);
+  std::string command = switches;
+  if (volume_limit > 0) {
+    std::snprintf(switches, sizeof switches, "a%.12f", volume_limit);  // TetGen reads no exponents
+    command += switches;
+  }
+  tetgenio out;
+  try {
+    ::tetrahedralize(command.data(), &in, &out);
+  } catch (int code) {
+    throw Error(advice(code));
+  }
+  if (out.numberoftetrahedra == 0) throw Error(advice(10));
+  TetMesh mesh{Eigen::Map<Points>(out.pointlist, out.numberofpoints, 3),
+               Eigen::Map<Tets>(out.tetrahedronlist, out.numberoftetrahedra, 4)};
+  const VectorXd volume = volumes(mesh);
+  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t)
+    if (volume[t] < 0) std::swap(mesh.tets(t, 2), mesh.tets(t, 3));
+  return mesh;
+}
+
+/// Fewest nodes that give good tets, then a limit on their volume until there are about as many as wanted: nodes added
+/// go with 1 / limit.
+TetMesh fill(tetgenio& in, int target_nodes, int most_nodes) {
+  constexpr double close_enough = 0.03;
+  constexpr int tries = 6;
+  TetMesh best = run_tetgen(in, 0, most_nodes);
+  const int fewest = static_cast<int>(best.nodes.rows());
+  double limit = volumes(best).sum() / (5.0 * target_nodes);
+  const auto error = [&](const TetMesh& mesh) { return std::abs(mesh.nodes.rows() / double(target_nodes) - 1); };
+  for (int i = 0; i < tries && fewest < target_nodes && error(best) > close_enough; ++i) {
+    TetMesh mesh = run_tetgen(in, limit, most_nodes);
+    const double added = std::max<double>(mesh.nodes.rows() - fewest, 1);
+    limit *= std::clamp(added / (target_nodes - fewest), 0.2, 5.0);
+    if (error(mesh) < error(best)) best = std::move(mesh);
+  }
+  return best;
+}
+
+}  // namespace
+
+TetMesh tetrahedralize(const Points& vertices, const Triangles& triangles, int target_nodes) {
+  if (target_nodes < 4)
+    throw std::invalid_argument("target_nodes: expected at least 4, got " + std::to_string(target_nodes));
+  check_triangles(vertices, triangles);
+  if (triangles.rows() == 0) throw Error("The cage has no faces. Choose a closed mesh.");
+  if (!vertices.allFinite())
+    throw Error("The cage has a NaN or infinite coordinate. Delete that vertex.");  // TetGen hangs
+  const Eigen::AlignedBox3d box = Surface(vertices, triangles).box();
+  const double size = box.diagonal().norm();
+  if (!(size > 0)) throw Error("The cage is a single point. Scale it and apply the scale.");
+  const Points unit = (vertices.rowwise() - box.min().transpose()) / size;  // TetGen's tolerances and 'a' want it
+
+  tetgenio in;
+  load(in, unit, triangles);
+  const int most_nodes = 4 * target_nodes;
+  TetMesh mesh = fill(in, target_nodes, most_nodes);
+  if (mesh.nodes.rows() > most_nodes)
+    throw Error("The cage needs " + std::to_string(mesh.nodes.rows()) + " nodes, many more than the " +
+                std::to_string(target_nodes) + " asked for. Raise the resolution, or simplify the cage mesh.");
+  mesh.nodes = (mesh.nodes * size).rowwise() + box.min().transpose();
+  return make_tet_mesh(std::move(mesh.nodes), std::move(mesh.tets));
+}
+
+}  // namespace dynamorph

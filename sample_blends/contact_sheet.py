@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Contact sheets: the same frames of several variants side by side, rendered without a display, in one PNG."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+from PIL import Image, ImageDraw, ImageFont
+
+MARGIN = 14
+PAPER, INK, FAINT = (246, 246, 244), (30, 32, 36), (110, 114, 122)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One variant: its name, a line about it, a picture for each frame and a note under each picture."""
+
+    name: str
+    about: str
+    pictures: Sequence[Image.Image]
+    notes: Sequence[str]
+
+
+def render(frames: Sequence[int], size: tuple[int, int], engine: str = "CYCLES", samples: int = 8) -> list[Image.Image]:
+    """The open scene at `frames`, through its own camera and lights. CYCLES runs on the CPU, BLENDER_WORKBENCH needs
+    EGL; EEVEE takes minutes a frame without a GPU."""
+    scene = bpy.context.scene
+    scene.render.engine = engine
+    scene.render.resolution_x, scene.render.resolution_y = size
+    scene.render.resolution_percentage = 100
+    scene.render.use_persistent_data = True
+    scene.render.image_settings.file_format = "PNG"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = samples
+    scene.cycles.use_denoising = True
+    scene.cycles.max_bounces = 4
+    pictures = []
+    with tempfile.TemporaryDirectory() as folder:
+        for frame in frames:
+            scene.frame_set(frame)
+            scene.render.filepath = str(Path(folder, "frame.png"))
+            with quiet():
+                bpy.ops.render.render(write_still=True)
+            with Image.open(scene.render.filepath) as picture:
+                pictures.append(picture.convert("RGB"))
+    return pictures
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Drop what Blender prints from C: a line for every step of every render, and EGL's harmless complaints."""
+    saved = [os.dup(stream) for stream in (1, 2)]
+    with open(os.devnull, "w") as nothing:
+        for stream in (1, 2):
+            os.dup2(nothing.fileno(), stream)
+    try:
+        yield
+    finally:
+        for stream, copy in zip((1, 2), saved, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
+
+
+def compose(title: str, subtitle: str, frames: Sequence[int], rows: Sequence[Row]) -> Image.Image:
+    """One row for each variant, one column for each frame."""
+    font, small, large = (ImageFont.load_default(points) for points in (15, 12, 24))
+    width, height = rows[0].pictures[0].size
+    row_height = 26 + height + 22
+    top = MARGIN + 66
+    sheet = Image.new(
+        "RGB", (2 * MARGIN + len(frames) * (width + 4) - 4, top + 24 + len(rows) * row_height + MARGIN), PAPER
+    )
+    draw = ImageDraw.Draw(sheet)
+    draw.text((MARGIN, MARGIN), title, INK, large)
+    draw.text((MARGIN, MARGIN + 36), subtitle, FAINT, font)
+    for column, frame in enumerate(frames):
+        x = MARGIN + column * (width + 4)
+        draw.text((x, top), f"frame {frame}", FAINT, font)
+        for r, row in enumerate(rows):
+            y = top + 24 + r * row_height
+            sheet.paste(row.pictures[column], (x, y + 26))
+            draw.text((x, y + 26 + height + 3), row.notes[column], FAINT, small)
+    for r, row in enumerate(rows):
+        y = top + 24 + r * row_height + 4
+        draw.text((MARGIN, y), row.name, INK, font)
+        draw.text((MARGIN + draw.textlength(row.name, font) + 12, y + 2), row.about, FAINT, small)
+    return sheet
+
+
+def save(sheet: Image.Image, path: Path, colours: int | None = None) -> None:
+    """Write a PNG; with `colours`, as a palette image about a third of the size."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if colours:
+        sheet = sheet.quantize(colours, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG)
+    sheet.save(path, optimize=True)

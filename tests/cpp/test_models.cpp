@@ -1,0 +1,227 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Element laws, full and reduced models: derivatives, exactness at the targets, reduced against full.
+#include <doctest/doctest.h>
+
+#include <Eigen/Geometry>
+#include <random>
+
+#include "dynamorph/integrator.hpp"
+#include "scenes.hpp"
+
+using namespace dynamorph;
+
+namespace {
+
+VectorXd random_vector(Eigen::Index size, double amplitude, unsigned seed) {
+  std::mt19937 generator(seed);
+  std::uniform_real_distribution<double> uniform(-amplitude, amplitude);
+  VectorXd x(size);
+  for (double& value : x) value = uniform(generator);
+  return x;
+}
+
+/// The one finite-difference check: f = dE/dx and K = df/dx along random directions, fourth-order central differences.
+/// `evaluate(x, f, Kd, d)` returns E and writes f and K d.
+template <class Evaluate>
+void check_derivatives(const Evaluate& evaluate, const VectorXd& x, double h) {
+  for (unsigned seed = 0; seed < 3; ++seed) {
+    const VectorXd d = random_vector(x.size(), 1, 100 + seed).normalized();
+    VectorXd f, Kd, ignored, f1, f_1, f2, f_2;
+    evaluate(x, f, Kd, d);
+    const double e1 = evaluate(x + h * d, f1, ignored, d), e_1 = evaluate(x - h * d, f_1, ignored, d);
+    const double e2 = evaluate(x + 2 * h * d, f2, ignored, d), e_2 = evaluate(x - 2 * h * d, f_2, ignored, d);
+    const double slope = (8 * (e1 - e_1) - (e2 - e_2)) / (12 * h);
+    const VectorXd curve = (8 * (f1 - f_1) - (f2 - f_2)) / (12 * h);
+    CHECK(std::abs(slope - f.dot(d)) <= 1e-6 * (std::abs(slope) + f.norm()));
+    CHECK((curve - Kd).norm() <= 1e-6 * Kd.norm());
+  }
+}
+
+template <class Model>
+auto evaluator(const Model& model, const typename Model::Blend& blend) {
+  return [&model, &blend](const VectorXd& q, VectorXd& f, VectorXd& Kd, const VectorXd& d) {
+    typename Model::Matrix K = model.zero();
+    const double e = model.linearize(blend, q, f, K);
+    CHECK(std::abs(e - model.energy(blend, q)) <= 1e-9 * (1e-12 + std::abs(e)));
+    Kd = K * d;
+    return e;
+  };
+}
+
+Transforms bent(double angle) {
+  Transforms bones(2, 12);
+  Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(bones.data()) << 1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0;
+  Eigen::Matrix<double, 3, 4> second;
+  second << Eigen::AngleAxisd(angle, Vector3d(0.2, 1, 0.3).normalized()).toRotationMatrix(), Vector3d(0.1, 0.2, -0.1);
+  Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(bones.data() + 12) = second;
+  return bones;
+}
+
+constexpr Law kLaws[] = {Law::linear, Law::stvk, Law::stable_stvk};
+constexpr Blending kBlendings[] = {Blending::forces, Blending::even};
+
+}  // namespace
+
+TEST_CASE("element laws: stress is the derivative of the energy, stiffness of the force") {
+  const TetMesh mesh = scenes::bar(1, 1, 1, 0.1);
+  const RestShape shape = rest_shape(mesh, random_vector(24, 0.01, 1), VectorXd::Ones(6));
+  const Element& element = shape.elements[2];
+  const Lame lame{3e4, 1e4};
+  for (Law law : kLaws)
+    check_derivatives(
+        [&](const VectorXd& x, VectorXd& f, VectorXd& Kd, const VectorXd& d) {
+          const Matrix3d F = deformation_gradient(element, Eigen::Map<const Eigen::Matrix<double, 3, 4>>(x.data()));
+          const ElementForce force = element.volume * stress(law, lame, F) * element.gradients;
+          f = Eigen::Map<const VectorXd>(force.data(), 12);
+          ElementStiffness K;
+          element_stiffness(law, lame, element, F, K);
+          Kd = K * d;
+          return element.volume * energy_density(law, lame, F);
+        },
+        random_vector(12, 0.03, 2), 1e-5);
+}
+
+TEST_CASE("element laws: energy is zero at the rest shape, also for an element that had to fall back") {
+  const TetMesh mesh = scenes::bar(1, 1, 1, 0.1);
+  VectorXd d = random_vector(24, 0.01, 3);
+  d(3 * mesh.tets(0, 3) + 2) -= 0.3;  // turns tets inside out
+  const RestShape shape = rest_shape(mesh, d, VectorXd::Ones(6));
+  CHECK(shape.fallbacks > 0);
+  CHECK(shape.fallbacks < 6);
+  for (size_t e = 0; e < 6; ++e) {
+    Eigen::Matrix<double, 3, 4> u;
+    for (int a = 0; a < 4; ++a) u.col(a) = d.segment<3>(3 * mesh.tets(Eigen::Index(e), a));
+    const Matrix3d F = deformation_gradient(shape.elements[e], u);
+    CHECK((F - Matrix3d::Identity()).norm() < 1e-10);
+    for (Law law : kLaws) CHECK(std::abs(energy_density(law, {1, 1}, F)) < 1e-10);
+  }
+}
+
+TEST_CASE("stable StVK resists inversion, and has StVK's stiffness at rest") {
+  const Lame lame{2e4, 1e4};
+  const Matrix3d mirrored = Vector3d(-1, 1, 1).asDiagonal();
+  CHECK(energy_density(Law::stvk, lame, mirrored) == doctest::Approx(0));
+  CHECK(energy_density(Law::stable_stvk, lame, mirrored) == doctest::Approx(2 * lame.mu));
+  const TetMesh mesh = scenes::bar(1, 1, 1, 0.1);
+  const RestShape shape = rest_shape(mesh, VectorXd::Zero(24), VectorXd::Ones(6));
+  ElementStiffness linear, stvk, stable;
+  element_stiffness(Law::linear, lame, shape.elements[0], Matrix3d::Identity(), linear);
+  element_stiffness(Law::stvk, lame, shape.elements[0], Matrix3d::Identity(), stvk);
+  element_stiffness(Law::stable_stvk, lame, shape.elements[0], Matrix3d::Identity(), stable);
+  CHECK((stvk - linear).norm() < 1e-12 * linear.norm());
+  CHECK((stable - linear).norm() < 1e-12 * linear.norm());
+}
+
+TEST_CASE("full and reduced models: derivatives by finite differences at blended poses") {
+  const auto body = scenes::two_bone_bar(2);
+  const auto targets = scenes::targets(*body, 1);
+  VectorXd w(3);
+  w << 0.3, 0.7, 1.0;
+  for (Law law : kLaws)
+    for (Blending blending : kBlendings) {
+      const FullModel full(body, targets, law, blending);
+      FullModel::Blend blend;
+      full.blend(w, blend);
+      check_derivatives(evaluator(full, blend), random_vector(full.dofs(), 0.01, 4), 1e-4);
+
+      const MatrixXd U = make_basis(full, 12).U;
+      const ReducedModel reduced(body, targets, reduce(full, U), blending);
+      ReducedModel::Blend small;
+      reduced.blend(w, small);
+      check_derivatives(evaluator(reduced, small), random_vector(12, 5e-4, 5), 1e-5);
+    }
+}
+
+TEST_CASE("reduced = U^T F(U z), energy and tangent too, to 1e-12 of the largest force term") {
+  const auto body = scenes::two_bone_bar(2);
+  const auto targets = scenes::targets(*body, 1);
+  VectorXd w(3);
+  w << 0.6, 0.4, 1.0;
+  for (Law law : kLaws)
+    for (Blending blending : kBlendings) {
+      const FullModel full(body, targets, law, blending);
+      const MatrixXd U = make_basis(full, 12).U;
+      const ReducedModel reduced(body, targets, reduce(full, U), blending);
+      FullModel::Blend big;
+      ReducedModel::Blend small;
+      full.blend(w, big);
+      reduced.blend(w, small);
+      const VectorXd z = random_vector(12, 1e-3, 6);
+      VectorXd F, f;
+      SparseMatrix K = full.zero();
+      MatrixXd k;
+      const double E = full.linearize(big, U * z, F, K), e = reduced.linearize(small, z, f, k);
+      double largest = f.cwiseAbs().maxCoeff();
+      for (int j = 0; j < 3; ++j) {  // the terms that cancel in the sum
+        VectorXd alone = VectorXd::Zero(3), term;
+        alone(j) = w(j);
+        full.blend(alone, big);
+        full.linearize(big, U * z, term, K);
+        largest = std::max(largest, (U.transpose() * term).cwiseAbs().maxCoeff());
+      }
+      full.blend(w, big);
+      full.linearize(big, U * z, F, K);
+      CHECK((f - U.transpose() * F).cwiseAbs().maxCoeff() <= 1e-12 * largest);
+      CHECK(std::abs(e - E) <= 1e-11 * E);
+      CHECK((k - U.transpose() * (K * U)).norm() <= 1e-11 * k.norm());
+    }
+}
+
+TEST_CASE("basis: orthonormal in mass, holds the targets' shapes, zero rank deficiency") {
+  const auto body = scenes::two_bone_bar();
+  const auto targets = scenes::targets(*body);
+  const FullModel model(body, targets, Law::stvk, Blending::even);
+  const Basis basis = make_basis(model, 14);
+  SparseMatrix M = model.zero();
+  SkinFrame rest;
+  rest.bones = bent(0);
+  pose_nodes(body->skin, rest);
+  model.inertia(rest, VectorXd::Ones(1), M);
+  CHECK((basis.U.transpose() * (M * basis.U) - MatrixXd::Identity(14, 14)).norm() < 1e-10);
+  for (int j = 0; j < 3; ++j) {
+    const VectorXd d = model.target(j);
+    CHECK((basis.U * (basis.U.transpose() * (M * d)) - d).norm() <= 1e-10 * (1e-3 + d.norm()));
+  }
+  CHECK(basis.captured > 0.9);
+  CHECK_THROWS_AS(make_basis(model, 2), Error);
+}
+
+TEST_CASE("reduced inertia by bone pairs is U^T A^T M A U over the nodes, for rigid and for stretched bones") {
+  const auto body = scenes::two_bone_bar(2);
+  const auto targets = scenes::targets(*body, 1);
+  const FullModel full(body, targets, Law::linear, Blending::forces);
+  const MatrixXd U = make_basis(full, 10).U;
+  const ReducedModel reduced(body, targets, reduce(full, U), Blending::forces);
+  VectorXd density(2);
+  density << 700, 1300;
+  for (double stretch : {1.0, 1.3}) {
+    SkinFrame frame;
+    frame.bones = stretch * bent(1.2);
+    pose_nodes(body->skin, frame);
+    SparseMatrix big = full.zero();
+    MatrixXd small;
+    full.inertia(frame, density, big);
+    reduced.inertia(frame, density, small);
+    const MatrixXd dense = U.transpose() * (big * U);
+    CHECK((dense - small).norm() < 1e-11 * dense.norm());
+  }
+}
+
+TEST_CASE("between targets the stiffness at rest is positive definite for random weights") {
+  const auto body = scenes::two_bone_bar();
+  const auto targets = scenes::targets(*body);
+  for (Law law : kLaws) {
+    const FullModel model(body, targets, law, Blending::even);
+    for (unsigned seed = 0; seed < 5; ++seed) {
+      VectorXd w = random_vector(3, 1, seed).cwiseAbs();
+      w /= w.sum();
+      FullModel::Blend blend;
+      model.blend(w, blend);
+      VectorXd f;
+      SparseMatrix K = model.zero();
+      model.linearize(blend, blend.displacement, f, K);
+      CHECK(f.norm() < 1e-8 * K.norm());
+      CHECK(Eigen::LLT<MatrixXd>(MatrixXd(K)).info() == Eigen::Success);
+    }
+  }
+}

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include <doctest/doctest.h>
+
+#include <Eigen/Geometry>
+
+#include "dynamorph/pose_space.hpp"
+
+using namespace dynamorph;
+
+namespace {
+
+Rotations hinge(double angle, double second = 0) {
+  Rotations pose(2, 4);
+  pose << std::cos(angle / 2), std::sin(angle / 2), 0, 0, std::cos(second / 2), 0, std::sin(second / 2), 0;
+  return pose;
+}
+
+TargetSet elbow(Kernel kernel) { return {{0}, {"straight", "half", "flexed"}, {hinge(0), hinge(1), hinge(2)}, kernel}; }
+
+VectorXd weights(const PoseSpace& space, const Rotations& pose) {
+  VectorXd w(space.targets());
+  space.weights(pose, w);
+  return w;
+}
+
+}  // namespace
+
+TEST_CASE("weights are cardinal, not negative, and sum to one for every kernel") {
+  for (Kernel kernel : {Kernel::linear, Kernel::gaussian, Kernel::thin_plate}) {
+    const PoseSpace space({elbow(kernel)});
+    for (int j = 0; j < 3; ++j)
+      CHECK((weights(space, hinge(j)) - VectorXd::Unit(3, j)).cwiseAbs().maxCoeff() < 1e-9);
+    for (double angle = -3; angle < 3; angle += 0.13) {
+      const VectorXd w = weights(space, hinge(angle, 0.4));
+      CHECK(w.minCoeff() >= 0);
+      CHECK(w.sum() == doctest::Approx(1));
+    }
+  }
+}
+
+TEST_CASE("the linear kernel is the driver's hat function in one dimension, constant outside") {
+  const PoseSpace space({elbow(Kernel::linear)});
+  CHECK(weights(space, hinge(0.25))(0) == doctest::Approx(0.75));
+  CHECK(weights(space, hinge(0.25))(1) == doctest::Approx(0.25));
+  CHECK(weights(space, hinge(1.7))(2) == doctest::Approx(0.7));
+  CHECK(weights(space, hinge(2.9))(2) == doctest::Approx(1));
+  CHECK(weights(space, hinge(-0.8))(0) == doctest::Approx(1));
+}
+
+TEST_CASE("weights ignore the quaternion's sign and bones that the set does not name") {
+  const PoseSpace space({elbow(Kernel::linear)});
+  const VectorXd w = weights(space, hinge(0.6));
+  CHECK((weights(space, -hinge(0.6)) - w).norm() < 1e-12);
+  CHECK((weights(space, hinge(0.6, 1.1)) - w).norm() < 1e-12);
+}
+
+TEST_CASE("independent sets are laid end to end, each summing to one") {
+  TargetSet wrist{{1}, {"open", "bent"}, {hinge(0, 0), hinge(0, 1)}, Kernel::linear};
+  const PoseSpace space({elbow(Kernel::linear), wrist});
+  const VectorXd w = weights(space, hinge(1.5, 0.25));
+  CHECK(w.head(3).sum() == doctest::Approx(1));
+  CHECK(w(3) == doctest::Approx(0.75));
+  CHECK(w(4) == doctest::Approx(0.25));
+}
+
+TEST_CASE("two targets at one pose are an error that names both") {
+  TargetSet set = elbow(Kernel::linear);
+  set.poses[2] = hinge(1.0);
+  try {
+    PoseSpace space({set});
+    FAIL("expected an Error");
+  } catch (const Error& e) {
+    CHECK(std::string(e.what()).find("'half' and 'flexed'") != std::string::npos);
+  }
+}
