@@ -1,8 +1,55 @@
-PYTHONS = $(shell ls -d $(CURDIR)/.venv/3.*/bin/python 2>/dev/null | paste -sd';')
-TOOLS = .venv/3.11/bin
-BUILD = build/cmake
-build:
-	@$(TOOLS)/cmake -S . -B $(BUILD) -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(TOOLS)/ninja -DDYNAMORPH_PYTHONS="$(PYTHONS)" -DDYNAMORPH_TESTS=ON --log-level=WARNING
-	@nice $(TOOLS)/cmake --build $(BUILD) -j2 -- -k 0
-	@for p in .venv/3.*/lib/python*/site-packages; do printf '%s\n' $(CURDIR)/$(BUILD)/python $(CURDIR)/addon > $$p/dynamorph.pth; done
-.PHONY: build
+# SPDX-License-Identifier: GPL-3.0-or-later
+# Every chore; each sets up what it needs first.
+.PHONY: setup build test demo bench stubs format lint wheel extension clean
+
+# Evaluated when a recipe runs, after `setup`.
+python = $(firstword $(shell ls -d .venv/3.*/bin/python))
+tools = $(CURDIR)/$(dir $(python))
+pythons = $(shell ls -d $(CURDIR)/.venv/3.*/bin/python | paste -sd';')
+jobs ?= $(shell nproc)
+build = build/cmake
+c_sources = $(shell find cpp tests/cpp -name '*.[ch]pp')
+# numpy.bool: the same stub with NumPy 1, which has no such name.
+stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
+	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool'
+
+setup:
+	@tools/setup.sh
+
+build: setup
+	@$(tools)cmake -S . -B $(build) -G Ninja -DCMAKE_MAKE_PROGRAM=$(tools)ninja -DDYNAMORPH_TESTS=ON \
+		-DDYNAMORPH_PYTHONS="$(pythons)" --log-level=WARNING >$(build).log || { cat $(build).log; exit 1; }
+	@$(tools)cmake --build $(build) -j$(jobs) -- --quiet -k 0
+
+test: build
+	@$(python) tools/run_tests.py
+
+demo: build
+	@$(python) sample_blends/demo.py
+
+bench: build
+	@$(python) tests/benchmarks/run.py
+
+stubs: build
+	@$(stubgen) -o cpp/bindings
+
+format: setup
+	@$(tools)ruff check --quiet --fix .
+	@$(tools)ruff format --quiet .
+	@$(tools)clang-format -i $(c_sources)
+
+lint: build
+	@$(tools)ruff check --quiet .
+	@$(tools)ruff format --quiet --check .
+	@$(tools)clang-format --dry-run -Werror $(c_sources)
+	@$(stubgen) -o build/stubs
+	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
+
+wheel: build
+	@$(python) tools/package.py wheel
+
+extension: build
+	@$(python) tools/package.py extension
+
+clean:
+	@rm -rf build dist

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,7 +56,7 @@ def render(frames: Sequence[int], size: tuple[int, int], engine: str = "CYCLES",
 def quiet() -> Iterator[None]:
     """Drop what Blender prints from C: a line for every step of every render, and EGL's harmless complaints."""
     saved = [os.dup(stream) for stream in (1, 2)]
-    with open(os.devnull, "w") as nothing:
+    with Path(os.devnull).open("w") as nothing:
         for stream in (1, 2):
             os.dup2(nothing.fileno(), stream)
     try:
@@ -67,8 +67,8 @@ def quiet() -> Iterator[None]:
             os.close(copy)
 
 
-def compose(title: str, subtitle: str, frames: Sequence[int], rows: Sequence[Row]) -> Image.Image:
-    """One row for each variant, one column for each frame."""
+def compose(title: str, subtitle: str, frames: Mapping[int, str], rows: Sequence[Row]) -> Image.Image:
+    """One row for each variant, one column for each frame; frames: number and what happens there."""
     font, small, large = (ImageFont.load_default(points) for points in (15, 12, 24))
     width, height = rows[0].pictures[0].size
     row_height = 26 + height + 22
@@ -79,9 +79,9 @@ def compose(title: str, subtitle: str, frames: Sequence[int], rows: Sequence[Row
     draw = ImageDraw.Draw(sheet)
     draw.text((MARGIN, MARGIN), title, INK, large)
     draw.text((MARGIN, MARGIN + 36), subtitle, FAINT, font)
-    for column, frame in enumerate(frames):
+    for column, (frame, event) in enumerate(frames.items()):
         x = MARGIN + column * (width + 4)
-        draw.text((x, top), f"frame {frame}", FAINT, font)
+        draw.text((x, top), f"{frame}: {event}", FAINT, font)
         for r, row in enumerate(rows):
             y = top + 24 + r * row_height
             sheet.paste(row.pictures[column], (x, y + 26))
@@ -93,9 +93,11 @@ def compose(title: str, subtitle: str, frames: Sequence[int], rows: Sequence[Row
     return sheet
 
 
-def save(sheet: Image.Image, path: Path, colours: int | None = None) -> None:
-    """Write a PNG; with `colours`, as a palette image about a third of the size."""
+def save(sheet: Image.Image, path: Path, small: bool = False) -> None:
+    """Write a PNG; a small one for documents has 1200 pixels across and a dithered palette."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    if colours:
-        sheet = sheet.quantize(colours, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG)
+    if small:
+        sheet = sheet.resize((1200, round(1200 * sheet.height / sheet.width)), Image.Resampling.LANCZOS)
+        palette = sheet.quantize(256, method=Image.Quantize.FASTOCTREE)  # median cut leaves the bands too few colours
+        sheet = sheet.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG)
     sheet.save(path, optimize=True)

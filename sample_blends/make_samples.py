@@ -27,29 +27,29 @@ ELBOW = (2, 3)
 TIP = 0.55
 BLEND = 0.12  # length over which a joint's two bones share the skin: about the limb's width, so that it never folds
 
-# (frame, bend of the whole elbow in degrees): each stage is reached and held; the fall from 100 degrees to 0 takes a sixth of a second.
-BENDS = ((1, 0), (6, 0), (13, -34), (17, -34), (26, 50), (32, 50), (40, 100), (66, 100), (70, 0), (120, 0))
+# (frame, bend of the whole elbow in degrees): each stage is reached and held; the fall takes a fifth of a second.
+BENDS = ((1, 0), (6, 0), (13, -34), (17, -34), (26, 50), (32, 50), (40, 100), (66, 100), (71, 0), (120, 0))
 SHAKES = (50, 96)  # the same shake twice: on the flexed limb and on the straight one
-SHAKE = (0.0, 0.028, -0.028, 0.028, -0.028, 0.0)  # metres up and down, a key every other frame
+SHAKE = (0.0, 0.015, -0.015, 0.015, -0.015, 0.0)  # metres up and down, a key every other frame
 FRAMES = 120
 
 SKIN_COLOUR = np.array([0.03, 0.36, 0.37])
-BAND_COLOUR = np.array([0.80, 0.50, 0.24])
+BAND_COLOUR = np.array([0.86, 0.40, 0.13])
 
 SOFT = "Soft"  # vertex group: 1 soft, 0 held by the bones
 # The sculpted targets as lumps: (side, x, width along x, spread around, height); side +1 is the inside.
 SHAPES = {
     "Half bend": ((1, 0.205, 0.066, 0.5, 0.016), (1, 0.47, 0.06, 0.5, 0.004), (-1, 0.33, 0.06, 0.5, 0.005)),
     "Flexed": ((1, 0.190, 0.060, 0.5, 0.038), (1, 0.49, 0.055, 0.5, 0.010), (-1, 0.33, 0.055, 0.5, 0.010)),
-    "Back bend": ((1, 0.33, 0.10, 0.6, -0.009), (-1, 0.275, 0.030, 0.5, 0.017), (-1, 0.385, 0.030, 0.5, 0.017)),
+    "Back bend": ((1, 0.33, 0.10, 0.6, -0.009), (-1, 0.27, 0.036, 0.5, 0.014), (-1, 0.39, 0.036, 0.5, 0.014)),
 }
 
 # Stiffness in Pa and the two Rayleigh dampings of each target; the frame at which its pose is captured.
-SOFT_FLESH = {"stiffness": 4e3, "mass_damping": 1.0, "stiffness_damping": 0.004}
+SOFT_FLESH = {"stiffness": 12e3, "mass_damping": 2.0, "stiffness_damping": 0.006}
 TARGETS = {
-    "Half bend": (32, {"stiffness": 10e3, "mass_damping": 1.0, "stiffness_damping": 0.003}),
-    "Flexed": (46, {"stiffness": 40e3, "mass_damping": 1.0, "stiffness_damping": 0.002}),
-    "Back bend": (16, {"stiffness": 12e3, "mass_damping": 1.0, "stiffness_damping": 0.003}),
+    "Half bend": (32, {"stiffness": 30e3, "mass_damping": 2.0, "stiffness_damping": 0.004}),
+    "Flexed": (46, {"stiffness": 120e3, "mass_damping": 2.0, "stiffness_damping": 0.002}),
+    "Back bend": (16, {"stiffness": 40e3, "mass_damping": 2.0, "stiffness_damping": 0.004}),
 }
 MODEL = {"modes": 20, "cage_nodes": 400}
 
@@ -171,7 +171,7 @@ def add_lathe(name: str, outline, material, segments: int = 48) -> bpy.types.Obj
     outline = np.array(outline)
     angle = np.arange(segments) * 2 * math.pi / segments
     rings = outline[:, None, :1] * np.stack([np.cos(angle), np.sin(angle)], 1)
-    vertices = np.concatenate([rings, np.broadcast_to(outline[:, None, 1:], rings.shape[:2] + (1,))], 2)
+    vertices = np.concatenate([rings, np.broadcast_to(outline[:, None, 1:], (*rings.shape[:2], 1))], 2)
     ring, here = np.meshgrid(np.arange(len(outline) - 1), np.arange(segments), indexing="ij")
     after = (here + 1) % segments
     quads = np.stack([ring * segments + here, ring * segments + after,
@@ -207,7 +207,7 @@ def add_rig() -> bpy.types.Object:
     bpy.context.view_layer.objects.active = rig
     bpy.ops.object.mode_set(mode="EDIT")
     parent = None
-    for b, (head, tail) in enumerate(zip(JOINTS, [*JOINTS[1:], TIP])):
+    for b, (head, tail) in enumerate(zip(JOINTS, [*JOINTS[1:], TIP], strict=True)):
         bone = rig.data.edit_bones.new(f"Bone {b + 1}")
         bone.head, bone.tail = (head, 0, 0), (tail, 0, 0)
         bone.align_roll((0, 0, 1))  # so that turning about the bone's own X bends towards the inside
@@ -240,7 +240,7 @@ def add_limb(rig: bpy.types.Object) -> bpy.types.Object:
     limb.parent = rig
     modifier = limb.modifiers.new("Armature", "ARMATURE")
     modifier.object = rig
-    groups = {bone.name: column for bone, column in zip(rig.data.bones, skin_weights(vertices).T)}
+    groups = {bone.name: column for bone, column in zip(rig.data.bones, skin_weights(vertices).T, strict=True)}
     for name, column in {**groups, SOFT: softness(vertices)}.items():
         group = limb.vertex_groups.new(name=name)
         for v in np.flatnonzero(column > 1e-4):
@@ -268,7 +268,7 @@ def add_stage(rig: bpy.types.Object) -> None:
     sweep = np.linspace(0, math.pi / 2, 13)
     ys = np.concatenate([[-4], 1.1 + 0.7 * np.sin(sweep), [1.8]])
     zs = np.concatenate([[0], 0.7 - 0.7 * np.cos(sweep), [4]])
-    vertices = [(x, y, z) for y, z in zip(ys, zs) for x in (-5, 5)]
+    vertices = [(x, y, z) for y, z in zip(ys, zs, strict=True) for x in (-5, 5)]
     faces = [(2 * k, 2 * k + 1, 2 * k + 3, 2 * k + 2) for k in range(len(ys) - 1)]
     add_mesh("Backdrop", vertices, faces, add_material("Backdrop", (0.20, 0.22, 0.28), 0.8))
 
@@ -281,8 +281,8 @@ def add_stage(rig: bpy.types.Object) -> None:
         light.energy, light.size, light.color = power, size, colour
         place(bpy.data.objects.new(name, light), location, (0.3, 0, 0.3))
     camera = bpy.data.cameras.new("Camera")
-    camera.lens = 72
-    bpy.context.scene.camera = place(bpy.data.objects.new("Camera", camera), (0.45, -1.75, 0.62), (0.25, 0, 0.375))
+    camera.lens = 74
+    bpy.context.scene.camera = place(bpy.data.objects.new("Camera", camera), (0.45, -1.75, 0.62), (0.245, 0, 0.345))
 
 
 def place(obj: bpy.types.Object, location, aim) -> bpy.types.Object:
@@ -295,11 +295,11 @@ def place(obj: bpy.types.Object, location, aim) -> bpy.types.Object:
 
 def set_up_scene() -> bpy.types.Scene:
     """An empty scene that renders well with Workbench at once, and with Cycles when asked."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # keeps the add-on
     scene = bpy.context.scene
     scene.render.fps = 24
     scene.frame_start, scene.frame_end = 1, FRAMES
-    scene.render.resolution_x, scene.render.resolution_y = 960, 800
+    scene.render.resolution_x, scene.render.resolution_y = 960, 740
     scene.render.engine = "CYCLES"
     scene.cycles.samples = 64
     scene.view_settings.view_transform = "AgX"
@@ -353,3 +353,4 @@ if __name__ == "__main__":
     dynamic_morph_targets.register()
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE
     bulging_cylinder(folder / "bulging_cylinder.blend")
+    dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered

@@ -1,25 +1,38 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Dynamorph: dynamic morph targets for Blender. Registration only.
 
-The compiled engine is imported when it is first used (see jobs.engine), so that the add-on can say what is missing.
+Imports wait until `register`: the modules between extract and sinks then serve and are tested without Blender. The
+compiled engine is imported when it is first used (see jobs.engine), so that the add-on can say what is missing.
 """
 
-import bpy
+import atexit
 
-from . import cli, operators, panels, properties
-
-MODULES = (properties, operators, panels)
 _commands = []  # handles that Blender wants back
 
 
+def _modules():
+    from . import operators, panels, properties
+
+    return properties, operators, panels
+
+
 def register():
-    for module in MODULES:
+    import bpy
+
+    from . import cli
+
+    for module in _modules():
         module.register()
     _commands.append(bpy.utils.register_cli_command("dynamorph", cli.main))
+    if bpy.app.module:
+        atexit.register(unregister)  # the wheel does not do it, and then crashes or hangs while Python ends
 
 
 def unregister():
+    import bpy
+
+    atexit.unregister(unregister)
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
-    for module in reversed(MODULES):
+    for module in reversed(_modules()):
         module.unregister()

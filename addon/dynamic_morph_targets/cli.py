@@ -162,7 +162,10 @@ def save(args) -> float:
     """Save the .blend; returns the seconds it took."""
     began = time.perf_counter()
     path = str(args.output.resolve()) if args.output else bpy.data.filepath
-    bpy.ops.wm.save_as_mainfile(filepath=path, copy=args.output is not None)
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=path, copy=args.output is not None)
+    except RuntimeError as error:
+        raise InputError(f"'{path}' cannot be saved: {error}") from error
     print(f"saved {args.output or bpy.data.filepath}")
     return time.perf_counter() - began
 

@@ -19,14 +19,16 @@ MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
 # Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
-GENERATING = frozenset(
-    "ARRAY BEVEL BOOLEAN BUILD DECIMATE EDGE_SPLIT MASK MESH_TO_VOLUME MIRROR MULTIRES NODES OCEAN PARTICLE_INSTANCE "
-    "REMESH SCREW SKIN SOLIDIFY SUBSURF VOLUME_TO_MESH WELD WIREFRAME".split()
-)
-DEFORMING = frozenset(
-    "CAST CLOTH CORRECTIVE_SMOOTH CURVE DISPLACE HOOK LAPLACIANDEFORM LAPLACIANSMOOTH LATTICE MESH_CACHE MESH_DEFORM "
-    "MESH_SEQUENCE_CACHE SHRINKWRAP SIMPLE_DEFORM SMOOTH SOFT_BODY SURFACE_DEFORM VOLUME_DISPLACE WARP WAVE".split()
-)
+GENERATING = {
+    "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
+    "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
+    "WIREFRAME",
+}  # fmt: skip
+DEFORMING = {
+    "CAST", "CLOTH", "CORRECTIVE_SMOOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE",
+    "MESH_CACHE", "MESH_DEFORM", "MESH_SEQUENCE_CACHE", "SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY",
+    "SURFACE_DEFORM", "VOLUME_DISPLACE", "WARP", "WAVE",
+}  # fmt: skip
 
 
 class SceneError(ValueError):
@@ -42,9 +44,9 @@ class Cancelled(Exception):
 
 def character(obj) -> Character:
     """The soft skin authored on `obj`. Raises SceneError."""
+    modifier = armature_modifier(obj)
     reconcile(obj)
     check(obj)
-    modifier = armature_modifier(obj)
     skeleton = rest_skeleton(modifier.object.data)
     targets = tuple(_target(obj, target, skeleton) for target in _active_targets(obj))
     _check_poses(obj, targets)
@@ -57,6 +59,7 @@ def character(obj) -> Character:
         to_bind=_stretch(obj),
         weights=_skin_weights(obj, modifier, skeleton),
         softness=_softness(obj),
+        bone_segments=_bone_segments(obj, modifier),
         skeleton=skeleton,
         target_sets=(TargetSet(obj.name, targets),),
         settings=settings.model.settings(),
@@ -79,8 +82,8 @@ def armature_modifier(obj):
 def check(obj) -> list[str]:
     """Warnings about what will be ignored. Raises SceneError about what makes `obj` impossible to simulate."""
     modifier = armature_modifier(obj)
-    _check_rig(obj, modifier)
     _check_mesh(obj)
+    _check_rig(obj, modifier)
     _check_keys(obj)
     warnings = _check_modifiers_before(obj, modifier)
     if obj.show_only_shape_key:
@@ -107,7 +110,9 @@ def _check_rig(obj, modifier):
         raise SceneError(f"'{obj.name}': turn Multi Modifier off in Armature modifier '{modifier.name}'")
     bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
     if not bones:
-        raise SceneError(f"'{obj.name}' has no vertex group named after a deforming bone of '{rig.name}': weight it first")
+        raise SceneError(
+            f"'{obj.name}' has no vertex group named after a deforming bone of '{rig.name}': weight it first"
+        )
     longest = max(bone.length for bone in bones)
     for bone in bones:
         if bone.bbone_segments > 1:
@@ -170,9 +175,13 @@ def _target(obj, target, skeleton: Skeleton) -> Target:
     missing = [name for name in target.bone_names() if name not in skeleton.names]
     if missing:
         raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
+    material = target.material()
+    for field, value in vars(material).items():
+        if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
+            raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
     shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name)
-    return Target(target.name, shape, target.bone_names(), target.local(skeleton), target.material())
+    return Target(target.name, shape, target.bone_names(), target.local(skeleton), material)
 
 
 def _check_poses(obj, targets):
@@ -237,6 +246,16 @@ def _softness(obj) -> np.ndarray:
     return group_weights(obj, [name])[:, 0]
 
 
+def _bone_segments(obj, modifier) -> np.ndarray:
+    """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
+    rig = modifier.object
+    bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
+    ends = np.array([(*bone.head_local, 1.0, *bone.tail_local, 1.0) for bone in bones]).reshape(-1, 2, 4)
+    # Rounded like the stretch: the last digits of this product change while both objects move.
+    to_local = np.round(np.linalg.inv(_world(obj)) @ _world(rig), 5) + 0.0
+    return (ends @ to_local.T)[..., :3] @ _stretch(obj).T
+
+
 def _triangles(mesh) -> np.ndarray:
     mesh.calc_loop_triangles()
     triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
@@ -255,7 +274,7 @@ def _stretch(obj) -> np.ndarray:
     stretch = (vectors * np.sqrt(values)) @ vectors.T
     # Rounded, or the object's rotation would show in the last digits and make the model out of date.
     unit = 10.0 ** np.floor(np.log10(stretch.max()))
-    return np.round(stretch / unit, 5) * unit
+    return np.round(stretch / unit, 5) * unit + 0.0  # no negative zeros
 
 
 # The pose ----------------------------------------------------------------------------------------------------------
@@ -281,7 +300,7 @@ def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
     skeleton = rest_skeleton(rig.data)
     evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
     pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
-    flat = [name for name, matrix in zip(skeleton.names, pose) if not _invertible(matrix)]
+    flat = [name for name, matrix in zip(skeleton.names, pose, strict=True) if not _invertible(matrix)]
     if flat:
         raise SceneError(f"Bone '{flat[0]}' of '{rig.name}' is scaled to zero: give it a size to capture the pose")
     return skeleton, skeleton.local_transforms(pose), np.array(evaluated.matrix_world)
@@ -291,7 +310,9 @@ def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray)
     """Names of the deforming bones whose local rotation differs by more than MOVED."""
     bones = armature_modifier(obj).object.data.bones
     angles = turned(first, second)
-    return [name for name, angle in zip(skeleton.names, angles) if angle > MOVED and bones[name].use_deform]
+    return [
+        name for name, angle in zip(skeleton.names, angles, strict=True) if angle > MOVED and bones[name].use_deform
+    ]
 
 
 def _pose_order(rig, skeleton: Skeleton) -> list[int]:
@@ -375,12 +396,12 @@ def hold_collapsed(samples: RigSamples, skeleton: Skeleton) -> tuple[RigSamples,
     return RigSamples(pose, samples.rig_world, samples.object_world), [warning]
 
 
-def simulation_settings(obj, scene, start=None, end=None, substeps=None) -> SimulationSettings:
-    """The run that `obj` asks for in `scene`; arguments override it. Raises SceneError."""
+def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
+    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError."""
     chosen = obj.dynamorph.simulation
     fps = scene.render.fps / scene.render.fps_base
-    if start is None:
-        start, end = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)
+    own = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)
+    start, end = frames or own
     if end < start:
         raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)

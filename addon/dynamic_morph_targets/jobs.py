@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -144,6 +144,16 @@ def stale_reasons(obj, character) -> list[str]:
     return ["not built yet"] if model is None else build.stale_reasons(model, character)
 
 
+def show_stale(obj):
+    """Let the panel say why the model of `obj` is out of date."""
+    try:
+        stale = "; ".join(stale_reasons(obj, extract.character(obj)))
+    except expected_errors() as error:
+        stale = str(error)
+    if obj.dynamorph.model.stale != stale:
+        obj.dynamorph.model.stale = stale
+
+
 def _blend_folder() -> Path | None:
     return Path(bpy.data.filepath).parent if bpy.data.filepath else None
 
@@ -194,9 +204,9 @@ class Job:
         """Check and read the scene; main thread."""
         engine()
         obj = find(self.session_uid)
+        self.warnings = extract.check(obj)
         if self.bake:
             sinks.check(obj)
-        self.warnings = extract.check(obj)
         self.character = extract.character(obj)
         self.reasons = stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
         if not self.reasons:
@@ -272,15 +282,19 @@ class Job:
             with self._stage("build"):
                 self.model = build.build(self.character, self._progress(start, 0.7 if self.bake else 1.0))
             start = 0.7
+            self.warnings += self.model.summary["warnings"]
         if not self.bake:
             return
         with self._stage("simulate"):
             self.result, self.report = simulate.bake(
                 self.model, self.character, self.rig, self.settings, self._progress(start, 1.0)
             )
+        self.warnings += self.report["warnings"]
+        if self.report["inverted"]:
+            self.warnings.append(f"{self.report['inverted']} tetrahedra turn inside out: raise Stiffness or Substeps")
         for name in ("coordinates", "weights", "modes", "details"):
             if not np.isfinite(getattr(self.result, name)).all():
-                raise SelfCheckError(f"'{self.name}': the engine returned {name} that are not numbers: nothing was written")
+                raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
 
     def _progress(self, begin: float, end: float):
         def progress(fraction: float, message: str) -> bool:
@@ -314,7 +328,5 @@ def run(job: Job, tick=None):
 def stop(job: Job):
     """Cancel and wait until the thread has left the engine."""
     job.cancelled = True
-    try:
+    with suppress(Cancelled):
         job.wait()
-    except Cancelled:
-        pass

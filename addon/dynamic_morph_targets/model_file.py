@@ -98,9 +98,9 @@ def save(path, packed: bytes):
             file.write(packed)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path)
+        Path(temporary).replace(path)
     except BaseException:
-        os.unlink(temporary)
+        Path(temporary).unlink()
         raise
 
 
@@ -134,7 +134,7 @@ def _read_header(view):
         raise ModelFileError("This is not a Dynamorph model")
     version = metadata.get("version")
     if version != str(VERSION):
-        raise ModelFileError(f"The model has format version {version}, this add-on reads {VERSION}: update, or build again")
+        raise ModelFileError(f"The model has version {version}, this add-on reads {VERSION}: update, or build it again")
     try:
         expected = _header_bytes(tensors, metadata["meta"], metadata["hashes"])
     except (KeyError, TypeError, ValueError, RecursionError):

@@ -184,15 +184,18 @@ class JobOperator(SoftSkinOperator):
             self.job.cancelled = True
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        result = guarded(self, self._tick, context)
-        if result != {"RUNNING_MODAL"}:
-            self._end(context)
+        result = {"CANCELLED"}
+        try:
+            result = guarded(self, self._tick, context)
+        finally:
+            if result != {"RUNNING_MODAL"}:
+                self._end(context)
         return result
 
-    def cancel(self, context):
-        """Blender ends the operator itself, for example because another file is opened."""
+    def cancel(self, _context):
+        """Blender ends the operator itself, because the window closes or another file is opened: all else is gone."""
         jobs.stop(self.job)
-        self._end(context)
+        jobs.running = None
 
     def _job(self, obj):
         self.job = jobs.Job(obj, bake=self.bake, rebuild=not self.bake)
@@ -277,6 +280,21 @@ def _before_load(*_args):
         jobs.running.cancelled = True
 
 
+@persistent
+def _check_changed(_scene, depsgraph):
+    """depsgraph_update_post: a second after the last edit of shape keys, see whether the model is out of date."""
+    if not bpy.app.background and any(obj.dynamorph.model.content_id for obj in properties.changed_objects(depsgraph)):
+        if bpy.app.timers.is_registered(_check_models):
+            bpy.app.timers.unregister(_check_models)
+        bpy.app.timers.register(_check_models, first_interval=1.0)
+
+
+def _check_models():
+    for obj in properties.soft_skins(bpy.context.scene.objects):
+        if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not jobs.running:
+            jobs.show_stale(obj)
+
+
 CLASSES = (
     DYNAMORPH_OT_add_soft_skin,
     DYNAMORPH_OT_add_target,
@@ -294,12 +312,16 @@ def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.app.handlers.load_pre.append(_before_load)
+    bpy.app.handlers.depsgraph_update_post.append(_check_changed)
 
 
 def unregister():
     if jobs.running:
         jobs.stop(jobs.running)
         jobs.running = None
+    bpy.app.handlers.depsgraph_update_post.remove(_check_changed)
     bpy.app.handlers.load_pre.remove(_before_load)
+    if bpy.app.timers.is_registered(_check_models):
+        bpy.app.timers.unregister(_check_models)
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -93,7 +93,9 @@ class DynamorphBone(PropertyGroup):
 class DynamorphBonePose(PropertyGroup):
     """One bone of a captured pose. Matrices are row after row."""
 
-    rest: FloatVectorProperty(name="Rest", description="Rest matrix, to find a renamed bone", size=16, override=OVERRIDE)
+    rest: FloatVectorProperty(
+        name="Rest", description="Rest matrix, to find a renamed bone", size=16, override=OVERRIDE
+    )
     local: FloatVectorProperty(
         name="Local", description="Transform relative to the evaluated parent", size=16, override=OVERRIDE
     )
@@ -160,7 +162,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     def set_pose(self, skeleton: Skeleton, local: np.ndarray, rig_world: np.ndarray):
         """Store a pose: local (B, 4, 4) as `Skeleton.local_transforms` gives it, rig_world (4, 4)."""
         self.pose.clear()
-        for name, rest, transform in zip(skeleton.names, skeleton.rest, local):
+        for name, rest, transform in zip(skeleton.names, skeleton.rest, local, strict=True):
             bone = self.pose.add()
             bone.name, bone.rest, bone.local = name, rest.ravel(), transform.ravel()
         self.rig_world = rig_world.ravel()
@@ -169,8 +171,13 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         """The captured pose (B, 4, 4) in the skeleton's order; bones added since then are at rest."""
         stored = np.empty((len(self.pose), 4, 4), np.float32)
         self.pose.foreach_get("local", stored.ravel())
-        by_name = dict(zip((bone.name for bone in self.pose), stored.astype(np.float64)))
+        by_name = dict(zip((bone.name for bone in self.pose), stored.astype(np.float64), strict=True))
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
+
+
+def _model_setting_changed(model, _context):
+    if model.content_id:
+        model.stale = "model settings changed"
 
 
 class DynamorphModel(PropertyGroup):
@@ -184,7 +191,8 @@ class DynamorphModel(PropertyGroup):
             ("STVK", "StVK", "St. Venant-Kirchhoff: right under large rotations, may stay inverted after a hard stop"),
             ("STABLE_STVK", "Stable StVK", "As StVK, and recovers from any compression"),
         ),
-        default=ModelSettings.law, override=OVERRIDE,
+        default=ModelSettings.law,
+        override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
     solver: EnumProperty(
         name="Solver",
@@ -193,7 +201,8 @@ class DynamorphModel(PropertyGroup):
             ("REDUCED", "Reduced", "A few characteristic modes: fast"),
             ("FULL", "Full", "Every node of the cage: slow, the reference"),
         ),
-        default=ModelSettings.solver, override=OVERRIDE,
+        default=ModelSettings.solver,
+        override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
     blending: EnumProperty(
         name="Blending",
@@ -206,16 +215,19 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     modes: IntProperty(
         name="Modes", description="How many displacement modes the reduced solver uses",
-        default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40, override=OVERRIDE,
+        default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40,
+        override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
     cage_nodes: IntProperty(
         name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
-        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000, override=OVERRIDE,
+        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000,
+        override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
         description="How far from a bone to the skin the flesh is held by the bone: 0 only at the bone",
-        default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR", override=OVERRIDE,
+        default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
+        override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
@@ -337,7 +349,7 @@ def _follow_bones(skeleton: Skeleton, target):
     rest = np.empty((len(target.pose), 4, 4), np.float32)
     target.pose.foreach_get("rest", rest.ravel())
     free = sorted(set(index.values()) - {index.get(bone.name) for bone in target.pose})
-    for bone, stored in zip(target.pose, rest):
+    for bone, stored in zip(target.pose, rest, strict=True):
         b = index.get(bone.name)
         if b is None:
             b = next((b for b in free if np.allclose(skeleton.rest[b], stored, rtol=1e-5, atol=1e-6)), None)
@@ -359,31 +371,26 @@ def soft_skins(objects):
 
 @persistent
 def _follow_changes(_scene, depsgraph):
-    """depsgraph_update_post: a rename updates the Key or the Armature. So does posing, hence the look at names first.
-
-    The hash of the active key is kept fresh, because it is the one that is sculpted.
-    """
-    changed = {u.id.original for u in depsgraph.updates if isinstance(u.id, (bpy.types.Key, bpy.types.Armature))}
-    if not changed:
-        return
-    for obj in soft_skins(bpy.data.objects):
-        if obj.library is None and obj.data.shape_keys in changed:
-            if _name_lost(obj):
+    """depsgraph_update_post: see `changed_objects`. A renamed bone updates the Armature, but so does posing."""
+    for obj in changed_objects(depsgraph):
+        reconcile(obj)
+    if any(isinstance(update.id, bpy.types.Armature) for update in depsgraph.updates):
+        for obj in soft_skins(bpy.data.objects):
+            rig = rig_of(obj)
+            poses = [bone.name for target in obj.dynamorph.targets for bone in target.pose]
+            if rig and obj.library is None and not set(poses).issubset(rig.data.bones.keys()):
                 reconcile(obj)
-            active = obj.active_shape_key
-            for target in obj.dynamorph.targets[1:]:
-                if active and target.name == active.name:
-                    target.refer_to(obj.data.shape_keys.key_blocks, obj.active_shape_key_index)
 
 
-def _name_lost(obj) -> bool:
-    settings = obj.dynamorph
-    rig = rig_of(obj)
-    bones = rig.data.bones if rig else ()
-    blocks = obj.data.shape_keys.key_blocks
-    return any(key.name not in blocks for key in (*settings.targets[1:], *settings.bake.keys)) or any(
-        bone.name not in bones for target in settings.targets for bone in target.pose
-    )
+def changed_objects(depsgraph) -> list:
+    """Soft skins whose shape keys were edited: sculpted, renamed, moved, or a value was set.
+
+    Posing also updates the Key, but only its geometry: an edit of the Key itself has the shading flag too.
+    """
+    changed = {u.id.original for u in depsgraph.updates if isinstance(u.id, bpy.types.Key) and u.is_updated_shading}
+    if not changed:
+        return []
+    return [obj for obj in soft_skins(bpy.data.objects) if obj.library is None and obj.data.shape_keys in changed]
 
 
 CLASSES = (

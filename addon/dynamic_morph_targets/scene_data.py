@@ -142,7 +142,7 @@ class Character:
 
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
-    the bones.
+    the bones; bone_segments (D, 2, 3): heads and tails of the deforming bones, bind space.
     """
 
     name: str
@@ -151,6 +151,7 @@ class Character:
     to_bind: np.ndarray
     weights: np.ndarray
     softness: np.ndarray
+    bone_segments: np.ndarray
     skeleton: Skeleton
     target_sets: tuple[TargetSet, ...]
     settings: ModelSettings = field(default_factory=ModelSettings)

@@ -25,11 +25,13 @@ class SinkError(ValueError):
 
 def check(obj):
     """Refuse, before any work, data to which a bake cannot be written. Raises SinkError."""
+    if obj.type != "MESH":
+        raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
     keys = obj.data.shape_keys
     for data in (obj, obj.data, keys):
         if data is None:
             raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
-        if not data.is_editable or data.override_library and data is not obj:
+        if not data.is_editable or (data.override_library and data is not obj):
             raise SinkError(
                 f"{data.bl_rna.name} '{data.name}' is linked, so the bake would be lost on save: make it local "
                 "(Object > Relations > Make Local > Selected Objects and Data)"
@@ -71,7 +73,7 @@ def write_modal_keys(obj, bake: Bake):
     active_index = obj.active_shape_key_index
     blocks, action = [], None
     try:
-        for name, shape, low in zip(names, shapes, lowest):
+        for name, shape, low in zip(names, shapes, lowest, strict=True):
             blocks.append(_add_key(obj, name, shape, low))
         action = _add_curves(obj.data.shape_keys, [block.name for block in blocks], bake.frames, curves)
     except BaseException:
@@ -152,7 +154,7 @@ def _add_curves(keys, names, frames, curves):
     points = np.empty((len(frames), 2), np.float32)
     points[:, 0] = frames
     linear = np.full(len(frames), LINEAR, np.int32)
-    for name, values in zip(names, curves):
+    for name, values in zip(names, curves, strict=True):
         points[:, 1] = values
         curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
         curve.keyframe_points.add(len(frames))
@@ -189,7 +191,7 @@ def _record(obj, names, wanted, action, had_animation_data):
     """Give the new keys the names they should have, now that the old bake is gone, and note them."""
     blocks = obj.data.shape_keys.key_blocks
     record = obj.dynamorph.bake
-    for name, want in zip(names, wanted):
+    for name, want in zip(names, wanted, strict=True):
         index = blocks.find(name)
         if name != want and want not in blocks:
             blocks[index].name = want  # the curves' paths follow

@@ -184,7 +184,10 @@ void bind_simulation_of(py::module_& m, const char* name) {
             return py::make_tuple(q, summary(report, 0, 0));
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "(coordinates, report) of the static solution.")
-      .def_property_readonly("coordinates", &Sim::coordinates)
+      .def_property_readonly("model", &Sim::shared_model)
+      .def_property_readonly(
+          "coordinates", [](const Sim& s) { return VectorXd(s.coordinates()); },
+          "Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.")
       .def_property_readonly("kinetic_energy", &Sim::kinetic_energy, "J, of the posed nodes.")
       .def_property_readonly("elastic_energy", &Sim::elastic_energy, "J.")
       .def_property_readonly(
@@ -204,8 +207,10 @@ void bind_pose_space(py::module_& m) {
       .value("THIN_PLATE", Kernel::thin_plate);
   const auto rotations = [](const char* name, const Array& local) {
     check_shape(name, local, {-1, 4, 4});
-    return rotations_of(
-        Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>(local.data(), local.shape(0), 16));
+    Rotations out(local.shape(0), 4);
+    const LocalTransforms transforms(local.data(), local.shape(0), 16);
+    for (int bone = 0; bone < out.rows(); ++bone) rotation_of(transforms, bone, out);
+    return out;
   };
   py::class_<TargetSet>(m, "TargetSet", "Targets whose weights sum to one.")
       .def(py::init([rotations](std::vector<int> bones, std::vector<std::string> names, const std::vector<Array>& poses,
@@ -229,10 +234,11 @@ void bind_pose_space(py::module_& m) {
             Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> out(local.shape(0), space.targets());
             py::gil_scoped_release release;
             VectorXd w(space.targets());
+            Rotations pose = Rotations::Zero(bones, 4);
             for (py::ssize_t i = 0; i < local.shape(0); ++i) {
-              space.weights(rotations_of(Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>(
-                                local.data() + i * bones * 16, bones, 16)),
-                            w);
+              const LocalTransforms transforms(local.data() + i * bones * 16, bones, 16);
+              for (int bone : space.bones()) rotation_of(transforms, bone, pose);
+              space.weights(pose, w);
               out.row(i) = w;
             }
             return out;

@@ -76,44 +76,66 @@ LinearModes solve_modes(const Factored& factored, const std::string& name, int k
 
 double largest(const Eigen::Ref<const VectorXd>& x) { return x.cwiseAbs().maxCoeff(); }
 
+/// The inertial loads (3 free, at most kLoads) that bones put on the flesh for unit density: each bone accelerating
+/// along and about each axis, the strongest combinations of all bones by SVD, scaled by their strength.
+MatrixXd bone_loads(const SoftBody& body) {
+  constexpr Eigen::Index kLoads = 24;
+  const VectorXd mass = unit_mass(body);
+  const Eigen::Index nodes = body.skin.rows(), bones = body.skin.cols();
+  const auto X = [&](Eigen::Index i) { return Vector3d(body.rest.segment<3>(3 * i)); };
+  MatrixXd centres = MatrixXd::Zero(3, bones);
+  VectorXd weight = VectorXd::Zero(bones), spread = weight;
+  const auto for_each = [&](const auto& visit) {
+    for (Eigen::Index i = 0; i < nodes; ++i)
+      for (SkinWeights::InnerIterator it(body.skin, i); it; ++it) visit(i, it.col(), it.value() * mass(3 * i));
+  };
+  for_each([&](Eigen::Index i, Eigen::Index b, double m) {
+    weight(b) += m;
+    centres.col(b) += m * X(i);
+  });
+  centres.array().rowwise() /= weight.transpose().array().max(1e-300);
+  for_each([&](Eigen::Index i, Eigen::Index b, double m) { spread(b) += m * (X(i) - centres.col(b)).squaredNorm(); });
+  spread = (spread.array() / weight.array().max(1e-300)).sqrt().max(1e-9 * body.size);
+
+  MatrixXd loads = MatrixXd::Zero(3 * nodes, 6 * bones);
+  for_each([&](Eigen::Index i, Eigen::Index b, double m) {
+    for (int axis = 0; axis < 3; ++axis) {
+      loads(3 * i + axis, 6 * b + axis) = m;
+      // Turning, as fast at the bone's radius as the translation.
+      loads.block<3, 1>(3 * i, 6 * b + 3 + axis) = m / spread(b) * Vector3d::Unit(axis).cross(X(i) - centres.col(b));
+    }
+  });
+  const MatrixXd scaled = mass.cwiseSqrt().cwiseInverse().asDiagonal() * loads;
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(scaled.transpose() * scaled);
+  return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
+}
+
 /// Candidate displacements about one target, each scaled to the amplitude it is expected to have when the lowest mode
-/// moves by `amplitude` metres: modes by omega_1 / omega_i, derivatives by the product of their modes' amplitudes.
-MatrixXd candidates(const FullModel& model, int target, int k, double amplitude, VectorXd& frequencies) {
+/// moves by `amplitude` metres: modes by (omega_1 / omega_i)^2, as they answer a slow load, derivatives by the product of
+/// their modes' amplitudes, static responses to the bones' loads so that a uniform acceleration would move as far.
+/// (By omega_1 / omega_i instead, high modes crowd the derivatives out and large motions lock: docs/decisions.)
+MatrixXd candidates(const FullModel& model, int target, int k, double amplitude, const MatrixXd& loads,
+                    VectorXd& frequencies) {
   const Factored factored(model, target);
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
   frequencies = modes.frequencies;
   const double floor = 1e-3 * frequencies(k - 1);  // rigid modes of an unpinned body would swamp all others
-  MatrixXd scaled(modes.shapes.rows(), k);
-  const double reference = amplitude / largest(modes.shapes.col(0)) * std::max(frequencies(0), floor);
-  for (int i = 0; i < k; ++i) scaled.col(i) = reference / std::max(frequencies(i), floor) * modes.shapes.col(i);
-
-  std::vector<VectorXd> columns;
-  const int bending = std::min(k, 10);  // derivatives of stiffer modes are too small to be kept
-  for (int i = 0; model.law() != Law::linear && i < bending; ++i)
+  const int bending = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
+  MatrixXd out(model.dofs(), k + bending * (bending + 1) / 2 + loads.cols());
+  const double unit = amplitude / largest(modes.shapes.col(0));
+  Eigen::Index column = 0;
+  for (int i = 0; i < k; ++i) {
+    const double ratio = std::max(frequencies(0), floor) / std::max(frequencies(i), floor);
+    out.col(column++) = unit * ratio * ratio * modes.shapes.col(i);
+  }
+  for (int i = 0; i < bending; ++i)
     for (int j = 0; j <= i; ++j)
-      columns.push_back((i == j ? -0.5 : -1.0) *
-                        factored.solver.solve(model.force_curvature(target, scaled.col(i), scaled.col(j))));
-
-  // Static response to each bone accelerating along each axis: what gravity and sudden stops excite first.
-  const SkinWeights& skin = model.body().skin;
-  const VectorXd bone_share = skin.transpose() * VectorXd::Ones(skin.rows());
+      out.col(column++) = (i == j ? -0.5 : -1.0) *
+                          factored.solver.solve(model.force_curvature(target, out.col(i), out.col(j)));
   VectorXd uniform = VectorXd::Zero(factored.mass.size());
   for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i);
-  const double pull = amplitude / largest(factored.solver.solve(uniform));
-  const Eigen::SparseMatrix<double> by_bone = skin;
-  for (Eigen::Index b = 0; b < by_bone.outerSize(); ++b) {
-    if (bone_share(b) < 0.002 * double(skin.rows())) continue;
-    for (int axis = 0; axis < 3; ++axis) {
-      VectorXd load = VectorXd::Zero(factored.mass.size());
-      for (Eigen::SparseMatrix<double>::InnerIterator it(by_bone, b); it; ++it)
-        load(3 * it.row() + axis) = it.value() * factored.mass(3 * it.row());
-      columns.push_back(pull * factored.solver.solve(load));
-    }
-  }
-
-  MatrixXd out(scaled.rows(), k + Eigen::Index(columns.size()));
-  out.leftCols(k) = scaled;
-  for (size_t c = 0; c < columns.size(); ++c) out.col(k + c) = columns[c];
+  const double pull = amplitude / largest(factored.solver.solve(uniform)) * model.targets()[target].density;
+  for (Eigen::Index c = 0; c < loads.cols(); ++c) out.col(column++) = pull * factored.solver.solve(loads.col(c));
   return out;
 }
 
@@ -152,10 +174,11 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   Basis basis;
   basis.frequencies.resize(targets);
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
+  const MatrixXd loads = bone_loads(model.body());
   MatrixXd all(model.dofs(), 0);
   for (int j = 0; j < targets; ++j) {
     report(progress, double(j) / (targets + 1));
-    const MatrixXd some = root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, basis.frequencies[j]);
+    const MatrixXd some = root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, loads, basis.frequencies[j]);
     all.conservativeResize(Eigen::NoChange, all.cols() + some.cols());
     all.rightCols(some.cols()) = some;
   }

@@ -24,7 +24,7 @@ class Bvh {
 
   explicit Bvh(const std::vector<Box>& boxes) : order(boxes.size()) {
     std::iota(order.begin(), order.end(), 0);
-    nodes.reserve(boxes.size());
+    nodes.reserve(2 * boxes.size());
     if (!boxes.empty()) build(boxes, 0, static_cast<int>(boxes.size()));
   }
 
@@ -39,7 +39,7 @@ class Bvh {
   std::vector<int> order;
 
  private:
-  static constexpr int leaf_size = 4;
+  static constexpr int leaf_size = 1;
 
   void build(const std::vector<Box>& boxes, int begin, int end) {
     const size_t self = nodes.size();

@@ -103,9 +103,9 @@ Wrap wrap(const Soup& soup, double alpha) {
 /// The wrap whose number of vertices is nearest to the target.
 Wrap wrap_with_vertices(const Soup& soup, int target, const ProgressFn& progress) {
   constexpr int tries = 8;
-  constexpr double close_enough = 0.05;
+  constexpr double close_enough = 0.07;
   double slope = -2;  // d log(count) / d log(alpha) of a smooth surface
-  double x = std::log(2 / std::sqrt(double(target))), last_x = 0, last_y = 0;
+  double x = std::log(1 / std::sqrt(double(target))), last_x = 0, last_y = 0;
   Wrap best;
   double best_error = HUGE_VAL;
   for (int i = 0; i < tries && best_error > close_enough; ++i) {

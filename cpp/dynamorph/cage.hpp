@@ -16,7 +16,7 @@ struct Cage {
   Triangles triangles;  // outward
 };
 
-/// A cage of about `target_vertices` vertices (within 5 % where the shape allows). Open, self-intersecting or
+/// A cage of about `target_vertices` vertices (within 7 % where the shape allows). Open, self-intersecting or
 /// multi-part input is fine; parts closer than about alpha come out glued.
 /// Throws Error when the input is empty, flat, not finite, or outside 1e-6 .. 1e6 m.
 Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices,

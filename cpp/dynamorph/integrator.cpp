@@ -89,18 +89,21 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
 }
 
 template <class Model>
-void Simulation<Model>::forces(const VectorXd& external, Quadratic& out) {
-  VectorXd pull(skinned_.size());
-  for (Eigen::Index i = 0; i < mass_.size(); ++i) pull.segment<3>(3 * i) = -mass_(i) * options_.gravity;
-  if (external.size() > 0) {
-    if (external.size() != pull.size())
-      throw std::invalid_argument("external: expected " + std::to_string(pull.size()) + " values, got " +
-                                  std::to_string(external.size()));
-    pull -= external;
-  }
-  pull_back(frame_, pull);
-  model_->project(pull, out.g);
-  if (held_.size() > 0) out.g += held_ * blend_.weights;
+void Simulation<Model>::resist(const VectorXd& external) {
+  if (external.size() > 0 && external.size() != skinned_.size())
+    throw std::invalid_argument("external: expected " + std::to_string(skinned_.size()) + " values, got " +
+                                std::to_string(external.size()));
+  nodal_.resize(skinned_.size());
+  for (Eigen::Index i = 0; i < mass_.size(); ++i) nodal_.segment<3>(3 * i) = -mass_(i) * options_.gravity;
+  if (external.size() > 0) nodal_ -= external;
+}
+
+template <class Model>
+void Simulation<Model>::pull_to_coordinates() {
+  pull_back(frame_, nodal_);
+  model_->project(nodal_, quadratic_.g);
+  if (held_.size() > 0) quadratic_.g += held_ * blend_.weights;
+  quadratic_.scale = quadratic_.g.norm();
 }
 
 template <class Model>
@@ -116,9 +119,9 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
     VectorXd alone = VectorXd::Zero(targets.size());
     alone(j) = 1;
     pose(bones[j], alone);
-    Quadratic gravity;
-    forces(VectorXd(), gravity);
-    held.col(j) = -gravity.g;
+    resist(VectorXd());
+    pull_to_coordinates();
+    held.col(j) = -quadratic_.g;
   }
   held_ = held;
 }
@@ -133,11 +136,11 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
     for (Eigen::Index j = 0; j < weights.size(); ++j)
       if (weights(j) != 0) q += weights(j) * model_->target(int(j));
   }
-  forces(external, quadratic_);
+  resist(external);
+  pull_to_coordinates();
   values(quadratic_.H).setZero();
-  quadratic_.scale = quadratic_.g.norm();
   model_->inertia(frame_, blend_.mass.density, inertia_);
-  return minimize(quadratic_, q);
+  return minimize(q);
 }
 
 template <class Model>
@@ -167,11 +170,18 @@ void Simulation<Model>::set_state(const State& state) {
 }
 
 template <class Model>
-bool Simulation<Model>::carry_past(const VectorXd& before, const VectorXd& now) {
-  if (options_.teleport <= 0 || before.size() != now.size()) return false;
-  const Eigen::Map<const Eigen::Matrix3Xd> from(before.data(), 3, before.size() / 3), to(now.data(), 3, from.cols());
-  if ((to - from).rowwise().mean().norm() < options_.teleport) return false;
-  const Eigen::Matrix4d jump = Eigen::umeyama(from, to, false);
+bool Simulation<Model>::carry_past() {
+  if (options_.teleport <= 0) return false;
+  lag_ = 2 * state_.x[0] - state_.x[1];  // where the flesh would be had nothing jumped
+  const Eigen::Map<const Eigen::Matrix3Xd> expected(lag_.data(), 3, lag_.size() / 3),
+      skin(skinned_.data(), 3, expected.cols());
+  if ((skin - expected).rowwise().mean().norm() < options_.teleport) return false;
+  model_->displacement(state_.q[0], nodal_);
+  nodal_ += model_->body().rest;
+  VectorXd there;
+  to_world(frame_, nodal_, there);
+  const Eigen::Map<const Eigen::Matrix3Xd> now(there.data(), 3, expected.cols());
+  const Eigen::Matrix4d jump = Eigen::umeyama(expected, now, false);
   for (VectorXd& x : state_.x) {
     Eigen::Map<Eigen::Matrix3Xd> points(x.data(), 3, x.size() / 3);
     points = ((jump.topLeftCorner<3, 3>() * points).colwise() + jump.topRightCorner<3, 1>()).eval();
@@ -182,37 +192,33 @@ bool Simulation<Model>::carry_past(const VectorXd& before, const VectorXd& now) 
 template <class Model>
 StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
-  const VectorXd before = skinned_;
   pose(bones, weights);
-  const bool teleported = carry_past(before, skinned_);
+  const bool teleported = carry_past();
 
   const Coefficients c = coefficients(options_.scheme);
   const double h = options_.h, inertial = 1 / (h * h * c.c * c.c);
-  Quadratic& quadratic = quadratic_;
-  forces(external, quadratic);
-  quadratic.scale = quadratic.g.norm();
-
-  // Inertia about the plain skin: (A (X + u) + a - x^) = A u + (skinned - x^).
-  VectorXd lag = skinned_;
+  // Inertia about the plain skin: A (X + u) + a - x^ = A u + (skinned - x^).
+  lag_ = skinned_;
   for (int m = 0; m < 4; ++m)
-    if (c.past[m] != 0) lag -= c.past[m] * state_.x[m];
-  scale_rows(mass_ * inertial, lag);
-  pull_back(frame_, lag);
-  VectorXd projected;
-  model_->project(lag, projected);
-  quadratic.g += projected;
+    if (c.past[m] != 0) lag_ -= c.past[m] * state_.x[m];
+  resist(external);
+  for (Eigen::Index i = 0; i < mass_.size(); ++i)
+    nodal_.segment<3>(3 * i) += inertial * mass_(i) * lag_.segment<3>(3 * i);
+  pull_to_coordinates();
   model_->inertia(frame_, blend_.mass.density, inertia_);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
-  model_->inertia(frame_, blend_.mass.damped, damped_);
+  if (model_->body().sets() == 1)
+    values(damped_) = blend_.mass.damped(0) / blend_.mass.density(0) * values(inertia_);
+  else
+    model_->inertia(frame_, blend_.mass.damped, damped_);
   values(damped_) += values(blend_.damping);
-  values(quadratic.H) = inertial * values(inertia_) + (c.velocity[0] / h) * values(damped_);
-  quadratic.g += damped_ * ((c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h);
-  quadratic.scale += projected.norm();
+  values(quadratic_.H) = inertial * values(inertia_) + (c.velocity[0] / h) * values(damped_);
+  quadratic_.g += damped_ * ((c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h);
 
   // Start from constant bind-pose velocity.
   VectorXd q = 2 * state_.q[0] - state_.q[1];
-  StepReport report = minimize(quadratic, q);
+  StepReport report = minimize(q);
   report.teleported = teleported;
 
   VectorXd u;
@@ -226,7 +232,8 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
 }
 
 template <class Model>
-StepReport Simulation<Model>::minimize(const Quadratic& quadratic, VectorXd& q) {
+StepReport Simulation<Model>::minimize(VectorXd& q) {
+  const Quadratic& quadratic = quadratic_;
   StepReport report;
   VectorXd force, gradient, moved;
   Matrix H = stiffness_;

@@ -68,6 +68,7 @@ class Simulation {
                           const VectorXd& external = VectorXd());
 
   const Model& model() const { return *model_; }
+  const std::shared_ptr<const Model>& shared_model() const { return model_; }
   const StepOptions& options() const { return options_; }
   const State& state() const { return state_; }
   void set_state(const State& state);
@@ -88,9 +89,10 @@ class Simulation {
   };
 
   void pose(const Transforms& bones, const VectorXd& weights);
-  void forces(const VectorXd& external, Quadratic& out);
-  StepReport minimize(const Quadratic& quadratic, VectorXd& q);
-  bool carry_past(const VectorXd& skinned_before, const VectorXd& skinned_now);
+  void resist(const VectorXd& external);  ///< nodal_ = -(gravity and external forces), newtons, world
+  void pull_to_coordinates();             ///< quadratic_.g = U^T A^T nodal_, less what the targets are held with
+  StepReport minimize(VectorXd& q);
+  bool carry_past();
   VectorXd node_mass() const;
 
   std::shared_ptr<const Model> model_;
@@ -101,7 +103,9 @@ class Simulation {
   Matrix inertia_, damped_, stiffness_;
   Quadratic quadratic_;
   MatrixXd held_;           ///< gravity in each target's own pose (dofs, J), or empty
-  VectorXd skinned_, mass_; ///< A X + a (3 free); (free)
+  VectorXd mass_;           ///< (free), kg
+  VectorXd skinned_;        ///< A X + a (3 free)
+  VectorXd nodal_, lag_;    ///< scratch (3 free)
   std::shared_ptr<Solver> solver_;
 };
 

@@ -41,21 +41,13 @@ double distance_between(const std::vector<int>& bones, const Rotations& a, const
 
 }  // namespace
 
-Rotations rotations_of(const Eigen::Ref<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>& transforms) {
-  Rotations rotations(transforms.rows(), 4);
-  for (Eigen::Index b = 0; b < transforms.rows(); ++b) {
-    const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> m(transforms.row(b).data());
-    const Eigen::JacobiSVD<Matrix3d> svd(m.topLeftCorner<3, 3>(), Eigen::ComputeFullU | Eigen::ComputeFullV);
-    Matrix3d R = svd.matrixU() * svd.matrixV().transpose();
-    if (R.determinant() < 0) {  // a mirrored bone: keep the nearest proper rotation
-      Matrix3d U = svd.matrixU();
-      U.col(2) *= -1;
-      R = U * svd.matrixV().transpose();
-    }
-    const Eigen::Quaterniond q(R);
-    rotations.row(b) << q.w(), q.x(), q.y(), q.z();
-  }
-  return rotations;
+void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations) {
+  const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> m(transforms.row(bone).data());
+  const Eigen::JacobiSVD<Matrix3d> svd(m.topLeftCorner<3, 3>(), Eigen::ComputeFullU | Eigen::ComputeFullV);
+  Matrix3d U = svd.matrixU();
+  if (U.determinant() * svd.matrixV().determinant() < 0) U.col(2) *= -1;  // a mirrored bone: nearest proper rotation
+  const Eigen::Quaterniond q(Matrix3d(U * svd.matrixV().transpose()));
+  rotations.row(bone) << q.w(), q.x(), q.y(), q.z();
 }
 
 double pose_distance(const std::vector<int>& bones, const Rotations& a, const Rotations& b) {
@@ -73,8 +65,11 @@ PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
           throw std::invalid_argument("sets: bone index " + std::to_string(bone) + " is not in a pose of " +
                                       std::to_string(pose.rows()) + " bones");
     targets_ += int(set.poses.size());
+    bones_.insert(bones_.end(), set.bones.begin(), set.bones.end());
     sets_.push_back(interpolate(std::move(set)));
   }
+  std::sort(bones_.begin(), bones_.end());
+  bones_.erase(std::unique(bones_.begin(), bones_.end()), bones_.end());
 }
 
 PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {

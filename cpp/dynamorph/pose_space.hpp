@@ -29,8 +29,11 @@ struct TargetSet {
   Kernel kernel = Kernel::linear;
 };
 
-/// Rotation part of local transforms as unit quaternions, scale and shear removed. `transforms` (B, 16) row-major 4 x 4.
-Rotations rotations_of(const Eigen::Ref<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>& transforms);
+/// Local transforms, one row-major 4 x 4 a row.
+using LocalTransforms = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>;
+
+/// The rotation of bone b's local transform, scale and shear removed, into row b.
+void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations);
 
 /// Geodesic distance in radians over the set's bones: sqrt(sum of squared joint angles). Blind to quaternion sign.
 double pose_distance(const std::vector<int>& bones, const Rotations& a, const Rotations& b);
@@ -42,6 +45,9 @@ class PoseSpace {
 
   /// Number of targets of all sets.
   int targets() const { return targets_; }
+
+  /// Bones that some set names, ascending: the only rows of a pose that count.
+  const std::vector<int>& bones() const { return bones_; }
   int sets() const { return int(sets_.size()); }
 
   /// Weights (J), set after set: each set's are >= 0 and sum to 1, and are a unit vector at a target's pose.
@@ -59,6 +65,7 @@ class PoseSpace {
   static Interpolant interpolate(TargetSet set);
 
   std::vector<Interpolant> sets_;
+  std::vector<int> bones_;
   int targets_ = 0;
 };
 

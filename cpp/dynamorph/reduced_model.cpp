@@ -149,6 +149,7 @@ class TargetSums {
   }
 
   void flush() {
+    if (filled_ == 0) return;  // Eigen's product kernels divide by the depth
     const auto trace = trace_rows_.topRows(filled_);
     trace_gram_.selfadjointView<Eigen::Upper>().rankUpdate(trace.transpose());
     if (law_ != Law::stable_stvk)
@@ -383,6 +384,7 @@ void ReducedModel::inertia(const SkinFrame& frame, const VectorXd& density, Matr
     }
     for (size_t p = 0; p < bone_pairs_.size(); ++p) {
       const Matrix3d difference = rotation(bone_pairs_[p].first) - rotation(bone_pairs_[p].second);
+      if (difference.cwiseAbs().maxCoeff() < 1e-8) continue;  // not bent: its square is round-off
       const auto x = entries(-density(s) * (difference.transpose() * difference));
       add_product(tables.pairs, Eigen::Index(6 * p), x.data(), 6, packed.data());
     }

@@ -8,7 +8,7 @@ namespace dynamorph {
 SkinWeights normalized(const Eigen::Ref<const MatrixXd>& weights) {
   if (!weights.allFinite() || (weights.array() < 0).any())
     throw std::invalid_argument("weights: skin weights must be finite and not negative");
-  constexpr double kNegligible = 1e-3;
+  constexpr double kNegligible = 1e-2;  // keeps the pairs of bones that share nodes few
   std::vector<Eigen::Triplet<double>> entries;
   for (Eigen::Index i = 0; i < weights.rows(); ++i) {
     const double total = weights.row(i).sum();

@@ -23,7 +23,7 @@ struct SkinFrame {
   Transforms nodes;
 };
 
-/// Rows of `weights` (n, B) scaled to sum to one, entries below 1e-3 dropped.
+/// Rows of `weights` (n, B) scaled to sum to one, entries below 1 % dropped.
 /// Throws std::invalid_argument for negative or non-finite weights, or a row without any.
 SkinWeights normalized(const Eigen::Ref<const MatrixXd>& weights);
 

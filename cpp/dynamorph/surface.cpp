@@ -76,8 +76,8 @@ double Surface::winding_number(int index, const Vector3d& p) const {
   const Bvh::Node& node = bvh_.nodes[index];
   const Dipole& d = dipoles_[index];
   const Vector3d to = d.centroid - p;
-  const double distance = to.norm();
-  if (distance > 2 * d.radius) return d.area_vector.dot(to) / (4 * pi * distance * distance * distance);
+  const double distance2 = to.squaredNorm();
+  if (distance2 > 4 * d.radius * d.radius) return d.area_vector.dot(to) / (4 * pi * distance2 * std::sqrt(distance2));
   if (!node.leaf()) return winding_number(index + 1, p) + winding_number(node.right, p);
   double omega = 0;
   for (int i = node.begin; i < node.end; ++i) omega += solid_angle(bvh_.order[i], p);

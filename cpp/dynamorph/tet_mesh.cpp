@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/tet_mesh.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -80,9 +81,9 @@ Bvh tree_of(const std::vector<Tet>& tets) {
   return Bvh(boxes);
 }
 
-/// 35 points spread evenly over a tet, as weights.
+/// 20 points spread evenly over a tet, as weights.
 std::vector<Vector4d> sample_weights() {
-  constexpr int n = 4;
+  constexpr int n = 3;
   std::vector<Vector4d> samples;
   for (int i = 0; i <= n; ++i)
     for (int j = 0; i + j <= n; ++j)
@@ -186,13 +187,15 @@ VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Trian
     const Vector3d center = tet.point(Vector4d::Constant(0.25));
     double radius = 0;
     for (const Vector3d& corner : tet.corners) radius = std::max(radius, (corner - center).norm());
-    if (surface.distance(center) > radius) {  // the skin does not pass through it
-      fractions[t] = surface.contains(center) ? 1 : fill_floor;
-      continue;
-    }
-    int inside = 0;
-    for (const Vector4d& w : samples) inside += surface.contains(tet.point(w));
-    fractions[t] = std::max(fill_floor, double(inside) / samples.size());
+    const double clearance = surface.distance(center);
+    const bool center_inside = surface.contains(center);
+    const auto inside = [&](const Vector4d& weights) {
+      const Vector3d p = tet.point(weights);
+      return (p - center).norm() < clearance ? center_inside : surface.contains(p);
+    };
+    const double count = clearance > radius ? center_inside * samples.size()  // the skin does not pass through it
+                                            : std::count_if(samples.begin(), samples.end(), inside);
+    fractions[t] = std::max(fill_floor, count / samples.size());
   }
   return fractions;
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <stdexcept>
 #include <string>
 
 #include "dynamorph/surface.hpp"
@@ -13,20 +14,17 @@ namespace dynamorph {
 
 namespace {
 
-/// Why TetGen gave up (the int that it throws), and what to do about it.
-std::string advice(int code) {
-  switch (code) {
-    case 1:
-      return "The mesher ran out of memory. Lower the cage resolution.";
-    case 3:
-      return "The cage intersects itself. Remove the intersections, or use the automatic cage.";
-    case 4:
-    case 5:
-      return "The cage has details too small to mesh. Merge its vertices by distance, or change the cage resolution.";
-    default:
-      return "The cage could not be filled with tetrahedra (TetGen error " + std::to_string(code) +
-             "). Make it closed, or change the cage resolution a little.";
-  }
+/// What to do about TetGen's `reason` for giving up.
+std::string advice(const std::string& reason) {
+  const auto says = [&](const char* words) { return reason.find(words) != std::string::npos; };
+  if (says("Out of memory")) return "The mesher ran out of memory. Lower the cage resolution.";
+  if (says("self-intersection"))
+    return "The cage intersects itself. Remove the intersections, or use the automatic cage.";
+  if (says("coplanar") || says("collinear") || says("identical")) return "The cage is flat. Give it thickness.";
+  if (says("small input feature"))
+    return "The cage has details too small to mesh. Merge its vertices by distance, or change the cage resolution.";
+  return "The cage could not be filled with tetrahedra (" + reason +
+         "). Make it closed, or change the cage resolution a little.";
 }
 
 /// `in` is filled in place: a tetgenio owns its arrays but does not know how to be copied.
@@ -49,9 +47,10 @@ void load(tetgenio& in, const Points& vertices, const Triangles& triangles) {
 
 /// volume_limit <= 0: none.
 TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
-  // p: fill a surface, Q: quiet, Y: add nothing on it, q: radius-edge ratio / dihedral angle, S: most nodes added.
+  // p: fill a surface, Q: quiet, F: no files (it writes self-intersections), Y: add nothing on the surface, q:
+  // radius-edge ratio / dihedral angle, S: most nodes added.
   char switches[96];
-  std::snprintf(switches, sizeof switches, "pQYq1.5/8S%d", most_nodes);
+  std::snprintf(switches, sizeof switches, "pQFYq1.5/8S%d", most_nodes);
   std::string command = switches;
   if (volume_limit > 0) {
     std::snprintf(switches, sizeof switches, "a%.12f", volume_limit);  // TetGen reads no exponents
@@ -60,10 +59,12 @@ TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
   tetgenio out;
   try {
     ::tetrahedralize(command.data(), &in, &out);
-  } catch (int code) {
-    throw Error(advice(code));
+  } catch (const std::runtime_error& error) {
+    throw Error(advice(error.what()));
+  } catch (int code) {  // TetGen proper throws these; the sdist's edition has replaced most, not all
+    throw Error(advice(code == 1 ? "Out of memory" : "TetGen error " + std::to_string(code)));
   }
-  if (out.numberoftetrahedra == 0) throw Error(advice(10));
+  if (out.numberoftetrahedra == 0) throw Error(advice("no tetrahedra inside"));
   TetMesh mesh{Eigen::Map<Points>(out.pointlist, out.numberofpoints, 3),
                Eigen::Map<Tets>(out.tetrahedronlist, out.numberoftetrahedra, 4)};
   const VectorXd volume = volumes(mesh);
@@ -73,18 +74,18 @@ TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
 }
 
 /// Fewest nodes that give good tets, then a limit on their volume until there are about as many as wanted: nodes added
-/// go with 1 / limit.
+/// go with limit^-1.4 (measured).
 TetMesh fill(tetgenio& in, int target_nodes, int most_nodes) {
-  constexpr double close_enough = 0.03;
+  constexpr double close_enough = 0.05;
   constexpr int tries = 6;
   TetMesh best = run_tetgen(in, 0, most_nodes);
   const int fewest = static_cast<int>(best.nodes.rows());
-  double limit = volumes(best).sum() / (5.0 * target_nodes);
+  double limit = volumes(best).sum() / (2.0 * target_nodes);
   const auto error = [&](const TetMesh& mesh) { return std::abs(mesh.nodes.rows() / double(target_nodes) - 1); };
   for (int i = 0; i < tries && fewest < target_nodes && error(best) > close_enough; ++i) {
     TetMesh mesh = run_tetgen(in, limit, most_nodes);
     const double added = std::max<double>(mesh.nodes.rows() - fewest, 1);
-    limit *= std::clamp(added / (target_nodes - fewest), 0.2, 5.0);
+    limit *= std::clamp(std::pow(added / (target_nodes - fewest), 0.7), 0.3, 3.0);
     if (error(mesh) < error(best)) best = std::move(mesh);
   }
   return best;

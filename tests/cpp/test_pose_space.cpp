@@ -28,8 +28,7 @@ VectorXd weights(const PoseSpace& space, const Rotations& pose) {
 TEST_CASE("weights are cardinal, not negative, and sum to one for every kernel") {
   for (Kernel kernel : {Kernel::linear, Kernel::gaussian, Kernel::thin_plate}) {
     const PoseSpace space({elbow(kernel)});
-    for (int j = 0; j < 3; ++j)
-      CHECK((weights(space, hinge(j)) - VectorXd::Unit(3, j)).cwiseAbs().maxCoeff() < 1e-9);
+    for (int j = 0; j < 3; ++j) CHECK((weights(space, hinge(j)) - VectorXd::Unit(3, j)).cwiseAbs().maxCoeff() < 1e-9);
     for (double angle = -3; angle < 3; angle += 0.13) {
       const VectorXd w = weights(space, hinge(angle, 0.4));
       CHECK(w.minCoeff() >= 0);

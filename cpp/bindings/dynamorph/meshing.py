@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import signal
@@ -19,7 +20,7 @@ import numpy as np
 from dynamorph._core import Cancelled, Error, TetMesh, make_cage, tetrahedralize
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
-EXIT_ERROR, EXIT_MEMORY = 2, 3
+EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER = 2, 3, 4
 # For tests only: makes the child crash, hang or allocate without end.
 FAULT_VARIABLE = "DYNAMORPH_MESHER_FAULT"
 
@@ -105,6 +106,8 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
         return
     if code == EXIT_ERROR:
         raise Error(message)
+    if code == EXIT_CALLER:
+        raise ValueError(message)
     if code == EXIT_MEMORY:
         raise Error(f"Meshing needed more than {memory_limit_gb:g} GB of memory. Lower the cage resolution.")
     if code < 0:
@@ -124,7 +127,7 @@ def _child() -> None:
             np.save(sys.stdout.buffer, array, allow_pickle=False)
     except (Error, ValueError) as error:
         print(error, file=sys.stderr)
-        sys.exit(EXIT_ERROR)
+        sys.exit(EXIT_ERROR if isinstance(error, Error) else EXIT_CALLER)
     except MemoryError:
         sys.exit(EXIT_MEMORY)
 
@@ -147,7 +150,8 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray, target_nodes: int) -> tup
     share = np.clip(0.62 - 0.12 * math.log(target_nodes / 2000, 4), 0.4, 0.7)
     cage_vertices = share * target_nodes
     for attempt in range(3):
-        cage = make_cage(vertices, triangles, max(int(cage_vertices), 4), lambda done: _report(attempt, done))
+        progress = functools.partial(_report, attempt)
+        cage = make_cage(vertices, triangles, max(int(cage_vertices), 4), progress)
         mesh = tetrahedralize(*cage, target_nodes)
         if len(mesh.nodes) <= 1.1 * target_nodes:
             break

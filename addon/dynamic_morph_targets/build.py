@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Character -> Model: cage, tetrahedra, target shapes in the nodes, modes, polynomials. Never touches bpy.
+
+A Model holds geometry only. Stiffness, damping, density and poses come from the Character when it is simulated, so
+that changing them never needs a new build.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+
+import dynamorph
+import numpy as np
+
+from .scene_data import Character, ModelSettings, Skeleton, Target
+
+Progress = Callable[[float, str], bool]
+
+HELD = 0.05  # nodes softer than this in the Soft group are free
+# Settings that a built model does not depend on: they are applied when it is simulated.
+FREE_SETTINGS = {"blending"}
+ARRAYS = (
+    "nodes tets fill pinned node_weights embedding_nodes embedding_weights displacements details to_bind parents rest "
+    "basis table_lambda table_mu"
+).split()
+
+
+@dataclass(frozen=True)
+class Model:
+    """A built soft skin: n nodes, m tets, V surface vertices, J targets, B bones, r modes. Bind space, metres.
+
+    nodes (n, 3), tets (m, 4), fill (m,), pinned (n,), node_weights (n, B + 1), embedding_nodes and embedding_weights
+    (V, 4), displacements (J, n, 3), details (J, V, 3) local space; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the
+    skeleton. basis (3 free, r), table_lambda and table_mu (J, r(r+1)/2, ...) of a reduced model, empty of a full one.
+    """
+
+    nodes: np.ndarray
+    tets: np.ndarray
+    fill: np.ndarray
+    pinned: np.ndarray
+    node_weights: np.ndarray
+    embedding_nodes: np.ndarray
+    embedding_weights: np.ndarray
+    displacements: np.ndarray
+    details: np.ndarray
+    to_bind: np.ndarray
+    parents: np.ndarray
+    rest: np.ndarray
+    basis: np.ndarray
+    table_lambda: np.ndarray
+    table_mu: np.ndarray
+    bone_names: tuple[str, ...]
+    settings: ModelSettings
+    dependencies: dict[str, str]
+    summary: dict
+
+    def to_arrays(self) -> tuple[dict[str, np.ndarray], dict]:
+        """(arrays, metadata) for `model_file`."""
+        meta = {
+            "settings": asdict(self.settings),
+            "bone_names": list(self.bone_names),
+            "dependencies": self.dependencies,
+            "summary": self.summary,
+        }
+        return {name: getattr(self, name) for name in ARRAYS}, meta
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
+        """The inverse of `to_arrays`. Raises ValueError when something is missing."""
+        try:
+            return cls(
+                **{name: arrays[name] for name in ARRAYS},
+                bone_names=tuple(meta["bone_names"]),
+                settings=ModelSettings(**meta["settings"]),
+                dependencies=meta["dependencies"],
+                summary=meta["summary"],
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"The stored model is incomplete ({error}): build it again") from error
+
+    @property
+    def skeleton(self) -> Skeleton:
+        return Skeleton(self.bone_names, self.parents, self.rest)
+
+    def soft_body(self) -> dynamorph.SoftBody:
+        mesh = dynamorph.TetMesh(self.nodes, self.tets)
+        tets = len(self.tets)
+        return dynamorph.SoftBody(mesh, self.fill, np.ones(tets), np.ones((tets, 1)), self.pinned, self.node_weights)
+
+    def engine(self, character: Character) -> dynamorph.ReducedModel | dynamorph.FullModel:
+        """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another."""
+        if len(character.targets) != len(self.displacements):
+            raise ValueError(f"'{character.name}' has other targets than its model: build it again")
+        targets = _morph_targets(character.targets, self.displacements)
+        blending = dynamorph.Blending.__members__[character.settings.blending]
+        law = dynamorph.Law.__members__[self.settings.law]
+        if self.settings.solver == "FULL":
+            return dynamorph.FullModel(self.soft_body(), targets, law, blending)
+        tables = dynamorph.ReducedTables(law, self.basis, list(self.table_lambda), list(self.table_mu))
+        return dynamorph.ReducedModel(self.soft_body(), targets, tables, blending)
+
+    def surface(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacement of the render surface (..., V, 3), local space, from that of the nodes (..., n, 3), bind."""
+        bind = np.einsum("va,...vac->...vc", self.embedding_weights, displacement[..., self.embedding_nodes, :])
+        return bind @ np.linalg.inv(self.to_bind).T
+
+
+def build(character: Character, progress: Progress | None = None) -> Model:
+    """Builds the model of a character. progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
+
+    Raises dynamorph.Error or ValueError with advice when the mesh or the targets cannot be used.
+    """
+    if len(character.target_sets) != 1:
+        raise ValueError(f"'{character.name}': expected one target set, got {len(character.target_sets)}")
+    stages = _Stages(progress)
+    settings = character.settings
+    surface = character.vertices @ character.to_bind.T
+
+    with stages("Meshing", 0.30) as report:
+        _, _, mesh = dynamorph.mesh_body(surface, character.triangles, settings.cage_nodes, progress=report)
+    with stages("Embedding", 0.05) as report:
+        embedding = dynamorph.embed(mesh, surface)
+        fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
+        inherited = np.hstack([character.weights, character.softness[:, None]])
+        inherited = dynamorph.extend_to_nodes(mesh, embedding, inherited).clip(0.0)
+        node_weights = inherited[:, :-1] / inherited[:, :-1].sum(axis=1, keepdims=True)
+        heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
+        pinned = dynamorph.pinned(mesh, surface, character.triangles, heads, tails, settings.pin_radius)
+        pinned |= inherited[:, -1] < HELD
+        if not pinned.any():
+            raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
+    model = Model(
+        nodes=mesh.nodes,
+        tets=mesh.tets,
+        fill=fill,
+        pinned=pinned,
+        node_weights=node_weights,
+        embedding_nodes=embedding.nodes,
+        embedding_weights=embedding.weights,
+        displacements=np.zeros((len(character.targets), len(mesh.nodes), 3)),
+        details=np.zeros((len(character.targets), len(surface), 3)),
+        to_bind=character.to_bind,
+        parents=character.skeleton.parents,
+        rest=character.skeleton.rest,
+        basis=np.zeros((0, 0)),
+        table_lambda=np.zeros((0, 0, 0)),
+        table_mu=np.zeros((0, 0, 0)),
+        bone_names=character.skeleton.names,
+        settings=settings,
+        dependencies=dependencies(character),
+        summary={},
+    )
+    body = model.soft_body()
+    with stages("Target shapes", 0.10) as report:
+        _shape_targets(model, body, embedding, character.targets, report)
+    targets = _morph_targets(character.targets, model.displacements)
+    law = dynamorph.Law.__members__[settings.law]
+    full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
+    model.summary["warnings"] = _fallback_warnings(full, character.targets)
+    if settings.solver == "REDUCED":
+        with stages("Modes", 0.35) as report:
+            basis = dynamorph.make_basis(full, settings.modes, report)
+        with stages("Polynomials", 0.20) as report:
+            tables = dynamorph.reduce(full, basis.U, report)
+        model = replace(
+            model,
+            basis=basis.U,
+            table_lambda=np.array(tables.lame_lambda),
+            table_mu=np.array(tables.lame_mu),
+        )
+    model.summary.update(
+        nodes=len(mesh.nodes),
+        tets=len(mesh.tets),
+        dofs=full.dofs,
+        modes=model.basis.shape[1],
+        targets=len(targets),
+        seconds=stages.seconds,
+    )
+    return model
+
+
+def _shape_targets(model: Model, body, embedding, targets: list[Target], report):
+    """Carries each sculpted shape into the nodes; what the cage cannot carry stays as detail (METHOD 7)."""
+    for j, target in enumerate(targets):
+        report(j / len(targets))
+        if target.shape.any():
+            model.displacements[j] = body.extend_shape(embedding, target.shape @ model.to_bind.T)
+            model.details[j] = target.shape - model.surface(model.displacements[j])
+
+
+def _fallback_warnings(full, targets: list[Target]) -> list[str]:
+    counts = [(target.name, full.fallbacks(j)) for j, target in enumerate(targets)]
+    return [
+        f"Target '{name}' would crush or invert {count} tetrahedra: they keep their neutral shape; "
+        "a finer cage or a smoother sculpt avoids it"
+        for name, count in counts
+        if count
+    ]
+
+
+def _morph_targets(targets: list[Target], displacements: np.ndarray) -> list:
+    out = []
+    for target, displacement in zip(targets, displacements, strict=True):
+        material = target.material
+        lame_lambda, lame_mu = material.lame()
+        out.append(
+            dynamorph.MorphTarget(
+                target.name,
+                displacement,
+                lame_lambda=lame_lambda,
+                lame_mu=lame_mu,
+                density=material.density,
+                mass_damping=material.mass_damping,
+                stiffness_damping=material.stiffness_damping,
+            )
+        )
+    return out
+
+
+class _Stages:
+    """Times the stages of a build and maps each one's own 0..1 to a part of the whole."""
+
+    def __init__(self, progress: Progress | None):
+        self.progress = progress
+        self.done = 0.0
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, message: str, share: float):
+        began, start = time.perf_counter(), self.done
+
+        def report(fraction: float) -> bool:
+            going_on = self.progress is None or self.progress(start + share * fraction, message)
+            if not going_on:
+                raise dynamorph.Cancelled("cancelled")
+            return True
+
+        report(0.0)
+        yield report
+        self.seconds[message.lower()] = time.perf_counter() - began
+        self.done += share
+
+
+# What a model depends on -------------------------------------------------------------------------------------------
+
+
+def dependencies(character: Character) -> dict[str, str]:
+    """Hashes of all that a built model depends on, by name. Materials and poses are none of it."""
+    skeleton, settings = character.skeleton, character.settings
+    parts = {
+        "mesh": (character.vertices, character.triangles),
+        "object scale": (character.to_bind,),
+        "skin weights": (character.weights,),
+        "Soft vertex group": (character.softness,),
+        "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
+        "number of targets": (np.array([len(character.targets)]),),
+    }
+    for j, target in enumerate(character.targets):
+        parts[f"shape {j}"] = (target.shape,)
+    for name, value in asdict(settings).items():
+        if name not in FREE_SETTINGS:
+            parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)
+    return {name: _hash(arrays) for name, arrays in parts.items()}
+
+
+def stale_reasons(model: Model, character: Character) -> list[str]:
+    """Why `model` no longer fits `character`, for the artist; empty when it does."""
+    now, then = dependencies(character), model.dependencies
+    changed = [name for name in now if now[name] != then.get(name)]
+    names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
+    if "number of targets" in changed:
+        changed = [name for name in changed if name not in names]
+    return [f"{names.get(name, name)} changed" for name in changed]
+
+
+def _hash(arrays: tuple[np.ndarray, ...]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(str((array.shape, array.dtype.str)).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Model + moving rig -> frames. Never touches bpy. The button, the command line and scripts all run this."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import dynamorph
+import numpy as np
+
+from .build import Model, Progress
+from .scene_data import Bake, Character, RigSamples, SimulationSettings
+
+CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
+TELEPORT = 0.5  # of the body's size in one step: further is no motion but a cut
+CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One simulated frame: coordinates (dofs,), target weights (J,), and the engine's report of its steps."""
+
+    number: int
+    coordinates: np.ndarray
+    weights: np.ndarray
+    steps: dict
+
+
+def pose_space(model: Model, character: Character) -> dynamorph.PoseSpace:
+    """Raises dynamorph.Error, naming both, when two targets have the same pose; ValueError on a missing bone."""
+    sets = []
+    for target_set in character.target_sets:
+        named = sorted({bone for target in target_set.targets for bone in target.bones})
+        missing = [bone for bone in named if bone not in model.bone_names]
+        if missing:
+            raise ValueError(f"'{character.name}': bone '{missing[0]}' of target set '{target_set.name}' is missing")
+        sets.append(
+            dynamorph.TargetSet(
+                [model.bone_names.index(bone) for bone in named],
+                [target.name for target in target_set.targets],
+                [target.local for target in target_set.targets],
+            )
+        )
+    return dynamorph.PoseSpace(sets)
+
+
+def simulate(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings) -> Iterator[Frame]:
+    """Yields every frame from settings.start to settings.end.
+
+    rig: 1 + (end - start) * substeps samples, the first at `start`.
+    """
+    space = pose_space(model, character)
+    simulation = _simulation(model, character, rig, settings)
+    frames, substeps = settings.frames, settings.substeps
+    if len(rig) != 1 + (len(frames) - 1) * substeps:
+        raise ValueError(f"rig: expected {1 + (len(frames) - 1) * substeps} samples, got {len(rig)}")
+
+    bones, weights = _samples(model, space, rig[:2])
+    held = settings.preroll > 0
+    simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
+    if held:
+        count = settings.preroll * substeps
+        simulation.advance(np.repeat(bones[:1], count, axis=0), np.repeat(weights[:1], count, axis=0))
+    yield Frame(int(frames[0]), simulation.coordinates, weights[0], {})
+    for first in range(1, len(frames), CHUNK):
+        last = min(first + CHUNK, len(frames))
+        bones, weights = _samples(model, space, rig[1 + (first - 1) * substeps : 1 + (last - 1) * substeps])
+        for k in range(first, last):
+            steps = slice((k - first) * substeps, (k - first + 1) * substeps)
+            report = simulation.advance(bones[steps], weights[steps])
+            yield Frame(int(frames[k]), simulation.coordinates, weights[steps][-1], report)
+
+
+def bake(
+    model: Model,
+    character: Character,
+    rig: RigSamples,
+    settings: SimulationSettings,
+    progress: Progress | None = None,
+) -> tuple[Bake, dict]:
+    """Simulates a shot: (Bake, report). progress(fraction, message) -> bool; False raises dynamorph.Cancelled."""
+    began = time.perf_counter()
+    frames = []
+    for frame in simulate(model, character, rig, settings):
+        frames.append(frame)
+        if progress and not progress(len(frames) / len(settings.frames), f"Simulating frame {frame.number}"):
+            raise dynamorph.Cancelled("cancelled")
+    coordinates = np.array([frame.coordinates for frame in frames])
+    weights = np.array([frame.weights for frame in frames])
+    report = _report(frames)
+    report.update(_worst_elements(model, character, coordinates, weights))
+    if model.settings.solver == "FULL":
+        coordinates, modes, report["compression_error"] = _compress(model, coordinates)
+    else:
+        modes = _node_modes(model, model.basis.T)
+    report["seconds"] = time.perf_counter() - began
+    names = tuple(target.name for target in character.targets)
+    return Bake(settings.frames, coordinates, weights, model.surface(modes), model.details, names), report
+
+
+def _simulation(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings):
+    engine = model.engine(character)
+    kind = dynamorph.FullSimulation if model.settings.solver == "FULL" else dynamorph.ReducedSimulation
+    simulation = kind(
+        engine,
+        settings.step,
+        scheme=dynamorph.Scheme.__members__[settings.scheme],
+        gravity=settings.gravity,
+        teleport=TELEPORT * engine.body.size,
+    )
+    if any(settings.gravity):
+        # Sculpted shapes are what the artist sees under gravity: they are held in their own poses (METHOD 9).
+        local = np.array([target.local for target in character.targets])
+        world = np.broadcast_to(rig.rig_world[0], (len(local), 4, 4))
+        own = RigSamples(model.skeleton.pose(local), world, np.broadcast_to(rig.object_world[0], (len(local), 4, 4)))
+        simulation.hold_targets(own.skin_matrices(model.skeleton, model.to_bind))
+    return simulation
+
+
+def _samples(model: Model, space, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
+    """Skin matrices (S, B + 1, 3, 4) and target weights (S, J)."""
+    skeleton = model.skeleton
+    return rig.skin_matrices(skeleton, model.to_bind), space.weights(skeleton.local_transforms(rig.pose))
+
+
+def _report(frames: list[Frame]) -> dict:
+    steps = [frame.steps for frame in frames if frame.steps]
+    count = sum(step["steps"] for step in steps)
+    seconds = sum(step["seconds"] for step in steps)
+    report = {
+        "steps": count,
+        "engine_seconds": seconds,
+        "steps_per_second": count / seconds if seconds else 0.0,
+        "iterations": sum(step["iterations"] for step in steps),
+        "warnings": [],
+    }
+    unconverged = [frame.number for frame in frames if frame.steps and not frame.steps["converged"]]
+    if unconverged:
+        report["warnings"].append(f"Steps did not converge at frames {_some(unconverged)}: raise Substeps")
+    cuts = [frame.number for frame in frames if frame.steps and frame.steps["teleported"]]
+    if cuts:
+        report["warnings"].append(f"The rig jumps at frames {_some(cuts)}: the soft skin was carried along")
+    return report
+
+
+def _some(numbers: list[int]) -> str:
+    return ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+
+
+def _worst_elements(model: Model, character: Character, coordinates: np.ndarray, weights: np.ndarray) -> dict:
+    """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames."""
+    targets = coordinates_of_targets(model, character)
+    strength = np.abs(coordinates - weights @ targets).max(axis=1)
+    engine = model.engine(character)
+    inverse = np.linalg.inv(_edges(model, model.nodes))
+    smallest, inverted = np.inf, 0
+    for k in np.argsort(strength)[-CHECKED:]:
+        det = np.linalg.det(_edges(model, model.nodes + engine.displacement(coordinates[k])) @ inverse)
+        smallest, inverted = min(smallest, det.min()), max(inverted, int((det <= 0).sum()))
+    return {"smallest_det": float(smallest), "inverted": inverted}
+
+
+def coordinates_of_targets(model: Model, character: Character) -> np.ndarray:
+    """Coordinates (J, dofs) of the targets' shapes."""
+    engine = model.engine(character)
+    return np.array([engine.target(j) for j in range(len(character.targets))])
+
+
+def _edges(model: Model, nodes: np.ndarray) -> np.ndarray:
+    corners = nodes[model.tets]
+    return (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+
+
+def _node_modes(model: Model, free: np.ndarray) -> np.ndarray:
+    """Displacement of all nodes (r, n, 3) from rows over the free nodes (r, 3 free)."""
+    modes = np.zeros((len(free), len(model.nodes), 3))
+    modes[:, ~model.pinned.astype(bool)] = free.reshape(len(free), -1, 3)
+    return modes
+
+
+def _compress(model: Model, displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """The best `settings.modes` modes of an unreduced shot: coordinates, node modes, largest error in metres."""
+    u, s, vt = np.linalg.svd(displacements, full_matrices=False)
+    kept = min(model.settings.modes, len(s))
+    coordinates, modes = u[:, :kept] * s[:kept], vt[:kept]
+    error = float(np.abs(displacements - coordinates @ modes).max())
+    return coordinates, _node_modes(model, modes), error

@@ -1,0 +1,583 @@
+"""
+Dynamorph engine: soft skins from dynamic morph targets.
+"""
+from __future__ import annotations
+import collections.abc
+import numpy
+import numpy.typing
+import scipy.sparse
+import typing
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'reduce', 'tetrahedralize']
+class Error(RuntimeError):
+    pass
+class Cancelled(RuntimeError):
+    pass
+class TetMesh:
+    """
+    Tetrahedra: n nodes, m tets.
+    """
+    def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tets: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> None:
+        """
+        A mesh from stored arrays.
+        
+        nodes (n, 3): rest positions, metres. tets (m, 4): node indices. Raises ValueError on an index out of range, a NaN, a
+        tet that is flat or inside out, or a node of no tet.
+        """
+    @property
+    def nodes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        Rest positions (n, 3), metres.
+        """
+    @property
+    def tets(self) -> typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 4]"]:
+        """
+        Node indices (m, 4), positively oriented.
+        """
+    @property
+    def volumes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Volumes (m,), cubic metres.
+        """
+class Embedding:
+    """
+    Where V surface points sit in a TetMesh.
+    """
+    def interpolate(self, values: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        Values (V, k) at the points from values (n, k) at the nodes.
+        """
+    @property
+    def distances(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Distance (V,) to the mesh, metres: 0 inside.
+        """
+    @property
+    def nodes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 4]"]:
+        """
+        The nodes (V, 4) that carry each point: those of one tet.
+        """
+    @property
+    def weights(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 4]"]:
+        """
+        Their weights (V, 4): rows sum to 1; negative only outside.
+        """
+class Kernel:
+    """
+    Members:
+    
+      LINEAR
+    
+      GAUSSIAN
+    
+      THIN_PLATE
+    """
+    GAUSSIAN: typing.ClassVar[Kernel]
+    LINEAR: typing.ClassVar[Kernel]
+    THIN_PLATE: typing.ClassVar[Kernel]
+    __members__: typing.ClassVar[dict[str, Kernel]]
+    @typing.overload
+    def __eq__(self, other: Kernel) -> bool:
+        ...
+    @typing.overload
+    def __eq__(self, other: typing.Any) -> bool:
+        ...
+    def __getstate__(self) -> int:
+        ...
+    def __hash__(self) -> int:
+        ...
+    def __index__(self) -> int:
+        ...
+    def __init__(self, value: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __int__(self) -> int:
+        ...
+    @typing.overload
+    def __ne__(self, other: Kernel) -> bool:
+        ...
+    @typing.overload
+    def __ne__(self, other: typing.Any) -> bool:
+        ...
+    def __repr__(self) -> str:
+        ...
+    def __setstate__(self, state: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __str__(self) -> str:
+        ...
+    @property
+    def name(self) -> str:
+        ...
+    @property
+    def value(self) -> int:
+        ...
+class TargetSet:
+    """
+    Targets whose weights sum to one.
+    """
+    def __init__(self, bones: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], names: collections.abc.Sequence[str], poses: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], kernel: Kernel = Kernel.LINEAR) -> None:
+        """
+        bones: indices whose local rotations place the targets; poses: per target the local transforms (B, 4, 4) of the whole skeleton.
+        """
+class PoseSpace:
+    """
+    Interpolates target weights over pose space.
+    """
+    def __init__(self, sets: collections.abc.Sequence[TargetSet]) -> None:
+        """
+        Raises Error, naming both, when two targets of a set have the same pose.
+        """
+    def weights(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        Weights (S, J) at the local transforms (S, B, 4, 4): each set's are >= 0, sum to 1, and are one at a target's own pose.
+        """
+    @property
+    def targets(self) -> int:
+        ...
+class Law:
+    """
+    Members:
+    
+      LINEAR
+    
+      STVK
+    
+      STABLE_STVK
+    """
+    LINEAR: typing.ClassVar[Law]
+    STABLE_STVK: typing.ClassVar[Law]
+    STVK: typing.ClassVar[Law]
+    __members__: typing.ClassVar[dict[str, Law]]
+    @typing.overload
+    def __eq__(self, other: Law) -> bool:
+        ...
+    @typing.overload
+    def __eq__(self, other: typing.Any) -> bool:
+        ...
+    def __getstate__(self) -> int:
+        ...
+    def __hash__(self) -> int:
+        ...
+    def __index__(self) -> int:
+        ...
+    def __init__(self, value: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __int__(self) -> int:
+        ...
+    @typing.overload
+    def __ne__(self, other: Law) -> bool:
+        ...
+    @typing.overload
+    def __ne__(self, other: typing.Any) -> bool:
+        ...
+    def __repr__(self) -> str:
+        ...
+    def __setstate__(self, state: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __str__(self) -> str:
+        ...
+    @property
+    def name(self) -> str:
+        ...
+    @property
+    def value(self) -> int:
+        ...
+class Blending:
+    """
+    Members:
+    
+      FORCES
+    
+      EVEN
+    """
+    EVEN: typing.ClassVar[Blending]
+    FORCES: typing.ClassVar[Blending]
+    __members__: typing.ClassVar[dict[str, Blending]]
+    @typing.overload
+    def __eq__(self, other: Blending) -> bool:
+        ...
+    @typing.overload
+    def __eq__(self, other: typing.Any) -> bool:
+        ...
+    def __getstate__(self) -> int:
+        ...
+    def __hash__(self) -> int:
+        ...
+    def __index__(self) -> int:
+        ...
+    def __init__(self, value: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __int__(self) -> int:
+        ...
+    @typing.overload
+    def __ne__(self, other: Blending) -> bool:
+        ...
+    @typing.overload
+    def __ne__(self, other: typing.Any) -> bool:
+        ...
+    def __repr__(self) -> str:
+        ...
+    def __setstate__(self, state: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __str__(self) -> str:
+        ...
+    @property
+    def name(self) -> str:
+        ...
+    @property
+    def value(self) -> int:
+        ...
+class Scheme:
+    """
+    Members:
+    
+      EULER
+    
+      BDF2
+    """
+    BDF2: typing.ClassVar[Scheme]
+    EULER: typing.ClassVar[Scheme]
+    __members__: typing.ClassVar[dict[str, Scheme]]
+    @typing.overload
+    def __eq__(self, other: Scheme) -> bool:
+        ...
+    @typing.overload
+    def __eq__(self, other: typing.Any) -> bool:
+        ...
+    def __getstate__(self) -> int:
+        ...
+    def __hash__(self) -> int:
+        ...
+    def __index__(self) -> int:
+        ...
+    def __init__(self, value: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __int__(self) -> int:
+        ...
+    @typing.overload
+    def __ne__(self, other: Scheme) -> bool:
+        ...
+    @typing.overload
+    def __ne__(self, other: typing.Any) -> bool:
+        ...
+    def __repr__(self) -> str:
+        ...
+    def __setstate__(self, state: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __str__(self) -> str:
+        ...
+    @property
+    def name(self) -> str:
+        ...
+    @property
+    def value(self) -> int:
+        ...
+class MorphTarget:
+    """
+    A dynamic morph target: shape and elastic properties.
+    """
+    def __init__(self, name: str, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], *, lame_lambda: typing.SupportsFloat | typing.SupportsIndex, lame_mu: typing.SupportsFloat | typing.SupportsIndex, density: typing.SupportsFloat | typing.SupportsIndex, mass_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, stiffness_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, set: typing.SupportsInt | typing.SupportsIndex = 0) -> None:
+        """
+        displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, Rayleigh damping in 1/s and s; set: index of its target set.
+        """
+class SoftBody:
+    """
+    What all models of one character share.
+    """
+    def __init__(self, mesh: TetMesh, fill: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], shares: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], pinned: collections.abc.Sequence[bool], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]) -> None:
+        """
+        fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale.
+        """
+    def extend_shape(self, embedding: Embedding, surface: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        Node displacement (n, 3) that follows the surface displacement (V, 3): elastic in between, zero at pins.
+        """
+    @property
+    def free_nodes(self) -> list[int]:
+        ...
+    @property
+    def size(self) -> float:
+        """
+        Bounding-box diagonal, metres.
+        """
+    @property
+    def volumes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        Lumped volume of the free nodes by target set, m^3.
+        """
+class FullModel:
+    """
+    The unreduced soft skin.
+    """
+    def __init__(self, body: SoftBody, targets: collections.abc.Sequence[MorphTarget], law: Law, blending: Blending) -> None:
+        ...
+    def displacement(self, q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        Bind-space node displacement (n, 3), metres.
+        """
+    def energy(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> float:
+        """
+        Elastic energy, J, at target weights (J) and coordinates q.
+        """
+    def fallbacks(self, target: typing.SupportsInt | typing.SupportsIndex) -> int:
+        """
+        Tetrahedra of a target that keep the neutral rest shape, because the sculpt would invert or crush them.
+        """
+    def inertia(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], density: typing.SupportsFloat | typing.SupportsIndex) -> scipy.sparse.csc_matrix:
+        """
+        A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).
+        """
+    def linear_modes(self, target: typing.SupportsInt | typing.SupportsIndex, k: typing.SupportsInt | typing.SupportsIndex) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
+        """
+        (omega (k) rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.
+        """
+    def linearize(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], scipy.sparse.csc_matrix]:
+        """
+        (energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full model is a scipy.sparse matrix.
+        """
+    def target(self, index: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Coordinates of a target's shape.
+        """
+    def worst_element(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, int]:
+        """
+        (smallest det F, number of inverted tetrahedra).
+        """
+    @property
+    def body(self) -> SoftBody:
+        ...
+    @property
+    def dofs(self) -> int:
+        """
+        Number of coordinates.
+        """
+class Basis:
+    @property
+    def U(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        (3 free, r), orthonormal in unit-density mass.
+        """
+    @property
+    def captured(self) -> float:
+        """
+        Fraction of the candidates' variance in the span.
+        """
+    @property
+    def frequencies(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
+        """
+        Per target omega of the modes that went in, rad/s.
+        """
+class ReducedTables:
+    """
+    What a built reduced model stores: geometry only, no material.
+    """
+    def __init__(self, law: Law, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]]) -> None:
+        ...
+    @property
+    def basis(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        ...
+    @property
+    def lame_lambda(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
+        """
+        Per target, for lambda = 1 Pa.
+        """
+    @property
+    def lame_mu(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
+        """
+        Per target, for mu = 1 Pa.
+        """
+    @property
+    def law(self) -> Law:
+        ...
+class ReducedModel:
+    """
+    The soft skin in r modes.
+    """
+    def __init__(self, body: SoftBody, targets: collections.abc.Sequence[MorphTarget], tables: ReducedTables, blending: Blending) -> None:
+        ...
+    def displacement(self, q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        Bind-space node displacement (n, 3), metres.
+        """
+    def energy(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> float:
+        """
+        Elastic energy, J, at target weights (J) and coordinates q.
+        """
+    def inertia(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], density: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).
+        """
+    def linearize(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
+        """
+        (energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full model is a scipy.sparse matrix.
+        """
+    def target(self, index: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Coordinates of a target's shape.
+        """
+    @property
+    def body(self) -> SoftBody:
+        ...
+    @property
+    def dofs(self) -> int:
+        """
+        Number of coordinates.
+        """
+class FullSimulation:
+    """
+    Steps a model through time. World space, SI.
+    """
+    def __init__(self, model: FullModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-07, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+        """
+        h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which the past is carried along (0: never).
+        """
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
+        """
+        One step to each of the bones (S, B, 3, 4) and target weights (S, J); external (n, 3): newtons on the nodes, world space, constant over the call. Returns what the steps did: iterations in all, converged, the worst residual, elastic energy at the end, seconds.
+        """
+    def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+        """
+        Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
+        """
+    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
+        """
+        (coordinates, report) of the static solution.
+        """
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> dict:
+        """
+        Static solution at the bones `now` (B, 3, 4); the past follows the rig backward from its motion to `next`.
+        """
+    @property
+    def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.
+        """
+    @property
+    def elastic_energy(self) -> float:
+        """
+        J.
+        """
+    @property
+    def kinetic_energy(self) -> float:
+        """
+        J, of the posed nodes.
+        """
+    @property
+    def model(self) -> FullModel:
+        ...
+    @property
+    def posed(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        World positions of the free nodes.
+        """
+    @property
+    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(2)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"]]:
+        """
+        (coordinates of the last two steps, posed positions of the last four): set it to resume.
+        """
+    @state.setter
+    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(2)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"]]) -> None:
+        ...
+class ReducedSimulation:
+    """
+    Steps a model through time. World space, SI.
+    """
+    def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-07, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+        """
+        h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which the past is carried along (0: never).
+        """
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
+        """
+        One step to each of the bones (S, B, 3, 4) and target weights (S, J); external (n, 3): newtons on the nodes, world space, constant over the call. Returns what the steps did: iterations in all, converged, the worst residual, elastic energy at the end, seconds.
+        """
+    def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+        """
+        Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
+        """
+    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
+        """
+        (coordinates, report) of the static solution.
+        """
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> dict:
+        """
+        Static solution at the bones `now` (B, 3, 4); the past follows the rig backward from its motion to `next`.
+        """
+    @property
+    def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.
+        """
+    @property
+    def elastic_energy(self) -> float:
+        """
+        J.
+        """
+    @property
+    def kinetic_energy(self) -> float:
+        """
+        J, of the posed nodes.
+        """
+    @property
+    def model(self) -> ReducedModel:
+        ...
+    @property
+    def posed(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+        """
+        World positions of the free nodes.
+        """
+    @property
+    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(2)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"]]:
+        """
+        (coordinates of the last two steps, posed positions of the last four): set it to resume.
+        """
+    @state.setter
+    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(2)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"]]) -> None:
+        ...
+def embed(mesh: TetMesh, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> Embedding:
+    """
+    Embeds surface points (V, 3), metres, by barycentric weights.
+    
+    A point outside takes the nearest tet, extrapolating as far as weights of -1/2.
+    """
+def extend_to_nodes(mesh: TetMesh, embedding: Embedding, values: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+    """
+    Values (n, k) at the nodes from values (V, k) at the embedded points.
+    
+    Least squares at the points, smooth inside. Constants stay constant; overshoots slightly, so skin weights want clamping
+    and normalising.
+    """
+def fill_fractions(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], progress: typing.Any = None) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+    """
+    Fraction (m,) of each tet that the body fills, 0.05 .. 1; the body need not be closed.
+    
+    vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
+    """
+def make_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> Basis:
+    """
+    r modes: the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool, False raises Cancelled.
+    """
+def make_cage(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
+    """
+    A closed cage of about `target_vertices` vertices around any triangle soup.
+    
+    vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
+    Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not
+    between 1e-6 and 1e6 m across.
+    """
+def pinned(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> numpy.typing.NDArray[numpy.bool]:
+    """
+    Whether the bones hold each node, bool (n,).
+    
+    A node is held when its distance to the nearest bone is less than `ratio` of the way from bone to skin: 0 holds none, 1
+    all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All metres, in
+    the mesh's space.
+    """
+def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], progress: typing.Any = None) -> ReducedTables:
+    """
+    Energy polynomials of every target in the basis U (3 free, r).
+    """
+def tetrahedralize(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_nodes: typing.SupportsInt | typing.SupportsIndex) -> TetMesh:
+    """
+    Fills a closed surface without self-intersections with about `target_nodes` nodes.
+    
+    vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. Raises Error when it cannot
+    be filled. Crashes or hangs on some input: `mesh_body` contains that.
+    """

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make demo`: bake the bulging cylinder, save it, and picture it beside plain skinning and a single material.
+
+Runs what the Bake button runs. Writes out/bulging_cylinder_baked.blend and out/bulging_cylinder.png; with --docs also
+the picture of the README.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+try:
+    import bpy
+    import dynamic_morph_targets
+    import numpy as np
+    from contact_sheet import Row, compose, quiet, render, save
+    from dynamic_morph_targets import cli, jobs, sinks
+except ImportError as error:
+    sys.exit(f"demo: {error}. `make demo` installs and builds everything first; see README.md for doing it by hand.")
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENE = ROOT / "sample_blends" / "bulging_cylinder.blend"
+BAKED = ROOT / "out" / "bulging_cylinder_baked.blend"
+SHEET = ROOT / "out" / "bulging_cylinder.png"
+README_PICTURE = ROOT / "docs" / "images" / "bulging_cylinder.png"
+
+LIMB = "Limb"
+FRAMES = {
+    16: "bent back",
+    32: "half bent",
+    46: "flexed",
+    60: "shaken flexed",
+    71: "just stopped",
+    105: "shaken straight",
+}
+SHAKES = {"swing, shaken flexed": (50, 64), "swing, shaken straight": (96, 110)}
+CELL = (264, 204)
+
+
+class SingleMaterial(jobs.Job):
+    """The same shot with the neutral target alone: an ordinary soft body whose stiffness does not know the pose."""
+
+    def prepare(self):
+        super().prepare()
+        self.character = self.character.single_material()
+        self.reasons = ["it has one target only"]
+
+
+def run(draft: bool, docs: bool) -> None:
+    print(f"opening {shown(SCENE)}")
+    with quiet():
+        bpy.ops.wm.open_mainfile(filepath=str(SCENE))
+    bpy.context.preferences.filepaths.save_version = 0  # no backup beside the baked file
+    limb = bpy.data.objects[LIMB]
+
+    print("baking dynamic morph targets")
+    dmt = bake(jobs.Job(limb, bake=True))
+    BAKED.parent.mkdir(exist_ok=True)
+    with quiet():
+        bpy.ops.wm.save_as_mainfile(filepath=str(BAKED), copy=True, compress=True)
+    print(f"saved {shown(BAKED)}")
+    began = time.perf_counter()
+    rows = [row("Dynamic morph targets", "shape and stiffness follow the pose", draft, dmt)]
+    rendering = time.perf_counter() - began
+
+    print("baking a single material")
+    single = bake(SingleMaterial(limb, bake=True))
+    began = time.perf_counter()
+    rows.insert(0, row("Single material", "the neutral target alone: the same softness in every pose", draft, single))
+    sinks.free(limb)
+    rows.insert(0, row("Plain skinning", "no simulation", draft))
+    rendering += time.perf_counter() - began
+
+    sheet = compose("Bulging cylinder", "The same frames; under the pictures, the targets' weights", FRAMES, rows)
+    save(sheet, SHEET)
+    print(f"saved {shown(SHEET)} (rendered in {rendering:.0f} s)")
+    if docs:
+        save(sheet, README_PICTURE, small=True)
+        print(f"saved {shown(README_PICTURE)}")
+    print_table({"single material": single, "DMT": dmt})
+
+
+def bake(job: jobs.Job) -> jobs.Job:
+    jobs.run(job, cli.Progress())
+    for warning in (*job.warnings, *job.report.get("warnings", ())):
+        print(f"{job.name}: warning: {warning}")
+    return job
+
+
+def row(name: str, about: str, draft: bool, job: jobs.Job | None = None) -> Row:
+    """Render the scene as it is now. Cycles looks better, Workbench is five times as fast."""
+    print(f"rendering {name.lower()}", flush=True)
+    pictures = render(list(FRAMES), CELL, "BLENDER_WORKBENCH" if draft else "CYCLES")
+    return Row(name, about, pictures, [weights_at(job, frame) for frame in FRAMES])
+
+
+def weights_at(job: jobs.Job | None, frame: int) -> str:
+    if job is None:
+        return ""
+    weights = job.result.weights[frame - job.settings.start]
+    return ", ".join(f"{name} {w:.2f}" for name, w in zip(job.result.target_names, weights, strict=True) if w > 0.005)
+
+
+def swing(job: jobs.Job, first: int, last: int) -> float:
+    """How far the skin leaves the pose's own static shape between two frames, at most; metres."""
+    shapes = np.array([target.shape for target in job.character.targets])
+    apart = 0.0
+    for k in range(first - job.settings.start, last - job.settings.start + 1):
+        static = np.tensordot(job.result.weights[k], shapes, 1)
+        apart = max(apart, np.linalg.norm(job.result.displacement(k) - static, axis=1).max())
+    return float(apart)
+
+
+def print_table(variants: dict[str, jobs.Job]) -> None:
+    """One column for each variant, every figure measured in this run."""
+    made = {name: job.model.summary for name, job in variants.items()}
+    lines = [(label, [str(made[name][key]) for name in variants]) for label, key in
+             (("DOF", "dofs"), ("modes", "modes"), ("targets", "targets"))]  # fmt: skip
+    lines.append(("precompute", [f"{sum(made[name]['seconds'].values()):.2f} s" for name in variants]))
+    lines.append(("steps per second", [f"{job.report['steps_per_second']:.0f}" for job in variants.values()]))
+    for label, (first, last) in SHAKES.items():
+        lines.append((label, [f"{1000 * swing(job, first, last):.1f} mm" for job in variants.values()]))
+    lines.append(("", [""] * len(variants)))
+    stages = {name: {**made[name]["seconds"], **job.seconds} for name, job in variants.items()}
+    for name in variants:
+        del stages[name]["build"]  # its own stages are listed
+    for stage in next(reversed(stages.values())):
+        lines.append((stage, [f"{stages[name].get(stage, 0.0):.2f} s" for name in variants]))
+    lines.append(("bake, in all", [f"{sum(job.seconds.values()):.2f} s" for job in variants.values()]))
+
+    settings = next(iter(variants.values())).settings
+    print(f"\n{len(settings.frames)} frames, {settings.substeps} substeps each")
+    print(f"{'':<26}" + "".join(f"{name:>18}" for name in variants))
+    for label, values in lines:
+        print(f"{label:<26}" + "".join(f"{value:>18}" for value in values))
+
+
+def shown(path: Path) -> Path:
+    return path.relative_to(ROOT)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Bake the bulging cylinder and compare it with simpler methods.")
+    parser.add_argument("--docs", action="store_true", help="also write the picture of the README")
+    parser.add_argument("--draft", action="store_true", help="render with Workbench: faster, plainer")
+    args = parser.parse_args()
+    dynamic_morph_targets.register()
+    try:
+        run(args.draft, args.docs)
+    except jobs.expected_errors() as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 1
+    finally:
+        dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

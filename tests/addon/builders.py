@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender scenes for the add-on's tests, and what many of them ask about such a scene."""
+
+import hashlib
+import importlib
+import time
+from math import pi
+
+import bpy
+import numpy as np
+import scenes
+
+MODULE = "bl_ext.user_default.dynamic_morph_targets"
+
+
+def part(name):
+    """A module of the add-on, such as part("extract")."""
+    return importlib.import_module(f"{MODULE}.{name}")
+
+
+def make_rig(scene, name="Rig", bones=2):
+    armature = bpy.data.armatures.new(name)
+    rig = bpy.data.objects.new(name, armature)
+    scene.collection.objects.link(rig)
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    parent = None
+    for i, bone_name in enumerate(["upper", "lower", "hand", "finger"][:bones]):
+        bone = armature.edit_bones.new(bone_name)
+        bone.head, bone.tail, bone.parent = (0, 0, i), (0, 0, i + 1), parent
+        parent = bone
+    bpy.ops.object.mode_set(mode="OBJECT")
+    for bone in rig.pose.bones:
+        bone.rotation_mode = "XYZ"
+    return rig
+
+
+def make_mesh(scene, name, vertices, faces):
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(np.asarray(vertices).tolist(), [], faces)
+    obj = bpy.data.objects.new(name, mesh)
+    scene.collection.objects.link(obj)
+    return obj
+
+
+def add_key(obj, name, displacement):
+    basis = np.empty((len(obj.data.vertices), 3), np.float32)
+    obj.data.shape_keys.reference_key.points.foreach_get("co", basis.ravel())
+    block = obj.shape_key_add(name=name, from_mix=False)
+    block.value = 0.0
+    block.points.foreach_set("co", (basis + displacement).astype(np.float32).ravel())
+    return block
+
+
+def make_arm(scene, name="Arm"):
+    rig = make_rig(scene, f"{name} Rig")
+    vertices, faces = scenes.tube()
+    obj = make_mesh(scene, name, vertices, faces)
+    obj.shape_key_add(name="Basis", from_mix=False)
+    add_key(obj, "flexed", scenes.bulge(vertices))
+    add_key(obj, "smile", scenes.bulge(vertices, centre=1.6, amount=-0.05))
+    for bone, weights in zip(["upper", "lower"], scenes.two_bone_weights(vertices).T, strict=True):
+        group = obj.vertex_groups.new(name=bone)
+        for index in np.flatnonzero(weights):
+            group.add([int(index)], float(weights[index]), "REPLACE")
+    obj.modifiers.new("Armature", "ARMATURE").object = rig
+    for frame, angle in ((1, 0.0), (20, pi / 2)):
+        rig.pose.bones["lower"].rotation_euler.x = angle
+        rig.pose.bones["lower"].keyframe_insert("rotation_euler", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 20
+    scene.frame_set(1)
+    activate(obj)
+    return obj
+
+
+def make_soft(obj, keys=("flexed",)):
+    scene = bpy.context.scene
+    activate(obj)
+    bpy.ops.dynamorph.add_soft_skin()
+    scene.frame_set(20)
+    for key in keys:
+        bpy.ops.dynamorph.add_target(key=key)
+    scene.frame_set(1)
+    return obj
+
+
+def activate(obj):
+    bpy.context.view_layer.objects.active = obj
+
+
+def rig_of(obj):
+    return obj.modifiers["Armature"].object
+
+
+def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
+    """A Bake as an engine could make it for the targets of `obj`."""
+    scene_data = part("scene_data")
+    rng = np.random.default_rng(seed)
+    names = ("Neutral", *(target.name for target in obj.dynamorph.targets[1:]))
+    vertices = len(obj.data.vertices)
+    weights = rng.uniform(size=(len(frames), len(names)))
+    details = rng.normal(0, 0.02, (len(names), vertices, 3))
+    details[0] = 0.0
+    return scene_data.Bake(
+        frames=np.array(frames),
+        coordinates=rng.normal(0, 3.0, (len(frames), modes)),
+        weights=weights / weights.sum(axis=1, keepdims=True),
+        modes=rng.normal(0, 0.01, (modes, vertices, 3)),
+        details=details,
+        target_names=names,
+    )
+
+
+def evaluated_points(obj) -> np.ndarray:
+    """World positions (V, 3) of the mesh as Blender shows it now."""
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    points = np.empty((len(evaluated.data.vertices), 3), np.float32)
+    evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
+    world = np.array(evaluated.matrix_world)
+    return points @ world[:3, :3].T + world[:3, 3]
+
+
+class StandIn:
+    """Takes the place of the modules build and simulate, to test what surrounds them."""
+
+    def __init__(self):
+        self.built = 0
+        self.bytes = 800  # size of a model
+        self.fail = None  # an exception that bake raises
+        self.patience = 0.0  # seconds that bake takes unless it is cancelled
+
+    class Model:
+        def __init__(self, arrays, meta):
+            self.arrays, self.meta = arrays, meta
+            self.summary = meta["summary"]
+
+        @classmethod
+        def from_arrays(cls, arrays, meta):
+            return cls(arrays, meta)
+
+        def to_arrays(self):
+            return self.arrays, self.meta
+
+    def dependencies(self, character):
+        shapes = {f"shape of '{t.name}'": hashlib.sha256(t.shape.tobytes()).hexdigest() for t in character.targets}
+        return {"mesh": hashlib.sha256(character.vertices.tobytes()).hexdigest(), **shapes}
+
+    def stale_reasons(self, model, character):
+        now = self.dependencies(character)
+        return [f"{name} changed" for name in now if model.meta["dependencies"].get(name) != now[name]]
+
+    def build(self, character, progress=None):
+        self.built += 1
+        for i in range(5):
+            assert progress(i / 5, "Modes")
+        counts = {"nodes": 10, "tets": 20, "dofs": 30, "modes": 3, "targets": len(character.targets)}
+        summary = {**counts, "seconds": {"modes": 0.5}, "warnings": []}
+        meta = {"dependencies": self.dependencies(character), "summary": summary}
+        return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
+
+    def bake(self, model, character, rig, settings, progress=None):
+        if self.fail:
+            raise self.fail
+        assert len(rig) == 1 + (settings.end - settings.start) * settings.substeps
+        for i in range(10):
+            if not progress(i / 10, f"Frame {i}"):
+                raise RuntimeError("cancelled")
+            time.sleep(self.patience / 10)
+        rng = np.random.default_rng(1)
+        vertices, targets = len(character.vertices), character.targets
+        bake = part("scene_data").Bake(
+            settings.frames, rng.normal(size=(len(settings.frames), 3)),
+            np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.01, (3, vertices, 3)),
+            np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets),
+        )  # fmt: skip
+        return bake, {"steps": 100, "steps_per_second": 1000.0, "inverted": 0, "warnings": []}
+
+
+def fingerprint(obj):
+    """All that a bake may change and Free Bake must restore, as comparable data."""
+    keys = obj.data.shape_keys
+    animation = keys.animation_data
+    return {
+        "keys": [
+            (k.name, k.value, k.mute, k.slider_min, k.slider_max, k.relative_key.name, k.vertex_group)
+            for k in keys.key_blocks
+        ],
+        "points": [[tuple(p.co) for p in k.points] for k in keys.key_blocks],
+        "active": obj.active_shape_key_index,
+        "animation": animation
+        and (
+            animation.action and animation.action.name,
+            animation.action_slot and animation.action_slot.identifier,
+            [(d.data_path, d.driver.expression) for d in animation.drivers],
+            [(t.name, t.mute, [(s.name, s.frame_start, s.frame_end) for s in t.strips]) for t in animation.nla_tracks],
+        ),
+        "actions": sorted(action.name for action in bpy.data.actions),
+        "objects": sorted(o.name for o in bpy.data.objects),
+        "scenes": sorted(s.name for s in bpy.data.scenes),
+    }

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on inside the bpy wheel, loaded from its sources as Blender loads an installed extension."""
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_test_")  # before bpy is imported
+
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs the bpy wheel")
+
+import addon_utils  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
+MODULE = "bl_ext.user_default.dynamic_morph_targets"
+sys.path[:0] = [str(ROOT / "tests"), str(Path(__file__).parent)]
+
+
+@pytest.fixture(scope="session")
+def addon():
+    """The add-on's package, enabled."""
+    folder = Path(bpy.utils.user_resource("EXTENSIONS", path="user_default", create=True))
+    (folder / "dynamic_morph_targets").symlink_to(ROOT / "addon" / "dynamic_morph_targets")
+    module = addon_utils.enable(MODULE, default_set=True)
+    assert module is not None
+    yield module
+    addon_utils.disable(MODULE, default_set=True)
+
+
+@pytest.fixture
+def scene(addon):
+    """An empty scene; unlike read_factory_settings this keeps the add-on."""
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    return bpy.context.scene
+
+
+@pytest.fixture
+def arm(scene):
+    """A two-bone arm with a Basis, the keys 'flexed' and 'smile', and a bending animation over frames 1 to 20."""
+    from builders import make_arm
+
+    return make_arm(scene)
+
+
+@pytest.fixture
+def soft_arm(arm):
+    """The arm as a soft skin: neutral, and 'flexed' captured at a bend of 90 degrees (frame 20)."""
+    from builders import make_soft
+
+    return make_soft(arm)
+
+
+@pytest.fixture
+def stand_in(addon, monkeypatch):
+    """Replaces the engine by one that answers at once; see builders.StandIn."""
+    from builders import StandIn, part
+
+    engine = StandIn()
+    monkeypatch.setattr(part("jobs"), "engine", lambda: (engine, engine))
+    part("jobs")._load.cache_clear()
+    return engine

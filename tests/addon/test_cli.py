@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: the same work as the button, exit codes, nothing written unless all went well."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import bpy
+import pytest
+from builders import make_arm, make_soft, part
+
+
+@pytest.fixture
+def shot(scene, soft_arm, tmp_path):
+    """A saved file with two soft skins, 'Arm' and 'Leg'."""
+    make_soft(make_arm(scene, "Leg"))
+    path = tmp_path / "shot ü.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+@pytest.fixture
+def run(stand_in, capfd):
+    """Runs a command line as `python -m dynamic_morph_targets` does; returns exit code, output, errors."""
+
+    def run(*arguments, opens_file=True):
+        capfd.readouterr()
+        code = part("cli").main([str(a) for a in arguments], opens_file=opens_file)
+        return code, *capfd.readouterr()
+
+    return run
+
+
+def bake_of(path, name):
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    return [key.name for key in bpy.data.objects[name].dynamorph.bake.keys]
+
+
+def test_bake_writes_another_file(shot, run, stand_in):
+    output = shot.parent / "baked.blend"
+    before = shot.read_bytes()
+    code, out, _ = run("bake", shot, "--object", "Arm", "--frames", 3, 12, "--substeps", 2, "-o", output)
+    assert code == 0
+    words = ("Arm: built: not built yet", "DOFs", "precompute", "10 x 2", "steps per second", "sample rig", "simulate")
+    for word in (*words, "write keys", "save"):
+        assert word in out
+    assert shot.read_bytes() == before
+    assert bake_of(output, "Leg") == []
+    assert bake_of(output, "Arm") == ["Dynamorph Mode 01", "Dynamorph Mode 02", "Dynamorph Mode 03"]
+    code, out, _ = run("info", output, "--object", "Arm")
+    assert code == 0 and "state: up to date" in out and "bake: 3 keys, 10 frames" in out
+    code, out, _ = run("free", output, "--object", "Arm", "--in-place")
+    assert code == 0 and "3 baked keys removed" in out
+    assert bake_of(output, "Arm") == []
+
+
+def test_all_in_place(shot, run, stand_in):
+    assert run("build", shot, "--all", "--in-place")[0] == 0
+    assert stand_in.built == 2
+    assert run("bake", shot, "--all", "--in-place")[0] == 0
+    assert stand_in.built == 2
+    assert bake_of(shot, "Arm") and bake_of(shot, "Leg")
+
+
+def test_inside_blender_the_open_file_is_used(shot, run, tmp_path):
+    output = tmp_path / "baked.blend"
+    assert run("bake", "--object", "Arm", "-o", output, opens_file=False)[0] == 0
+    assert bpy.data.filepath == str(shot)  # the session stays with its file
+    assert bake_of(output, "Arm")
+
+
+def test_large_models_follow_the_output(shot, run, stand_in, tmp_path, monkeypatch):
+    monkeypatch.setattr(part("jobs"), "PACK_LIMIT", 100)
+    (tmp_path / "out").mkdir()
+    assert run("build", shot, "--object", "Arm", "--in-place")[0] == 0
+    assert run("bake", shot, "--object", "Arm", "-o", tmp_path / "out" / "baked.blend")[0] == 0
+    assert stand_in.built == 1
+    assert run("bake", tmp_path / "out" / "baked.blend", "--object", "Arm", "--in-place")[0] == 0
+    assert stand_in.built == 1
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["bake", "{shot}", "--object", "Arm"], "--output --in-place is required"),
+        (["bake", "{shot}", "-o", "{out}"], "--object --all is required"),
+        (["bake", "{shot}", "--object", "Nope", "-o", "{out}"], "no object named 'Nope'"),
+        (["bake", "{shot}.nope", "--object", "Arm", "-o", "{out}"], "there is no file"),
+        (["bake", "{shot}", "--object", "Arm", "-o", "{shot}"], "--in-place to overwrite"),
+        (["bake", "{shot}", "--object", "Arm", "-o", "{shot}/nowhere/x.blend"], "there is no folder"),
+        (["bake", "{shot}", "--object", "Arm", "--substeps", "0", "-o", "{out}"], "--substeps is 0"),
+        (
+            ["bake", "{shot}", "--object", "Arm", "--frames", "9", "2", "-o", "{out}"],
+            "frame 2 comes before the first 9",
+        ),
+        (["bake", "{shot}", "--object", "Arm Rig", "-o", "{out}"], "'Arm Rig' is not a mesh"),
+        (["nonsense"], "invalid choice"),
+        ([], "required"),
+    ],
+)
+def test_bad_input(shot, run, stand_in, arguments, words):
+    output = shot.parent / "out.blend"
+    code, _, errors = run(*(a.format(shot=shot, out=output) for a in arguments))
+    assert code == 2 and words in errors
+    assert not output.exists() and stand_in.built == 0
+
+
+def test_no_open_file(scene, run):
+    """Blender runs the command even if the file it was given does not exist."""
+    code, _, errors = run("info", opens_file=False)
+    assert code == 2 and "no .blend is open" in errors
+
+
+def test_not_a_blend(run, tmp_path):
+    path = tmp_path / "x.blend"
+    path.write_bytes(b"nothing")
+    code, _, errors = run("info", path)
+    assert code == 2 and "cannot be opened" in errors
+
+
+def test_no_soft_skin(scene, run, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "empty.blend"))
+    code, _, errors = run("info", tmp_path / "empty.blend", "--all")
+    assert code == 2 and "no soft skin" in errors
+
+
+def test_failed_self_check(shot, run, stand_in):
+    stand_in.fail = part("jobs").SelfCheckError("'Arm': not numbers")
+    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+    assert code == 3 and "not numbers" in errors
+    assert bake_of(shot, "Arm") == []
+
+
+def test_ctrl_c(shot, run, stand_in):
+    stand_in.patience = 10.0
+    threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    before = shot.read_bytes()
+    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+    assert code == 130 and "interrupted" in errors
+    assert shot.read_bytes() == before
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("arguments, code", [(["-h"], 0), (["info", "nowhere.blend"], 2), (["bake"], 2)])
+def test_as_a_python_module(arguments, code):
+    """A process of its own, to see the exit code that a farm sees."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "addon")}
+    command = [sys.executable, "-m", "dynamic_morph_targets", *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr

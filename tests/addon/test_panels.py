@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels draw without error and only what exists; how it looks is for the window to show."""
+
+import types
+
+import bpy
+import pytest
+from builders import hand_made_bake, part
+
+
+class Layout:
+    """Stands in for bpy.types.UILayout: remembers what is drawn and refuses unknown properties and operators."""
+
+    def __init__(self, drawn):
+        self.drawn = drawn
+
+    def prop(self, data, name, **_options):
+        assert name in data.bl_rna.properties, name
+        self.drawn.append(name)
+
+    def prop_search(self, data, name, _owner, _collection, **_options):
+        self.prop(data, name)
+
+    def operator(self, name, **_options):
+        module, function = name.split(".")
+        assert getattr(bpy.ops, module).__getattr__(function).get_rna_type()
+        self.drawn.append(name)
+
+    def label(self, text="", **_options):
+        self.drawn.append(text)
+
+    def progress(self, factor, text):
+        self.drawn.append(text)
+
+    def template_list(self, _kind, _id, data, name, active_data, active_name, **_options):
+        assert name in data.bl_rna.properties and active_name in active_data.bl_rna.properties
+        for index, item in enumerate(getattr(data, name)):
+            part("panels").DYNAMORPH_UL_targets.draw_item(
+                None, None, self, data, item, 0, active_data, active_name, index
+            )
+
+    def panel(self, _name):
+        return self, self
+
+    def row(self, **_options):
+        return self
+
+    column = row
+
+
+def drawn(obj, panel="DYNAMORPH_PT_sidebar"):
+    out = []
+    panel_class = getattr(part("panels"), panel)
+    context = types.SimpleNamespace(object=obj)
+    assert panel_class.poll(context)
+    panel_class.draw(types.SimpleNamespace(layout=Layout(out)), context)
+    return out
+
+
+@pytest.mark.parametrize("panel", ["DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_object_data"])
+def test_through_the_workflow(arm, stand_in, panel):
+    assert "dynamorph.add_soft_skin" in drawn(arm, panel) and "dynamorph.bake" not in drawn(arm, panel)
+    bpy.ops.dynamorph.add_soft_skin()
+    bpy.context.scene.frame_set(20)
+    bpy.ops.dynamorph.add_target(key="flexed")
+    assert {"Neutral", "flexed", "Bones: lower", "stiffness", "dynamorph.build", "dynamorph.bake"} <= set(
+        drawn(arm, panel)
+    )
+    assert "dynamorph.free_bake" not in drawn(arm, panel)
+    bpy.ops.dynamorph.bake()
+    texts = drawn(arm, panel)
+    assert "dynamorph.free_bake" in texts and arm.dynamorph.model.summary[:40] in " ".join(texts)
+    arm.dynamorph.model.modes = 5
+    assert "Out of date: model settings changed" in drawn(arm, panel)
+
+
+def test_progress_replaces_the_button(soft_arm, stand_in):
+    jobs = part("jobs")
+    jobs.running = jobs.Job(soft_arm, bake=True)
+    jobs.running.message = "Frame 7"
+    try:
+        texts = drawn(soft_arm)
+        assert "Arm: Frame 7" in texts and "dynamorph.cancel" in texts
+        assert "dynamorph.bake" not in texts and "dynamorph.build" in texts
+        assert not bpy.ops.dynamorph.build.poll()
+    finally:
+        jobs.running = None
+
+
+def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
+    monkeypatch.setattr(part("jobs"), "engine_problem", lambda: "The engine cannot be loaded (no wheel). Install it")
+    assert "The engine cannot be loaded (no wheel)." in " ".join(drawn(soft_arm))
+
+
+def test_only_for_meshes(soft_arm):
+    panel = part("panels").DYNAMORPH_PT_sidebar
+    assert not panel.poll(types.SimpleNamespace(object=None))
+    assert not panel.poll(types.SimpleNamespace(object=soft_arm.modifiers["Armature"].object))
+
+
+def test_a_target_without_its_key_is_marked(soft_arm):
+    part("sinks").write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    soft_arm.shape_key_clear()
+    assert "flexed" in drawn(soft_arm)
+    part("sinks").free(soft_arm)
+    assert "dynamorph.free_bake" not in drawn(soft_arm)

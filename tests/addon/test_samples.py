@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sample scenes: what they state is so, in every Blender, and the script that wrote them still writes them."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bmesh
+import bpy
+import numpy as np
+import pytest
+from builders import part
+
+SAMPLES = Path(__file__).parents[2] / "sample_blends"
+SCENE = SAMPLES / "bulging_cylinder.blend"
+BENDS = {"Neutral": 0.0, "Half bend": 50.0, "Flexed": 100.0, "Back bend": -34.0}  # degrees, of the whole elbow
+
+
+@pytest.fixture
+def limb(scene):
+    return open_limb(SCENE)
+
+
+def open_limb(path):
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    return bpy.data.objects["Limb"]
+
+
+def volume(limb):
+    mesh = bmesh.new()
+    mesh.from_object(limb, bpy.context.evaluated_depsgraph_get())
+    try:
+        return mesh.calc_volume()
+    finally:
+        mesh.free()
+
+
+def test_is_a_ready_scene(limb):
+    scene = bpy.context.scene
+    assert SCENE.stat().st_size < 400_000
+    assert scene.camera and (scene.frame_start, scene.frame_end, scene.render.fps) == (1, 120, 24)
+    assert "CC0" in bpy.data.texts["LICENCE"].as_string()
+    assert "Flexed" in bpy.data.texts["README"].as_string()
+    assert 2000 <= len(limb.data.vertices) <= 4000
+    assert all(polygon.use_smooth for polygon in limb.data.polygons)
+    assert part("extract").check(limb) == []
+
+
+def test_mesh_is_closed_and_skinned_smoothly(limb):
+    mesh = bmesh.new()
+    mesh.from_mesh(limb.data)
+    assert all(edge.is_manifold for edge in mesh.edges)
+    weights = part("extract").character(limb).weights
+    jumps = [np.abs(weights[edge.verts[0].index] - weights[edge.verts[1].index]).max() for edge in mesh.edges]
+    mesh.free()
+    assert max(jumps) < 0.2
+
+
+def test_targets_have_their_poses_and_materials(limb):
+    targets = part("extract").character(limb).targets
+    assert [target.name for target in targets] == list(BENDS)
+    for target in targets:
+        bend = np.degrees(np.arctan2(target.local[2:, 2, 1], target.local[2:, 2, 2])).sum()
+        assert bend == pytest.approx(BENDS[target.name], abs=0.01)
+        assert np.allclose(target.local[:2], np.eye(4), atol=1e-6)
+        assert target.bones == (() if target.name == "Neutral" else ("Bone 3", "Bone 4"))
+    stiffness = {target.name: target.material.stiffness for target in targets}
+    assert stiffness["Flexed"] >= 4 * stiffness["Neutral"]
+    assert min(stiffness.values()) == stiffness["Neutral"]
+
+
+def test_sculpted_shapes_are_sane(limb):
+    character = part("extract").character(limb)
+    held = character.softness == 0
+    assert held.any()
+    for target in character.targets[1:]:
+        size = np.linalg.norm(target.shape, axis=1)
+        assert 0.005 < size.max() < 0.05
+        assert size[held].max() < 0.001
+
+
+def test_flexed_shape_regains_the_volume_that_skinning_loses(limb):
+    scene = bpy.context.scene
+    scene.frame_set(1)
+    straight = volume(limb)
+    scene.frame_set(46)
+    bent = volume(limb)
+    limb.data.shape_keys.key_blocks["Flexed"].value = 1.0
+    assert bent < 0.99 * straight < straight < volume(limb)
+
+
+def test_shakes_when_straight_and_holds_when_flexed(limb):
+    pytest.importorskip("dynamorph", reason="needs the engine")
+    jobs = part("jobs")
+    job = jobs.Job(limb, bake=True)
+    jobs.run(job)
+
+    def swing(first, last):
+        shapes = np.array([target.shape for target in job.character.targets])
+        frames = range(first - 1, last)
+        apart = [job.result.displacement(k) - np.tensordot(job.result.weights[k], shapes, 1) for k in frames]
+        return np.linalg.norm(apart, axis=2).max()
+
+    assert swing(96, 110) > 0.02
+    assert swing(50, 64) < 0.25 * swing(96, 110)
+
+
+def test_script_reproduces_the_file(limb, tmp_path):
+    script = [sys.executable, str(SAMPLES / "make_samples.py"), str(tmp_path)]
+    subprocess.run(script, check=True, stdout=subprocess.DEVNULL, timeout=120)
+    stored = content(limb)
+    made = content(open_limb(tmp_path / SCENE.name))
+    assert stored.keys() == made.keys()
+    for name in stored:
+        assert np.allclose(stored[name], made[name], atol=1e-6), name
+
+
+def content(limb):
+    """What matters of the scene as arrays: mesh, keys, weights, targets and the rig's motion."""
+    character = part("extract").character(limb)
+    content = {name: getattr(character, name) for name in ("vertices", "triangles", "weights", "softness")}
+    for target in character.targets:
+        material = target.material
+        content[f"shape {target.name}"] = target.shape
+        content[f"pose {target.name}"] = target.local
+        content[f"material {target.name}"] = [material.stiffness, material.mass_damping, material.stiffness_damping]
+    samples = part("extract").sample_rig(limb, 1, 120, 1)
+    return content | {"motion": samples.pose, "rig": samples.rig_world}

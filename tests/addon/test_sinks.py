@@ -1,0 +1,351 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A bake in Blender moves the mesh as the engine said, and Free Bake leaves no trace."""
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+from builders import (
+    activate,
+    add_key,
+    evaluated_points,
+    fingerprint,
+    hand_made_bake,
+    make_arm,
+    make_mesh,
+    make_soft,
+    part,
+)
+from test_extract import skinned
+
+
+def keys_of(obj):
+    return obj.data.shape_keys
+
+
+def assert_shows(obj, bake, extra=0.0):
+    """Blender's mesh at every frame is vertices + Bake.displacement, skinned."""
+    extract = part("extract")
+    character = extract.character(obj)
+    samples = extract.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)
+    for i, frame in enumerate(bake.frames):
+        bpy.context.scene.frame_set(int(frame))
+        ours = skinned(character, samples[i : i + 1], bake.displacement(i) + extra)[0]
+        assert np.abs(evaluated_points(obj) - ours).max() < 1e-5 * np.ptp(character.vertices, axis=0).max()
+
+
+def test_blender_shows_the_bake(soft_arm):
+    bake = hand_made_bake(soft_arm)
+    soft_arm.scale = (1.0, 2.0, 0.5)
+    part("sinks").write_modal_keys(soft_arm, bake)
+    assert [k.name for k in keys_of(soft_arm).key_blocks] == [
+        "Basis", "flexed", "smile", "Dynamorph Mode 01", "Dynamorph Mode 02", "Dynamorph Mode 03",
+        "Dynamorph Detail flexed",
+    ]  # fmt: skip
+    assert_shows(soft_arm, bake)
+
+
+def test_the_artists_keys_play_on_top(soft_arm):
+    blocks = keys_of(soft_arm).key_blocks
+    blocks["flexed"].value = 1.0  # muted by the bake, which contains it
+    blocks["smile"].driver_add("value").driver.expression = "0.5"
+    blocks["smile"].relative_key = blocks["flexed"]  # a muted key still serves as reference
+    soft_arm.vertex_groups.new(name="Half").add(list(range(200)), 0.5, "REPLACE")
+    blocks["smile"].vertex_group = "Half"
+    bake = hand_made_bake(soft_arm)
+    part("sinks").write_modal_keys(soft_arm, bake)
+    assert blocks["flexed"].mute and not blocks["smile"].mute
+    assert_shows(soft_arm, bake, extra=0.5 * part("extract").target_shape(soft_arm, "smile"))
+
+
+def test_the_artists_action_and_nla_play_on(scene, soft_arm):
+    keys = keys_of(soft_arm)
+    smile = keys.key_blocks["smile"]
+    for frame in (1, 20):
+        smile.value = frame / 20
+        smile.keyframe_insert("value", frame=frame)
+    animation = keys.animation_data
+    pushed = animation.action
+    track = animation.nla_tracks.new()
+    track.strips.new("smile", 1, pushed).action_slot = pushed.slots[0]
+    animation.action = None
+    keys.key_blocks["flexed"].keyframe_insert("value", frame=1)  # a new active Action
+    scene.frame_set(1)
+    before = fingerprint(soft_arm)
+    bake = hand_made_bake(soft_arm)
+    part("sinks").write_modal_keys(soft_arm, bake)
+    assert keys.animation_data.action.name == before["animation"][0]
+    scene.frame_set(20)
+    assert smile.value == pytest.approx(1.0)
+    scene.frame_set(1)
+    assert smile.value == pytest.approx(1 / 20)
+    values = bake.coordinates[:, 0] / np.abs(bake.coordinates[:, 0]).max()
+    for frame, index in ((-50, 0), (1, 0), (7, 6), (20, 19), (500, 19)):  # held outside the range
+        scene.frame_set(frame)
+        assert keys.key_blocks["Dynamorph Mode 01"].value == pytest.approx(values[index], abs=1e-6)
+    scene.frame_set(7, subframe=0.5)
+    assert keys.key_blocks["Dynamorph Mode 01"].value == pytest.approx(values[6:8].mean(), abs=1e-6)
+    scene.frame_set(1)
+    part("sinks").free(soft_arm)
+    assert fingerprint(soft_arm) == before
+
+
+def nothing(_obj):
+    pass
+
+
+def with_driver(obj):
+    keys_of(obj).key_blocks["flexed"].driver_add("value").driver.expression = "0.25"
+
+
+def with_action(obj):
+    keys_of(obj).key_blocks["smile"].keyframe_insert("value", frame=1)
+
+
+def with_muted_target(obj):
+    keys_of(obj).key_blocks["flexed"].mute = True
+
+
+def with_empty_animation_data(obj):
+    keys_of(obj).animation_data_create()
+
+
+def with_keys_of_the_same_name(obj):
+    add_key(obj, "Dynamorph Mode 01", 0.1)
+    add_key(obj, 'quote " and \\ backslash', 0.1)
+
+
+@pytest.mark.parametrize(
+    "prepare",
+    [nothing, with_driver, with_action, with_muted_target, with_empty_animation_data, with_keys_of_the_same_name],
+)
+def test_free_leaves_no_trace(scene, soft_arm, prepare):
+    prepare(soft_arm)
+    soft_arm.active_shape_key_index = 1
+    scene.frame_set(5)
+    before = fingerprint(soft_arm)
+    sinks = part("sinks")
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    assert soft_arm.active_shape_key_index == 1
+    scene.frame_set(5)
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, modes=5, seed=2))  # bake again
+    scene.frame_set(5)
+    assert len(keys_of(soft_arm).animation_data.nla_tracks) == 1
+    sinks.free(soft_arm)
+    assert fingerprint(soft_arm) == before
+    sinks.free(soft_arm)
+    assert fingerprint(soft_arm) == before
+
+
+def test_baking_again_replaces_the_bake(soft_arm):
+    sinks = part("sinks")
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    names = [k.name for k in keys_of(soft_arm).key_blocks]
+    second = hand_made_bake(soft_arm, seed=2)
+    sinks.write_modal_keys(soft_arm, second)
+    assert [k.name for k in keys_of(soft_arm).key_blocks] == names
+    assert len(bpy.data.actions) == 2  # the rig's and the bake's
+    assert_shows(soft_arm, second)
+
+
+def test_a_failure_keeps_the_previous_bake(soft_arm, monkeypatch):
+    sinks = part("sinks")
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    bpy.context.scene.frame_set(5)
+    before = fingerprint(soft_arm)
+    for broken in ("_add_curves", "_add_key"):
+        with monkeypatch.context() as patch:
+            patch.setattr(sinks, broken, lambda *_args: 1 / 0)
+            with pytest.raises(ZeroDivisionError):
+                sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
+        bpy.context.scene.frame_set(5)
+        assert fingerprint(soft_arm) == before
+
+
+def test_a_failed_first_bake_leaves_no_trace(soft_arm, monkeypatch):
+    sinks = part("sinks")
+    before = fingerprint(soft_arm)
+    monkeypatch.setattr(sinks, "_add_curves", lambda *_args: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    assert fingerprint(soft_arm) == before
+
+
+def test_free_finds_renamed_and_moved_keys(soft_arm):
+    sinks = part("sinks")
+    before = fingerprint(soft_arm)
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    blocks = keys_of(soft_arm).key_blocks
+    blocks["Dynamorph Mode 02"].name = "my favourite"
+    blocks["flexed"].name = "biceps"
+    keys_of(soft_arm).animation_data.nla_tracks[0].name = "soft"
+    keys_of(soft_arm).animation_data.nla_tracks[0].strips[0].action.name = "soft"
+    soft_arm.active_shape_key_index = 4
+    activate(soft_arm)
+    bpy.ops.object.shape_key_move(type="TOP")
+    assert [t.name for t in soft_arm.dynamorph.targets] == ["Neutral", "biceps"]
+    blocks["biceps"].name = "flexed"
+    bpy.context.view_layer.update()
+    sinks.free(soft_arm)
+    assert {**fingerprint(soft_arm), "active": 0} == {**before, "active": 0}
+
+
+def test_a_users_key_named_like_ours_is_never_taken(soft_arm):
+    """The record knows its keys by name and shape, not by a prefix."""
+    sinks = part("sinks")
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    add_key(soft_arm, "Dynamorph Mode 09", 0.1)
+    sinks.free(soft_arm)
+    assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile", "Dynamorph Mode 09"]
+
+
+def test_a_duplicate_is_freed_alone(soft_arm):
+    sinks = part("sinks")
+    before = [k.name for k in keys_of(soft_arm).key_blocks]
+    bake = hand_made_bake(soft_arm)
+    sinks.write_modal_keys(soft_arm, bake)
+    activate(soft_arm)
+    soft_arm.select_set(True)
+    bpy.ops.object.duplicate()
+    copy = bpy.context.object
+    assert copy != soft_arm and copy.data != soft_arm.data
+    sinks.free(copy)
+    assert [k.name for k in keys_of(copy).key_blocks] == before
+    assert not keys_of(copy).animation_data
+    assert_shows(soft_arm, bake)
+    sinks.free(soft_arm)
+    assert [k.name for k in keys_of(soft_arm).key_blocks] == before
+
+
+def test_bakes_survive_save_and_load(soft_arm, tmp_path):
+    sinks = part("sinks")
+    before = fingerprint(soft_arm)
+    bake = hand_made_bake(soft_arm)
+    sinks.write_modal_keys(soft_arm, bake)
+    for _ in range(2):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+    obj = bpy.data.objects["Arm"]
+    assert_shows(obj, bake)
+    bpy.context.scene.frame_set(1)
+    sinks.free(obj)
+    assert fingerprint(obj) == before
+
+
+def test_two_baked_characters(scene, soft_arm):
+    sinks = part("sinks")
+    other = make_soft(make_arm(scene, "Leg"))
+    first, second = hand_made_bake(soft_arm), hand_made_bake(other, seed=5)
+    sinks.write_modal_keys(soft_arm, first)
+    sinks.write_modal_keys(other, second)
+    assert_shows(soft_arm, first)
+    sinks.free(soft_arm)
+    assert_shows(other, second)
+
+
+def test_single_frame_and_still_bakes(scene, soft_arm):
+    sinks = part("sinks")
+    bake = hand_made_bake(soft_arm, frames=range(7, 8))
+    bake.coordinates[:, 1] = 0.0
+    sinks.write_modal_keys(soft_arm, bake)
+    for frame in (1, 7, 30):
+        scene.frame_set(frame)
+        value = keys_of(soft_arm).key_blocks["Dynamorph Mode 01"].value
+        assert abs(value) == pytest.approx(1.0) and np.sign(value) == np.sign(bake.coordinates[0, 0])
+    assert keys_of(soft_arm).key_blocks["Dynamorph Mode 02"].value == 0.0
+
+
+# What is refused, before anything changes ------------------------------------------------------------------------
+
+
+def shared_mesh(obj):
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("Twin", obj.data))
+
+
+def edit_mode(obj):
+    activate(obj)
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+def nla_off(obj):
+    keys_of(obj).animation_data_create().use_nla = False
+
+
+def solo_track(obj):
+    track = keys_of(obj).animation_data_create().nla_tracks.new()
+    track.name = "Lips"
+    track.is_solo = True
+
+
+def tweak_mode(obj):
+    with_action(obj)
+    animation = keys_of(obj).animation_data
+    action = animation.action
+    animation.action = None
+    strip = animation.nla_tracks.new().strips.new("a", 1, action)
+    strip.action_slot = action.slots[0]
+    strip.select = animation.nla_tracks[0].select = True
+    animation.nla_tracks.active = animation.nla_tracks[0]
+    animation.use_tweak_mode = True
+
+
+@pytest.mark.parametrize(
+    "spoil, words",
+    [
+        (shared_mesh, "'Arm' is shared by 2 objects.*single-user"),
+        (edit_mode, "'Arm' is in Edit Mode"),
+        (nla_off, "'Arm'.*turn it on"),
+        (solo_track, "'Lips'.*solo"),
+        (tweak_mode, "'Arm' are in NLA tweak mode"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_refused(soft_arm, spoil, words):
+    bake = hand_made_bake(soft_arm)
+    spoil(soft_arm)
+    names = [k.name for k in keys_of(soft_arm).key_blocks]
+    with pytest.raises(part("sinks").SinkError, match=words):
+        part("sinks").write_modal_keys(soft_arm, bake)
+    assert [k.name for k in keys_of(soft_arm).key_blocks] == names
+    assert not soft_arm.dynamorph.bake.keys
+
+
+def test_linked_data_is_refused(soft_arm, tmp_path):
+    path = str(tmp_path / "asset.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.objects = ["Arm"]
+    linked = wanted.objects[0]
+    bpy.context.scene.collection.objects.link(linked)
+    with pytest.raises(part("sinks").SinkError, match=r"'Arm' is linked.*make it local"):
+        part("sinks").check(linked)
+    override = linked.override_create()
+    assert [t.name for t in override.dynamorph.targets] == ["Neutral", "flexed"]
+    with pytest.raises(part("sinks").SinkError, match=r"linked.*make it local"):
+        part("sinks").check(override)
+
+
+def test_vertex_count_must_match(soft_arm):
+    bake = hand_made_bake(soft_arm)
+    other = make_mesh(bpy.context.scene, "Other", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
+    other.shape_key_add(name="Basis")
+    with pytest.raises(part("sinks").SinkError, match="'Other' has 3 vertices, the bake 272"):
+        part("sinks").write_modal_keys(other, bake)
+
+
+def test_writing_is_fast(scene):
+    """20 keys on 13,000 vertices, 250 frames."""
+    rng = np.random.default_rng(0)
+    obj = make_mesh(scene, "Body", rng.normal(size=(13_000, 3)), [(0, 1, 2)])
+    obj.shape_key_add(name="Basis")
+    bake = part("scene_data").Bake(
+        np.arange(250), rng.normal(size=(250, 20)), np.ones((250, 1)), rng.normal(size=(20, 13_000, 3)),
+        np.zeros((1, 13_000, 3)), ("Neutral",),
+    )  # fmt: skip
+    began = time.perf_counter()
+    part("sinks").write_modal_keys(obj, bake)
+    seconds = time.perf_counter() - began
+    print(f"write_modal_keys: {seconds * 1e3:.0f} ms")
+    assert seconds < 2.0

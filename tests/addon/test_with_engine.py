@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The add-on with the real engine: what Blender shows is what the engine computed, and models age for a reason only."""
+
+import bpy
+import numpy as np
+import pytest
+from builders import part, rig_of
+from mathutils import Matrix
+from test_sinks import assert_shows
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+
+@pytest.fixture
+def small_arm(soft_arm):
+    """The arm with a coarse cage, so that it builds in a second."""
+    soft_arm.dynamorph.model.cage_nodes = 200
+    soft_arm.dynamorph.model.modes = 8
+    return soft_arm
+
+
+def plain(_obj):
+    pass
+
+
+def scaled_and_travelling(obj):
+    """A rig that moves and turns with its mesh as a child, both scaled."""
+    rig = rig_of(obj)
+    obj.parent = rig
+    obj.matrix_parent_inverse = Matrix.Translation((0.1, 0.0, 0.0))
+    obj.scale = (1.25, 1.25, 1.1)
+    rig.scale = (0.013, 0.013, 0.013)
+    for frame in (1, 20):
+        rig.location, rig.rotation_euler = (frame, 0.1 * frame, 3.0), (0.1 * frame, 0.05 * frame, 0.2)
+        rig.keyframe_insert("location", frame=frame)
+        rig.keyframe_insert("rotation_euler", frame=frame)
+
+
+def mirrored(obj):
+    obj.scale = (-1.0, 1.0, 1.0)
+
+
+def run(obj, **options):
+    job = part("jobs").Job(obj, **options)
+    part("jobs").run(job)
+    return job
+
+
+@pytest.mark.parametrize("change", [plain, scaled_and_travelling, mirrored])
+def test_blender_shows_what_the_engine_computed(small_arm, change):
+    change(small_arm)
+    bpy.context.view_layer.update()
+    job = run(small_arm, bake=True)
+    assert np.abs(job.result.coordinates).max() > 0
+    assert_shows(small_arm, job.result)
+
+
+@pytest.mark.parametrize("change", [plain, scaled_and_travelling, mirrored])
+def test_playing_never_makes_a_model_old(scene, small_arm, change):
+    change(small_arm)
+    small_arm.dynamorph.simulation.use_scene_range = False
+    small_arm.dynamorph.simulation.end = 2
+    run(small_arm, bake=False)
+    jobs, extract = part("jobs"), part("extract")
+    for frame in range(1, 21):
+        scene.frame_set(frame)
+        assert jobs.stale_reasons(small_arm, extract.character(small_arm)) == []
+
+
+def stiffer(obj):
+    obj.dynamorph.targets[1].stiffness = 3e5
+
+
+def other_pose(obj):
+    bpy.context.scene.frame_set(15)
+    obj.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.capture_pose()
+
+
+def renamed(obj):
+    obj.data.shape_keys.key_blocks["flexed"].name = "biceps"
+    rig_of(obj).data.bones["lower"].name = "forearm"
+    obj.name = "Limb"
+    bpy.context.view_layer.update()
+
+
+def blended_otherwise(obj):
+    obj.dynamorph.model.blending = "FORCES"
+
+
+@pytest.mark.parametrize("change", [stiffer, other_pose, renamed, blended_otherwise])
+def test_what_never_needs_a_new_model(small_arm, change):
+    run(small_arm, bake=False)
+    change(small_arm)
+    assert run(small_arm, bake=True).reasons == []
+
+
+def sculpted(obj):
+    obj.data.shape_keys.key_blocks["flexed"].points[3].co.x += 0.01
+
+
+def weighted(obj):
+    obj.vertex_groups["lower"].add([5], 0.5, "REPLACE")
+
+
+def scaled(obj):
+    obj.scale = (1.0, 1.0, 1.1)
+    bpy.context.view_layer.update()
+
+
+@pytest.mark.parametrize(
+    "change, reason",
+    [(sculpted, "shape of 'flexed' changed"), (weighted, "skin weights changed"), (scaled, "object scale")],
+)
+def test_what_needs_one_is_named(small_arm, change, reason):
+    run(small_arm, bake=False)
+    change(small_arm)
+    assert reason in "; ".join(run(small_arm, bake=True).reasons)
+
+
+def test_cancelling_the_engine(small_arm):
+    jobs, extract = part("jobs"), part("extract")
+    job = jobs.Job(small_arm, bake=True)
+    job.prepare()
+    job.cancelled = True
+    job.start()
+    with pytest.raises(extract.Cancelled):
+        job.wait()
+    assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id

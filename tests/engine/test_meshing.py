@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From triangles to tetrahedra: what is accepted, what comes out, and that a crash or a hang stays in the child."""
+
+import time
+from pathlib import Path
+
+import dynamorph
+import numpy as np
+import pytest
+
+SHARED = Path(__file__).resolve().parents[3] / "shared"
+BOX_TRIANGLES = np.array([*map(int, "021123456576014154263367042246135375")]).reshape(-1, 3)
+
+
+def box(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
+    corners = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+    return corners * size + center, BOX_TRIANGLES
+
+
+def join(*meshes):
+    offsets = np.cumsum([0] + [len(vertices) for vertices, _ in meshes])
+    triangles = [triangles + offset for (_, triangles), offset in zip(meshes, offsets, strict=False)]
+    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(triangles)
+
+
+def sphere(rings=24):
+    """Radius 1, with degenerate triangles at its poles."""
+    latitude, longitude = np.meshgrid(np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, 2 * rings), indexing="ij")
+    vertices = np.stack(
+        [np.sin(latitude) * np.cos(longitude), np.sin(latitude) * np.sin(longitude), np.cos(latitude)], axis=-1
+    )
+    index = np.arange(latitude.size).reshape(latitude.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    triangles = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
+    return vertices.reshape(-1, 3), triangles
+
+
+def is_closed(triangles):
+    """Each directed edge once, and once the other way."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    directed = {tuple(edge) for edge in edges.tolist()}
+    return len(directed) == len(edges) and all((b, a) in directed for a, b in directed)
+
+
+def assert_carries(mesh, vertices, tolerance=1e-6):
+    """Every surface point is inside, and its barycentric weights give it back."""
+    size = np.linalg.norm(np.ptp(vertices, axis=0))
+    embedding = dynamorph.embed(mesh, vertices)
+    assert embedding.distances.max() < tolerance * size
+    np.testing.assert_allclose(embedding.weights.sum(axis=1), 1)
+    np.testing.assert_allclose(embedding.interpolate(mesh.nodes), vertices, atol=tolerance * size)
+
+
+BODIES = {
+    "sphere": sphere(),
+    "box": box(),
+    "overlapping boxes": join(box(), box(center=(0.4, 0.3, 0.2))),
+    "separate boxes": join(box(), box(center=(3, 0, 0))),
+    "open box": (box()[0], BOX_TRIANGLES[:-2]),
+    "flipped box": (box()[0], np.concatenate([BOX_TRIANGLES[:5], BOX_TRIANGLES[5:, ::-1]])),
+    "duplicate faces and vertices": join(box(), box()),
+    "stray vertex": (np.concatenate([box()[0], [[9, 9, 9]]]), BOX_TRIANGLES),
+    "tiny": box(size=(1e-3, 1e-3, 1e-3), center=(5e-3, 0, 0)),
+    "huge": box(size=(1e3, 2e3, 1e3)),
+}
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_any_soup_gives_tets_around_it(name):
+    vertices, triangles = BODIES[name]
+    cage_vertices, cage_triangles, mesh = dynamorph.mesh_body(vertices, triangles, 300)
+    assert is_closed(cage_triangles)
+    np.testing.assert_allclose(mesh.nodes[: len(cage_vertices)], cage_vertices, atol=1e-12 * np.ptp(cage_vertices))
+    assert (mesh.volumes > 0).all()
+    assert_carries(mesh, vertices[np.unique(triangles)])
+
+
+@pytest.mark.parametrize("target", [600, 2000])
+def test_node_count_within_a_fifth(target):
+    *_, mesh = dynamorph.mesh_body(*sphere(), target)
+    assert abs(len(mesh.nodes) / target - 1) < 0.2
+
+
+@pytest.mark.parametrize("name", ["cylinder", "herbert", "shoulder"])
+def test_stored_meshes_are_read_back(name):
+    file = SHARED / "meshes" / f"{name}.npz"
+    if not file.exists():
+        pytest.skip("../shared/meshes is absent")
+    arrays = np.load(file)
+    nodes, tets = arrays[arrays.files[0]], arrays[arrays.files[1]]
+    mesh = dynamorph.TetMesh(nodes, tets)
+    np.testing.assert_array_equal(mesh.tets, tets)
+    assert (mesh.volumes > 0).all()
+
+
+def test_filled_volume_is_the_bodys():
+    vertices, triangles = sphere()
+    *_, mesh = dynamorph.mesh_body(vertices, triangles, 600)
+    fill = dynamorph.fill_fractions(mesh, vertices, triangles)
+    assert fill.min() >= 0.05
+    assert fill.max() <= 1
+    assert fill @ mesh.volumes == pytest.approx(4 / 3 * np.pi, rel=0.03)
+
+
+def test_skin_weights_extend_into_the_body():
+    vertices, triangles = box(size=(1, 1, 4))
+    vertices, triangles = join((vertices, triangles), sphere(12))
+    *_, mesh = dynamorph.mesh_body(vertices, triangles, 300)
+    weights = np.column_stack([vertices[:, 2] > 0, vertices[:, 2] <= 0]).astype(float)
+    nodes = dynamorph.extend_to_nodes(mesh, dynamorph.embed(mesh, vertices), weights)
+    assert nodes.shape == (len(mesh.nodes), 2)
+    np.testing.assert_allclose(nodes.sum(axis=1), 1, atol=1e-6)
+    assert (nodes[mesh.nodes[:, 2] > 1.2, 0] > 0.8).all()
+
+
+def test_bones_hold_nodes_near_them():
+    vertices, triangles = box(size=(1, 1, 4))
+    *_, mesh = dynamorph.mesh_body(vertices, triangles, 600)
+    heads, tails = np.array([[0, 0, -2.0]]), np.array([[0, 0, 2.0]])
+    held = [dynamorph.pinned(mesh, vertices, triangles, heads, tails, ratio) for ratio in (0, 0.3, 0.6)]
+    assert held[0].dtype == bool
+    assert not held[0].any()
+    assert 0 < held[1].sum() < held[2].sum()
+    assert (held[1] <= held[2]).all()
+
+
+# --- Bad input -------------------------------------------------------------------------------------------------------
+
+
+def with_nan():
+    vertices, triangles = sphere()
+    vertices[[3, 5, 8, 13, 21, 34]] = np.nan
+    return vertices, triangles
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (with_nan(), r"6 of \d+ vertices .* \(first: 3, 5, 8, 13, 21\)"),
+        ((np.full((3, 3), np.inf), [[0, 1, 2]]), "NaN or infinite"),
+        ((np.zeros((0, 3)), np.zeros((0, 3), int)), "no faces"),
+        ((box()[0], np.zeros((0, 3), int)), "no faces"),
+        ((box(size=(1, 1, 0))[0], BOX_TRIANGLES), "flat.*Solidify"),
+        ((box(size=(1, 0, 0))[0], BOX_TRIANGLES), "flat.*Solidify"),
+        ((box(size=(1e8, 1e8, 1e8))[0], BOX_TRIANGLES), "apply the scale"),
+        ((box(size=(1e-8, 1e-8, 1e-8))[0], BOX_TRIANGLES), "apply the scale"),
+    ],
+)
+def test_unusable_bodies_are_refused_with_advice(body, message):
+    start = time.monotonic()
+    with pytest.raises(dynamorph.Error, match=message):
+        dynamorph.mesh_body(*body, 300)
+    assert time.monotonic() - start < 5
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda v, t: dynamorph.mesh_body(v[:, :2], t, 300), r"vertices: expected shape \(any, 3\), got \(8, 2\)"),
+        (lambda v, t: dynamorph.mesh_body(v, t.ravel(), 300), r"triangles: expected shape \(any, 3\), got \(36,\)"),
+        (lambda v, t: dynamorph.mesh_body(v, t + 1, 300), "triangles: expected vertex indices from 0 to 7"),
+        (lambda v, t: dynamorph.mesh_body(v, t, 2), "target_nodes: expected at least 4, got 2"),
+        (lambda v, t: dynamorph.make_cage(v[:, :2], t, 300), r"vertices: expected shape \(any, 3\), got \(8, 2\)"),
+        (lambda v, t: dynamorph.TetMesh(v, t), r"tets: expected shape \(any, 4\), got \(12, 3\)"),
+        (lambda v, t: dynamorph.TetMesh(v[:4], [[0, 1, 2, 9]]), "tets: expected node indices from 0 to 3"),
+        (lambda v, t: dynamorph.TetMesh(v[:4], [[0, 1, 2, 3]]), "tets: tet 0 is flat"),
+        (lambda v, t: dynamorph.TetMesh(v[:6], [[0, 1, 2, 4]]), "nodes: node 3 belongs to no tet"),
+    ],
+)
+def test_callers_mistakes_name_the_parameter(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(*box())
+
+
+def test_self_intersecting_cage_is_refused_with_advice(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(dynamorph.Error, match="intersects itself.*Remove"):
+        dynamorph.tetrahedralize(*join(box(), box(center=(0.4, 0.3, 0.2))), 300)
+    assert not list(tmp_path.iterdir())  # TetGen likes to leave files
+
+
+def test_open_cage_is_refused_with_advice():
+    with pytest.raises(dynamorph.Error, match="closed"):
+        dynamorph.tetrahedralize(box()[0], BOX_TRIANGLES[:-2], 300)
+
+
+# --- The child process -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [("crash", "crashed.*SIGSEGV.*resolution"), ("hang", "longer than 1 s"), ("memory", "more than 1 GB.*Lower")],
+)
+def test_a_failing_mesher_becomes_an_error(monkeypatch, fault, message):
+    monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", fault)
+    start = time.monotonic()
+    with pytest.raises(dynamorph.Error, match=message):
+        dynamorph.mesh_body(*box(), 300, time_limit=1 if fault == "hang" else 60, memory_limit_gb=1)
+    assert time.monotonic() - start < 10
+
+
+def test_progress_rises_and_false_cancels():
+    seen = []
+
+    def progress(fraction):
+        seen.append(fraction)
+        return len(seen) < 1000
+
+    dynamorph.mesh_body(*sphere(), 2000, progress=progress)
+    assert seen == sorted(seen)
+    assert 0 <= seen[0] < seen[-1] <= 1
+    with pytest.raises(dynamorph.Cancelled):
+        dynamorph.mesh_body(*sphere(), 2000, progress=lambda fraction: False)
+
+
+def test_an_exception_in_progress_reaches_the_caller():
+    with pytest.raises(ZeroDivisionError):
+        dynamorph.mesh_body(*box(), 300, progress=lambda fraction: 1 / 0)
+
+
+def test_the_same_body_gives_the_same_mesh():
+    first, second = (dynamorph.mesh_body(*sphere(), 300)[2] for _ in range(2))
+    np.testing.assert_array_equal(first.nodes, second.nodes)
+    np.testing.assert_array_equal(first.tets, second.tets)

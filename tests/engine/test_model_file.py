@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The file of a built model: what goes in comes out, and nothing damaged comes out."""
+
+import hashlib
+import json
+import time
+
+import numpy as np
+import pytest
+from dynamic_morph_targets import model_file
+from dynamic_morph_targets.model_file import ModelFileError, pack, read_meta, save, unpack
+
+ARRAYS = {
+    "nodes": np.arange(12.0).reshape(4, 3),
+    "tets": np.array([[0, 1, 2, 3]], np.int32),
+    "quartic": np.linspace(0, 1, 5, dtype=np.float32),
+    "pinned": np.array([True, False, True, False]),
+    "empty": np.zeros((0, 3)),
+    "scalar": np.array(2.5),
+    "fortran": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
+    "big endian": np.arange(3, dtype=">i8"),
+}
+META = {"name": "Körper 😀", "modes": 20, "seconds": {"build": 1.5}, "dependencies": {"mesh": "a1"}, "list": [1, None]}
+
+
+@pytest.fixture(scope="module")
+def packed():
+    return pack(ARRAYS, META)
+
+
+def test_round_trip(packed):
+    arrays, meta = unpack(packed)
+    assert meta == META == read_meta(packed)
+    assert list(arrays) == list(ARRAYS)
+    for name, array in ARRAYS.items():
+        assert arrays[name].shape == array.shape
+        assert arrays[name].dtype == array.dtype.newbyteorder("<")
+        np.testing.assert_array_equal(arrays[name], array)
+        assert arrays[name].flags.writeable
+
+
+def test_same_content_gives_same_bytes(packed):
+    assert pack(ARRAYS, META) == packed
+
+
+def test_every_truncation_is_refused(packed):
+    for length in range(len(packed)):
+        with pytest.raises(ModelFileError):
+            unpack(packed[:length])
+    with pytest.raises(ModelFileError, match="after its end"):
+        unpack(packed + b"\0")
+
+
+def test_every_byte_is_guarded(packed):
+    rng = np.random.default_rng(0)
+    for position in range(len(packed)):
+        damaged = bytearray(packed)
+        damaged[position] ^= 1 << rng.integers(8)
+        with pytest.raises(ModelFileError):
+            unpack(damaged)
+
+
+def forged(tensors, data=b"", **changes):
+    """A file by somebody who computes the hashes correctly, with any table of arrays."""
+    metadata = {
+        "format": model_file.FORMAT,
+        "version": str(model_file.VERSION),
+        "meta": "{}",
+        "hashes": json.dumps({name: hashlib.sha256(data).hexdigest() for name in tensors}),
+        "header_hash": "",
+        **changes,
+    }
+    header = {**tensors, "__metadata__": metadata}
+    metadata["header_hash"] = hashlib.sha256(json.dumps(header).encode()).hexdigest()
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + data
+
+
+@pytest.mark.parametrize(
+    "tensor",
+    [
+        {"dtype": "F64", "shape": [2**40], "data_offsets": [0, 2**43]},
+        {"dtype": "F64", "shape": [2**60, 2**60], "data_offsets": [0, 8]},
+        {"dtype": "F64", "shape": [0, 2**80], "data_offsets": [0, 0]},
+        {"dtype": "F64", "shape": [-1], "data_offsets": [0, 8]},
+        {"dtype": "F64", "shape": [1.0], "data_offsets": [0, 8]},
+        {"dtype": "F64", "shape": [True], "data_offsets": [0, 8]},
+        {"dtype": "F64", "shape": [1], "data_offsets": [8, 16]},
+        {"dtype": "F64", "shape": [1], "data_offsets": [0]},
+        {"dtype": "F64", "shape": [1] * 40, "data_offsets": [0, 8]},
+        {"dtype": "O", "shape": [1], "data_offsets": [0, 8]},
+        {"dtype": ["F64"], "shape": [1], "data_offsets": [0, 8]},
+        {"dtype": "F64", "shape": 1, "data_offsets": [0, 8]},
+        {"dtype": "F64", "shape": [1]},
+        [],
+        None,
+    ],
+)
+def test_hostile_table_is_refused(tensor):
+    with pytest.raises(ModelFileError):
+        unpack(forged({"a": tensor}, bytes(8)))
+
+
+def test_forgery_helper_is_right():
+    arrays, _ = unpack(forged({"a": {"dtype": "F64", "shape": [1], "data_offsets": [0, 8]}}, bytes(8)))
+    assert arrays["a"] == 0.0
+
+
+@pytest.mark.parametrize(
+    "buffer",
+    [
+        b"",
+        (2**63).to_bytes(8, "little") + b"{}",
+        (8).to_bytes(8, "little") + b"[1, 2]  ",
+        (8).to_bytes(8, "little") + b"\xff" * 8,
+        (200_000).to_bytes(8, "little") + b"[" * 200_000,
+        (200_000).to_bytes(8, "little") + b"9" * 200_000,
+        b"\x80\x04\x95pickle",
+        bytes(100),
+    ],
+)
+def test_hostile_header_is_refused_at_once(buffer):
+    began = time.perf_counter()
+    with pytest.raises(ModelFileError):
+        unpack(buffer)
+    assert time.perf_counter() - began < 1.0
+
+
+def test_newer_version_says_so():
+    with pytest.raises(ModelFileError, match=r"version 9.*update"):
+        unpack(forged({}, version="9"))
+
+
+def test_other_format_says_so():
+    with pytest.raises(ModelFileError, match="not a Dynamorph model"):
+        unpack(forged({}, format="pt"))
+
+
+@pytest.mark.parametrize(
+    "arrays, meta", [({"a": np.array([object()])}, {}), ({}, {"x": float("nan")}), ({}, {"x": {1, 2}})]
+)
+def test_only_numbers_and_json_are_stored(arrays, meta):
+    with pytest.raises(ModelFileError):
+        pack(arrays, meta)
+
+
+def test_save_replaces_whole_files_only(tmp_path, packed, monkeypatch):
+    path = tmp_path / "models" / "ü model.dynamorph"
+    save(path, b"old")
+    monkeypatch.setattr(model_file.os, "fsync", lambda _handle: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError):
+        save(path, packed)
+    assert path.read_bytes() == b"old"
+    monkeypatch.undo()
+    save(path, packed)
+    assert unpack(path.read_bytes())[1] == META
+    assert [p.name for p in path.parent.iterdir()] == [path.name]

@@ -1,0 +1,412 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine against analytic solutions, invariants and an independent integrator."""
+
+import dynamorph
+import numpy as np
+import pytest
+from scenes import bar
+from scipy.integrate import solve_ivp
+from scipy.signal import argrelmax
+from scipy.spatial.transform import Rotation
+
+LAWS = list(dynamorph.Law.__members__.values())
+BLENDINGS = list(dynamorph.Blending.__members__.values())
+EULER, BDF2 = dynamorph.Scheme.EULER, dynamorph.Scheme.BDF2
+ONE = np.ones(1)
+
+
+def lame(young, poisson):
+    return {
+        "lame_lambda": young * poisson / ((1 + poisson) * (1 - 2 * poisson)),
+        "lame_mu": young / (2 * (1 + poisson)),
+    }
+
+
+def cantilever(cells, size, young=1e5, poisson=0.0, law=dynamorph.Law.LINEAR, density=1000.0, **damping):
+    """A bar held at x = 0 on one bone, with one target: its rest shape."""
+    nodes, tets = bar(cells, size)
+    count = np.ones(len(tets))
+    body = dynamorph.SoftBody(
+        dynamorph.TetMesh(nodes, tets), count, count, count[:, None], nodes[:, 0] < 1e-9, np.ones((len(nodes), 1))
+    )
+    target = dynamorph.MorphTarget("rest", np.zeros_like(nodes), density=density, **lame(young, poisson), **damping)
+    return dynamorph.FullModel(body, [target], law, dynamorph.Blending.FORCES), nodes
+
+
+def bones(rotation=None, translation=(0, 0, 0)):
+    """One bone's transform (1, 3, 4)."""
+    matrix = np.eye(3) if rotation is None else rotation.as_matrix()
+    return np.hstack([matrix, np.reshape(translation, (3, 1))])[None]
+
+
+def hold(simulation, steps):
+    """Advance with the bone at rest."""
+    return simulation.advance(np.repeat(bones()[None], steps, axis=0), np.ones((steps, 1)))
+
+
+def displaced(simulation, q):
+    """Put a simulation at rest at coordinates q: bones at the identity, no velocity."""
+    simulation.start(bones(), bones(), ONE)
+    (_, _), x = simulation.state
+    u = simulation_displacement(simulation, q)
+    simulation.state = ([q, q], [x[0] + u] * 4)
+
+
+def simulation_displacement(simulation, q):
+    model = simulation.model
+    return model.displacement(q)[model.body.free_nodes].ravel()
+
+
+def test_cantilever_bends_as_timoshenko_says():
+    """Deflection under gravity tends to the beam's as the mesh is refined: w = q L^4 / 8 E I + q L^2 / 2 k G A."""
+    length, side, young, density, g = 1.0, 0.25, 1e6, 1000.0, 9.81
+    area, inertia, shear = side**2, side**4 / 12, young / 2
+    q = density * area * g
+    beam = q * length**4 / (8 * young * inertia) + q * length**2 / (2 * 5 / 6 * shear * area)
+    errors = []
+    for n in (2, 4, 8):
+        model, nodes = cantilever((4 * n, n, n), (length, side, side), young, density=density)
+        simulation = dynamorph.FullSimulation(model, 0.01, gravity=(0, 0, -g))
+        coordinates, _ = simulation.solve_static(bones(), ONE)
+        tip = -model.displacement(coordinates)[nodes[:, 0] > length - 1e-9, 2].mean()
+        errors.append(1 - tip / beam)
+    assert errors[2] < 0.06  # linear tetrahedra are too stiff in bending ...
+    assert errors[1] / errors[2] > 3  # ... by a second-order error
+    extrapolated = errors[2] - (errors[1] - errors[2]) / 3
+    assert abs(extrapolated) < 0.015  # of a beam only four times as long as high
+
+
+def test_axial_mode_has_the_rod_s_frequency():
+    """omega = pi / 2 L sqrt(E / rho) for a rod held at one end (Poisson's ratio 0)."""
+    model, nodes = cantilever((20, 2, 2), (1.0, 0.1, 0.1), young=1e6)
+    omega, shapes = model.linear_modes(0, 8)
+    axial = np.abs(shapes.reshape(-1, 3, 8)[:, 0].sum(axis=0)).argmax()
+    assert omega[axial] == pytest.approx(np.pi / 2 * np.sqrt(1e6 / 1000), rel=3e-3)
+
+
+def one_mode_oscillator(h, scheme, mode=0):
+    """The first mode alone, as a reduced linear model: an undamped oscillator of known frequency."""
+    model, _ = cantilever((8, 2, 2), (0.4, 0.1, 0.1), young=5e4)
+    omega, shapes = model.linear_modes(0, mode + 1)
+    basis = shapes[:, mode : mode + 1] * np.sqrt(1000.0)  # orthonormal for unit density
+    tables = dynamorph.reduce(model, basis)
+    nodes = len(model.displacement(np.zeros(model.dofs)))
+    target = dynamorph.MorphTarget("rest", np.zeros((nodes, 3)), density=1000.0, **lame(5e4, 0.0))
+    reduced = dynamorph.ReducedModel(model.body, [target], tables, dynamorph.Blending.FORCES)
+    return dynamorph.ReducedSimulation(reduced, h, scheme=scheme, tolerance=1e-12), omega[mode], basis
+
+
+@pytest.mark.parametrize(("scheme", "order"), [(EULER, 1), (BDF2, 2)])
+def test_free_oscillator_converges_to_the_analytic_motion(scheme, order):
+    """z(t) = cos(omega t) after a quarter of the sway and three more, with the order the scheme claims."""
+    errors = []
+    for steps in (800, 1600, 3200):
+        _, omega, _ = one_mode_oscillator(1.0, scheme)
+        end = 3.25 * 2 * np.pi / omega
+        simulation, _, _ = one_mode_oscillator(end / steps, scheme)
+        # A past on the exact trajectory: the scheme's own error alone is measured.
+        simulation.start(bones(), bones(), ONE)
+        _, x = simulation.state
+        past = [np.cos(-k * omega * end / steps) for k in range(4)]
+        u = [simulation_displacement(simulation, np.array([z])) for z in past]
+        simulation.state = ([np.array([past[0]]), np.array([past[1]])], [x[0] + v for v in u])
+        hold(simulation, steps)
+        errors.append(abs(simulation.coordinates[0] - np.cos(omega * end)))
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(orders > order - 0.25)
+
+
+def test_damping_decays_as_rayleigh_s():
+    """The peaks of a mode fall by exp(-2 pi zeta / sqrt(1 - zeta^2)), zeta = (alpha / omega + beta omega) / 2."""
+    alpha, beta = 1.0, 0.0005
+    model, _ = cantilever((8, 2, 2), (0.4, 0.1, 0.1), young=5e4, mass_damping=alpha, stiffness_damping=beta)
+    omega, shapes = model.linear_modes(0, 1)
+    zeta = (alpha / omega[0] + beta * omega[0]) / 2
+    simulation = dynamorph.FullSimulation(model, 2 * np.pi / omega[0] / 400)
+    displaced(simulation, 1e-3 * shapes[:, 0])
+    path = []
+    for _ in range(1300):
+        hold(simulation, 1)
+        path.append(simulation.coordinates @ shapes[:, 0])
+    peaks = np.array(path)[argrelmax(np.array(path))]
+    assert peaks[1:3] / peaks[:2] == pytest.approx(np.exp(-2 * np.pi * zeta / np.sqrt(1 - zeta**2)), rel=0.01)
+
+
+@pytest.mark.parametrize("scheme", [EULER, BDF2])
+@pytest.mark.parametrize("law", LAWS)
+def test_energy_never_grows_without_input(law, scheme):
+    """Released from a random deformation at a fixed pose, the total energy stays within 1 % of where it began."""
+    model, _ = cantilever((4, 2, 2), (0.2, 0.1, 0.1), young=2e4, poisson=0.3, law=law)
+    simulation = dynamorph.FullSimulation(model, 1 / 240, scheme=scheme)
+    rng = np.random.default_rng(5)
+    displaced(simulation, 0.01 * rng.standard_normal(model.dofs))
+    begin = simulation.elastic_energy + simulation.kinetic_energy
+    total = []
+    for _ in range(120):
+        assert hold(simulation, 1)["converged"]
+        total.append(simulation.elastic_energy + simulation.kinetic_energy)
+    assert np.isfinite(total).all()
+    assert max(total) <= 1.01 * begin
+    assert total[-1] < begin
+
+
+@pytest.fixture(scope="module")
+def rotating_bar():
+    model, nodes = cantilever((3, 1, 1), (0.3, 0.1, 0.1), young=4e4, poisson=0.3, stiffness_damping=0.0)
+    _, _, stiffness = model.linearize(ONE, np.zeros(model.dofs))
+    mass = model.inertia(bones(), 1000.0).diagonal()
+    rest = nodes[model.body.free_nodes]
+    return model, stiffness.toarray() / mass[:, None], rest
+
+
+AXIS = np.array([0.2, 0.5, 1.0]) / np.linalg.norm([0.2, 0.5, 1.0])
+
+
+def angle(t):
+    """A rotation that starts at rest, speeds up and slows down, with its first and second derivatives."""
+    return 1.5 * (1 - np.cos(4 * t)), 6 * np.sin(4 * t), 24 * np.cos(4 * t)
+
+
+def rotating_frame(rotating_bar, end):
+    """u(end) of the same bar from its equation of motion in the rotating frame: Euler, Coriolis, centrifugal terms."""
+    _, stiffness, rest = rotating_bar
+
+    def rate(t, y):
+        u, v = np.split(y, 2)
+        _, speed, acceleration = angle(t)
+        omega, alpha = speed * AXIS, acceleration * AXIS
+        position, velocity = rest + u.reshape(-1, 3), v.reshape(-1, 3)
+        inertial = (
+            np.cross(alpha, position) + 2 * np.cross(omega, velocity) + np.cross(omega, np.cross(omega, position))
+        )
+        return np.concatenate([v, -stiffness @ u - inertial.ravel()])
+
+    size = 2 * rest.size
+    # The body moves with the frame before t = 0 as angle() does, which is at rest there: u = 0, u' = 0.
+    return solve_ivp(rate, (0, end), np.zeros(size), rtol=1e-9, atol=1e-11).y[: rest.size, -1]
+
+
+def test_rotating_body_feels_euler_coriolis_and_centrifugal_forces(rotating_bar):
+    """A bar on an accelerating, rotating bone, against its equation of motion in the rotating frame."""
+    model, _, _ = rotating_bar
+    end = 0.5
+    exact = rotating_frame(rotating_bar, end)
+    errors = []
+    for steps in (400, 800, 1600):
+        h = end / steps
+        simulation = dynamorph.FullSimulation(model, h, tolerance=1e-12)
+        frames = np.array([bones(Rotation.from_rotvec(angle(k * h)[0] * AXIS)) for k in range(steps + 1)])
+        simulation.start(frames[0], frames[0], ONE)
+        simulation.advance(frames[1:], np.ones((steps, 1)))
+        errors.append(np.abs(simulation.coordinates - exact).max() / np.abs(exact).max())
+    assert errors[2] < 2e-3
+    assert errors[1] / errors[2] > 3.4  # second order
+
+
+def test_rotating_frame_at_constant_speed_is_centrifugal_statics(rotating_bar):
+    """With damping, the bar settles where K u = M omega^2 (X + u) across the axis."""
+    speed, h = 5.0, 1 / 500
+    model, nodes = cantilever((3, 1, 1), (0.3, 0.1, 0.1), young=4e4, poisson=0.3, stiffness_damping=0.2)
+    _, stiffness, rest = rotating_bar
+    across = np.kron(np.eye(len(rest)), np.eye(3) - np.outer(AXIS, AXIS))
+    exact = np.linalg.solve(stiffness - speed**2 * across, speed**2 * across @ rest.ravel())
+    frames = np.array([bones(Rotation.from_rotvec(speed * k * h * AXIS)) for k in range(1500)])
+    simulation = dynamorph.FullSimulation(model, h)
+    simulation.start(frames[0], frames[1], ONE)
+    simulation.advance(frames[1:], np.ones((len(frames) - 1, 1)))
+    assert np.abs(simulation.coordinates - exact).max() < 2e-3 * np.abs(exact).max()
+
+
+def test_a_sudden_stop_is_a_finite_impulse():
+    """A bar moving at 3 m/s whose bone stops within a step: the mode peaks at its momentum over omega, within 3 %."""
+    _, omega, _ = one_mode_oscillator(1.0, BDF2)
+    h = 0.3 / omega
+    simulation, omega, basis = one_mode_oscillator(h, BDF2)
+    speed, axis = 3.0, np.abs(basis.reshape(-1, 3).sum(axis=0)).argmax()
+    direction = np.eye(3)[axis]
+    simulation.start(bones(translation=-speed * h * direction), bones(), ONE)
+    peak = 0.0
+    for _ in range(40):
+        hold(simulation, 1)
+        peak = max(peak, abs(simulation.coordinates[0]))
+    volumes = simulation.model.body.volumes[:, 0]
+    momentum = speed * np.abs((volumes[:, None] * basis.reshape(-1, 3))[:, axis].sum())
+    assert peak < 1.001 * momentum / omega
+    assert peak > 0.97 * momentum / omega
+
+
+# Targets -----------------------------------------------------------------------------------------------------------
+
+
+def sculpted(law, blending, reduced, damping=0.5, modes=12):
+    """Neutral, a stiff bulge and a soft bend of a bar on two bones; (model, displacements, size)."""
+    nodes, tets = bar((8, 2, 2), (0.4, 0.1, 0.1))
+    count = np.ones(len(tets))
+    s = nodes[:, 0] / 0.4
+    weights = np.stack([1 - s, s], axis=1)
+    body = dynamorph.SoftBody(
+        dynamorph.TetMesh(nodes, tets), count, count, count[:, None], nodes[:, 0] < 1e-9, weights
+    )
+    bulge = (nodes - [0, 0.05, 0.05]) * [0, 1, 1] * (0.5 * np.sin(np.pi * s))[:, None]
+    bend = np.stack([-0.05 * s**2, 0 * s, 0.12 * s**2], axis=1)
+    shapes = [np.zeros_like(nodes), bulge, bend]
+    materials = [(2e4, 0.3, 900.0), (1.6e5, 0.4, 1100.0), (8e3, 0.2, 1000.0)]
+    targets = [
+        dynamorph.MorphTarget(name, shape, density=rho, mass_damping=damping, stiffness_damping=0.003, **lame(young, nu))
+        for name, shape, (young, nu, rho) in zip("nbs", shapes, materials, strict=True)
+    ]
+    model = dynamorph.FullModel(body, targets, law, blending)
+    if reduced:
+        tables = dynamorph.reduce(model, dynamorph.make_basis(model, modes).U)
+        model = dynamorph.ReducedModel(body, targets, tables, blending)
+    return model, shapes, body.size
+
+
+def simulation_of(model, h=1 / 120, **options):
+    reduced = isinstance(model, dynamorph.ReducedModel)
+    return (dynamorph.ReducedSimulation if reduced else dynamorph.FullSimulation)(model, h, **options)
+
+
+TWO_BONES = np.repeat(bones(), 2, axis=0)
+FLEXED = np.concatenate([bones(), bones(Rotation.from_euler("y", 70, degrees=True), (0.1, 0, 0.1))])
+
+
+@pytest.mark.parametrize("reduced", [False, True])
+@pytest.mark.parametrize("blending", BLENDINGS)
+@pytest.mark.parametrize("law", LAWS)
+def test_static_solution_at_a_target_is_the_sculpted_shape(law, blending, reduced):
+    model, shapes, size = sculpted(law, blending, reduced)
+    simulation = simulation_of(model)
+    for j, shape in enumerate(shapes):
+        # From far away: the solution is found, not guessed.
+        coordinates, report = simulation.solve_static(FLEXED, np.eye(3)[j])
+        assert report["converged"]
+        assert np.abs(model.displacement(coordinates) - shape).max() < 1e-6 * size
+
+
+@pytest.mark.parametrize("reduced", [False, True])
+@pytest.mark.parametrize("law", LAWS)
+def test_a_simulation_comes_to_rest_at_the_target(law, reduced):
+    """From the neutral's pose to the bulge's in 20 steps, then held: the motion dies out at the sculpted shape."""
+    model, shapes, size = sculpted(law, dynamorph.Blending.EVEN, reduced, damping=10.0)
+    simulation = simulation_of(model, 1 / 60)
+    simulation.start(TWO_BONES, TWO_BONES, np.eye(3)[0])
+    bulged = np.clip(np.arange(1, 401) / 20, 0, 1)[:, None]
+    weights = bulged * np.eye(3)[1] + (1 - bulged) * np.eye(3)[0]
+    report = simulation.advance(np.repeat(TWO_BONES[None], len(weights), axis=0), weights)
+    assert report["converged"]
+    assert np.abs(model.displacement(simulation.coordinates) - shapes[1]).max() < 1e-5 * size
+
+
+def test_held_targets_do_not_sag_and_gravity_s_difference_still_acts():
+    model, shapes, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)
+    simulation = simulation_of(model, gravity=(0, 0, -9.81))
+    weights = np.eye(3)[1]
+    sagging, _ = simulation.solve_static(FLEXED, weights)
+    assert np.abs(model.displacement(sagging) - shapes[1]).max() > 1e-4 * size
+    simulation.hold_targets(np.array([TWO_BONES, FLEXED, TWO_BONES]))
+    held, _ = simulation.solve_static(FLEXED, weights)
+    assert np.abs(model.displacement(held) - shapes[1]).max() < 1e-6 * size
+    tilted, _ = simulation.solve_static(TWO_BONES, weights)
+    assert np.abs(model.displacement(tilted) - shapes[1]).max() > 1e-4 * size
+
+
+def test_stiff_target_answers_a_push_less_than_the_soft_one():
+    """The dynamic property of a dynamic morph target: one force, two stiffnesses."""
+    model, shapes, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
+    push = np.zeros_like(shapes[0])
+    push[-1] = (0, 0, -0.05)
+    simulation = simulation_of(model)
+    answers = [
+        np.abs(model.displacement(simulation.solve_static(TWO_BONES, np.eye(3)[j], push)[0]) - shapes[j]).max()
+        for j in range(2)
+    ]
+    assert answers[0] / answers[1] > 8  # moduli are 8 : 1, and the bulge is thicker
+
+
+def test_reduced_follows_full():
+    """A bar swinging far beyond small strain, in 20 modes for three targets, stays close to the unreduced one."""
+    full, _, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, False)
+    reduced, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True, modes=20)
+    times = np.arange(1, 121) / 120
+    swing = 0.2 * np.sin(2 * np.pi * times)
+    rig = np.array([np.concatenate([bones(), bones(Rotation.from_euler("y", a))]) for a in swing])
+    weights = np.stack([1 - np.abs(swing), np.clip(swing, 0, None), np.clip(-swing, 0, None)], axis=1)
+    paths = []
+    for model in (full, reduced):
+        simulation = simulation_of(model)
+        simulation.start(TWO_BONES, TWO_BONES, np.eye(3)[0])
+        path = []
+        for k in range(len(times)):
+            simulation.advance(rig[k : k + 1], weights[k : k + 1])
+            path.append(model.displacement(simulation.coordinates))
+        paths.append(np.array(path))
+    moved = np.sqrt((paths[0] ** 2).mean())
+    assert moved > 0.01 * size
+    assert np.sqrt(((paths[0] - paths[1]) ** 2).mean()) < 0.05 * moved
+
+
+# State -------------------------------------------------------------------------------------------------------------
+
+
+def swing(model, count):
+    rig = np.array([np.concatenate([bones(), bones(Rotation.from_euler("y", 0.05 * k))]) for k in range(count)])
+    return rig, np.tile([0.5, 0.5, 0.0], (count, 1))
+
+
+def test_state_resumes_bit_for_bit():
+    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.FORCES, True)
+    rig, weights = swing(model, 20)
+    simulation = simulation_of(model)
+    simulation.start(rig[0], rig[1], weights[0])
+    simulation.advance(rig[1:10], weights[1:10])
+    state = simulation.state
+    simulation.advance(rig[10:], weights[10:])
+    resumed = simulation_of(model)
+    resumed.state = state
+    resumed.advance(rig[10:], weights[10:])
+    assert np.array_equal(resumed.coordinates, simulation.coordinates)
+
+
+def test_a_cut_in_the_root_motion_carries_the_past_along():
+    """The rig jumps 50 m and turns; with the teleport rule the flesh swings on as if nothing had happened."""
+    model, _, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)
+    rig, weights = swing(model, 20)
+    jump = np.vstack([bones(Rotation.from_euler("z", 100, degrees=True), (50, 0, 3))[0], [0, 0, 0, 1]])
+    cut = rig.copy()
+    homogeneous = np.concatenate([rig[10:], np.tile([[[[0, 0, 0, 1.0]]]], (10, 2, 1, 1))], axis=2)
+    cut[10:] = (jump @ homogeneous)[:, :, :3]
+    ends = []
+    for path, teleport in ((rig, 0.0), (cut, 0.5 * size), (cut, 0.0)):
+        simulation = simulation_of(model, teleport=teleport)
+        simulation.start(path[0], path[1], weights[0])
+        report = simulation.advance(path[1:], weights[1:])
+        assert np.isfinite(simulation.coordinates).all()
+        ends.append(model.displacement(simulation.coordinates))
+        assert report["teleported"] == (teleport > 0)
+    assert np.abs(ends[1] - ends[0]).max() < 0.1 * np.abs(ends[0]).max()
+    assert np.abs(ends[2] - ends[0]).max() > np.abs(ends[0]).max()
+
+
+# Bad input ---------------------------------------------------------------------------------------------------------
+
+
+def test_wrong_shapes_name_the_parameter():
+    model, _, _ = sculpted(dynamorph.Law.LINEAR, dynamorph.Blending.EVEN, True)
+    simulation = simulation_of(model)
+    with pytest.raises(ValueError, match=r"now: expected shape \(any, 3, 4\), got \(2, 4, 4\)"):
+        simulation.start(np.zeros((2, 4, 4)), TWO_BONES, np.eye(3)[0])
+    with pytest.raises(ValueError, match="expected 2 transforms, got 1"):
+        simulation.start(bones(), bones(), np.eye(3)[0])
+    with pytest.raises(ValueError, match="weights: expected 3, got 1"):
+        simulation.start(TWO_BONES, TWO_BONES, ONE)
+    with pytest.raises(ValueError, match=r"start\(\) comes first"):
+        simulation.advance(TWO_BONES[None], np.eye(3)[:1])
+    with pytest.raises(dynamorph.Error, match="not a number"):
+        simulation.start(TWO_BONES * np.nan, TWO_BONES, np.eye(3)[0])
+
+
+def test_cancel_stops_a_long_call():
+    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
+    with pytest.raises(dynamorph.Cancelled):
+        dynamorph.make_basis(model, 12, lambda fraction: fraction < 0.3)

@@ -1,0 +1,72 @@
+#!/bin/bash
+# SPDX-License-Identifier: GPL-3.0-or-later
+# System packages where they are missing, and one virtual environment for each supported Python that is found.
+# Costs nothing when there is nothing to do.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+supported=(3.11 3.13) # Blender 4.5 LTS, Blender 5.2 LTS
+packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev doctest-dev
+          libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
+
+install_packages() {
+  if ! command -v dpkg-query >/dev/null; then
+    echo "setup: not a Debian system. Needed here, as Debian names them: ${packages[*]}" >&2
+    return
+  fi
+  local missing=() package
+  for package in "${packages[@]}"; do
+    [[ $(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null) == installed ]] || missing+=("$package")
+  done
+  ((${#missing[@]})) || return 0
+  if ((EUID != 0)); then
+    echo "setup: missing packages. Install them, then run make again:" >&2
+    echo "  sudo apt-get install ${missing[*]}" >&2
+    exit 1
+  fi
+  echo "setup: installing ${missing[*]}"
+  apt-get -qq update
+  DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends "${missing[@]}" >/dev/null
+}
+
+find_python() { # version
+  local candidate
+  for candidate in "python$1" /usr/bin/"python$1" "$HOME"/.pyenv/versions/"$1".*/bin/python; do
+    # A shim may exist without the Python behind it, and a Python without its headers.
+    if "$candidate" -c 'import sys, sysconfig, pathlib, ensurepip
+assert "%d.%d" % sys.version_info[:2] == sys.argv[1]
+assert pathlib.Path(sysconfig.get_path("include"), "Python.h").exists()' "$1" 2>/dev/null; then
+      echo "$candidate"
+      return
+    fi
+  done
+}
+
+make_environment() { # version
+  local environment=.venv/$1 python
+  if [[ ! -x $environment/bin/python ]]; then
+    python=$(find_python "$1")
+    if [[ -z $python ]]; then
+      echo "setup: no Python $1 with headers and venv on PATH or under ~/.pyenv: what needs it is left out"
+      return
+    fi
+    "$python" -m venv "$environment"
+  fi
+  if ! cmp -s tools/requirements.txt "$environment/requirements.txt"; then
+    echo "setup: installing tools/requirements.txt for Python $1"
+    "$environment/bin/python" -m pip install --quiet --disable-pip-version-check -r tools/requirements.txt
+    cp tools/requirements.txt "$environment/requirements.txt"
+  fi
+  # The sources and the build directory are imported in place.
+  printf '%s\n' "$PWD/build/cmake/python" "$PWD/addon" >"$("$environment/bin/python" -c \
+    'import sysconfig; print(sysconfig.get_path("purelib"))')/dynamorph.pth"
+}
+
+install_packages
+for version in "${supported[@]}"; do
+  make_environment "$version"
+done
+if ! compgen -G '.venv/3.*/bin/python' >/dev/null; then
+  echo "setup: Dynamorph needs Python ${supported[0]} or ${supported[1]}" >&2
+  exit 1
+fi
