@@ -17,8 +17,9 @@ setup:
 	@tools/setup.sh
 
 build: setup
+	@mkdir -p build
 	@$(tools)cmake -S . -B $(build) -G Ninja -DCMAKE_MAKE_PROGRAM=$(tools)ninja -DDYNAMORPH_TESTS=ON \
-		-DDYNAMORPH_PYTHONS="$(pythons)" --log-level=WARNING >$(build).log || { cat $(build).log; exit 1; }
+		-DDYNAMORPH_PYTHONS="$(pythons)" --log-level=WARNING >build/configure.log || { cat build/configure.log; exit 1; }
 	@$(tools)cmake --build $(build) -j$(jobs) -- --quiet -k 0
 
 test: build

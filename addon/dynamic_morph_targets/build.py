@@ -11,7 +11,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import dynamorph
 import numpy as np
@@ -23,10 +23,6 @@ Progress = Callable[[float, str], bool]
 HELD = 0.05  # nodes softer than this in the Soft group are free
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
-ARRAYS = (
-    "nodes tets fill pinned node_weights embedding_nodes embedding_weights displacements details to_bind parents rest "
-    "basis table_lambda table_mu"
-).split()
 
 
 @dataclass(frozen=True)
@@ -58,6 +54,10 @@ class Model:
     dependencies: dict[str, str]
     summary: dict
 
+    @classmethod
+    def array_names(cls) -> list[str]:
+        return [field.name for field in fields(cls) if field.type == "np.ndarray"]
+
     def to_arrays(self) -> tuple[dict[str, np.ndarray], dict]:
         """(arrays, metadata) for `model_file`."""
         meta = {
@@ -66,14 +66,14 @@ class Model:
             "dependencies": self.dependencies,
             "summary": self.summary,
         }
-        return {name: getattr(self, name) for name in ARRAYS}, meta
+        return {name: getattr(self, name) for name in self.array_names()}, meta
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
         """The inverse of `to_arrays`. Raises ValueError when something is missing."""
         try:
             return cls(
-                **{name: arrays[name] for name in ARRAYS},
+                **{name: arrays[name] for name in cls.array_names()},
                 bone_names=tuple(meta["bone_names"]),
                 settings=ModelSettings(**meta["settings"]),
                 dependencies=meta["dependencies"],
@@ -121,7 +121,9 @@ def build(character: Character, progress: Progress | None = None) -> Model:
     surface = character.vertices @ character.to_bind.T
 
     with stages("Meshing", 0.30) as report:
-        _, _, mesh = dynamorph.mesh_body(surface, character.triangles, settings.cage_nodes, progress=report)
+        _, _, mesh = dynamorph.mesh_body(
+            surface, character.triangles, settings.cage_nodes, bones=character.bone_segments, progress=report
+        )
     with stages("Embedding", 0.05) as report:
         embedding = dynamorph.embed(mesh, surface)
         fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
@@ -256,7 +258,7 @@ def dependencies(character: Character) -> dict[str, str]:
         "object scale": (character.to_bind,),
         "skin weights": (character.weights,),
         "Soft vertex group": (character.softness,),
-        "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
+        "bones at rest": (skeleton.parents, skeleton.rest),
         "number of targets": (np.array([len(character.targets)]),),
     }
     for j, target in enumerate(character.targets):

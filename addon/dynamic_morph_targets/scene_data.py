@@ -206,6 +206,4 @@ class Bake:
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""
-        return np.tensordot(self.coordinates[index], self.modes, 1) + np.tensordot(
-            self.weights[index], self.details, 1
-        )
+        return np.tensordot(self.coordinates[index], self.modes, 1) + np.tensordot(self.weights[index], self.details, 1)

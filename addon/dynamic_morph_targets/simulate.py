@@ -28,17 +28,18 @@ class Frame:
     steps: dict
 
 
-def pose_space(model: Model, character: Character) -> dynamorph.PoseSpace:
+def pose_space(character: Character) -> dynamorph.PoseSpace:
     """Raises dynamorph.Error, naming both, when two targets have the same pose; ValueError on a missing bone."""
+    names = character.skeleton.names
     sets = []
     for target_set in character.target_sets:
         named = sorted({bone for target in target_set.targets for bone in target.bones})
-        missing = [bone for bone in named if bone not in model.bone_names]
+        missing = [bone for bone in named if bone not in names]
         if missing:
             raise ValueError(f"'{character.name}': bone '{missing[0]}' of target set '{target_set.name}' is missing")
         sets.append(
             dynamorph.TargetSet(
-                [model.bone_names.index(bone) for bone in named],
+                [names.index(bone) for bone in named],
                 [target.name for target in target_set.targets],
                 [target.local for target in target_set.targets],
             )
@@ -51,7 +52,7 @@ def simulate(model: Model, character: Character, rig: RigSamples, settings: Simu
 
     rig: 1 + (end - start) * substeps samples, the first at `start`.
     """
-    space = pose_space(model, character)
+    space = pose_space(character)
     simulation = _simulation(model, character, rig, settings)
     frames, substeps = settings.frames, settings.substeps
     if len(rig) != 1 + (len(frames) - 1) * substeps:

@@ -73,16 +73,16 @@ Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the inpu
 between 1e-6 and 1e6 m across.)");
   m.def(
       "tetrahedralize",
-      [](const FloatArray& vertices, const IntArray& faces, int target_nodes) {
-        const Points v = points(vertices, "vertices");
+      [](const FloatArray& vertices, const IntArray& faces, int target_nodes, const FloatArray& inner) {
+        const Points v = points(vertices, "vertices"), more = points(inner, "inner");
         const Triangles f = triangles(faces);
-        return without_gil([&] { return tetrahedralize(v, f, target_nodes); });
+        return without_gil([&] { return tetrahedralize(v, f, target_nodes, more); });
       },
-      "vertices"_a, "triangles"_a, "target_nodes"_a,
+      "vertices"_a, "triangles"_a, "target_nodes"_a, "inner"_a = Points(0, 3),
       R"(Fills a closed surface without self-intersections with about `target_nodes` nodes.
 
-vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. Raises Error when it cannot
-be filled. Crashes or hangs on some input: `mesh_body` contains that.)");
+vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. inner (k, 3): points
+inside that become nodes. Raises Error when it cannot be filled. Crashes or hangs on some input: `mesh_body` contains that.)");
 }
 
 void bind_body_in_mesh(py::module_& m) {
@@ -118,6 +118,19 @@ vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with
 
 Least squares at the points, smooth inside. Constants stay constant; overshoots slightly, so skin weights want clamping
 and normalising.)");
+  m.def(
+      "points_on_bones",
+      [](const FloatArray& vertices, const IntArray& faces, const FloatArray& heads, const FloatArray& tails) {
+        const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
+        const Triangles f = triangles(faces);
+        check_rows(tails, "tails", h.rows());
+        return without_gil([&] { return points_on_bones(v, f, h, t); });
+      },
+      "vertices"_a, "triangles"_a, "heads"_a, "tails"_a,
+      R"(Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
+
+As nodes they tie the flesh to a bone that would else pass between nodes. vertices (C, 3), triangles (D, 3): the cage.
+heads, tails (B, 3): the bones at rest. All metres, in one space.)");
   m.def(
       "pinned",
       [](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces, const FloatArray& heads,

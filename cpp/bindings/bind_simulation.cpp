@@ -111,7 +111,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
              return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport});
            }),
            "model"_a, "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
-           "tolerance"_a = 1e-7, "max_iterations"_a = 30, "teleport"_a = 0.0,
+           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
            "h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which "
            "the past is carried along (0: never).")
       .def(

@@ -148,9 +148,9 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
   VectorXd q;
   const StepReport report = solve_static(now, weights, q);
   state_.q = {q, q};
-  VectorXd u;
-  model_->displacement(q, u);
-  u += model_->body().rest;
+  model_->displacement(q, displacement_[0]);
+  displacement_[1] = displacement_[0];
+  const VectorXd u = displacement_[0] + model_->body().rest;
   SkinFrame past;
   for (int k = 0; k < 4; ++k) {
     past.bones = extrapolate_back(now, next, k);
@@ -167,6 +167,7 @@ void Simulation<Model>::set_state(const State& state) {
   for (const VectorXd& x : state.x)
     if (x.size() != model_->body().rest.size()) throw std::invalid_argument("state: is of another model");
   state_ = state;
+  for (int m = 0; m < 2; ++m) model_->displacement(state_.q[m], displacement_[m]);
 }
 
 template <class Model>
@@ -176,8 +177,7 @@ bool Simulation<Model>::carry_past() {
   const Eigen::Map<const Eigen::Matrix3Xd> expected(lag_.data(), 3, lag_.size() / 3),
       skin(skinned_.data(), 3, expected.cols());
   if ((skin - expected).rowwise().mean().norm() < options_.teleport) return false;
-  model_->displacement(state_.q[0], nodal_);
-  nodal_ += model_->body().rest;
+  nodal_ = displacement_[0] + model_->body().rest;
   VectorXd there;
   to_world(frame_, nodal_, there);
   const Eigen::Map<const Eigen::Matrix3Xd> now(there.data(), 3, expected.cols());
@@ -197,8 +197,10 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
 
   const Coefficients c = coefficients(options_.scheme);
   const double h = options_.h, inertial = 1 / (h * h * c.c * c.c);
-  // Inertia about the plain skin: A (X + u) + a - x^ = A u + (skinned - x^).
-  lag_ = skinned_;
+  // Inertia about constant bind-pose velocity, exactly over the nodes; the model's own inertia acts on the change.
+  VectorXd q = 2 * state_.q[0] - state_.q[1];
+  nodal_ = 2 * displacement_[0] - displacement_[1] + model_->body().rest;
+  to_world(frame_, nodal_, lag_);
   for (int m = 0; m < 4; ++m)
     if (c.past[m] != 0) lag_ -= c.past[m] * state_.x[m];
   resist(external);
@@ -215,19 +217,18 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   values(damped_) += values(blend_.damping);
   values(quadratic_.H) = inertial * values(inertia_) + (c.velocity[0] / h) * values(damped_);
   quadratic_.g += damped_ * ((c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h);
+  quadratic_.g -= inertial * (inertia_ * q);
 
-  // Start from constant bind-pose velocity.
-  VectorXd q = 2 * state_.q[0] - state_.q[1];
   StepReport report = minimize(q);
   report.teleported = teleported;
 
-  VectorXd u;
-  model_->displacement(q, u);
-  u += model_->body().rest;
-  std::rotate(state_.x.rbegin(), state_.x.rbegin() + 1, state_.x.rend());
-  to_world(frame_, u, state_.x[0]);
   std::swap(state_.q[0], state_.q[1]);
   state_.q[0] = q;
+  std::swap(displacement_[0], displacement_[1]);
+  model_->displacement(q, displacement_[0]);
+  nodal_ = displacement_[0] + model_->body().rest;
+  std::rotate(state_.x.rbegin(), state_.x.rbegin() + 1, state_.x.rend());
+  to_world(frame_, nodal_, state_.x[0]);
   return report;
 }
 
@@ -264,13 +265,22 @@ StepReport Simulation<Model>::minimize(VectorXd& q) {
     const VectorXd direction = -solver_->solve(gradient);
     const double slope = gradient.dot(direction), start = potential(q, elastic);
     const double slack = 1e-12 * (std::abs(start) + std::abs(elastic));
+    const auto descends = [&](const VectorXd& at, double energy, double length) {
+      return potential(at, energy) <= start + 1e-4 * length * slope + slack;
+    };
+    // The whole step is nearly always taken, so its force and tangent are evaluated at once.
     double length = 1;
     VectorXd trial = q + direction;
-    for (; length > 1e-6; length /= 2, trial = q + length * direction)
-      if (potential(trial, model_->energy(blend_, trial)) <= start + 1e-4 * length * slope + slack) break;
-    if (length <= 1e-6) break;  // no descent left in round-off
+    elastic = model_->linearize(blend_, trial, force, stiffness_);
+    if (!descends(trial, elastic, length)) {
+      do {
+        length /= 2;
+        trial = q + length * direction;
+      } while (length > 1e-6 && !descends(trial, model_->energy(blend_, trial), length));
+      if (length <= 1e-6) break;  // no descent left in round-off
+      elastic = model_->linearize(blend_, trial, force, stiffness_);
+    }
     q = trial;
-    elastic = model_->linearize(blend_, q, force, stiffness_);
   }
   report.converged = report.residual <= 100 * options_.tolerance;
   return report;

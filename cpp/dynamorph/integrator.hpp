@@ -26,7 +26,7 @@ struct StepOptions {
   double h = 1.0 / 120;                    ///< seconds
   Scheme scheme = Scheme::bdf2;
   Vector3d gravity = Vector3d::Zero();     ///< m/s^2, world
-  double tolerance = 1e-7;                 ///< on the gradient, relative to the largest force term
+  double tolerance = 1e-6;                 ///< on the gradient, relative to the largest force term
   int max_iterations = 30;
   /// Mean jump of the skin in one step, metres, above which the past is carried along with it. 0: never.
   double teleport = 0;
@@ -105,6 +105,7 @@ class Simulation {
   MatrixXd held_;           ///< gravity in each target's own pose (dofs, J), or empty
   VectorXd mass_;           ///< (free), kg
   VectorXd skinned_;        ///< A X + a (3 free)
+  std::array<VectorXd, 2> displacement_;  ///< u of the state's two coordinates (3 free)
   VectorXd nodal_, lag_;    ///< scratch (3 free)
   std::shared_ptr<Solver> solver_;
 };

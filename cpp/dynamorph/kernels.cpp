@@ -11,17 +11,29 @@ namespace dynamorph {
 
 namespace {
 
-DYNAMORPH_MULTIVERSION
-void add_columns(const double* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
+template <class Real>
+inline __attribute__((always_inline)) void sum_columns(const Real* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
                  double* __restrict y) {
   Eigen::Index c = 0;
   for (; c + 4 <= columns; c += 4) {  // four columns a sweep: y is loaded and stored a quarter as often
-    const double *a0 = A + c * rows, *a1 = a0 + rows, *a2 = a1 + rows, *a3 = a2 + rows;
+    const Real *a0 = A + c * rows, *a1 = a0 + rows, *a2 = a1 + rows, *a3 = a2 + rows;
     const double x0 = x[c], x1 = x[c + 1], x2 = x[c + 2], x3 = x[c + 3];
     for (Eigen::Index i = 0; i < rows; ++i) y[i] += a0[i] * x0 + a1[i] * x1 + (a2[i] * x2 + a3[i] * x3);
   }
   for (; c < columns; ++c)
     for (Eigen::Index i = 0; i < rows; ++i) y[i] += A[c * rows + i] * x[c];
+}
+
+DYNAMORPH_MULTIVERSION
+void add_columns(const double* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
+                 double* __restrict y) {
+  sum_columns(A, rows, x, columns, y);
+}
+
+DYNAMORPH_MULTIVERSION
+void add_columns(const float* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
+                 double* __restrict y) {
+  sum_columns(A, rows, x, columns, y);
 }
 
 DYNAMORPH_MULTIVERSION
@@ -44,6 +56,10 @@ void axpy(double s, const double* __restrict x, Eigen::Index size, double* __res
 }  // namespace
 
 void add_product(const MatrixXd& A, Eigen::Index first_column, const double* x, Eigen::Index columns, double* y) {
+  add_columns(A.data() + first_column * A.rows(), A.rows(), x, columns, y);
+}
+
+void add_product(const Eigen::MatrixXf& A, Eigen::Index first_column, const double* x, Eigen::Index columns, double* y) {
   add_columns(A.data() + first_column * A.rows(), A.rows(), x, columns, y);
 }
 

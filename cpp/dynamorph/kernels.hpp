@@ -10,6 +10,9 @@ namespace dynamorph {
 /// y += A x. A column-major.
 void add_product(const MatrixXd& A, Eigen::Index first_column, const double* x, Eigen::Index columns, double* y);
 
+/// y += A x with A in single precision, summed in double.
+void add_product(const Eigen::MatrixXf& A, Eigen::Index first_column, const double* x, Eigen::Index columns, double* y);
+
 /// y = A^T x.
 void transposed_product(const MatrixXd& A, const double* x, double* y);
 

@@ -334,15 +334,16 @@ void ReducedModel::build_inertia() {
     for (SkinWeights::InnerIterator b(body.skin, i); b; ++b)
       for (SkinWeights::InnerIterator c(body.skin, i); c; ++c)
         if (b.col() < c.col()) shared[{int(b.col()), int(c.col())}] += volumes(i) * b.value() * c.value();
-  for (const auto& [pair, volume] : shared) bone_pairs_.push_back(pair);
-
   std::map<std::pair<int, int>, Eigen::Index> column;
-  for (size_t p = 0; p < bone_pairs_.size(); ++p) column[bone_pairs_[p]] = Eigen::Index(6 * p);
+  for (const auto& [pair, volume] : shared) {
+    column[pair] = 6 * Eigen::Index(bone_pairs_.size());
+    bone_pairs_.push_back({pair.first, pair.second, volume / volumes.sum()});
+  }
   for (int s = 0; s < body.sets(); ++s) {
     InertiaTables& out = inertia_.emplace_back();
     out.mass.setZero(pairs);
-    out.bones.setZero(pairs, 6 * bones);
-    out.pairs.setZero(pairs, 6 * Eigen::Index(bone_pairs_.size()));
+    MatrixXd by_bone = MatrixXd::Zero(pairs, 6 * bones);
+    MatrixXd by_pair = MatrixXd::Zero(pairs, 6 * Eigen::Index(bone_pairs_.size()));
     Eigen::Matrix<double, Eigen::Dynamic, 6> node(pairs, 6);  // U^T S U for each entry of a symmetric S
     for (Eigen::Index i = 0; i < body.skin.rows(); ++i) {
       const double volume = body.volumes(i, s);
@@ -356,12 +357,14 @@ void ReducedModel::build_inertia() {
       node *= volume;
       out.mass += node.leftCols<3>().rowwise().sum();
       for (SkinWeights::InnerIterator b(body.skin, i); b; ++b) {
-        out.bones.middleCols<6>(6 * b.col()) += b.value() * node;
+        by_bone.middleCols<6>(6 * b.col()) += b.value() * node;
         for (SkinWeights::InnerIterator c(body.skin, i); c; ++c)
           if (b.col() < c.col())
-            out.pairs.middleCols<6>(column.at({int(b.col()), int(c.col())})) += b.value() * c.value() * node;
+            by_pair.middleCols<6>(column.at({int(b.col()), int(c.col())})) += b.value() * c.value() * node;
       }
     }
+    out.bones = by_bone.cast<float>();
+    out.pairs = by_pair.cast<float>();
   }
 }
 
@@ -384,8 +387,9 @@ void ReducedModel::inertia(const SkinFrame& frame, const VectorXd& density, Matr
     }
     for (size_t p = 0; p < bone_pairs_.size(); ++p) {
       const Matrix3d difference = rotation(bone_pairs_[p].first) - rotation(bone_pairs_[p].second);
-      if (difference.cwiseAbs().maxCoeff() < 1e-8) continue;  // not bent: its square is round-off
-      const auto x = entries(-density(s) * (difference.transpose() * difference));
+      const Matrix3d square = difference.transpose() * difference;
+      if (bone_pairs_[p].share * square.trace() < 1e-9) continue;  // hardly bent, or hardly any flesh: below round-off
+      const auto x = entries(-density(s) * square);
       add_product(tables.pairs, Eigen::Index(6 * p), x.data(), 6, packed.data());
     }
   }

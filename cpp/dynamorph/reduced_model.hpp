@@ -75,17 +75,22 @@ class ReducedModel {
   std::vector<VectorXd> forces_;          ///< of forces blending, at z = 0
   std::vector<double> energies_;
 
-  /// U^T A^T M A U without the mesh, exact for weights that sum to one (METHOD 6):
+  /// U^T A^T M A U without the mesh, for weights that sum to one (METHOD 6):
   ///   A^T A = sum_b w_b R_b^T R_b - sum_{b<c} w_b w_c (R_b - R_c)^T (R_b - R_c),
-  /// one column of `table` for each of the six entries of those symmetric 3 x 3 matrices. Rigid bones need only the
-  /// pairs: the first sum is the identity.
+  /// six columns for the entries of each of those symmetric 3 x 3 matrices. Rigid bones need only the pairs: the first
+  /// sum is the identity. Single precision: a step reads all pairs, and is as fast as they are small (step() takes the
+  /// inertial force itself from the nodes, in double, and this only for the change within the step).
   struct InertiaTables {
-    VectorXd mass;   ///< packed U^T M1 U
-    MatrixXd bones;  ///< (pairs of modes, 6 B)
-    MatrixXd pairs;  ///< (pairs of modes, 6 P)
+    VectorXd mass;          ///< packed U^T M1 U
+    Eigen::MatrixXf bones;  ///< (pairs of modes, 6 B)
+    Eigen::MatrixXf pairs;  ///< (pairs of modes, 6 P)
   };
   std::vector<InertiaTables> inertia_;           ///< per target set
-  std::vector<std::pair<int, int>> bone_pairs_;  ///< bones that share nodes
+  struct BonePair {
+    int first, second;
+    double share;  ///< of the body's volume, weighted with both bones' weights
+  };
+  std::vector<BonePair> bone_pairs_;  ///< bones that share nodes
 };
 
 }  // namespace dynamorph

@@ -214,6 +214,29 @@ MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const 
   return solver.solve(e.transpose() * values);
 }
 
+Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& heads, const Points& tails) {
+  if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
+  const Surface surface(cage, triangles);
+  double spacing = 0;
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t)
+    spacing += (cage.row(triangles(t, 0)) - cage.row(triangles(t, 1))).norm() / double(triangles.rows());
+  constexpr double room = 0.4;  // of the spacing: nodes nearer to the cage or to each other make slivers
+  std::vector<Vector3d> kept;
+  for (Eigen::Index b = 0; b < heads.rows(); ++b) {
+    const Vector3d head = heads.row(b), tail = tails.row(b);
+    const int pieces = std::max(1, int(std::round((tail - head).norm() / spacing)));
+    for (int i = 0; i <= pieces; ++i) {
+      const Vector3d p = head + (tail - head) * i / pieces;
+      const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room * spacing; };
+      if (std::none_of(kept.begin(), kept.end(), crowds) && surface.contains(p) && surface.distance(p) >= room * spacing)
+        kept.push_back(p);
+    }
+  }
+  Points out(kept.size(), 3);
+  for (size_t i = 0; i < kept.size(); ++i) out.row(i) = kept[i];
+  return out;
+}
+
 std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Triangles& triangles, const Points& heads,
                          const Points& tails, double ratio) {
   if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");

@@ -28,10 +28,10 @@ std::string advice(const std::string& reason) {
 }
 
 /// `in` is filled in place: a tetgenio owns its arrays but does not know how to be copied.
-void load(tetgenio& in, const Points& vertices, const Triangles& triangles) {
-  in.numberofpoints = static_cast<int>(vertices.rows());
-  in.pointlist = new REAL[vertices.size()];
-  std::copy_n(vertices.data(), vertices.size(), in.pointlist);
+void load(tetgenio& in, const Points& points, const Triangles& triangles) {
+  in.numberofpoints = static_cast<int>(points.rows());
+  in.pointlist = new REAL[points.size()];
+  std::copy_n(points.data(), points.size(), in.pointlist);
   in.numberoffacets = static_cast<int>(triangles.rows());
   in.facetlist = new tetgenio::facet[triangles.rows()];
   for (int t = 0; t < triangles.rows(); ++t) {
@@ -93,7 +93,7 @@ TetMesh fill(tetgenio& in, int target_nodes, int most_nodes) {
 
 }  // namespace
 
-TetMesh tetrahedralize(const Points& vertices, const Triangles& triangles, int target_nodes) {
+TetMesh tetrahedralize(const Points& vertices, const Triangles& triangles, int target_nodes, const Points& inner) {
   if (target_nodes < 4)
     throw std::invalid_argument("target_nodes: expected at least 4, got " + std::to_string(target_nodes));
   check_triangles(vertices, triangles);
@@ -103,7 +103,10 @@ TetMesh tetrahedralize(const Points& vertices, const Triangles& triangles, int t
   const Eigen::AlignedBox3d box = Surface(vertices, triangles).box();
   const double size = box.diagonal().norm();
   if (!(size > 0)) throw Error("The cage is a single point. Scale it and apply the scale.");
-  const Points unit = (vertices.rowwise() - box.min().transpose()) / size;  // TetGen's tolerances and 'a' want it
+  // Points without facets are kept as nodes. (TetGen's own list of extra points, -i, crashes with -Y.)
+  Points unit(vertices.rows() + inner.rows(), 3);
+  unit << vertices, inner;
+  unit = ((unit.rowwise() - box.min().transpose()) / size).eval();  // TetGen's tolerances and 'a' want it
 
   tetgenio in;
   load(in, unit, triangles);

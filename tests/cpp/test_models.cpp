@@ -203,7 +203,7 @@ TEST_CASE("reduced inertia by bone pairs is U^T A^T M A U over the nodes, for ri
     full.inertia(frame, density, big);
     reduced.inertia(frame, density, small);
     const MatrixXd dense = U.transpose() * (big * U);
-    CHECK((dense - small).norm() < 1e-11 * dense.norm());
+    CHECK((dense - small).norm() < 1e-7 * dense.norm());  // stored in single precision; 2e-8 measured
   }
 }
 

@@ -244,15 +244,15 @@ def sculpted(law, blending, reduced, damping=0.5, modes=12):
     count = np.ones(len(tets))
     s = nodes[:, 0] / 0.4
     weights = np.stack([1 - s, s], axis=1)
-    body = dynamorph.SoftBody(
-        dynamorph.TetMesh(nodes, tets), count, count, count[:, None], nodes[:, 0] < 1e-9, weights
-    )
+    body = dynamorph.SoftBody(dynamorph.TetMesh(nodes, tets), count, count, count[:, None], nodes[:, 0] < 1e-9, weights)
     bulge = (nodes - [0, 0.05, 0.05]) * [0, 1, 1] * (0.5 * np.sin(np.pi * s))[:, None]
     bend = np.stack([-0.05 * s**2, 0 * s, 0.12 * s**2], axis=1)
     shapes = [np.zeros_like(nodes), bulge, bend]
     materials = [(2e4, 0.3, 900.0), (1.6e5, 0.4, 1100.0), (8e3, 0.2, 1000.0)]
     targets = [
-        dynamorph.MorphTarget(name, shape, density=rho, mass_damping=damping, stiffness_damping=0.003, **lame(young, nu))
+        dynamorph.MorphTarget(
+            name, shape, density=rho, mass_damping=damping, stiffness_damping=0.003, **lame(young, nu)
+        )
         for name, shape, (young, nu, rho) in zip("nbs", shapes, materials, strict=True)
     ]
     model = dynamorph.FullModel(body, targets, law, blending)

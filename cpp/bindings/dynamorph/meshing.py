@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynamorph._core import Cancelled, Error, TetMesh, make_cage, tetrahedralize
+from dynamorph._core import Cancelled, Error, TetMesh, make_cage, points_on_bones, tetrahedralize
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
 EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER = 2, 3, 4
@@ -30,22 +30,28 @@ def mesh_body(
     triangles: np.ndarray,
     target_nodes: int,
     *,
+    bones: np.ndarray | None = None,
     time_limit: float = 60.0,
     memory_limit_gb: float = 4.0,
     progress: Callable[[float], bool] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     """Wraps a closed cage around any triangle soup and fills it with about `target_nodes` nodes.
 
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. time_limit: seconds. progress: called with 0..1 every
+    vertices (V, 3): metres. triangles (T, 3): vertex indices. bones (B, 2, 3): heads and tails of bones
+    along which nodes are wanted, metres. time_limit: seconds. progress: called with 0..1 every
     50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices; Error, saying what to do, when the mesh cannot be used or the mesher crashes, hangs or takes too much
     memory; Cancelled.
     """
     vertices, triangles = _checked(vertices, triangles)
+    bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
+    if bones.ndim != 3 or bones.shape[1:] != (2, 3):
+        raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
     with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as answer:
         np.save(request, vertices, allow_pickle=False)
         np.save(request, triangles, allow_pickle=False)
+        np.save(request, bones, allow_pickle=False)
         request.seek(0)
         _run_child([target_nodes, time_limit, memory_limit_gb], request, answer, time_limit, progress)
         answer.seek(0)
@@ -122,8 +128,8 @@ def _child() -> None:
     _limit_resources(time_limit, memory_limit_gb)
     try:
         _fault(os.environ.get(FAULT_VARIABLE))
-        vertices, triangles = (np.load(sys.stdin.buffer, allow_pickle=False) for _ in range(2))
-        for array in _mesh(vertices, triangles, target_nodes):
+        vertices, triangles, bones = (np.load(sys.stdin.buffer, allow_pickle=False) for _ in range(3))
+        for array in _mesh(vertices, triangles, bones, target_nodes):
             np.save(sys.stdout.buffer, array, allow_pickle=False)
     except (Error, ValueError) as error:
         print(error, file=sys.stderr)
@@ -144,7 +150,7 @@ def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
 
 
-def _mesh(vertices: np.ndarray, triangles: np.ndarray, target_nodes: int) -> tuple[np.ndarray, ...]:
+def _mesh(vertices: np.ndarray, triangles: np.ndarray, bones: np.ndarray, target_nodes: int) -> tuple[np.ndarray, ...]:
     """A cage that leaves room for nodes inside; again with fewer vertices while good tets need too many nodes."""
     # Fitted to many characters: the surface's share of the nodes falls as the mesh gets finer.
     share = np.clip(0.62 - 0.12 * math.log(target_nodes / 2000, 4), 0.4, 0.7)
@@ -152,7 +158,7 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray, target_nodes: int) -> tup
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
         cage = make_cage(vertices, triangles, max(int(cage_vertices), 4), progress)
-        mesh = tetrahedralize(*cage, target_nodes)
+        mesh = tetrahedralize(*cage, target_nodes, points_on_bones(*cage, bones[:, 0], bones[:, 1]))
         if len(mesh.nodes) <= 1.1 * target_nodes:
             break
         cage_vertices *= target_nodes / len(mesh.nodes)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The MakeHuman body of ../shared, with dynamic morph targets made of its own driven keys: for tests and benchmarks."""
+
+import math
+from pathlib import Path
+
+import bpy
+from mathutils import Quaternion
+
+CHARACTER = Path(__file__).parents[3] / "shared" / "assets" / "mh_male_53bones.blend"
+SOFT, STIFF = 1.2e4, 6.0e4  # Pa: relaxed flesh and flexed muscle
+# Driven keys of the file and how far their bone turns when the driver has reached 1, in degrees.
+DRIVEN = {
+    "thigh_muscle_L": ("calf_l", 90),
+    "thigh_muscle_R": ("calf_r", 90),
+    "biceps_bulge_L": ("lowerarm_l", -85),
+    "biceps_bulge_R": ("lowerarm_r", -85),
+}
+
+
+def open_character(clip: str):
+    """The body as a soft skin with a neutral target and one for each key of DRIVEN, playing `clip`."""
+    bpy.ops.wm.open_mainfile(filepath=str(CHARACTER))
+    body, rig = bpy.data.objects["Body"], bpy.data.objects["Rig"]
+    body.data.shape_keys.animation_data.action = None  # the file's "breathing" moves keys that are no targets
+    rig.animation_data.action = None
+    bpy.context.view_layer.objects.active = body
+    _pose(rig, {})
+    bpy.ops.dynamorph.add_soft_skin()
+    for key, (bone, degrees) in DRIVEN.items():
+        _pose(rig, {bone: degrees})
+        bpy.ops.dynamorph.add_target(key=key)
+    _pose(rig, {})
+    for target in body.dynamorph.targets:
+        target.stiffness = STIFF if target.name in DRIVEN else SOFT
+    rig.animation_data.action = bpy.data.actions[clip]
+    rig.animation_data.action_slot = rig.animation_data.action.slots[0]
+    return body
+
+
+def _pose(rig, turned: dict[str, float]):
+    """Only these bones turned, by degrees about the character's left-right axis; a knee and an elbow bend so."""
+    for bone in rig.pose.bones:
+        bone.matrix_basis.identity()
+        if bone.name in turned:
+            axis = bone.bone.matrix_local.to_3x3().row[0]  # world x, in the bone's space
+            bone.rotation_quaternion = Quaternion(axis, math.radians(turned[bone.name]))
+    bpy.context.view_layer.update()
+
+
