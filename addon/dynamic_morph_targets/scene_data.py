@@ -133,7 +133,7 @@ class ModelSettings:
     blending: str = "EVEN"
     modes: int = 20
     cage_nodes: int = 2000
-    pin_radius: float = 0.25  # fraction of the way from a bone to the skin that is held by the bone
+    pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Models, pose space and time stepping as NumPy sees them.
-#include "bindings.hpp"
 #include <chrono>
 
+#include "bindings.hpp"
 #include "dynamorph/integrator.hpp"
 #include "dynamorph/pose_space.hpp"
 
@@ -35,9 +35,7 @@ VectorXd flat_points(const char* name, const Array& array, py::ssize_t rows) {
   return Eigen::Map<const VectorXd>(array.data(), array.size());
 }
 
-Transforms transforms(const double* data, py::ssize_t bones) {
-  return Eigen::Map<const Transforms>(data, bones, 12);
-}
+Transforms transforms(const double* data, py::ssize_t bones) { return Eigen::Map<const Transforms>(data, bones, 12); }
 
 Transforms transforms(const char* name, const Array& array) {
   check_shape(name, array, {-1, 3, 4});
@@ -106,8 +104,8 @@ template <class Model>
 void bind_simulation_of(py::module_& m, const char* name) {
   using Sim = Simulation<Model>;
   py::class_<Sim>(m, name, "Steps a model through time. World space, SI.")
-      .def(py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity,
-                       double tolerance, int max_iterations, double teleport) {
+      .def(py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
+                       int max_iterations, double teleport) {
              return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport});
            }),
            "model"_a, "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
@@ -143,10 +141,9 @@ void bind_simulation_of(py::module_& m, const char* name) {
           [](Sim& s, const Array& bones, const Array& weights, const std::optional<Array>& external) {
             check_shape("bones", bones, {-1, -1, 3, 4});
             check_shape("weights", weights, {bones.shape(0), py::ssize_t(s.model().targets().size())});
-            const VectorXd force =
-                external ? s.model().body().restrict_to_free(
-                               flat_points("external", *external, s.model().body().mesh.nodes.rows()))
-                         : VectorXd();
+            const VectorXd force = external ? s.model().body().restrict_to_free(flat_points(
+                                                  "external", *external, s.model().body().mesh.nodes.rows()))
+                                            : VectorXd();
             StepReport worst;
             const py::ssize_t steps = bones.shape(0), count = bones.shape(1);
             const auto begin = std::chrono::steady_clock::now();
@@ -176,10 +173,9 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "solve_static",
           [](Sim& s, const Array& bones, const VectorXd& weights, const std::optional<Array>& external) {
             VectorXd q;
-            const VectorXd force =
-                external ? s.model().body().restrict_to_free(
-                               flat_points("external", *external, s.model().body().mesh.nodes.rows()))
-                         : VectorXd();
+            const VectorXd force = external ? s.model().body().restrict_to_free(flat_points(
+                                                  "external", *external, s.model().body().mesh.nodes.rows()))
+                                            : VectorXd();
             const StepReport report = s.solve_static(transforms("bones", bones), weights, q, force);
             return py::make_tuple(q, summary(report, 0, 0));
           },
@@ -249,22 +245,19 @@ void bind_pose_space(py::module_& m) {
 }
 
 void bind_models(py::module_& m) {
-  py::enum_<Law>(m, "Law")
-      .value("LINEAR", Law::linear)
-      .value("STVK", Law::stvk)
-      .value("STABLE_STVK", Law::stable_stvk);
+  py::enum_<Law>(m, "Law").value("LINEAR", Law::linear).value("STVK", Law::stvk).value("STABLE_STVK", Law::stable_stvk);
   py::enum_<Blending>(m, "Blending").value("FORCES", Blending::forces).value("EVEN", Blending::even);
   py::enum_<Scheme>(m, "Scheme").value("EULER", Scheme::euler).value("BDF2", Scheme::bdf2);
 
   py::class_<MorphTarget>(m, "MorphTarget", "A dynamic morph target: shape and elastic properties.")
       .def(py::init([](std::string name, const Array& displacement, double lambda, double mu, double density,
                        double mass_damping, double stiffness_damping, int set) {
-             return MorphTarget{std::move(name), set,      flat_points("displacement", displacement, -1),
-                                {lambda, mu},    density,  mass_damping,
+             return MorphTarget{std::move(name),  set,     flat_points("displacement", displacement, -1),
+                                {lambda, mu},     density, mass_damping,
                                 stiffness_damping};
            }),
-           "name"_a, "displacement"_a, py::kw_only(), "lame_lambda"_a, "lame_mu"_a, "density"_a,
-           "mass_damping"_a = 0.0, "stiffness_damping"_a = 0.0, "set"_a = 0,
+           "name"_a, "displacement"_a, py::kw_only(), "lame_lambda"_a, "lame_mu"_a, "density"_a, "mass_damping"_a = 0.0,
+           "stiffness_damping"_a = 0.0, "set"_a = 0,
            "displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, "
            "Rayleigh damping in 1/s and s; set: index of its target set.");
 
@@ -329,10 +322,8 @@ void bind_models(py::module_& m) {
       "progress(fraction) -> bool, False raises Cancelled.");
 
   py::class_<ReducedTables>(m, "ReducedTables", "What a built reduced model stores: geometry only, no material.")
-      .def(py::init([](Law law, const MatrixXd& basis, const std::vector<MatrixXd>& lambda,
-                       const std::vector<MatrixXd>& mu) {
-             return ReducedTables{law, basis, lambda, mu};
-           }),
+      .def(py::init([](Law law, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
+                       const std::vector<VectorXd>& mu) { return ReducedTables{law, basis, lambda, mu}; }),
            "law"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a)
       .def_readonly("law", &ReducedTables::law)
       .def_readonly("basis", &ReducedTables::basis)
@@ -348,8 +339,8 @@ void bind_models(py::module_& m) {
       "model"_a, "U"_a, "progress"_a = py::none(), "Energy polynomials of every target in the basis U (3 free, r).");
 
   py::class_<ReducedModel, std::shared_ptr<ReducedModel>> reduced(m, "ReducedModel", "The soft skin in r modes.");
-  reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(),
-              "body"_a, "targets"_a, "tables"_a, "blending"_a);
+  reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(), "body"_a,
+              "targets"_a, "tables"_a, "blending"_a);
   bind_model(reduced);
 }
 

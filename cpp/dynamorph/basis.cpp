@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/basis.hpp"
 
+#include <Spectra/SymEigsShiftSolver.h>
+
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
 #include <Eigen/SVD>
 #include <Eigen/SparseCholesky>
-#include <Spectra/SymEigsShiftSolver.h>
 
 namespace dynamorph {
 
@@ -24,8 +25,7 @@ VectorXd unit_mass(const SoftBody& body) {
 /// K_j + epsilon M, factored. A body without pins has rigid modes; the shift keeps K positive definite and is far
 /// below the first elastic frequency.
 struct Factored {
-  Factored(const FullModel& model, int target)
-      : mass(unit_mass(model.body()) * model.targets()[target].density) {
+  Factored(const FullModel& model, int target) : mass(unit_mass(model.body()) * model.targets()[target].density) {
     SparseMatrix K = model.rest_stiffness(target);
     shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
     K.diagonal() += shift * mass;
@@ -43,8 +43,7 @@ struct Factored {
 class InverseOperator {
  public:
   using Scalar = double;
-  explicit InverseOperator(const Factored& factored)
-      : factored_(factored), root_(factored.mass.cwiseSqrt()) {}
+  explicit InverseOperator(const Factored& factored) : factored_(factored), root_(factored.mass.cwiseSqrt()) {}
   Eigen::Index rows() const { return root_.size(); }
   Eigen::Index cols() const { return root_.size(); }
   void set_shift(double) {}  // the factorisation is already shifted
@@ -111,8 +110,8 @@ MatrixXd bone_loads(const SoftBody& body) {
 }
 
 /// Candidate displacements about one target, each scaled to the amplitude it is expected to have when the lowest mode
-/// moves by `amplitude` metres: modes by (omega_1 / omega_i)^2, as they answer a slow load, derivatives by the product of
-/// their modes' amplitudes, static responses to the bones' loads so that a uniform acceleration would move as far.
+/// moves by `amplitude` metres: modes by (omega_1 / omega_i)^2, as they answer a slow load, derivatives by the product
+/// of their modes' amplitudes, static responses to the bones' loads so that a uniform acceleration would move as far.
 /// (By omega_1 / omega_i instead, high modes crowd the derivatives out and large motions lock: docs/decisions.)
 MatrixXd candidates(const FullModel& model, int target, int k, double amplitude, const MatrixXd& loads,
                     VectorXd& frequencies) {
@@ -130,8 +129,8 @@ MatrixXd candidates(const FullModel& model, int target, int k, double amplitude,
   }
   for (int i = 0; i < bending; ++i)
     for (int j = 0; j <= i; ++j)
-      out.col(column++) = (i == j ? -0.5 : -1.0) *
-                          factored.solver.solve(model.force_curvature(target, out.col(i), out.col(j)));
+      out.col(column++) =
+          (i == j ? -0.5 : -1.0) * factored.solver.solve(model.force_curvature(target, out.col(i), out.col(j)));
   VectorXd uniform = VectorXd::Zero(factored.mass.size());
   for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i);
   const double pull = amplitude / largest(factored.solver.solve(uniform)) * model.targets()[target].density;
@@ -144,8 +143,7 @@ MatrixXd orthonormal(const MatrixXd& columns) {
   MatrixXd unit = columns;
   for (Eigen::Index c = 0; c < unit.cols(); ++c)
     if (unit.col(c).norm() > 0) unit.col(c).normalize();
-  const Eigen::JacobiSVD<MatrixXd, Eigen::HouseholderQRPreconditioner> svd(
-      unit, Eigen::ComputeThinU);
+  const Eigen::JacobiSVD<MatrixXd, Eigen::HouseholderQRPreconditioner> svd(unit, Eigen::ComputeThinU);
   const Eigen::Index rank = (svd.singularValues().array() > 1e-9).count();
   return svd.matrixU().leftCols(rank);
 }
@@ -178,7 +176,8 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   MatrixXd all(model.dofs(), 0);
   for (int j = 0; j < targets; ++j) {
     report(progress, double(j) / (targets + 1));
-    const MatrixXd some = root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, loads, basis.frequencies[j]);
+    const MatrixXd some =
+        root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, loads, basis.frequencies[j]);
     all.conservativeResize(Eigen::NoChange, all.cols() + some.cols());
     all.rightCols(some.cols()) = some;
   }

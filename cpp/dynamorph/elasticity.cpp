@@ -50,8 +50,7 @@ RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const Ve
     const Matrix3d deformed = edges(x, mesh.tets, e);
     const Matrix3d map = deformed * neutral.inverse();
     const double ratio = map.determinant();
-    const bool usable =
-        ratio >= 0.2 && ratio <= 5 && Eigen::JacobiSVD<Matrix3d>(map).singularValues()(2) >= 0.2;
+    const bool usable = ratio >= 0.2 && ratio <= 5 && Eigen::JacobiSVD<Matrix3d>(map).singularValues()(2) >= 0.2;
     const Matrix3d& rest = usable ? deformed : neutral;
     Element& element = shape.elements[e];
     element.gradients.rightCols<3>() = rest.inverse().transpose();

@@ -71,8 +71,7 @@ void SetDensities::blend(const std::vector<MorphTarget>& targets, int sets, cons
   }
 }
 
-FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law,
-                     Blending blending)
+FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending)
     : body_(std::move(body)), targets_(std::move(targets)), law_(law), blending_(blending) {
   if (targets_.empty()) throw std::invalid_argument("targets: at least one is needed");
   build_pattern();
@@ -89,8 +88,8 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
     if (body_->expand(d) != target.displacement)
       throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
     rest_displacements_.push_back(d);
-    shapes_.push_back(
-        rest_shape(body_->mesh, target.displacement, body_->stiffness_scale.cwiseProduct(body_->shares.col(target.set))));
+    shapes_.push_back(rest_shape(body_->mesh, target.displacement,
+                                 body_->stiffness_scale.cwiseProduct(body_->shares.col(target.set))));
     Matrix K = zero();
     ElementStiffness block;
     for (Eigen::Index e = 0; e < body_->mesh.tets.rows(); ++e) {

@@ -26,10 +26,10 @@ enum class Blending { forces, even };
 /// A dynamic morph target as the engine knows it.
 struct MorphTarget {
   std::string name;
-  int set = 0;            ///< index of its target set
-  VectorXd displacement;  ///< d_j (3n), metres, bind space, zero at pinned nodes
-  Lame lame{};            ///< Pa
-  double density = 1000;  ///< kg/m^3
+  int set = 0;                   ///< index of its target set
+  VectorXd displacement;         ///< d_j (3n), metres, bind space, zero at pinned nodes
+  Lame lame{};                   ///< Pa
+  double density = 1000;         ///< kg/m^3
   double mass_damping = 0;       ///< alpha, 1/s
   double stiffness_damping = 0;  ///< beta, s
 };
@@ -124,8 +124,8 @@ class FullModel {
   std::vector<RestShape> shapes_;
   std::vector<VectorXd> rest_displacements_;  ///< d_j over the free nodes
   Matrix pattern_;
-  std::vector<std::array<int, 16>> slots_;     ///< per tet, first value of block (a, b), -1 where pinned
-  std::vector<VectorXd> rest_stiffness_;       ///< values of each K_j
+  std::vector<std::array<int, 16>> slots_;  ///< per tet, first value of block (a, b), -1 where pinned
+  std::vector<VectorXd> rest_stiffness_;    ///< values of each K_j
 };
 
 /// Node displacement (3n) that follows `surface` (V, 3) where the mesh embeds it and is elastic in between: minimises

@@ -77,8 +77,8 @@ VectorXd Simulation<Model>::node_mass() const {
 template <class Model>
 void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
   if (bones.rows() != model_->body().skin.cols())
-    throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) +
-                                " transforms, got " + std::to_string(bones.rows()));
+    throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) + " transforms, got " +
+                                std::to_string(bones.rows()));
   if (!bones.allFinite() || !weights.allFinite())
     throw Error("the rig has a transform that is not a number: check its drivers and constraints at this frame");
   frame_.bones = bones;

@@ -23,10 +23,10 @@ namespace dynamorph {
 enum class Scheme { euler, bdf2 };
 
 struct StepOptions {
-  double h = 1.0 / 120;                    ///< seconds
+  double h = 1.0 / 120;  ///< seconds
   Scheme scheme = Scheme::bdf2;
-  Vector3d gravity = Vector3d::Zero();     ///< m/s^2, world
-  double tolerance = 1e-6;                 ///< on the gradient, relative to the largest force term
+  Vector3d gravity = Vector3d::Zero();  ///< m/s^2, world
+  double tolerance = 1e-6;              ///< on the gradient, relative to the largest force term
   int max_iterations = 30;
   /// Mean jump of the skin in one step, metres, above which the past is carried along with it. 0: never.
   double teleport = 0;
@@ -40,10 +40,10 @@ struct State {
 };
 
 struct StepReport {
-  int iterations = 0;        ///< of Newton's method
-  bool converged = true;     ///< when false the state is the best found, and finite
-  double residual = 0;       ///< gradient relative to the largest force term
-  double energy = 0;         ///< elastic energy, J
+  int iterations = 0;     ///< of Newton's method
+  bool converged = true;  ///< when false the state is the best found, and finite
+  double residual = 0;    ///< gradient relative to the largest force term
+  double energy = 0;      ///< elastic energy, J
   bool teleported = false;
 };
 
@@ -102,11 +102,11 @@ class Simulation {
   typename Model::Blend blend_;
   Matrix inertia_, damped_, stiffness_;
   Quadratic quadratic_;
-  MatrixXd held_;           ///< gravity in each target's own pose (dofs, J), or empty
-  VectorXd mass_;           ///< (free), kg
-  VectorXd skinned_;        ///< A X + a (3 free)
+  MatrixXd held_;                         ///< gravity in each target's own pose (dofs, J), or empty
+  VectorXd mass_;                         ///< (free), kg
+  VectorXd skinned_;                      ///< A X + a (3 free)
   std::array<VectorXd, 2> displacement_;  ///< u of the state's two coordinates (3 free)
-  VectorXd nodal_, lag_;    ///< scratch (3 free)
+  VectorXd nodal_, lag_;                  ///< scratch (3 free)
   std::shared_ptr<Solver> solver_;
 };
 

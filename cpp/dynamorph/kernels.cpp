@@ -12,8 +12,9 @@ namespace dynamorph {
 namespace {
 
 template <class Real>
-inline __attribute__((always_inline)) void sum_columns(const Real* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
-                 double* __restrict y) {
+inline __attribute__((always_inline)) void sum_columns(const Real* __restrict A, Eigen::Index rows,
+                                                       const double* __restrict x, Eigen::Index columns,
+                                                       double* __restrict y) {
   Eigen::Index c = 0;
   for (; c + 4 <= columns; c += 4) {  // four columns a sweep: y is loaded and stored a quarter as often
     const Real *a0 = A + c * rows, *a1 = a0 + rows, *a2 = a1 + rows, *a3 = a2 + rows;
@@ -25,20 +26,21 @@ inline __attribute__((always_inline)) void sum_columns(const Real* __restrict A,
 }
 
 DYNAMORPH_MULTIVERSION
-void add_columns(const double* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
-                 double* __restrict y) {
+void columns(const double* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
+             double* __restrict y) {
   sum_columns(A, rows, x, columns, y);
 }
 
 DYNAMORPH_MULTIVERSION
-void add_columns(const float* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
-                 double* __restrict y) {
+void columns(const float* __restrict A, Eigen::Index rows, const double* __restrict x, Eigen::Index columns,
+             double* __restrict y) {
   sum_columns(A, rows, x, columns, y);
 }
 
-DYNAMORPH_MULTIVERSION
-double dot(const double* __restrict a, const double* __restrict b, Eigen::Index size) {
-  double sums[16] = {};  // independent sums vectorise without reassociating the whole
+/// Independent sums, because the compiler may not reassociate one.
+inline __attribute__((always_inline)) double sum_products(const double* __restrict a, const double* __restrict b,
+                                                          Eigen::Index size) {
+  double sums[16] = {};
   Eigen::Index i = 0;
   for (; i + 16 <= size; i += 16)
     for (int k = 0; k < 16; ++k) sums[k] += a[i + k] * b[i + k];
@@ -49,24 +51,34 @@ double dot(const double* __restrict a, const double* __restrict b, Eigen::Index 
 }
 
 DYNAMORPH_MULTIVERSION
-void axpy(double s, const double* __restrict x, Eigen::Index size, double* __restrict y) {
-  for (Eigen::Index i = 0; i < size; ++i) y[i] += s * x[i];
+double dot(const double* __restrict a, const double* __restrict b, Eigen::Index size) {
+  return sum_products(a, b, size);
+}
+
+DYNAMORPH_MULTIVERSION
+void symmetric(const double* __restrict A, Eigen::Index size, const double* __restrict x, double* __restrict y) {
+  for (Eigen::Index c = 0; c < size; A += size - c, ++c) {  // column c from the diagonal down
+    const double xc = x[c];
+    const double above = sum_products(A + 1, x + c + 1, size - c - 1);
+    for (Eigen::Index i = 0; i < size - c; ++i) y[c + i] += A[i] * xc;
+    y[c] += above;
+  }
 }
 
 }  // namespace
 
-void add_product(const MatrixXd& A, Eigen::Index first_column, const double* x, Eigen::Index columns, double* y) {
-  add_columns(A.data() + first_column * A.rows(), A.rows(), x, columns, y);
+void add_product(const double* A, Eigen::Index rows, const double* x, Eigen::Index count, double* y) {
+  columns(A, rows, x, count, y);
 }
 
-void add_product(const Eigen::MatrixXf& A, Eigen::Index first_column, const double* x, Eigen::Index columns, double* y) {
-  add_columns(A.data() + first_column * A.rows(), A.rows(), x, columns, y);
+void add_product(const float* A, Eigen::Index rows, const double* x, Eigen::Index count, double* y) {
+  columns(A, rows, x, count, y);
 }
+
+void add_symmetric_product(const double* A, Eigen::Index size, const double* x, double* y) { symmetric(A, size, x, y); }
 
 void transposed_product(const MatrixXd& A, const double* x, double* y) {
   for (Eigen::Index c = 0; c < A.cols(); ++c) y[c] = dot(A.data() + c * A.rows(), x, A.rows());
 }
-
-void add_scaled(double s, const double* x, Eigen::Index size, double* y) { axpy(s, x, size, y); }
 
 }  // namespace dynamorph

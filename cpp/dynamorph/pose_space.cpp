@@ -103,8 +103,8 @@ PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
     for (int k = 0; k < count; ++k) A(j, k) = kernel(set.kernel, out.width, distances(j, k));
     A(j, count) = 1;
     for (size_t i = 0; terms > 1 && i < set.bones.size(); ++i)
-      A.row(j).tail(terms - 1) += rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() *
-                                  out.span.middleRows<3>(3 * i);
+      A.row(j).tail(terms - 1) +=
+          rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() * out.span.middleRows<3>(3 * i);
   }
   A.bottomLeftCorner(terms, count) = A.topRightCorner(count, terms).transpose();
   MatrixXd cardinal = MatrixXd::Zero(count + terms, count);

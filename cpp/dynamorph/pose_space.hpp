@@ -24,8 +24,8 @@ enum class Kernel { linear, gaussian, thin_plate };
 /// Targets whose weights sum to one, placed by the local rotations of `bones` (indices into the skeleton).
 struct TargetSet {
   std::vector<int> bones;
-  std::vector<std::string> names;   ///< of the targets, for messages
-  std::vector<Rotations> poses;     ///< per target, (bones of the skeleton, 4)
+  std::vector<std::string> names;  ///< of the targets, for messages
+  std::vector<Rotations> poses;    ///< per target, (bones of the skeleton, 4)
   Kernel kernel = Kernel::linear;
 };
 

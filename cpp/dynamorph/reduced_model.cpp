@@ -53,9 +53,7 @@ double packed_quadratic(const VectorXd& S, const VectorXd& x) {
 
 using ModeGradients = Eigen::Matrix<double, 9, Eigen::Dynamic>;  ///< column k: dF/dz_k, column-major 3 x 3
 
-Matrix3d mode_gradient(const ModeGradients& G, Eigen::Index k) {
-  return Eigen::Map<const Matrix3d>(G.col(k).data());
-}
+Matrix3d mode_gradient(const ModeGradients& G, Eigen::Index k) { return Eigen::Map<const Matrix3d>(G.col(k).data()); }
 
 /// sqrt(2) on the shear entries, so that the dot product of two of these is A:B of symmetric A and B.
 Eigen::Matrix<double, 6, 1> six(const Matrix3d& m) {
@@ -79,7 +77,7 @@ Matrix3d tensor_cross(const Matrix3d& A, const Matrix3d& B) {
 /// B^T B to a Gram matrix, B the rows of its strain; columns of pairs hold the coefficient of the full double sum.
 class TargetSums {
  public:
-  TargetSums(Law law, Eigen::Index r) : law_(law), r_(r), pairs_(pair_count(r)) {
+  TargetSums(Law law, Eigen::Index r) : law_(law), layout_{r, law != Law::linear}, r_(r), pairs_(layout_.pairs()) {
     const Eigen::Index monomials = law == Law::linear ? r : r + pairs_;
     trace_gram_.setZero(monomials, monomials);
     if (law != Law::stable_stvk) strain_gram_.setZero(monomials, monomials);
@@ -105,7 +103,7 @@ class TargetSums {
     if (++filled_ == kBatch) flush();
   }
 
-  void tables(MatrixXd& lambda, MatrixXd& mu) {
+  void tables(VectorXd& lambda, VectorXd& mu) {
     flush();
     lambda = table(trace_gram_);
     if (law_ != Law::stable_stvk) {
@@ -115,8 +113,8 @@ class TargetSums {
     mu = lambda;  // 1/2 mu tr(E)^2, and mu (tr E - det F + 1)
     VectorXd packed;
     pack(det_quadratic_, packed);
-    mu.col(0) += packed;
-    mu.middleCols(1, r_) += det_cubic_;
+    mu.head(pairs_) += packed;
+    mu.segment(layout_.linear(), pairs_ * r_) += Eigen::Map<const VectorXd>(det_cubic_.data(), det_cubic_.size());
   }
 
  private:
@@ -160,25 +158,31 @@ class TargetSums {
   }
 
   /// Differentiates E = m^T gram m twice, symmetrised over all indices.
-  MatrixXd table(const MatrixXd& upper) const {
+  VectorXd table(const MatrixXd& upper) const {
     const MatrixXd g = upper.selfadjointView<Eigen::Upper>();
-    MatrixXd out(pairs_, law_ == Law::linear ? 1 : 1 + r_ + pairs_);
+    VectorXd out(layout_.size());
     const auto pair = [&](Eigen::Index k, Eigen::Index l) { return r_ + pair_index(r_, k, l); };
-    for (Eigen::Index k = 0, p = 0; k < r_; ++k)
-      for (Eigen::Index l = k; l < r_; ++l, ++p) {
-        out(p, 0) = 2 * g(k, l);
-        if (law_ == Law::linear) continue;
-        for (Eigen::Index m = 0, q = 0; m < r_; ++m) {
-          out(p, 1 + m) = 4 * (g(k, pair(l, m)) + g(l, pair(k, m)) + g(m, pair(k, l)));
-          for (Eigen::Index n = m; n < r_; ++n, ++q)
-            out(p, 1 + r_ + q) = (m == n ? 4 : 8) * (g(pair(k, l), pair(m, n)) + g(pair(k, m), pair(l, n)) +
-                                                     g(pair(k, n), pair(l, m)));
-        }
-      }
+    const auto for_pairs = [&](const auto& visit) {
+      for (Eigen::Index k = 0, p = 0; k < r_; ++k)
+        for (Eigen::Index l = k; l < r_; ++l, ++p) visit(p, k, l);
+    };
+    for_pairs([&](Eigen::Index p, Eigen::Index k, Eigen::Index l) { out(p) = 2 * g(k, l); });
+    if (law_ == Law::linear) return out;
+    for_pairs([&](Eigen::Index p, Eigen::Index k, Eigen::Index l) {
+      for (Eigen::Index m = 0; m < r_; ++m)
+        out(layout_.linear() + m * pairs_ + p) = 4 * (g(k, pair(l, m)) + g(l, pair(k, m)) + g(m, pair(k, l)));
+    });
+    Eigen::Index at = layout_.quadratic();
+    for_pairs([&](Eigen::Index q, Eigen::Index m, Eigen::Index n) {
+      for_pairs([&](Eigen::Index p, Eigen::Index k, Eigen::Index l) {
+        if (p >= q) out(at++) = 4 * (g(pair(k, l), pair(m, n)) + g(pair(k, m), pair(l, n)) + g(pair(k, n), pair(l, m)));
+      });
+    });
     return out;
   }
 
   Law law_;
+  TableLayout layout_;
   Eigen::Index r_, pairs_, filled_ = 0;
   MatrixXd trace_gram_, strain_gram_, trace_rows_, strain_rows_;
   MatrixXd det_quadratic_, det_cubic_, crosses_, gradients_;
@@ -206,7 +210,8 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
       G.setZero();
       for (int a = 0; a < 4; ++a) {
         const int i = body.free_of_node[body.mesh.tets(e, a)];
-        for (int c = 0; i >= 0 && c < 3; ++c) G.middleRows<3>(3 * c) += element.gradients(c, a) * U.middleRows<3>(3 * i);
+        for (int c = 0; i >= 0 && c < 3; ++c)
+          G.middleRows<3>(3 * c) += element.gradients(c, a) * U.middleRows<3>(3 * i);
       }
       sums.add(element.volume, G);
     }
@@ -218,24 +223,27 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
 
 ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets,
                            const ReducedTables& tables, Blending blending)
-    : body_(std::move(body)), targets_(std::move(targets)), blending_(blending), U_(tables.basis) {
-  const Eigen::Index r = U_.cols(), pairs = pair_count(r);
-  const Eigen::Index columns = tables.law == Law::linear ? 1 : 1 + r + pairs;
+    : body_(std::move(body)),
+      targets_(std::move(targets)),
+      blending_(blending),
+      U_(tables.basis),
+      layout_(tables.layout()) {
+  const Eigen::Index r = U_.cols();
   if (U_.rows() != Eigen::Index(3 * body_->free_nodes.size()))
     throw std::invalid_argument("basis: expected " + std::to_string(3 * body_->free_nodes.size()) + " rows, got " +
                                 std::to_string(U_.rows()));
   if (tables.lambda.size() != targets_.size() || tables.mu.size() != targets_.size())
     throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
   VectorXd mass = body_->volumes.rowwise().sum();
+  tables_.resize(layout_.size(), Eigen::Index(targets_.size()));
   for (size_t j = 0; j < targets_.size(); ++j) {
-    if (tables.lambda[j].rows() != pairs || tables.lambda[j].cols() != columns || tables.mu[j].rows() != pairs ||
-        tables.mu[j].cols() != columns)
+    if (tables.lambda[j].size() != layout_.size() || tables.mu[j].size() != layout_.size())
       throw std::invalid_argument("tables: of '" + targets_[j].name + "' do not fit " + std::to_string(r) + " modes");
     VectorXd momentum = body_->restrict_to_free(targets_[j].displacement);
     for (Eigen::Index i = 0; i < mass.size(); ++i) momentum.segment<3>(3 * i) *= mass(i);
     coordinates_.push_back(U_.transpose() * momentum);
-    tables_.push_back(targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j]);
-    rest_stiffness_.push_back(tables_[j].col(0));
+    tables_.col(j) = targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j];
+    rest_stiffness_.push_back(tables_.col(j).head(layout_.pairs()));
     forces_.push_back(VectorXd::Zero(r));
     energies_.push_back(0);
     if (blending_ == Blending::forces) recentre(int(j));
@@ -247,23 +255,30 @@ void ReducedModel::recentre(int j) {
   // Taylor shift of the polynomial from v = z - z_j to z.
   const Eigen::Index r = dofs();
   Blend at;
-  at.table = tables_[j];
+  at.table = tables_.col(j);
   at.force.setZero(r);
   at.centre = coordinates_[j];
   const VectorXd origin = VectorXd::Zero(r);
   MatrixXd tangent = zero();
   energies_[j] = linearize(at, origin, forces_[j], tangent);
-  MatrixXd& T = tables_[j];
   VectorXd packed;
   pack(tangent, packed);
-  T.col(0) = packed;
-  if (T.cols() == 1) return;
+  tables_.col(j).head(layout_.pairs()) = packed;
+  if (!layout_.nonlinear) return;
+  const Eigen::Index pairs = layout_.pairs();
   const VectorXd c = -coordinates_[j];
-  for (Eigen::Index m = 0, q = 1 + r; m < r; ++m)
-    for (Eigen::Index n = m; n < r; ++n, ++q) {
-      T.col(1 + m) += c(n) * T.col(q);
-      T.col(1 + n) += c(m) * T.col(q);
-    }
+  Eigen::Map<MatrixXd> K1(tables_.col(j).data() + layout_.linear(), pairs, r);
+  const VectorXd K2 = tables_.col(j).tail(pairs * (pairs + 1) / 2);
+  const auto entry = [&](Eigen::Index p, Eigen::Index q) {  // of the lower triangle, column after column
+    if (p < q) std::swap(p, q);
+    return K2(q * pairs - q * (q - 1) / 2 + (p - q));
+  };
+  for (Eigen::Index m = 0, q = 0; m < r; ++m)
+    for (Eigen::Index n = m; n < r; ++n, ++q)
+      for (Eigen::Index p = 0; p < pairs; ++p) {
+        K1(p, m) += 2 * c(n) * entry(p, q);
+        if (n != m) K1(p, n) += 2 * c(m) * entry(p, q);
+      }
 }
 
 void ReducedModel::blend(const VectorXd& w, Blend& out) const {
@@ -274,14 +289,19 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   const Eigen::Index r = dofs();
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);
-  out.table.setZero(tables_[0].rows(), tables_[0].cols());
+  out.table.setZero(layout_.size());
+  // Runs of targets that count, so that the sum is stored once for several.
+  for (Eigen::Index j = 0, end; j < w.size(); j = end + 1) {
+    for (end = j; end < w.size() && w(end) != 0;) ++end;
+    if (end == j) continue;
+    add_product(tables_.col(j).data(), layout_.size(), w.data() + j, end - j, out.table.data());
+  }
   out.force.setZero(r);
   out.centre.setZero(r);
   out.energy = 0;
-  out.constant.setZero(tables_[0].rows());
+  out.constant.setZero(pair_count(r));
   for (size_t j = 0; j < targets_.size(); ++j) {
     if (w(j) == 0) continue;
-    add_scaled(w(j), tables_[j].data(), tables_[j].size(), out.table.data());
     out.constant += w(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
     if (blending_ == Blending::even) {
       out.centre += w(j) * coordinates_[j];
@@ -297,15 +317,15 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
 void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
   const Eigen::Index r = dofs(), pairs = pair_count(r);
   blend.v = z - blend.centre;
-  blend.constant = blend.table.col(0);
+  blend.constant = blend.table.head(pairs);
   blend.linear.setZero(pairs);
   blend.quadratic.setZero(pairs);
-  if (blend.table.cols() == 1) return;
+  if (!layout_.nonlinear) return;
   blend.pairs.resize(pairs);
   for (Eigen::Index k = 0, p = 0; k < r; ++k)
-    for (Eigen::Index l = k; l < r; ++l, ++p) blend.pairs(p) = blend.v(k) * blend.v(l);
-  add_product(blend.table, 1, blend.v.data(), r, blend.linear.data());
-  add_product(blend.table, 1 + r, blend.pairs.data(), pairs, blend.quadratic.data());
+    for (Eigen::Index l = k; l < r; ++l, ++p) blend.pairs(p) = (k == l ? 1 : 2) * blend.v(k) * blend.v(l);
+  add_product(blend.table.data() + layout_.linear(), pairs, blend.v.data(), r, blend.linear.data());
+  add_symmetric_product(blend.table.data() + layout_.quadratic(), pairs, blend.pairs.data(), blend.quadratic.data());
 }
 
 double ReducedModel::energy(const Blend& blend, const VectorXd& z) const {
@@ -316,10 +336,10 @@ double ReducedModel::energy(const Blend& blend, const VectorXd& z) const {
 
 double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const {
   const double E = energy(blend, z);
-  blend.constant = blend.table.col(0) + blend.linear / 2 + blend.quadratic / 3;
+  blend.constant = blend.table.head(layout_.pairs()) + blend.linear / 2 + blend.quadratic / 3;
   packed_product(blend.constant, blend.v, force);
   force += blend.force;
-  blend.constant = blend.table.col(0) + blend.linear + blend.quadratic;
+  blend.constant = blend.table.head(layout_.pairs()) + blend.linear + blend.quadratic;
   stiffness.resize(dofs(), dofs());
   unpack(blend.constant, stiffness);
   return E;
@@ -383,14 +403,14 @@ void ReducedModel::inertia(const SkinFrame& frame, const VectorXd& density, Matr
       const Matrix3d strain = R.transpose() * R - Matrix3d::Identity();
       if (strain.cwiseAbs().maxCoeff() < 1e-14) continue;
       auto x = entries(density(s) * strain);
-      add_product(tables.bones, 6 * b, x.data(), 6, packed.data());
+      add_product(tables.bones.col(6 * b).data(), packed.size(), x.data(), 6, packed.data());
     }
     for (size_t p = 0; p < bone_pairs_.size(); ++p) {
       const Matrix3d difference = rotation(bone_pairs_[p].first) - rotation(bone_pairs_[p].second);
       const Matrix3d square = difference.transpose() * difference;
       if (bone_pairs_[p].share * square.trace() < 1e-9) continue;  // hardly bent, or hardly any flesh: below round-off
       const auto x = entries(-density(s) * square);
-      add_product(tables.pairs, Eigen::Index(6 * p), x.data(), 6, packed.data());
+      add_product(tables.pairs.col(6 * p).data(), packed.size(), x.data(), 6, packed.data());
     }
   }
   unpack(packed, out);
@@ -398,7 +418,7 @@ void ReducedModel::inertia(const SkinFrame& frame, const VectorXd& density, Matr
 
 void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
   u.setZero(U_.rows());
-  add_product(U_, 0, z.data(), z.size(), u.data());
+  add_product(U_.data(), U_.rows(), z.data(), z.size(), u.data());
 }
 
 void ReducedModel::project(const VectorXd& f, VectorXd& out) const {

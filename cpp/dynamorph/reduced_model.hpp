@@ -4,7 +4,8 @@
 // Every law's energy is a polynomial of degree <= 4 in z (thesis eq. 5.7). About a target's own coordinates z_j, with
 // v = z - z_j, its tangent is, as packed pairs (k <= l),
 //
-//   H(v) = K0 + K1 v + K2 (v v),   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,   E = v . (1/2 K0 + 1/6 K1 v + 1/12 K2 (v v)) v
+//   H(v) = K0 + K1 v + K2 (v v),   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,   E = v . (1/2 K0 + 1/6 K1 v + 1/12 K2 (v v))
+//   v
 //
 // so one table [K0 | K1 | K2] gives energy, force and tangent from one product (METHOD 5).
 #pragma once
@@ -14,13 +15,27 @@
 
 namespace dynamorph {
 
+/// Where the parts of one table lie in its vector: K0 (pairs), K1 (pairs, r), then the lower triangle of the symmetric
+/// K2 (pairs, pairs), column after column; K0 alone for the linear law. Pairs of modes are the packed upper triangle,
+/// rows first; in a product with K2 a pair k < l stands for both its orders.
+struct TableLayout {
+  Eigen::Index r;
+  bool nonlinear;
+  Eigen::Index pairs() const { return r * (r + 1) / 2; }
+  Eigen::Index linear() const { return pairs(); }               ///< start of K1
+  Eigen::Index quadratic() const { return pairs() * (1 + r); }  ///< start of K2
+  Eigen::Index size() const { return nonlinear ? quadratic() + pairs() * (pairs() + 1) / 2 : pairs(); }
+};
+
 /// What a built reduced model stores: geometry only. Each target's table for lambda = 1 Pa and mu = 1 Pa, so that
 /// changing a target's stiffness is a linear recombination and never a new precompute.
 struct ReducedTables {
   Law law = Law::linear;
   MatrixXd basis;                ///< U (3 free, r)
-  std::vector<MatrixXd> lambda;  ///< per target (r(r+1)/2, 1 + r + r(r+1)/2), or one column for the linear law
-  std::vector<MatrixXd> mu;
+  std::vector<VectorXd> lambda;  ///< per target, laid out as TableLayout
+  std::vector<VectorXd> mu;
+
+  TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
 };
 
 /// Tables of every target of `model` in the basis U (3 free, r), orthonormal in unit-density mass.
@@ -33,11 +48,11 @@ class ReducedModel {
   struct Blend {
     VectorXd weights;
     SetDensities mass;
-    Matrix damping;    ///< sum_j w_j beta_j K_j (r, r)
-    MatrixXd table;    ///< sum_j w_j table_j
-    VectorXd force;    ///< f at v = 0
-    double energy = 0; ///< E at v = 0
-    VectorXd centre;   ///< v = z - centre
+    Matrix damping;     ///< sum_j w_j beta_j K_j (r, r)
+    VectorXd table;     ///< sum_j w_j table_j
+    VectorXd force;     ///< f at v = 0
+    double energy = 0;  ///< E at v = 0
+    VectorXd centre;    ///< v = z - centre
     /// Scratch of linearize: v, its pairs, and the packed tangent by order.
     mutable VectorXd v, pairs, constant, linear, quadratic;
   };
@@ -69,8 +84,9 @@ class ReducedModel {
   std::vector<MorphTarget> targets_;
   Blending blending_;
   MatrixXd U_;
-  std::vector<VectorXd> coordinates_;     ///< z_j
-  std::vector<MatrixXd> tables_;          ///< of each target with its material, about z_j (even) or 0 (forces)
+  std::vector<VectorXd> coordinates_;  ///< z_j
+  MatrixXd tables_;                    ///< column j: target j's table with its material, about z_j (even) or 0 (forces)
+  TableLayout layout_;
   std::vector<VectorXd> rest_stiffness_;  ///< packed K_j at z_j
   std::vector<VectorXd> forces_;          ///< of forces blending, at z = 0
   std::vector<double> energies_;
@@ -85,7 +101,7 @@ class ReducedModel {
     Eigen::MatrixXf bones;  ///< (pairs of modes, 6 B)
     Eigen::MatrixXf pairs;  ///< (pairs of modes, 6 P)
   };
-  std::vector<InertiaTables> inertia_;           ///< per target set
+  std::vector<InertiaTables> inertia_;  ///< per target set
   struct BonePair {
     int first, second;
     double share;  ///< of the body's volume, weighted with both bones' weights

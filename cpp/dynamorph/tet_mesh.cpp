@@ -228,7 +228,8 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
     for (int i = 0; i <= pieces; ++i) {
       const Vector3d p = head + (tail - head) * i / pieces;
       const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room * spacing; };
-      if (std::none_of(kept.begin(), kept.end(), crowds) && surface.contains(p) && surface.distance(p) >= room * spacing)
+      if (std::none_of(kept.begin(), kept.end(), crowds) && surface.contains(p) &&
+          surface.distance(p) >= room * spacing)
         kept.push_back(p);
     }
   }

@@ -47,8 +47,8 @@ VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Trian
 /// want clamping and normalising afterwards.
 MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const MatrixXd& values);
 
-/// Points (k, 3) along the bones (segments from head to tail), about as far apart as the cage's vertices, where the cage
-/// leaves room for them: as nodes they tie the flesh to a bone that would else pass between nodes.
+/// Points (k, 3) along the bones (segments from head to tail), about as far apart as the cage's vertices, where the
+/// cage leaves room for them: as nodes they tie the flesh to a bone that would else pass between nodes.
 Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& heads, const Points& tails);
 
 /// True for the nodes that the bones hold: those whose distance to the nearest bone (segment from head to tail) is less

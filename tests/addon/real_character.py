@@ -9,6 +9,7 @@ from mathutils import Quaternion
 
 CHARACTER = Path(__file__).parents[3] / "shared" / "assets" / "mh_male_53bones.blend"
 SOFT, STIFF = 1.2e4, 6.0e4  # Pa: relaxed flesh and flexed muscle
+HELD = ("head", "neck", "hand", "thumb", "index", "middle", "ring", "pinky", "foot", "ball")  # bones without soft flesh
 # Driven keys of the file and how far their bone turns when the driver has reached 1, in degrees.
 DRIVEN = {
     "thigh_muscle_L": ("calf_l", 90),
@@ -31,11 +32,21 @@ def open_character(clip: str):
         _pose(rig, {bone: degrees})
         bpy.ops.dynamorph.add_target(key=key)
     _pose(rig, {})
+    _hold_extremities(body)
     for target in body.dynamorph.targets:
         target.stiffness = STIFF if target.name in DRIVEN else SOFT
     rig.animation_data.action = bpy.data.actions[clip]
     rig.animation_data.action_slot = rig.animation_data.action.slots[0]
     return body
+
+
+def _hold_extremities(body):
+    """A vertex group for Soft: everything but head, hands and feet."""
+    soft = body.vertex_groups.new(name="Soft")
+    held = {group.index for group in body.vertex_groups if group.name.split("_")[0] in HELD}
+    for vertex in body.data.vertices:
+        soft.add([vertex.index], 1.0 - sum(g.weight for g in vertex.groups if g.group in held), "REPLACE")
+    body.dynamorph.soft_group = soft.name
 
 
 def _pose(rig, turned: dict[str, float]):
@@ -46,5 +57,3 @@ def _pose(rig, turned: dict[str, float]):
             axis = bone.bone.matrix_local.to_3x3().row[0]  # world x, in the bone's space
             bone.rotation_quaternion = Quaternion(axis, math.radians(turned[bone.name]))
     bpy.context.view_layer.update()
-
-
