@@ -24,6 +24,8 @@ def open_character(clip: str):
     bpy.ops.wm.open_mainfile(filepath=str(CHARACTER))
     body, rig = bpy.data.objects["Body"], bpy.data.objects["Rig"]
     body.data.shape_keys.animation_data.action = None  # the file's "breathing" moves keys that are no targets
+    for key in body.data.shape_keys.key_blocks:
+        key.value = 0.0
     rig.animation_data.action = None
     bpy.context.view_layer.objects.active = body
     _pose(rig, {})
