@@ -47,13 +47,26 @@ def pose_space(character: Character) -> dynamorph.PoseSpace:
     return dynamorph.PoseSpace(sets)
 
 
-def simulate(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings) -> Iterator[Frame]:
+def simulate(
+    model: Model,
+    character: Character,
+    rig: RigSamples,
+    settings: SimulationSettings,
+    progress: Progress | None = None,
+) -> Iterator[Frame]:
     """Yields every frame from settings.start to settings.end.
 
-    rig: 1 + (end - start) * substeps samples, the first at `start`.
+    rig: 1 + (end - start) * substeps samples, the first at `start`. progress(fraction, message) -> bool is asked at
+    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
     """
     space = pose_space(character)
-    simulation = _simulation(model, character, rig, settings)
+    done = 0
+
+    def keep_going() -> bool:
+        number = settings.start + done
+        return progress is None or progress(done / len(settings.frames), f"Simulating frame {number}")
+
+    simulation = _simulation(model, character, rig, settings, keep_going)
     frames, substeps = settings.frames, settings.substeps
     if len(rig) != 1 + (len(frames) - 1) * substeps:
         raise ValueError(f"rig: expected {1 + (len(frames) - 1) * substeps} samples, got {len(rig)}")
@@ -68,10 +81,12 @@ def simulate(model: Model, character: Character, rig: RigSamples, settings: Simu
     for first in range(1, len(frames), CHUNK):
         last = min(first + CHUNK, len(frames))
         bones, weights = _samples(model, space, rig[1 + (first - 1) * substeps : 1 + (last - 1) * substeps])
-        for k in range(first, last):
-            steps = slice((k - first) * substeps, (k - first + 1) * substeps)
+        for done in range(first, last):
+            if not keep_going():
+                raise dynamorph.Cancelled("cancelled")
+            steps = slice((done - first) * substeps, (done - first + 1) * substeps)
             report = simulation.advance(bones[steps], weights[steps])
-            yield Frame(int(frames[k]), simulation.coordinates, weights[steps][-1], report)
+            yield Frame(int(frames[done]), simulation.coordinates, weights[steps][-1], report)
 
 
 def bake(
@@ -83,11 +98,7 @@ def bake(
 ) -> tuple[Bake, dict]:
     """Simulates a shot: (Bake, report). progress(fraction, message) -> bool; False raises dynamorph.Cancelled."""
     began = time.perf_counter()
-    frames = []
-    for frame in simulate(model, character, rig, settings):
-        frames.append(frame)
-        if progress and not progress(len(frames) / len(settings.frames), f"Simulating frame {frame.number}"):
-            raise dynamorph.Cancelled("cancelled")
+    frames = list(simulate(model, character, rig, settings, progress))
     coordinates = np.array([frame.coordinates for frame in frames])
     weights = np.array([frame.weights for frame in frames])
     report = _report(frames)
@@ -101,15 +112,16 @@ def bake(
     return Bake(settings.frames, coordinates, weights, model.surface(modes), model.details, names), report
 
 
-def _simulation(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings):
+def _simulation(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings, keep_going):
     engine = model.engine(character)
-    kind = dynamorph.FullSimulation if model.settings.solver == "FULL" else dynamorph.ReducedSimulation
-    simulation = kind(
+    full = model.settings.solver == "FULL"
+    simulation = (dynamorph.FullSimulation if full else dynamorph.ReducedSimulation)(
         engine,
         settings.step,
         scheme=dynamorph.Scheme.__members__[settings.scheme],
         gravity=settings.gravity,
         teleport=TELEPORT * engine.body.size,
+        keep_going=keep_going if full else None,  # a reduced step takes less than the question
     )
     if any(settings.gravity):
         # Sculpted shapes are what the artist sees under gravity: they are held in their own poses (METHOD 9).

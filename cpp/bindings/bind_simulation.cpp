@@ -105,13 +105,20 @@ void bind_simulation_of(py::module_& m, const char* name) {
   using Sim = Simulation<Model>;
   py::class_<Sim>(m, name, "Steps a model through time. World space, SI.")
       .def(py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
-                       int max_iterations, double teleport) {
-             return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport});
+                       int max_iterations, double teleport, const py::object& keep_going) {
+             std::function<bool()> asked;
+             if (!keep_going.is_none())
+               asked = [keep_going] {
+                 py::gil_scoped_acquire gil;
+                 return keep_going().cast<bool>();
+               };
+             return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked});
            }),
            "model"_a, "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
-           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
+           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
            "h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which "
-           "the past is carried along (0: never).")
+           "the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False "
+           "raises Cancelled.")
       .def(
           "hold_targets",
           [](Sim& s, const Array& bones) {
@@ -176,7 +183,12 @@ void bind_simulation_of(py::module_& m, const char* name) {
             const VectorXd force = external ? s.model().body().restrict_to_free(flat_points(
                                                   "external", *external, s.model().body().mesh.nodes.rows()))
                                             : VectorXd();
-            const StepReport report = s.solve_static(transforms("bones", bones), weights, q, force);
+            const Transforms frame = transforms("bones", bones);
+            StepReport report;
+            {
+              py::gil_scoped_release release;
+              report = s.solve_static(frame, weights, q, force);
+            }
             return py::make_tuple(q, summary(report, 0, 0));
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "(coordinates, report) of the static solution.")

@@ -25,7 +25,7 @@ VectorXd unit_mass(const SoftBody& body) {
 /// K_j + epsilon M, factored. A body without pins has rigid modes; the shift keeps K positive definite and is far
 /// below the first elastic frequency.
 struct Factored {
-  Factored(const FullModel& model, int target) : mass(unit_mass(model.body()) * model.targets()[target].density) {
+  Factored(const FullModel& model, int target, std::function<void()> tick_ = {}) : mass(unit_mass(model.body()) * model.targets()[target].density), tick(std::move(tick_)) {
     SparseMatrix K = model.rest_stiffness(target);
     shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
     K.diagonal() += shift * mass;
@@ -34,8 +34,13 @@ struct Factored {
       throw Error("target '" + model.targets()[target].name +
                   "' has a shape with degenerate elements: smooth its sculpt or raise the cage resolution");
   }
-  VectorXd mass;  ///< (3 free), kg
-  double shift;   ///< 1/s^2
+  VectorXd solve(const VectorXd& load) const {
+    if (tick) tick();
+    return solver.solve(load);
+  }
+  VectorXd mass;               ///< (3 free), kg
+  double shift;                ///< 1/s^2
+  std::function<void()> tick;  ///< called before every solve: reports progress, may throw Cancelled
   Cholesky solver;
 };
 
@@ -49,7 +54,7 @@ class InverseOperator {
   void set_shift(double) {}  // the factorisation is already shifted
   void perform_op(const double* x, double* y) const {
     const Eigen::Map<const VectorXd> in(x, rows());
-    Eigen::Map<VectorXd>(y, rows()) = root_.cwiseProduct(factored_.solver.solve(root_.cwiseProduct(in)));
+    Eigen::Map<VectorXd>(y, rows()) = root_.cwiseProduct(factored_.solve(root_.cwiseProduct(in)));
   }
 
  private:
@@ -114,13 +119,16 @@ MatrixXd bone_loads(const SoftBody& body) {
 /// of their modes' amplitudes, static responses to the bones' loads so that a uniform acceleration would move as far.
 /// (By omega_1 / omega_i instead, high modes crowd the derivatives out and large motions lock: docs/decisions.)
 MatrixXd candidates(const FullModel& model, int target, int k, double amplitude, const MatrixXd& loads,
+                    const ProgressFn& progress,
                     VectorXd& frequencies) {
-  const Factored factored(model, target);
+  const int bending = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
+  MatrixXd out(model.dofs(), k + bending * (bending + 1) / 2 + loads.cols());
+  const double expected = double(out.cols()) + 4 * k;  // solves: the eigensolver takes a few for every mode
+  double solves = 0;
+  const Factored factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
   frequencies = modes.frequencies;
   const double floor = 1e-3 * frequencies(k - 1);  // rigid modes of an unpinned body would swamp all others
-  const int bending = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
-  MatrixXd out(model.dofs(), k + bending * (bending + 1) / 2 + loads.cols());
   const double unit = amplitude / largest(modes.shapes.col(0));
   Eigen::Index column = 0;
   for (int i = 0; i < k; ++i) {
@@ -130,11 +138,11 @@ MatrixXd candidates(const FullModel& model, int target, int k, double amplitude,
   for (int i = 0; i < bending; ++i)
     for (int j = 0; j <= i; ++j)
       out.col(column++) =
-          (i == j ? -0.5 : -1.0) * factored.solver.solve(model.force_curvature(target, out.col(i), out.col(j)));
+          (i == j ? -0.5 : -1.0) * factored.solve(model.force_curvature(target, out.col(i), out.col(j)));
   VectorXd uniform = VectorXd::Zero(factored.mass.size());
   for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i);
-  const double pull = amplitude / largest(factored.solver.solve(uniform)) * model.targets()[target].density;
-  for (Eigen::Index c = 0; c < loads.cols(); ++c) out.col(column++) = pull * factored.solver.solve(loads.col(c));
+  const double pull = amplitude / largest(factored.solve(uniform)) * model.targets()[target].density;
+  for (Eigen::Index c = 0; c < loads.cols(); ++c) out.col(column++) = pull * factored.solve(loads.col(c));
   return out;
 }
 
@@ -175,9 +183,12 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   const MatrixXd loads = bone_loads(model.body());
   MatrixXd all(model.dofs(), 0);
   for (int j = 0; j < targets; ++j) {
-    report(progress, double(j) / (targets + 1));
+    const auto part = [&](double done) {
+      report(progress, (j + done) / (targets + 1));
+      return true;
+    };
     const MatrixXd some =
-        root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, loads, basis.frequencies[j]);
+        root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, loads, part, basis.frequencies[j]);
     all.conservativeResize(Eigen::NoChange, all.cols() + some.cols());
     all.rightCols(some.cols()) = some;
   }

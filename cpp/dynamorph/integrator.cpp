@@ -244,6 +244,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q) {
   double elastic = model_->linearize(blend_, q, force, stiffness_);
   const double mean_mass = values(inertia_).cwiseAbs().maxCoeff();
   for (;; ++report.iterations) {
+    if (options_.keep_going && !options_.keep_going()) throw Cancelled();
     moved = quadratic.H * q;
     gradient = moved + quadratic.g + force;
     // Round-off of the terms that cancel in the gradient bounds what any iteration can reach.

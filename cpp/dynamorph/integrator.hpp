@@ -30,6 +30,8 @@ struct StepOptions {
   int max_iterations = 30;
   /// Mean jump of the skin in one step, metres, above which the past is carried along with it. 0: never.
   double teleport = 0;
+  /// Asked before every Newton iteration; false throws Cancelled, after which start() must come first again.
+  std::function<bool()> keep_going = {};
 };
 
 /// Where a soft skin is: coordinates now and one step ago, and the last four posed positions (3 free), world space.
