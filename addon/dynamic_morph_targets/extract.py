@@ -181,7 +181,8 @@ def _target(obj, target, skeleton: Skeleton) -> Target:
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
     shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name)
-    return Target(target.name, shape, target.bone_names(), target.local(skeleton), material)
+    rig_world = np.array(target.rig_world).reshape(4, 4)
+    return Target(target.name, shape, target.bone_names(), target.local(skeleton), rig_world, material)
 
 
 def _check_poses(obj, targets):

@@ -261,8 +261,8 @@ class DynamorphSimulation(PropertyGroup):
     )  # fmt: skip
     gravity: FloatProperty(
         name="Gravity",
-        description="Factor on the scene's gravity. 0 by default: targets are sculpted as seen under gravity",
-        default=0.0, min=-10.0, max=10.0, soft_min=0.0, soft_max=1.0, override=OVERRIDE,
+        description="Factor on the scene's gravity. Targets do not sag: in a target's own pose and tilt it is balanced",
+        default=1.0, min=-10.0, max=10.0, soft_min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
         name="Pre-Roll", description="Frames in which the first pose is held before the start",

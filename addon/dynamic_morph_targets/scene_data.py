@@ -106,13 +106,14 @@ class Target:
 
     name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
-    the whole skeleton as `Skeleton.local_transforms`.
+    the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then.
     """
 
     name: str
     shape: np.ndarray
     bones: tuple[str, ...]
     local: np.ndarray
+    rig_world: np.ndarray
     material: Material
 
 

@@ -124,12 +124,19 @@ def _simulation(model: Model, character: Character, rig: RigSamples, settings: S
         keep_going=keep_going if full else None,  # a reduced step takes less than the question
     )
     if any(settings.gravity):
-        # Sculpted shapes are what the artist sees under gravity: they are held in their own poses (METHOD 9).
-        local = np.array([target.local for target in character.targets])
-        world = np.broadcast_to(rig.rig_world[0], (len(local), 4, 4))
-        own = RigSamples(model.skeleton.pose(local), world, np.broadcast_to(rig.object_world[0], (len(local), 4, 4)))
-        simulation.hold_targets(own.skin_matrices(model.skeleton, model.to_bind))
+        simulation.hold_targets(_target_frames(model, character, rig))
     return simulation
+
+
+def _target_frames(model: Model, character: Character, rig: RigSamples) -> np.ndarray:
+    """Skin matrices (J, B + 1, 3, 4) of the targets' captured poses, with the armature where it stood then.
+
+    Sculpted shapes are what the artist saw under gravity, so each is held up in its own pose (METHOD 9).
+    """
+    pose = model.skeleton.pose(np.array([target.local for target in character.targets]))
+    rig_world = np.array([target.rig_world for target in character.targets])
+    object_world = rig_world @ np.linalg.inv(rig.rig_world[0]) @ rig.object_world[0]
+    return RigSamples(pose, rig_world, object_world).skin_matrices(model.skeleton, model.to_bind)
 
 
 def _samples(model: Model, space, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
