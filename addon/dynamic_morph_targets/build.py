@@ -31,7 +31,8 @@ class Model:
 
     nodes (n, 3), tets (m, 4), fill (m,), pinned (n,), node_weights (n, B + 1), embedding_nodes and embedding_weights
     (V, 4), displacements (J, n, 3), details (J, V, 3) local space; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the
-    skeleton. basis (3 free, r), table_lambda and table_mu (J, r(r+1)/2, ...) of a reduced model, empty of a full one.
+    skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model (dynamorph.ReducedTables), empty
+    of a full one.
     """
 
     nodes: np.ndarray
@@ -117,55 +118,16 @@ def build(character: Character, progress: Progress | None = None) -> Model:
     if len(character.target_sets) != 1:
         raise ValueError(f"'{character.name}': expected one target set, got {len(character.target_sets)}")
     stages = _Stages(progress)
-    settings = character.settings
-    surface = character.vertices @ character.to_bind.T
-
-    with stages("Meshing", 0.30) as report:
-        _, _, mesh = dynamorph.mesh_body(
-            surface, character.triangles, settings.cage_nodes, bones=character.bone_segments, progress=report
-        )
-    with stages("Embedding", 0.05) as report:
-        embedding = dynamorph.embed(mesh, surface)
-        fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
-        inherited = np.hstack([character.weights, character.softness[:, None]])
-        inherited = dynamorph.extend_to_nodes(mesh, embedding, inherited).clip(0.0)
-        node_weights = inherited[:, :-1] / inherited[:, :-1].sum(axis=1, keepdims=True)
-        heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
-        pinned = dynamorph.pinned(mesh, surface, character.triangles, heads, tails, settings.pin_radius)
-        pinned |= inherited[:, -1] < HELD
-        if not pinned.any():
-            raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
-    model = Model(
-        nodes=mesh.nodes,
-        tets=mesh.tets,
-        fill=fill,
-        pinned=pinned,
-        node_weights=node_weights,
-        embedding_nodes=embedding.nodes,
-        embedding_weights=embedding.weights,
-        displacements=np.zeros((len(character.targets), len(mesh.nodes), 3)),
-        details=np.zeros((len(character.targets), len(surface), 3)),
-        to_bind=character.to_bind,
-        parents=character.skeleton.parents,
-        rest=character.skeleton.rest,
-        basis=np.zeros((0, 0)),
-        table_lambda=np.zeros((0, 0, 0)),
-        table_mu=np.zeros((0, 0, 0)),
-        bone_names=character.skeleton.names,
-        settings=settings,
-        dependencies=dependencies(character),
-        summary={},
-    )
+    model, embedding = _volume(character, stages)
     body = model.soft_body()
     with stages("Target shapes", 0.10) as report:
         _shape_targets(model, body, embedding, character.targets, report)
     targets = _morph_targets(character.targets, model.displacements)
-    law = dynamorph.Law.__members__[settings.law]
+    law = dynamorph.Law.__members__[character.settings.law]
     full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
-    model.summary["warnings"] = _fallback_warnings(full, character.targets)
-    if settings.solver == "REDUCED":
+    if character.settings.solver == "REDUCED":
         with stages("Modes", 0.35) as report:
-            basis = dynamorph.make_basis(full, settings.modes, report)
+            basis = dynamorph.make_basis(full, character.settings.modes, report)
         with stages("Polynomials", 0.20) as report:
             tables = dynamorph.reduce(full, basis.U, report)
         model = replace(
@@ -175,14 +137,57 @@ def build(character: Character, progress: Progress | None = None) -> Model:
             table_mu=np.array(tables.lame_mu),
         )
     model.summary.update(
-        nodes=len(mesh.nodes),
-        tets=len(mesh.tets),
+        nodes=len(model.nodes),
+        tets=len(model.tets),
         dofs=full.dofs,
         modes=model.basis.shape[1],
         targets=len(targets),
+        warnings=_fallback_warnings(full, character.targets),
         seconds=stages.seconds,
     )
     return model
+
+
+def _volume(character: Character, stages: _Stages) -> tuple[Model, dynamorph.Embedding]:
+    """The tetrahedra around the skin with all they inherit from it; the targets' shapes are still to come."""
+    settings = character.settings
+    surface = character.vertices @ character.to_bind.T
+    with stages("Meshing", 0.30) as report:
+        _, _, mesh = dynamorph.mesh_body(
+            surface, character.triangles, settings.cage_nodes, bones=character.bone_segments, progress=report
+        )
+    with stages("Embedding", 0.05) as report:
+        embedding = dynamorph.embed(mesh, surface)
+        fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
+        inherited = np.hstack([character.weights, character.softness[:, None]])
+        inherited = dynamorph.extend_to_nodes(mesh, embedding, inherited).clip(0.0)
+        heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
+        pinned = dynamorph.pinned(mesh, surface, character.triangles, heads, tails, settings.pin_radius)
+        pinned |= inherited[:, -1] < HELD
+    if not pinned.any():
+        raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
+    model = Model(
+        nodes=mesh.nodes,
+        tets=mesh.tets,
+        fill=fill,
+        pinned=pinned,
+        node_weights=inherited[:, :-1] / inherited[:, :-1].sum(axis=1, keepdims=True),
+        embedding_nodes=embedding.nodes,
+        embedding_weights=embedding.weights,
+        displacements=np.zeros((len(character.targets), len(mesh.nodes), 3)),
+        details=np.zeros((len(character.targets), len(surface), 3)),
+        to_bind=character.to_bind,
+        parents=character.skeleton.parents,
+        rest=character.skeleton.rest,
+        basis=np.zeros((0, 0)),
+        table_lambda=np.zeros((0, 0)),
+        table_mu=np.zeros((0, 0)),
+        bone_names=character.skeleton.names,
+        settings=settings,
+        dependencies=dependencies(character),
+        summary={},
+    )
+    return model, embedding
 
 
 def _shape_targets(model: Model, body, embedding, targets: list[Target], report):

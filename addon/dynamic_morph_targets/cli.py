@@ -48,7 +48,8 @@ def main(argv, opens_file: bool = False) -> int:
         print(f"dynamorph: error: {error}", file=sys.stderr)
         return BAD_INPUT
     finally:
-        signal.signal(signal.SIGINT, handler)
+        if handler is not None:  # Blender's own is set in C: Python cannot put it back, and Blender ends here anyway
+            signal.signal(signal.SIGINT, handler)
         sys.stdout.flush()
 
 

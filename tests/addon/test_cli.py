@@ -144,6 +144,14 @@ def test_ctrl_c(shot, run, stand_in):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_blenders_own_ctrl_c_handler(shot, run, monkeypatch):
+    """It is set in C: Python calls it None, and does not take None back."""
+    install = signal.signal
+    monkeypatch.setattr(signal, "signal", lambda number, handler: install(number, handler) and None)
+    assert run("info", shot)[0] == 0
+    install(signal.SIGINT, signal.default_int_handler)
+
+
 @pytest.mark.parametrize("arguments, code", [(["-h"], 0), (["info", "nowhere.blend"], 2), (["bake"], 2)])
 def test_as_a_python_module(arguments, code):
     """A process of its own, to see the exit code that a farm sees."""
