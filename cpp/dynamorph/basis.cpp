@@ -25,7 +25,8 @@ VectorXd unit_mass(const SoftBody& body) {
 /// K_j + epsilon M, factored. A body without pins has rigid modes; the shift keeps K positive definite and is far
 /// below the first elastic frequency.
 struct Factored {
-  Factored(const FullModel& model, int target, std::function<void()> tick_ = {}) : mass(unit_mass(model.body()) * model.targets()[target].density), tick(std::move(tick_)) {
+  Factored(const FullModel& model, int target, std::function<void()> tick_ = {})
+      : mass(unit_mass(model.body()) * model.targets()[target].density), tick(std::move(tick_)) {
     SparseMatrix K = model.rest_stiffness(target);
     shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
     K.diagonal() += shift * mass;
@@ -119,8 +120,7 @@ MatrixXd bone_loads(const SoftBody& body) {
 /// of their modes' amplitudes, static responses to the bones' loads so that a uniform acceleration would move as far.
 /// (By omega_1 / omega_i instead, high modes crowd the derivatives out and large motions lock: docs/decisions.)
 MatrixXd candidates(const FullModel& model, int target, int k, double amplitude, const MatrixXd& loads,
-                    const ProgressFn& progress,
-                    VectorXd& frequencies) {
+                    const ProgressFn& progress, VectorXd& frequencies) {
   const int bending = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
   MatrixXd out(model.dofs(), k + bending * (bending + 1) / 2 + loads.cols());
   const double expected = double(out.cols()) + 4 * k;  // solves: the eigensolver takes a few for every mode

@@ -72,8 +72,8 @@ def main() -> int:
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     print(f"{machine}; seconds, medians of {RUNS} bakes")
     for name in columns[0]:
-        values = (f"{column[name]:14.3f}" if isinstance(column[name], float) else f"{column[name]:14}" for column in columns)
-        print(f"  {name:<21}" + "".join(values))
+        form = "14.3f" if isinstance(columns[0][name], float) else "14"
+        print(f"  {name:<21}" + "".join(f"{column[name]:{form}}" for column in columns))
     report = ROOT / "build" / "reports" / "bench.json"
     report.parent.mkdir(parents=True, exist_ok=True)
     report.write_text(json.dumps({"machine": machine, "columns": columns}, indent=1))
