@@ -79,7 +79,8 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
         keys = obj.data.shape_keys
         block = keys and (keys.key_blocks.get(self.key) if self.key else obj.active_shape_key)
         if not block:
-            raise SceneError(f"'{obj.name}' has no shape key '{self.key}': sculpt one, or select another")
+            wanted = f"shape key '{self.key}'" if self.key else "active shape key"
+            raise SceneError(f"'{obj.name}' has no {wanted}: sculpt one, or select another")
         if block == keys.reference_key:
             raise SceneError(f"'{block.name}' is the shape of the neutral target: select another shape key")
         if block.name in [target.name for target in settings.targets[1:]]:
@@ -182,6 +183,7 @@ class JobOperator(SoftSkinOperator):
     def modal(self, context, event):
         if event.type == "ESC" and event.value == "PRESS":
             self.job.cancelled = True
+            return {"RUNNING_MODAL"}  # this Esc is used up: it must not also stop the playback
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         result = {"CANCELLED"}
@@ -231,10 +233,10 @@ class JobOperator(SoftSkinOperator):
         redraw(context)
 
     def _done(self, job):
-        for warning in job.warnings:
-            self.report({"WARNING"}, warning)
         built = f" (built first: {'; '.join(job.reasons)})" if self.bake and job.reasons else ""
         self.report({"INFO"}, f"{job.name}: {job.summary()}{built}")
+        for warning in job.warnings:  # after the rest, because the status bar shows the last report
+            self.report({"WARNING"}, warning)
         return {"FINISHED"}
 
 
@@ -266,11 +268,13 @@ class DYNAMORPH_OT_cancel(Operator):
 
 
 def redraw(context):
-    """Let every panel that shows progress draw again."""
+    """Let every panel that shows progress draw again, but not the 3D view, which may take longer than the job."""
+    shown_in = {"VIEW_3D": "UI", "PROPERTIES": "WINDOW"}
     for window in context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type in {"VIEW_3D", "PROPERTIES"}:
-                area.tag_redraw()
+            for region in area.regions:
+                if region.type == shown_in.get(area.type):
+                    region.tag_redraw()
 
 
 @persistent

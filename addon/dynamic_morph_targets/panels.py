@@ -10,6 +10,8 @@ from bpy.types import Panel, UIList
 
 from . import jobs
 
+LINE = 36  # characters that fit into the sidebar at its default width
+
 
 class DYNAMORPH_UL_targets(UIList):
     """Dynamic morph targets, as Blender lists shape keys."""
@@ -50,12 +52,13 @@ def draw_targets(layout, settings):
     target = settings.active_target
     if target is None:
         return
-    row = layout.row(align=True)
-    row.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
+    column = layout.column(align=True)
+    column.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
     if settings.active_target_index > 0:
-        row.operator("dynamorph.use_selected_bones", icon="BONE_DATA")
+        column.operator("dynamorph.use_selected_bones", icon="BONE_DATA")
         draw_message(layout, "Bones: " + (", ".join(target.bone_names()) or "none"), icon="BONE_DATA")
     column = layout.column(align=True)
+    column.enabled = jobs.running is None
     for name in ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping"):
         column.prop(target, name)
 
@@ -63,9 +66,10 @@ def draw_targets(layout, settings):
 def draw_model(layout, obj):
     settings = obj.dynamorph
     model = settings.model
-    header, body = layout.panel("dynamorph_model")
+    header, body = layout.panel("dynamorph_model", default_closed=True)
     header.label(text="Model")
     if body:
+        body.enabled = jobs.running is None
         for name in ("law", "solver", "blending", "modes", "cage_nodes", "pin_radius"):
             body.prop(model, name)
         body.prop_search(settings, "soft_group", obj, "vertex_groups")
@@ -78,9 +82,10 @@ def draw_model(layout, obj):
 
 def draw_bake(layout, settings):
     simulation = settings.simulation
-    header, body = layout.panel("dynamorph_simulation")
+    header, body = layout.panel("dynamorph_simulation", default_closed=True)
     header.label(text="Simulation")
     if body:
+        body.enabled = jobs.running is None
         body.prop(simulation, "use_scene_range")
         column = body.column(align=True)
         column.active = not simulation.use_scene_range
@@ -109,7 +114,7 @@ def draw_job(layout, operator: str, icon: str):
 def draw_message(layout, text: str, icon="ERROR"):
     """Text broken into lines, because labels do not wrap."""
     column = layout.column(align=True)
-    for i, line in enumerate(textwrap.wrap(text, 48)):
+    for i, line in enumerate(textwrap.wrap(text, LINE)):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
 
 

@@ -53,10 +53,12 @@ def simulate(
     rig: RigSamples,
     settings: SimulationSettings,
     progress: Progress | None = None,
+    engine=None,
 ) -> Iterator[Frame]:
     """Yields every frame from settings.start to settings.end.
 
-    rig: 1 + (end - start) * substeps samples, the first at `start`. progress(fraction, message) -> bool is asked at
+    rig: 1 + (end - start) * substeps samples, the first at `start`. engine: model.engine(character), if it is at hand
+    already. progress(fraction, message) -> bool is asked at
     every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
     """
     space = pose_space(character)
@@ -66,7 +68,8 @@ def simulate(
         number = settings.start + done
         return progress is None or progress(done / len(settings.frames), f"Simulating frame {number}")
 
-    simulation = _simulation(model, character, rig, settings, keep_going)
+    engine = engine or model.engine(character)
+    simulation = _simulation(engine, model, character, rig, settings, keep_going)
     frames, substeps = settings.frames, settings.substeps
     if len(rig) != 1 + (len(frames) - 1) * substeps:
         raise ValueError(f"rig: expected {1 + (len(frames) - 1) * substeps} samples, got {len(rig)}")
@@ -98,11 +101,12 @@ def bake(
 ) -> tuple[Bake, dict]:
     """Simulates a shot: (Bake, report). progress(fraction, message) -> bool; False raises dynamorph.Cancelled."""
     began = time.perf_counter()
-    frames = list(simulate(model, character, rig, settings, progress))
+    engine = model.engine(character)
+    frames = list(simulate(model, character, rig, settings, progress, engine))
     coordinates = np.array([frame.coordinates for frame in frames])
     weights = np.array([frame.weights for frame in frames])
     report = _report(frames)
-    report.update(_worst_elements(model, character, coordinates, weights))
+    report.update(_worst_elements(model, engine, coordinates, weights))
     if model.settings.solver == "FULL":
         coordinates, modes, report["compression_error"] = _compress(model, coordinates)
     else:
@@ -112,8 +116,7 @@ def bake(
     return Bake(settings.frames, coordinates, weights, model.surface(modes), model.details, names), report
 
 
-def _simulation(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings, keep_going):
-    engine = model.engine(character)
+def _simulation(engine, model: Model, character: Character, rig: RigSamples, settings: SimulationSettings, keep_going):
     full = model.settings.solver == "FULL"
     simulation = (dynamorph.FullSimulation if full else dynamorph.ReducedSimulation)(
         engine,
@@ -169,23 +172,16 @@ def _some(numbers: list[int]) -> str:
     return ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
 
 
-def _worst_elements(model: Model, character: Character, coordinates: np.ndarray, weights: np.ndarray) -> dict:
+def _worst_elements(model: Model, engine, coordinates: np.ndarray, weights: np.ndarray) -> dict:
     """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames."""
-    targets = coordinates_of_targets(model, character)
+    targets = np.array([engine.target(j) for j in range(weights.shape[1])])
     strength = np.abs(coordinates - weights @ targets).max(axis=1)
-    engine = model.engine(character)
     inverse = np.linalg.inv(_edges(model, model.nodes))
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
         det = np.linalg.det(_edges(model, model.nodes + engine.displacement(coordinates[k])) @ inverse)
         smallest, inverted = min(smallest, det.min()), max(inverted, int((det <= 0).sum()))
     return {"smallest_det": float(smallest), "inverted": inverted}
-
-
-def coordinates_of_targets(model: Model, character: Character) -> np.ndarray:
-    """Coordinates (J, dofs) of the targets' shapes."""
-    engine = model.engine(character)
-    return np.array([engine.target(j) for j in range(len(character.targets))])
 
 
 def _edges(model: Model, nodes: np.ndarray) -> np.ndarray:

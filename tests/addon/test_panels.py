@@ -39,7 +39,7 @@ class Layout:
                 None, None, self, data, item, 0, active_data, active_name, index
             )
 
-    def panel(self, _name):
+    def panel(self, _name, default_closed=False):
         return self, self
 
     def row(self, **_options):
