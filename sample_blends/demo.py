@@ -85,7 +85,7 @@ def run(draft: bool, docs: bool) -> None:
 
 def bake(job: jobs.Job) -> jobs.Job:
     jobs.run(job, cli.Progress())
-    for warning in (*job.warnings, *job.report.get("warnings", ())):
+    for warning in job.warnings:
         print(f"{job.name}: warning: {warning}")
     return job
 

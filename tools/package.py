@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 ADDON = ROOT / "addon" / "dynamic_morph_targets"
 DIST = ROOT / "dist"
+PLATFORMS = {"linux_x86_64": "linux-x64", "linux_aarch64": "linux-arm64"}  # a wheel's tag: Blender's name
 
 
 def pythons() -> list[Path]:
@@ -44,14 +46,16 @@ def make_extension() -> None:
     stage = ROOT / "build/extension"
     shutil.rmtree(stage, ignore_errors=True)
     shutil.copytree(ADDON, stage, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy2(ROOT / "LICENSE", stage)
+    for name in ("LICENSE", "LICENSES.md"):
+        shutil.copy2(ROOT / name, stage)
     wheels = build_native_wheels(stage / "wheels")
     manifest = stage / "blender_manifest.toml"
+    platforms = sorted({PLATFORMS[wheel.stem.split("-")[-1]] for wheel in wheels})
     lines = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in wheels)
     text = re.sub(r"^wheels *= *\[.*?\]\n", "", manifest.read_text(), flags=re.MULTILINE | re.DOTALL)
     # Before the first table: a key below one would belong to it.
     head, table, rest = text.partition("\n[")
-    manifest.write_text(f"{head.rstrip()}\nwheels = [\n{lines}]\n{table}{rest}")
+    manifest.write_text(f"{head.rstrip()}\nplatforms = {json.dumps(platforms)}\nwheels = [\n{lines}]\n{table}{rest}")
 
     archive = DIST / f"dynamic_morph_targets-{tomllib.loads(manifest.read_text())['version']}.zip"
     blender_extension("build", "--source-dir", stage, "--output-filepath", archive)

@@ -4,7 +4,8 @@
     blender -b shot.blend -c dynamorph bake --object Body -o baked.blend
     python -m dynamic_morph_targets bake shot.blend --object Body -o baked.blend
 
-Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 130 Ctrl-C.
+Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 75 a file could
+not be read or written (a full disk, a lost network: try again), 130 Ctrl-C.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import bpy
 
 from . import extract, jobs, properties, sinks
 
-DONE, BAD_INPUT, SELF_CHECK_FAILED, INTERRUPTED = 0, 2, 3, 130
+DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 
 
 class InputError(ValueError):
@@ -44,6 +45,9 @@ def main(argv, opens_file: bool = False) -> int:
     except jobs.SelfCheckError as error:
         print(f"dynamorph: error: {error}", file=sys.stderr)
         return SELF_CHECK_FAILED
+    except OSError as error:
+        print(f"dynamorph: error: {error}: try again", file=sys.stderr)
+        return TRY_AGAIN
     except jobs.expected_errors() as error:
         print(f"dynamorph: error: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -76,7 +80,7 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
 
     bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
     bake.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
-    bake.add_argument("--substeps", type=int, help="steps a frame; by default what keeps a step below 1/120 s")
+    bake.add_argument("--substeps", type=int, help="steps a frame; 0 keeps a step below 1/120 s; default: the object's setting")
     bake.set_defaults(bake=True)
     command("build", run_job, "build models").set_defaults(bake=False, frames=None, substeps=None)
     command("free", run_free, "remove bakes and restore the target keys")
@@ -166,7 +170,7 @@ def save(args) -> float:
     try:
         bpy.ops.wm.save_as_mainfile(filepath=path, copy=args.output is not None)
     except RuntimeError as error:
-        raise InputError(f"'{path}' cannot be saved: {error}") from error
+        raise OSError(f"'{path}' cannot be saved: {str(error).strip()}") from error
     print(f"saved {args.output or bpy.data.filepath}")
     return time.perf_counter() - began
 

@@ -14,8 +14,9 @@ import numpy as np
 from .properties import key_points, reconcile, rest_skeleton
 from .scene_data import Character, RigSamples, SimulationSettings, Skeleton, Target, TargetSet
 
-SAME_POSE = np.radians(0.1)  # targets nearer than this in every bone cannot be told apart
+SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
+PLAUSIBLE = (0.02, 20.0)  # metres from corner to corner; a body of another size is probably not meant
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
 # Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
@@ -46,20 +47,22 @@ def character(obj) -> Character:
     """The soft skin authored on `obj`. Raises SceneError."""
     modifier = armature_modifier(obj)
     reconcile(obj)
-    check(obj)
+    _check(obj, modifier)
     skeleton = rest_skeleton(modifier.object.data)
     targets = tuple(_target(obj, target, skeleton) for target in _active_targets(obj))
-    _check_poses(obj, targets)
+    _check_poses(obj, targets, skeleton)
     basis = obj.data.shape_keys.reference_key
     settings = obj.dynamorph
+    world, rig_world = _worlds_at_start(obj, modifier.object)
+    to_bind = _stretch(world)
     return Character(
         name=obj.name,
         vertices=key_points(basis).astype(np.float64),
         triangles=_triangles(obj.data),
-        to_bind=_stretch(obj),
+        to_bind=to_bind,
         weights=_skin_weights(obj, modifier, skeleton),
         softness=_softness(obj),
-        bone_segments=_bone_segments(obj, modifier),
+        bone_segments=_bone_segments(obj, modifier.object, np.linalg.inv(world) @ rig_world, to_bind),
         skeleton=skeleton,
         target_sets=(TargetSet(obj.name, targets),),
         settings=settings.model.settings(),
@@ -79,16 +82,29 @@ def armature_modifier(obj):
     return modifiers[0]
 
 
-def check(obj) -> list[str]:
-    """Warnings about what will be ignored. Raises SceneError about what makes `obj` impossible to simulate."""
-    modifier = armature_modifier(obj)
+def warnings(obj, character: Character) -> list[str]:
+    """What will be ignored, or is not likely to be meant."""
+    found = [
+        f"'{obj.name}': modifier '{modifier.name}' before the Armature is not simulated"
+        for modifier in _modifiers_before(obj, armature_modifier(obj))
+        if modifier.type in DEFORMING
+    ]
+    if obj.show_only_shape_key:
+        found.append(f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake")
+    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
+        found.append(f"'{obj.name}' is {size:.3g} m long: check the scale, it will move like something of that size")
+    return found
+
+
+def _check(obj, modifier):
+    """Raises SceneError about what makes `obj` impossible to simulate."""
     _check_mesh(obj)
     _check_rig(obj, modifier)
     _check_keys(obj)
-    warnings = _check_modifiers_before(obj, modifier)
-    if obj.show_only_shape_key:
-        warnings.append(f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake")
-    return warnings
+    for before in _modifiers_before(obj, modifier):
+        if before.type in GENERATING:
+            raise SceneError(f"'{obj.name}': modifier '{before.name}' comes before the Armature: move it below")
 
 
 def _check_rig(obj, modifier):
@@ -99,6 +115,8 @@ def _check_rig(obj, modifier):
         raise SceneError(f"Armature '{rig.name}' is shown in rest position: choose Pose Position in its Data tab")
     if rig.hide_viewport:
         raise SceneError(f"Armature '{rig.name}' is disabled in viewports, so Blender does not move it: enable it")
+    if not modifier.show_viewport:
+        raise SceneError(f"'{obj.name}': Armature modifier '{modifier.name}' is disabled in viewports: enable it")
     if modifier.use_deform_preserve_volume:
         raise SceneError(f"'{obj.name}' uses Preserve Volume: turn it off in Armature modifier '{modifier.name}'")
     if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
@@ -129,11 +147,11 @@ def _check_mesh(obj):
         raise SceneError(f"'{obj.name}' is in Edit Mode: leave it first")
     if not mesh.polygons:
         raise SceneError(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
-    if abs(np.linalg.det(_world(obj)[:3, :3])) < 1e-18:
-        raise SceneError(f"'{obj.name}' is scaled to zero: give it a size")
 
 
 def _check_keys(obj):
+    if not obj.dynamorph.targets:
+        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
     keys = obj.data.shape_keys
     if keys is None:
         raise SceneError(f"'{obj.name}' has no shape keys: add a Basis and one key a target")
@@ -145,6 +163,11 @@ def _check_keys(obj):
     for target in targets[1:]:
         if target.name not in keys.key_blocks:
             raise SceneError(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
+        if keys.key_blocks[target.name] == keys.reference_key:
+            raise SceneError(
+                f"'{obj.name}': target '{target.name}' has become the Basis, which moves nothing: put a Basis above it "
+                "in the Shape Keys panel, or remove the target"
+            )
     for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in targets[1:])):
         bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
         if len(bad):
@@ -154,16 +177,10 @@ def _check_keys(obj):
             )
 
 
-def _check_modifiers_before(obj, armature) -> list[str]:
-    before = []
-    for modifier in obj.modifiers[: obj.modifiers.find(armature.name)]:
-        if not (modifier.show_viewport or modifier.show_render):
-            continue
-        if modifier.type in GENERATING:
-            raise SceneError(f"'{obj.name}': modifier '{modifier.name}' comes before the Armature: move it below")
-        if modifier.type in DEFORMING:
-            before.append(f"'{obj.name}': modifier '{modifier.name}' before the Armature is not simulated")
-    return before
+def _modifiers_before(obj, armature) -> list:
+    """The modifiers that change the mesh before its Armature modifier does."""
+    before = obj.modifiers[: obj.modifiers.find(armature.name)]
+    return [modifier for modifier in before if modifier.show_viewport or modifier.show_render]
 
 
 def _active_targets(obj):
@@ -181,24 +198,28 @@ def _target(obj, target, skeleton: Skeleton) -> Target:
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
     shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name)
-    rig_world = np.array(target.rig_world).reshape(4, 4)
-    return Target(target.name, shape, target.bone_names(), target.local(skeleton), rig_world, material)
+    local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
+    if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
+        raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
+    return Target(target.name, shape, target.bone_names(), local, rig_world, material)
 
 
-def _check_poses(obj, targets):
-    """Refuse targets that their bones' rotations cannot tell apart."""
+def _check_poses(obj, targets, skeleton: Skeleton):
+    """Refuse targets that the rotations of the targets' bones, and of no others, cannot tell apart."""
     for target in targets[1:]:
         if not target.bones:
             raise SceneError(
                 f"'{obj.name}': target '{target.name}' has no bones: pose the armature away from the neutral target "
                 "and press Capture Pose"
             )
+    named = {bone for target in targets for bone in target.bones}
+    used = [name in named for name in skeleton.names]
     for i, first in enumerate(targets):
         for second in targets[i + 1 :]:
-            if turned(first.local, second.local).max() < SAME_POSE:
+            if np.linalg.norm(turned(first.local[used], second.local[used])) < SAME_POSE:
                 raise SceneError(
-                    f"'{obj.name}': targets '{first.name}' and '{second.name}' have the same pose: "
-                    "capture one of them in another pose, or remove it"
+                    f"'{obj.name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
+                    "place targets: capture one of them in another pose, choose its bones, or remove it"
                 )
 
 
@@ -206,7 +227,7 @@ def target_shape(obj, key_name: str) -> np.ndarray:
     """What the shape key adds at value 1: (V, 3), local space."""
     block = obj.data.shape_keys.key_blocks[key_name]
     shape = key_points(block).astype(np.float64) - key_points(block.relative_key)
-    if block.vertex_group:
+    if block.vertex_group in obj.vertex_groups:  # Blender ignores the name of a group that is gone
         shape *= group_weights(obj, [block.vertex_group])
     return shape
 
@@ -247,14 +268,12 @@ def _softness(obj) -> np.ndarray:
     return group_weights(obj, [name])[:, 0]
 
 
-def _bone_segments(obj, modifier) -> np.ndarray:
+def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
-    rig = modifier.object
     bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
     ends = np.array([(*bone.head_local, 1.0, *bone.tail_local, 1.0) for bone in bones]).reshape(-1, 2, 4)
-    # Rounded like the stretch: the last digits of this product change while both objects move.
-    to_local = np.round(np.linalg.inv(_world(obj)) @ _world(rig), 5) + 0.0
-    return (ends @ to_local.T)[..., :3] @ _stretch(obj).T
+    # Rounded like the stretch: the last digits of this product change when both objects are moved.
+    return (ends @ np.round(to_local, 5).T)[..., :3] @ to_bind.T + 0.0
 
 
 def _triangles(mesh) -> np.ndarray:
@@ -264,14 +283,31 @@ def _triangles(mesh) -> np.ndarray:
     return triangles
 
 
-def _world(obj) -> np.ndarray:
-    return np.array(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world)
+def _worlds_at_start(obj, rig) -> list[np.ndarray]:
+    """World transforms of both when the scene starts: a model that depended on the current frame would age by playing.
+
+    Raises SceneError.
+    """
+    with _rig_scene(obj, rig) as scene:
+        scene.frame_set(bpy.context.scene.frame_start)
+        depsgraph = scene.view_layers[0].depsgraph
+        worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
+    for moving, world in zip((obj, rig), worlds, strict=True):
+        if not np.isfinite(world).all():
+            raise SceneError(_not_a_number(moving.name, bpy.context.scene.frame_start))
+        sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
+        if sizes[-1] <= 1e-6 * sizes[0]:
+            raise SceneError(f"'{moving.name}' is scaled to zero: give it a size")
+    return worlds
 
 
-def _stretch(obj) -> np.ndarray:
-    """The object's scale without its rotation: the symmetric factor of the world transform's polar decomposition."""
-    world = _world(obj)[:3, :3]
-    values, vectors = np.linalg.eigh(world.T @ world)
+def _not_a_number(name: str, frame: int) -> str:
+    return f"'{name}' has a transform that is not a number at frame {frame}: check its channels, drivers and constraints"
+
+
+def _stretch(world) -> np.ndarray:
+    """An object's scale without its rotation: the symmetric factor of the world transform's polar decomposition."""
+    values, vectors = np.linalg.eigh(world[:3, :3].T @ world[:3, :3])
     stretch = (vectors * np.sqrt(values)) @ vectors.T
     # Rounded, or the object's rotation would show in the last digits and make the model out of date.
     unit = 10.0 ** np.floor(np.log10(stretch.max()))
@@ -301,10 +337,14 @@ def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
     skeleton = rest_skeleton(rig.data)
     evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
     pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
+    rig_world = np.array(evaluated.matrix_world)
+    for name, matrix in ((rig.name, rig_world), *zip(skeleton.names, pose, strict=True)):
+        if not np.isfinite(matrix).all():
+            raise SceneError(_not_a_number(name, bpy.context.scene.frame_current))
     flat = [name for name, matrix in zip(skeleton.names, pose, strict=True) if not _invertible(matrix)]
     if flat:
         raise SceneError(f"Bone '{flat[0]}' of '{rig.name}' is scaled to zero: give it a size to capture the pose")
-    return skeleton, skeleton.local_transforms(pose), np.array(evaluated.matrix_world)
+    return skeleton, skeleton.local_transforms(pose), rig_world
 
 
 def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
@@ -328,20 +368,20 @@ def _pose_matrices(evaluated_rig, order) -> np.ndarray:
 
 
 def _invertible(matrices: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        return np.abs(np.linalg.det(matrices[..., :3, :3])) > 1e-12  # false for NaN too
+    return np.abs(np.linalg.det(matrices[..., :3, :3])) > 1e-12
 
 
 # The moving rig ----------------------------------------------------------------------------------------------------
 
 
 def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSamples:
-    """The rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh.
+    """The rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh. Raises SceneError.
 
     progress(fraction, message) -> bool; False raises Cancelled. The user's frame and pose are not touched.
     """
     rig = armature_modifier(obj).object
-    order = _pose_order(rig, rest_skeleton(rig.data))
+    skeleton = rest_skeleton(rig.data)
+    order = _pose_order(rig, skeleton)
     count = 1 + (end - start) * substeps
     samples = RigSamples(np.empty((count, len(order), 4, 4)), np.empty((count, 4, 4)), np.empty((count, 4, 4)))
     with _rig_scene(obj, rig) as scene:
@@ -355,6 +395,11 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
             samples.object_world[s] = obj.evaluated_get(depsgraph).matrix_world
             if progress and not progress(s / count, f"Sampling frame {start + frame}"):
                 raise Cancelled
+    moving = (rig.name, obj.name, *skeleton.names)
+    transforms = np.concatenate([samples.rig_world[:, None], samples.object_world[:, None], samples.pose], axis=1)
+    bad = np.argwhere(~np.isfinite(transforms).all(axis=(2, 3)))
+    if len(bad):
+        raise SceneError(_not_a_number(moving[bad[0, 1]], start + int(bad[0, 0]) // substeps))
     return samples
 
 

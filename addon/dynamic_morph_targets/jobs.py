@@ -64,11 +64,15 @@ def engine_problem() -> str:
 
 def expected_errors() -> tuple[type[Exception], ...]:
     """The exceptions whose message is meant for the artist."""
+    return (NativeMissing, SelfCheckError, ValueError, OSError, *_engine_errors())
+
+
+def _engine_errors() -> tuple[type[Exception], ...]:
     try:
         import dynamorph
     except Exception:
-        return (NativeMissing, SelfCheckError, ValueError, OSError)
-    return (NativeMissing, SelfCheckError, ValueError, OSError, dynamorph.Error)
+        return ()
+    return (dynamorph.Error,)
 
 
 # The built model ---------------------------------------------------------------------------------------------------
@@ -204,10 +208,10 @@ class Job:
         """Check and read the scene; main thread."""
         engine()
         obj = find(self.session_uid)
-        self.warnings = extract.check(obj)
+        self.character = extract.character(obj)
         if self.bake:
             sinks.check(obj)
-        self.character = extract.character(obj)
+        self.warnings = extract.warnings(obj, self.character)
         self.reasons = stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
         if not self.reasons:
             self.model = load_model(obj)
@@ -265,13 +269,16 @@ class Job:
             packed = model_file.pack(*self.model.to_arrays())
             store_model(obj, packed, self.folder)
             record.summary = f"{self.model_summary()}, {len(packed) / 2**20:.1f} MB, {self.seconds['build']:.1f} s"
-        elif self.folder and PACKED not in obj:
+        elif PACKED not in obj and self.folder not in (None, _blend_folder()):
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
         record.stale = ""
 
     def _work(self):
         try:
             self._compute()
+        except _engine_errors() as error:  # the engine does not know whose cage it works on
+            named = f"'{self.name}'" in str(error)
+            self._error = error if named else type(error)(f"'{self.name}': {error}")
         except BaseException as error:  # raised again in the main thread, by wait
             self._error = error
 
@@ -291,7 +298,9 @@ class Job:
             )
         self.warnings += self.report["warnings"]
         if self.report["inverted"]:
-            self.warnings.append(f"{self.report['inverted']} tetrahedra turn inside out: raise Stiffness or Substeps")
+            self.warnings.append(
+                f"{self.report['inverted']} tetrahedra turn inside out: raise Stiffness or Cage Nodes, or smooth the sculpt"
+            )
         for name in ("coordinates", "weights", "modes", "details"):
             if not np.isfinite(getattr(self.result, name)).all():
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")

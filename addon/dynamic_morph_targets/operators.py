@@ -25,18 +25,19 @@ def guarded(operator, action, *args) -> set[str]:
 
 
 class SoftSkinOperator:
-    """Mixin: works on the active object, which must carry a soft skin, while no job runs."""
+    """Mixin: works on the mesh of the context, which must carry a soft skin, while no job runs."""
 
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context):
         problem = ""
-        if context.object is None or context.object.type != "MESH":
+        obj = properties.mesh_in(context)
+        if obj is None:
             problem = "Select the character's mesh object"
         elif jobs.running:
             problem = f"Wait until '{jobs.running.name}' is done, or cancel it"
-        elif cls.needs_soft_skin and not context.object.dynamorph.targets:
+        elif cls.needs_soft_skin and not obj.dynamorph.targets:
             problem = "Press Add Soft Skin first"
         if problem:
             cls.poll_message_set(problem)
@@ -45,7 +46,7 @@ class SoftSkinOperator:
     needs_soft_skin = True
 
     def execute(self, context):
-        return guarded(self, self.apply, context.object)
+        return guarded(self, self.apply, properties.mesh_in(context))
 
 
 class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
@@ -204,7 +205,7 @@ class JobOperator(SoftSkinOperator):
         return self.job
 
     def _begin(self, context):
-        job = self._job(context.object)
+        job = self._job(properties.mesh_in(context))
         context.window.cursor_set("WAIT")  # sampling moves a copy of the rig and cannot share the main thread
         try:
             job.prepare()

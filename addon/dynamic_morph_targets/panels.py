@@ -8,7 +8,7 @@ import textwrap
 import bpy
 from bpy.types import Panel, UIList
 
-from . import jobs
+from . import jobs, properties
 
 LINE = 36  # characters that fit into the sidebar at its default width
 
@@ -123,10 +123,13 @@ class SoftSkinPanel:
 
     @classmethod
     def poll(cls, context):
-        return context.object is not None and context.object.type == "MESH"
+        return properties.mesh_in(context) is not None
 
     def draw(self, context):
-        draw_soft_skin(self.layout, context.object)
+        obj = properties.mesh_in(context)
+        if obj != context.object:  # in Pose Mode
+            self.layout.label(text=obj.name, icon="MESH_DATA", translate=False)
+        draw_soft_skin(self.layout, obj)
 
 
 class DYNAMORPH_PT_sidebar(SoftSkinPanel, Panel):

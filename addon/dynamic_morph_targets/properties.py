@@ -60,7 +60,16 @@ def key_points(block) -> np.ndarray:
 
 def key_hash(block) -> str:
     """Identifies a shape key by what it sculpts, whatever its name or place in the list."""
-    return hashlib.blake2b((key_points(block) - key_points(block.relative_key)).tobytes(), digest_size=8).hexdigest()
+    return hashlib.blake2b(_key_shape(block).tobytes(), digest_size=8).hexdigest()
+
+
+def key_reach(block) -> float:
+    """How far a shape key moves a point, at most. Unlike the hash it survives an edit of the Basis."""
+    return float(np.abs(_key_shape(block)).max(initial=0.0))
+
+
+def _key_shape(block) -> np.ndarray:
+    return key_points(block) - key_points(block.relative_key)
 
 
 # Property groups ---------------------------------------------------------------------------------------------------
@@ -81,8 +90,12 @@ class KeyReference:
 
 
 class DynamorphKey(KeyReference, PropertyGroup):
-    """A shape key that a bake added or muted."""
+    """A shape key that a bake added or muted. A key of the bake that is gone leaves a reference without a name."""
 
+    reach: FloatProperty(name="Reach", description="Largest displacement of a key that the bake added")
+
+    def looks_like(self, block) -> bool:
+        return key_hash(block) == self.key_hash or math.isclose(key_reach(block), self.reach, rel_tol=0.01)
     was_muted: BoolProperty(name="Was Muted", description="Whether the artist had muted the key before the bake")
 
 
@@ -319,8 +332,9 @@ def reconcile(obj):
     settings = obj.dynamorph
     if obj.data.shape_keys:
         blocks = obj.data.shape_keys.key_blocks
-        for references in (settings.targets[1:], settings.bake.keys, settings.bake.muted):
-            _follow_keys(blocks, references)
+        _follow_keys(blocks, settings.targets[1:])
+        _follow_keys(blocks, settings.bake.muted)
+        _follow_baked_keys(blocks, settings.bake.keys)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
         skeleton = rest_skeleton(rig.data)
@@ -328,20 +342,37 @@ def reconcile(obj):
             _follow_bones(skeleton, target)
 
 
-def _follow_keys(blocks, references):
-    named = {reference.name for reference in references}
-    free = None
+def _follow_baked_keys(blocks, references):
+    """Free Bake deletes these keys: one that only has the name of a key of ours is somebody else's."""
+    for reference in references:
+        block = blocks.get(reference.name)
+        if block and not reference.looks_like(block):
+            reference.name = ""
+    for reference in _follow_keys(blocks, references):
+        reference.name = ""
+
+
+def _follow_keys(blocks, references) -> list:
+    """Returns the references whose key is gone."""
+    lost, taken = [], {0}
     for reference in references:
         index = blocks.find(reference.name)
         if index < 0:
-            if free is None:
-                free = {i: key_hash(block) for i, block in enumerate(blocks) if i and block.name not in named}
-            same = [i for i, digest in free.items() if digest == reference.key_hash]
-            if not same:
-                continue
-            index = reference.key_index if reference.key_index in same else same[0]
-            del free[index]
+            lost.append(reference)
+        else:
+            reference.refer_to(blocks, index)
+            taken.add(index)
+    free = {i: key_hash(block) for i, block in enumerate(blocks) if i not in taken} if lost else {}
+    gone = []
+    for reference in lost:
+        same = [i for i, digest in free.items() if digest == reference.key_hash]
+        if not same:
+            gone.append(reference)
+            continue
+        index = reference.key_index if reference.key_index in same else same[0]
+        del free[index]
         reference.refer_to(blocks, index)
+    return gone
 
 
 def _follow_bones(skeleton: Skeleton, target):
@@ -367,6 +398,18 @@ def _follow_bones(skeleton: Skeleton, target):
 def soft_skins(objects):
     """Those of `objects` that carry a soft skin."""
     return [obj for obj in objects if obj.type == "MESH" and obj.dynamorph.targets]
+
+
+def mesh_in(context):
+    """The mesh object that buttons and panels are about, or None: the active one, in Pose Mode the soft skin on it.
+
+    Of several soft skins on one armature, a selected one.
+    """
+    obj = context.object
+    if obj is not None and obj.mode == "POSE":
+        skins = [skin for skin in soft_skins(context.view_layer.objects) if rig_of(skin) == obj]
+        return min(skins, key=lambda skin: not skin.select_get(), default=None)
+    return obj if obj is not None and obj.type == "MESH" else None
 
 
 @persistent

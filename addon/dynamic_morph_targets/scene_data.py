@@ -13,11 +13,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-LAWS = ("LINEAR", "STVK", "STABLE_STVK")
-SOLVERS = ("REDUCED", "FULL")
-BLENDINGS = ("FORCES", "EVEN")
-SCHEMES = ("BDF2", "EULER")
-
 
 @dataclass(frozen=True)
 class Skeleton:
@@ -34,7 +29,7 @@ class Skeleton:
         """Each bone's transform relative to its evaluated parent, rest removed: identity in the rest pose.
 
         pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. Returns (..., B, 4, 4).
-        Uses the evaluated matrices, so constraints and IK count (METHOD 4).
+        Uses the evaluated matrices, so constraints and IK count.
         """
         rest_inverse = np.linalg.inv(self.rest)
         unposed = np.broadcast_to(self.rest, pose.shape).copy()
@@ -51,9 +46,6 @@ class Skeleton:
             unposed = self.rest[b] if parent < 0 else pose[..., parent, :, :] @ rest_inverse[parent] @ self.rest[b]
             pose[..., b, :, :] = unposed @ local[..., b, :, :]
         return pose
-
-    def index(self, name: str) -> int:
-        return self.names.index(name)
 
 
 @dataclass(frozen=True)
@@ -119,7 +111,7 @@ class Target:
 
 @dataclass(frozen=True)
 class TargetSet:
-    """Targets whose weights sum to one; the first is the neutral. METHOD 4 (regions)."""
+    """Targets whose weights sum to one; the first is the neutral. docs/theory.md, Targets."""
 
     name: str
     targets: tuple[Target, ...]

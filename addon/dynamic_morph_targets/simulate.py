@@ -14,7 +14,7 @@ from .build import Model, Progress
 from .scene_data import Bake, Character, RigSamples, SimulationSettings
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
-TELEPORT = 0.5  # of the body's size in one step: further is no motion but a cut
+TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
 CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
 
 
@@ -76,11 +76,11 @@ def simulate(
 
     bones, weights = _samples(model, space, rig[:2])
     held = settings.preroll > 0
-    simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
+    begun = simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
     if held:
         count = settings.preroll * substeps
         simulation.advance(np.repeat(bones[:1], count, axis=0), np.repeat(weights[:1], count, axis=0))
-    yield Frame(int(frames[0]), simulation.coordinates, weights[0], {})
+    yield Frame(int(frames[0]), simulation.coordinates, weights[0], begun)
     for first in range(1, len(frames), CHUNK):
         last = min(first + CHUNK, len(frames))
         bones, weights = _samples(model, space, rig[1 + (first - 1) * substeps : 1 + (last - 1) * substeps])
@@ -123,7 +123,7 @@ def _simulation(engine, model: Model, character: Character, rig: RigSamples, set
         settings.step,
         scheme=dynamorph.Scheme.__members__[settings.scheme],
         gravity=settings.gravity,
-        teleport=TELEPORT * engine.body.size,
+        teleport=TELEPORT * engine.body.size * settings.step,
         keep_going=keep_going if full else None,  # a reduced step takes less than the question
     )
     if any(settings.gravity):
@@ -149,7 +149,7 @@ def _samples(model: Model, space, rig: RigSamples) -> tuple[np.ndarray, np.ndarr
 
 
 def _report(frames: list[Frame]) -> dict:
-    steps = [frame.steps for frame in frames if frame.steps]
+    steps = [frame.steps for frame in frames]
     count = sum(step["steps"] for step in steps)
     seconds = sum(step["seconds"] for step in steps)
     report = {
@@ -159,10 +159,10 @@ def _report(frames: list[Frame]) -> dict:
         "iterations": sum(step["iterations"] for step in steps),
         "warnings": [],
     }
-    unconverged = [frame.number for frame in frames if frame.steps and not frame.steps["converged"]]
+    unconverged = [frame.number for frame in frames if not frame.steps["converged"]]
     if unconverged:
         report["warnings"].append(f"Steps did not converge at frames {_some(unconverged)}: raise Substeps")
-    cuts = [frame.number for frame in frames if frame.steps and frame.steps["teleported"]]
+    cuts = [frame.number for frame in frames if frame.steps["teleported"]]
     if cuts:
         report["warnings"].append(f"The rig jumps at frames {_some(cuts)}: the soft skin was carried along")
     return report
@@ -179,8 +179,12 @@ def _worst_elements(model: Model, engine, coordinates: np.ndarray, weights: np.n
     inverse = np.linalg.inv(_edges(model, model.nodes))
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
-        det = np.linalg.det(_edges(model, model.nodes + engine.displacement(coordinates[k])) @ inverse)
-        smallest, inverted = min(smallest, det.min()), max(inverted, int((det <= 0).sum()))
+        sculpted, moved = (
+            np.linalg.det(_edges(model, model.nodes + engine.displacement(q)) @ inverse)
+            for q in (weights[k] @ targets, coordinates[k])
+        )
+        smallest = min(smallest, moved.min())
+        inverted = max(inverted, int(((moved <= 0) & (sculpted > 0)).sum()))  # not what the sculpt itself inverts
     return {"smallest_det": float(smallest), "inverted": inverted}
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from .properties import key_points, reconcile
+from .properties import key_points, key_reach, reconcile
 from .scene_data import Bake
 
 TRACK = "Dynamorph"
@@ -68,6 +68,7 @@ def write_modal_keys(obj, bake: Bake):
         )
     names, shapes, curves, lowest = _scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
     record = obj.dynamorph.bake
+    old = _baked_names(obj)  # now: a new key may look like an old one, or take the name of one that was deleted
     before = obj.data.shape_keys.animation_data is not None
     had_animation_data = record.had_animation_data if record.keys else before
     active_index = obj.active_shape_key_index
@@ -84,7 +85,7 @@ def write_modal_keys(obj, bake: Bake):
         raise
     obj.active_shape_key_index = active_index
     temporary_names = [block.name for block in blocks]
-    free(obj)
+    _free(obj, old)
     _record(obj, temporary_names, names, action, had_animation_data)
     _mute_targets(obj, bake.target_names)
 
@@ -92,12 +93,20 @@ def write_modal_keys(obj, bake: Bake):
 def free(obj):
     """Remove the bake of `obj`, if any, and restore what it changed: keys, order, active key, mute, animation data."""
     reconcile(obj)
+    _free(obj, _baked_names(obj))
+
+
+def _baked_names(obj) -> list[str]:
+    """Names of the shape keys that the bake added and that are still there; the references must be reconciled."""
+    return [key.name for key in obj.dynamorph.bake.keys if key.name]
+
+
+def _free(obj, names):
     record = obj.dynamorph.bake
     keys = obj.data.shape_keys
     if record.keys and keys:  # without a Key the artist has removed all there was
-        ours = {key.name for key in record.keys}
         active = obj.active_shape_key.name if obj.active_shape_key else ""
-        _remove(obj, [block for block in keys.key_blocks if block.name in ours], record.action)
+        _remove(obj, [keys.key_blocks[name] for name in names], record.action)
         for key in record.muted:
             if key.name in keys.key_blocks:
                 keys.key_blocks[key.name].mute = key.was_muted
@@ -195,7 +204,9 @@ def _record(obj, names, wanted, action, had_animation_data):
         index = blocks.find(name)
         if name != want and want not in blocks:
             blocks[index].name = want  # the curves' paths follow
-        record.keys.add().refer_to(blocks, index)
+        key = record.keys.add()
+        key.refer_to(blocks, index)
+        key.reach = key_reach(blocks[index])
     record.action = action
     record.had_animation_data = had_animation_data
     record.active_index = obj.active_shape_key_index

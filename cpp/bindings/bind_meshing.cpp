@@ -112,6 +112,8 @@ vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with
       [](const TetMesh& mesh, const Embedding& embedding, const FloatArray& values) {
         const MatrixXd v = to_matrix<RowMajor>(values, "values");
         check_rows(values, "values", embedding.nodes.rows());
+        if (embedding.nodes.size() > 0 && embedding.nodes.maxCoeff() >= mesh.nodes.rows())
+          throw std::invalid_argument("embedding: is of another mesh");
         return without_gil([&] { return RowMajor(extend_to_nodes(mesh, embedding, v)); });
       },
       "mesh"_a, "embedding"_a, "values"_a, R"(Values (n, k) at the nodes from values (V, k) at the embedded points.

@@ -42,12 +42,32 @@ Transforms transforms(const char* name, const Array& array) {
   return transforms(array.data(), array.shape(0));
 }
 
-/// Bind-space node displacement (n, 3) of coordinates q.
 template <class Model>
-Points node_displacement(const Model& model, const VectorXd& q) {
+void check_coordinates(const Model& model, const VectorXd& q) {
   if (q.size() != model.dofs())
     throw std::invalid_argument("q: expected " + std::to_string(model.dofs()) + " coordinates, got " +
                                 std::to_string(q.size()));
+}
+
+template <class Model>
+int checked_target(const Model& model, int target) {
+  const int count = int(model.targets().size());
+  if (target < 0 || target >= count)
+    throw std::invalid_argument("target: expected 0 to " + std::to_string(count - 1) + ", got " +
+                                std::to_string(target));
+  return target;
+}
+
+/// An embedding of another mesh would read past the nodes.
+void check_embedding(const Embedding& embedding, Eigen::Index nodes) {
+  if (embedding.nodes.size() > 0 && embedding.nodes.maxCoeff() >= nodes)
+    throw std::invalid_argument("embedding: is of another mesh");
+}
+
+/// Bind-space node displacement (n, 3) of coordinates q.
+template <class Model>
+Points node_displacement(const Model& model, const VectorXd& q) {
+  check_coordinates(model, q);
   VectorXd u;
   model.displacement(q, u);
   return as_points(model.body().expand(u));
@@ -61,6 +81,7 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
       .def(
           "energy",
           [](const Model& m, const VectorXd& weights, const VectorXd& q) {
+            check_coordinates(m, q);
             typename Model::Blend blend;
             m.blend(weights, blend);
             return m.energy(blend, q);
@@ -69,6 +90,7 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
       .def(
           "linearize",
           [](const Model& m, const VectorXd& weights, const VectorXd& q) {
+            check_coordinates(m, q);
             typename Model::Blend blend;
             m.blend(weights, blend);
             VectorXd force;
@@ -83,6 +105,7 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
           "inertia",
           [](const Model& m, const Array& bones, double density) {
             SkinFrame frame;
+            check_shape("bones", bones, {py::ssize_t(m.body().skin.cols()), 3, 4});
             frame.bones = transforms("bones", bones);
             pose_nodes(m.body().skin, frame);
             typename Model::Matrix out = m.zero();
@@ -90,7 +113,9 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
             return out;
           },
           "bones"_a, "density"_a, "A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).")
-      .def("target", &Model::target, "index"_a, "Coordinates of a target's shape.")
+      .def(
+          "target", [](const Model& m, int target) { return m.target(checked_target(m, target)); }, "target"_a,
+          "Coordinates of a target's shape.")
       .def("displacement", &node_displacement<Model>, "q"_a, "Bind-space node displacement (n, 3), metres.");
 }
 
@@ -178,8 +203,10 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "worst residual, elastic energy at the end, seconds.")
       .def(
           "solve_static",
-          [](Sim& s, const Array& bones, const VectorXd& weights, const std::optional<Array>& external) {
-            VectorXd q;
+          [](Sim& s, const Array& bones, const VectorXd& weights, const std::optional<Array>& external,
+             const std::optional<VectorXd>& guess) {
+            VectorXd q = guess.value_or(VectorXd());
+            if (guess) check_coordinates(s.model(), q);
             const VectorXd force = external ? s.model().body().restrict_to_free(flat_points(
                                                   "external", *external, s.model().body().mesh.nodes.rows()))
                                             : VectorXd();
@@ -191,15 +218,14 @@ void bind_simulation_of(py::module_& m, const char* name) {
             }
             return py::make_tuple(q, summary(report, 0, 0));
           },
-          "bones"_a, "weights"_a, "external"_a = py::none(), "(coordinates, report) of the static solution.")
+          "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(),
+          "(coordinates, report) of the static solution, sought from `guess` or from the blended targets.")
       .def_property_readonly("model", &Sim::shared_model)
       .def_property_readonly(
           "coordinates", [](const Sim& s) { return VectorXd(s.coordinates()); },
           "Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.")
       .def_property_readonly("kinetic_energy", &Sim::kinetic_energy, "J, of the posed nodes.")
       .def_property_readonly("elastic_energy", &Sim::elastic_energy, "J.")
-      .def_property_readonly(
-          "posed", [](const Sim& s) { return Points(as_points(s.state().x[0])); }, "World positions of the free nodes.")
       .def_property(
           "state", [](const Sim& s) { return py::make_tuple(s.state().q, s.state().x); },
           [](Sim& s, const std::pair<std::array<VectorXd, 2>, std::array<VectorXd, 4>>& state) {
@@ -239,6 +265,9 @@ void bind_pose_space(py::module_& m) {
           [](const PoseSpace& space, const Array& local) {
             check_shape("local", local, {-1, -1, 4, 4});
             const py::ssize_t bones = local.shape(1);
+            if (!space.bones().empty() && space.bones().back() >= bones)
+              throw std::invalid_argument("local: expected at least " + std::to_string(space.bones().back() + 1) +
+                                          " bones, got " + std::to_string(bones));
             Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> out(local.shape(0), space.targets());
             py::gil_scoped_release release;
             VectorXd w(space.targets());
@@ -287,6 +316,7 @@ void bind_models(py::module_& m) {
       .def(
           "extend_shape",
           [](const SoftBody& body, const Embedding& embedding, const Array& surface) {
+            check_embedding(embedding, body.mesh.nodes.rows());
             const VectorXd flat = flat_points("surface", surface, embedding.nodes.rows());
             py::gil_scoped_release release;
             return Points(as_points(extend_shape(body, embedding, as_points(flat))));
@@ -301,20 +331,12 @@ void bind_models(py::module_& m) {
           "linear_modes",
           [](const FullModel& model, int target, int k) {
             py::gil_scoped_release release;
-            const LinearModes modes = linear_modes(model, target, k);
+            const LinearModes modes = linear_modes(model, checked_target(model, target), k);
             return std::make_pair(modes.frequencies, modes.shapes);
           },
           "target"_a, "k"_a, "(omega (k) rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.")
       .def(
-          "worst_element",
-          [](const FullModel& model, const VectorXd& weights, const VectorXd& q) {
-            FullModel::Blend blend;
-            model.blend(weights, blend);
-            return model.worst_element(blend, q);
-          },
-          "weights"_a, "q"_a, "(smallest det F, number of inverted tetrahedra).")
-      .def(
-          "fallbacks", [](const FullModel& model, int target) { return model.shape(target).fallbacks; }, "target"_a,
+          "fallbacks", [](const FullModel& model, int target) { return model.shape(checked_target(model, target)).fallbacks; }, "target"_a,
           "Tetrahedra of a target that keep the neutral rest shape, because the sculpt would invert or crush them.");
   bind_model(full);
 

@@ -27,7 +27,12 @@ VectorXd unit_mass(const SoftBody& body) {
 struct Factored {
   Factored(const FullModel& model, int target, std::function<void()> tick_ = {})
       : mass(unit_mass(model.body()) * model.targets()[target].density), tick(std::move(tick_)) {
+    // Where the target's set has no share of a tet, the other sets' neutrals hold it.
+    const std::vector<MorphTarget>& targets = model.targets();
     SparseMatrix K = model.rest_stiffness(target);
+    for (size_t j = 0; j < targets.size(); ++j)
+      if (targets[j].set != targets[target].set && (j == 0 || targets[j].set != targets[j - 1].set))
+        values(K) += values(model.rest_stiffness(int(j)));
     shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
     K.diagonal() += shift * mass;
     solver.compute(K);
@@ -102,16 +107,19 @@ MatrixXd bone_loads(const SoftBody& body) {
   for_each([&](Eigen::Index i, Eigen::Index b, double m) { spread(b) += m * (X(i) - centres.col(b)).squaredNorm(); });
   spread = (spread.array() / weight.array().max(1e-300)).sqrt().max(1e-9 * body.size);
 
-  MatrixXd loads = MatrixXd::Zero(3 * nodes, 6 * bones);
+  std::vector<Eigen::Triplet<double>> entries;
   for_each([&](Eigen::Index i, Eigen::Index b, double m) {
     for (int axis = 0; axis < 3; ++axis) {
-      loads(3 * i + axis, 6 * b + axis) = m;
+      entries.emplace_back(3 * i + axis, 6 * b + axis, m);
       // Turning, as fast at the bone's radius as the translation.
-      loads.block<3, 1>(3 * i, 6 * b + 3 + axis) = m / spread(b) * Vector3d::Unit(axis).cross(X(i) - centres.col(b));
+      const Vector3d turn = m / spread(b) * Vector3d::Unit(axis).cross(X(i) - centres.col(b));
+      for (int c = 0; c < 3; ++c) entries.emplace_back(3 * i + c, 6 * b + 3 + axis, turn(c));
     }
   });
-  const MatrixXd scaled = mass.cwiseSqrt().cwiseInverse().asDiagonal() * loads;
-  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(scaled.transpose() * scaled);
+  SparseMatrix loads(3 * nodes, 6 * bones);
+  loads.setFromTriplets(entries.begin(), entries.end());
+  const SparseMatrix scaled = mass.cwiseSqrt().cwiseInverse().asDiagonal() * loads;
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(MatrixXd(scaled.transpose() * scaled));
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
@@ -180,6 +188,7 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   Basis basis;
   basis.frequencies.resize(targets);
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
+  report(progress, 0);
   const MatrixXd loads = bone_loads(model.body());
   MatrixXd all(model.dofs(), 0);
   for (int j = 0; j < targets; ++j) {
@@ -210,6 +219,7 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   Y = qr.householderQ() * MatrixXd::Identity(Y.rows(), r);
   basis.captured = 1 - std::max(0.0, eigen.eigenvalues().head(all.cols() - motions).sum()) / total;
   basis.U = root.cwiseInverse().asDiagonal() * Y;
+  if (!basis.U.allFinite()) throw Error("the modes of this set-up are not finite: check its stiffness and rebuild");
   report(progress, 1);
   return basis;
 }

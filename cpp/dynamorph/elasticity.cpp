@@ -13,9 +13,20 @@ Matrix3d edges(const Points& x, const Tets& tets, Eigen::Index e) {
   return D;
 }
 
-Matrix3d green_strain(const Matrix3d& F) { return 0.5 * (F.transpose() * F - Matrix3d::Identity()); }
-
 Matrix3d linear_strain(const Matrix3d& F) { return 0.5 * (F + F.transpose()) - Matrix3d::Identity(); }
+
+/// 1/2 (F^T F - I) by G = F - I, which does not cancel near rest.
+Matrix3d green_strain(const Matrix3d& F) {
+  const Matrix3d G = F - Matrix3d::Identity();
+  return 0.5 * (G + G.transpose() + G.transpose() * G);
+}
+
+/// tr E - det F + 1, likewise.
+double inversion_energy(const Matrix3d& F) {
+  const Matrix3d G = F - Matrix3d::Identity();
+  const double trace = G.trace();
+  return 0.5 * (G.squaredNorm() - trace * trace + G.cwiseProduct(G.transpose()).sum()) - G.determinant();
+}
 
 Matrix3d hooke(const Lame& lame, const Matrix3d& strain) {
   return lame.lambda * strain.trace() * Matrix3d::Identity() + 2 * lame.mu * strain;
@@ -68,7 +79,7 @@ double energy_density(Law law, const Lame& lame, const Matrix3d& F) {
   const Lame part = stvk_part(law, lame);
   const double trace = strain.trace();
   double density = 0.5 * part.lambda * trace * trace + part.mu * strain.squaredNorm();
-  if (law == Law::stable_stvk) density += lame.mu * (trace - F.determinant() + 1);
+  if (law == Law::stable_stvk) density += lame.mu * inversion_energy(F);
   return density;
 }
 

@@ -27,6 +27,10 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
   check_size("weights", weights.rows(), n);
   if (!(fill.array() > 0).all() || !(stiffness.array() > 0).all())
     throw std::invalid_argument("fill, stiffness: must be positive for every tetrahedron");
+  if (!((shares.array() >= 0).all() && ((shares.rowwise().sum().array() - 1).abs() < 1e-6).all()))
+    throw std::invalid_argument("shares: every row must be >= 0 and sum to one");
+  if (!stiffness.allFinite() || !fill.allFinite())
+    throw std::invalid_argument("fill, stiffness: must be finite for every tetrahedron");
   stiffness_scale = fill.cwiseProduct(stiffness);
   free_of_node.assign(n, -1);
   for (int i = 0; i < n; ++i)
@@ -81,9 +85,11 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
                                   ", there are " + std::to_string(body_->sets()));
     check_size("displacement", target.displacement.size(), body_->mesh.nodes.size());
     if (!target.displacement.allFinite()) throw Error("target '" + target.name + "' has a shape that is not finite");
+    const double properties = target.lame.mu + target.lame.lambda + target.density + target.mass_damping +
+                              target.stiffness_damping;
     if (!(target.lame.mu > 0 && target.lame.lambda >= 0 && target.density > 0 && target.mass_damping >= 0 &&
-          target.stiffness_damping >= 0))
-      throw std::invalid_argument("targets: '" + target.name + "' needs stiffness and density above zero");
+          target.stiffness_damping >= 0 && std::isfinite(properties)))
+      throw std::invalid_argument("targets: '" + target.name + "' needs finite stiffness and density above zero");
     const VectorXd d = body_->restrict_to_free(target.displacement);
     if (body_->expand(d) != target.displacement)
       throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
@@ -275,20 +281,6 @@ VectorXd FullModel::force_curvature(int target, const VectorXd& a, const VectorX
   return out;
 }
 
-std::pair<double, int> FullModel::worst_element(const Blend& blend, const VectorXd& q) const {
-  // Against the target that counts most: its rest shape is the nearest to the blended one.
-  int target = 0;
-  blend.weights.maxCoeff(&target);
-  const VectorXd u = shifted(blend, q, target);
-  std::pair<double, int> worst{std::numeric_limits<double>::infinity(), 0};
-  for (Eigen::Index e = 0; e < body_->mesh.tets.rows(); ++e) {
-    const double det = deformation_gradient(shapes_[target].elements[e], gather(e, u)).determinant();
-    worst.first = std::min(worst.first, det);
-    worst.second += det <= 0;
-  }
-  return worst;
-}
-
 VectorXd extend_shape(const SoftBody& body, const Embedding& embedding, const Points& surface) {
   // Unit material: the shape of the fill-in does not depend on the stiffness. The pull is 1e4 times the mean nodal
   // stiffness per vertex, so the surface is met to about 1e-4 where the cage can carry it.
@@ -301,6 +293,8 @@ VectorXd extend_shape(const SoftBody& body, const Embedding& embedding, const Po
   SparseMatrix A = model.rest_stiffness(0);
   const double pull = 1e4 * A.diagonal().mean();
 
+  check_size("surface", surface.rows(), embedding.nodes.rows());
+  if (!surface.allFinite()) throw Error("a target's shape is not finite: repair its shape key");
   const SparseMatrix E = embedding.matrix(body.mesh.nodes.rows());
   std::vector<Eigen::Triplet<double>> entries;
   for (int node = 0; node < E.outerSize(); ++node)

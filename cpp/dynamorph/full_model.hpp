@@ -20,7 +20,7 @@
 namespace dynamorph {
 
 /// forces: sum w_j F_j(u), the source's; even: sum w_j F_j(u - d(q) + d_j) with d = sum w_j d_j, halfway in pose is
-/// halfway in shape whatever the stiffness. Both are exact at the targets.
+/// halfway in shape whatever the stiffness. Both are exact at the targets; of overlapping target sets, only even is.
 enum class Blending { forces, even };
 
 /// A dynamic morph target as the engine knows it.
@@ -107,8 +107,6 @@ class FullModel {
   Matrix zero() const { return pattern_; }
   /// Directional second derivative of target j's StVK force at its shape: d2F[a, b], all over free nodes (3 free).
   VectorXd force_curvature(int target, const VectorXd& a, const VectorXd& b) const;
-  /// Smallest det F over the elements at weights w, and how many are inverted.
-  std::pair<double, int> worst_element(const Blend& blend, const VectorXd& q) const;
 
  private:
   Eigen::Matrix<double, 3, 4> gather(Eigen::Index e, const VectorXd& u) const;

@@ -9,6 +9,8 @@ namespace dynamorph {
 
 namespace {
 
+constexpr int kStaticIterations = 200;  // paid once, and gravity on a soft body is far to go
+
 struct Coefficients {
   std::array<double, 4> past;      ///< of x^
   double c;                        ///< inertia is 1/(h c)^2
@@ -81,11 +83,24 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
                                 std::to_string(bones.rows()));
   if (!bones.allFinite() || !weights.allFinite())
     throw Error("the rig has a transform that is not a number: check its drivers and constraints at this frame");
+  check_weights(weights);
   frame_.bones = bones;
   pose_nodes(model_->body().skin, frame_);
   model_->blend(weights, blend_);
   mass_ = node_mass();
   to_world(frame_, model_->body().rest, skinned_);
+}
+
+template <class Model>
+void Simulation<Model>::check_weights(const VectorXd& weights) const {
+  const auto& targets = model_->targets();
+  if (weights.size() != Eigen::Index(targets.size()))
+    throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
+                                std::to_string(weights.size()));
+  VectorXd sums = VectorXd::Zero(model_->body().sets());
+  for (Eigen::Index j = 0; j < weights.size(); ++j) sums(targets[j].set) += weights(j);
+  if (!((weights.array() >= 0).all() && ((sums.array() - 1).abs() < 1e-6).all()))
+    throw std::invalid_argument("weights: every target set's must be >= 0 and sum to one");
 }
 
 template <class Model>
@@ -95,6 +110,7 @@ void Simulation<Model>::resist(const VectorXd& external) {
                                 std::to_string(external.size()));
   nodal_.resize(skinned_.size());
   for (Eigen::Index i = 0; i < mass_.size(); ++i) nodal_.segment<3>(3 * i) = -mass_(i) * options_.gravity;
+  if (!external.allFinite()) throw std::invalid_argument("external: forces must be finite");
   if (external.size() > 0) nodal_ -= external;
 }
 
@@ -103,7 +119,6 @@ void Simulation<Model>::pull_to_coordinates() {
   pull_back(frame_, nodal_);
   model_->project(nodal_, quadratic_.g);
   if (held_.size() > 0) quadratic_.g += held_ * blend_.weights;
-  quadratic_.scale = quadratic_.g.norm();
 }
 
 template <class Model>
@@ -139,12 +154,17 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
   resist(external);
   pull_to_coordinates();
   values(quadratic_.H).setZero();
-  model_->inertia(frame_, blend_.mass.density, inertia_);
-  return minimize(q);
+  quadratic_.origin = VectorXd::Zero(model_->dofs());
+  quadratic_.round_off = 1e-15 * quadratic_.g.norm();
+  if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
+  return minimize(q, kStaticIterations);
 }
 
 template <class Model>
 StepReport Simulation<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights) {
+  if (next.rows() != now.rows() || !next.allFinite())
+    throw std::invalid_argument("next: expected " + std::to_string(now.rows()) + " finite transforms, got " +
+                                std::to_string(next.rows()));
   VectorXd q;
   const StepReport report = solve_static(now, weights, q);
   state_.q = {q, q};
@@ -173,14 +193,9 @@ void Simulation<Model>::set_state(const State& state) {
 template <class Model>
 bool Simulation<Model>::carry_past() {
   if (options_.teleport <= 0) return false;
-  lag_ = 2 * state_.x[0] - state_.x[1];  // where the flesh would be had nothing jumped
-  const Eigen::Map<const Eigen::Matrix3Xd> expected(lag_.data(), 3, lag_.size() / 3),
-      skin(skinned_.data(), 3, expected.cols());
-  if ((skin - expected).rowwise().mean().norm() < options_.teleport) return false;
-  nodal_ = displacement_[0] + model_->body().rest;
-  VectorXd there;
-  to_world(frame_, nodal_, there);
-  const Eigen::Map<const Eigen::Matrix3Xd> now(there.data(), 3, expected.cols());
+  const VectorXd course = 2 * state_.x[0] - state_.x[1];  // where the flesh would be had nothing jumped
+  if ((lag_ - course).squaredNorm() < options_.teleport * options_.teleport * double(mass_.size())) return false;
+  const Eigen::Map<const Eigen::Matrix3Xd> expected(course.data(), 3, mass_.size()), now(lag_.data(), 3, mass_.size());
   const Eigen::Matrix4d jump = Eigen::umeyama(expected, now, false);
   for (VectorXd& x : state_.x) {
     Eigen::Map<Eigen::Matrix3Xd> points(x.data(), 3, x.size() / 3);
@@ -191,9 +206,8 @@ bool Simulation<Model>::carry_past() {
 
 template <class Model>
 StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
-  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
+  require_start();
   pose(bones, weights);
-  const bool teleported = carry_past();
 
   const Coefficients c = coefficients(options_.scheme);
   const double h = options_.h, inertial = 1 / (h * h * c.c * c.c);
@@ -201,6 +215,9 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   VectorXd q = 2 * state_.q[0] - state_.q[1];
   nodal_ = 2 * displacement_[0] - displacement_[1] + model_->body().rest;
   to_world(frame_, nodal_, lag_);
+  const bool teleported = carry_past();
+  // Far from the world's origin posed positions lose digits, and inertia multiplies the loss.
+  const double farthest = lag_.cwiseAbs().maxCoeff();
   for (int m = 0; m < 4; ++m)
     if (c.past[m] != 0) lag_ -= c.past[m] * state_.x[m];
   resist(external);
@@ -217,9 +234,12 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   values(damped_) += values(blend_.damping);
   values(quadratic_.H) = inertial * values(inertia_) + (c.velocity[0] / h) * values(damped_);
   quadratic_.g += damped_ * ((c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h);
-  quadratic_.g -= inertial * (inertia_ * q);
+  quadratic_.g += (c.velocity[0] / h) * (damped_ * q);
+  quadratic_.origin = q;
+  quadratic_.round_off = 1e-14 * inertial * farthest *
+                         std::sqrt(mass_.sum() * values(inertia_).cwiseAbs().maxCoeff());
 
-  StepReport report = minimize(q);
+  StepReport report = minimize(q, options_.max_iterations);
   report.teleported = teleported;
 
   std::swap(state_.q[0], state_.q[1]);
@@ -233,51 +253,75 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
 }
 
 template <class Model>
-StepReport Simulation<Model>::minimize(VectorXd& q) {
+void Simulation<Model>::require_start() const {
+  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
+}
+
+template <class Model>
+void Simulation<Model>::factor(Matrix& H) {
+  // Indefinite under compression, or without inertia where a bone has collapsed.
+  const double unit = 1e-4 * values(H).cwiseAbs().maxCoeff();
+  double shift = 0;
+  while (!solver_->factor(H)) {
+    const double more = shift == 0 ? unit : 4 * shift;
+    if (!(more > 0) || !(more < 1e12 * unit))
+      throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
+    H.diagonal().array() += more - shift;
+    shift = more;
+  }
+}
+
+template <class Model>
+StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   const Quadratic& quadratic = quadratic_;
   StepReport report;
   VectorXd force, gradient, moved;
   Matrix H = stiffness_;
-  const auto potential = [&](const VectorXd& at, double elastic) {
-    return at.dot(0.5 * (quadratic.H * at) + quadratic.g) + elastic;
-  };
   double elastic = model_->linearize(blend_, q, force, stiffness_);
-  const double mean_mass = values(inertia_).cwiseAbs().maxCoeff();
   for (;; ++report.iterations) {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
-    moved = quadratic.H * q;
+    moved = quadratic.H * (q - quadratic.origin);
     gradient = moved + quadratic.g + force;
-    // Round-off of the terms that cancel in the gradient bounds what any iteration can reach.
-    const double scale = quadratic.scale + force.norm() + moved.norm() +
-                         1e-9 * values(stiffness_).cwiseAbs().maxCoeff() * model_->body().size;
-    report.residual = scale > 0 ? gradient.norm() / scale : 0;
+    const double scale = quadratic.g.norm() + force.norm() + moved.norm();
+    // Terms as large as the stiffness times the displacement cancel in the elastic force.
+    const double round_off =
+        quadratic.round_off +
+        1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * (q.norm() + quadratic.origin.norm() + 0.1 * model_->body().size);
+    if (!std::isfinite(scale))
+      throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
+    report.residual = gradient.norm() / (scale + round_off / options_.tolerance);
     report.energy = elastic;
-    if (report.residual <= options_.tolerance) return report;
-    if (report.iterations == options_.max_iterations) break;
+    if (report.residual <= options_.tolerance || scale == 0) return report;
+    if (report.iterations == max_iterations) break;
 
     values(H) = values(quadratic.H) + values(stiffness_);
-    // An indefinite tangent (StVK under compression) is regularised with the mass until it is a descent direction.
-    for (double sigma = 0; !solver_->factor(H);) {
-      const double more = sigma == 0 ? 1e-3 * values(stiffness_).cwiseAbs().maxCoeff() / mean_mass : 4 * sigma;
-      if (!std::isfinite(more) || more > 1e30) throw Error("a step failed: the stiffness of this set-up is not finite");
-      values(H) += (more - sigma) * values(inertia_);
-      sigma = more;
-    }
+    factor(H);
     const VectorXd direction = -solver_->solve(gradient);
-    const double slope = gradient.dot(direction), start = potential(q, elastic);
-    const double slack = 1e-12 * (std::abs(start) + std::abs(elastic));
-    const auto descends = [&](const VectorXd& at, double energy, double length) {
-      return potential(at, energy) <= start + 1e-4 * length * slope + slack;
+    const double slope = gradient.dot(direction), norm = gradient.norm();
+    const auto potential = [&](const VectorXd& d, double energy) {
+      return d.dot(0.5 * (quadratic.H * d) + quadratic.g) + energy;
     };
-    // The whole step is nearly always taken, so its force and tangent are evaluated at once.
+    const VectorXd from = q - quadratic.origin;
+    const double start = potential(from, elastic);
+    const double terms = std::abs(elastic) + std::abs(start - elastic);
+    const double slack = 1e-12 * terms + round_off * q.norm();
+    const auto descends = [&](double length, double energy) {
+      return potential(from + length * direction, energy) <= start + 1e-4 * length * slope + slack;
+    };
+    // The whole step is nearly always taken, so its force and tangent are evaluated at once. Where the potential's
+    // digits run out, the gradient decides.
     double length = 1;
     VectorXd trial = q + direction;
     elastic = model_->linearize(blend_, trial, force, stiffness_);
-    if (!descends(trial, elastic, length)) {
+    const auto improves = [&] {
+      return (quadratic.H * (from + direction) + quadratic.g + force).norm() < 0.5 * norm &&
+             potential(from + direction, elastic) <= start + 1e-6 * terms + slack;
+    };
+    if (!descends(length, elastic) && !improves()) {
       do {
         length /= 2;
         trial = q + length * direction;
-      } while (length > 1e-6 && !descends(trial, model_->energy(blend_, trial), length));
+      } while (length > 1e-6 && !descends(length, model_->energy(blend_, trial)));
       if (length <= 1e-6) break;  // no descent left in round-off
       elastic = model_->linearize(blend_, trial, force, stiffness_);
     }
@@ -288,7 +332,14 @@ StepReport Simulation<Model>::minimize(VectorXd& q) {
 }
 
 template <class Model>
+double Simulation<Model>::elastic_energy() const {
+  require_start();
+  return model_->energy(blend_, state_.q[0]);
+}
+
+template <class Model>
 double Simulation<Model>::kinetic_energy() const {
+  require_start();
   const VectorXd v = (1.5 * state_.x[0] - 2 * state_.x[1] + 0.5 * state_.x[2]) / options_.h;
   VectorXd momentum = v;
   scale_rows(mass_, momentum);

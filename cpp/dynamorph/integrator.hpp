@@ -28,7 +28,8 @@ struct StepOptions {
   Vector3d gravity = Vector3d::Zero();  ///< m/s^2, world
   double tolerance = 1e-6;              ///< on the gradient, relative to the largest force term
   int max_iterations = 30;
-  /// Mean jump of the skin in one step, metres, above which the past is carried along with it. 0: never.
+  /// Jump of the skin off its course in one step, metres (root mean square), above which the past is carried along.
+  /// 0: never.
   double teleport = 0;
   /// Asked before every Newton iteration; false throws Cancelled, after which start() must come first again.
   std::function<bool()> keep_going = {};
@@ -65,7 +66,8 @@ class Simulation {
   /// One step to the bones and target weights at its end. `external` (3 free) newtons, world space, or empty.
   StepReport step(const Transforms& bones, const VectorXd& weights, const VectorXd& external = VectorXd());
 
-  /// Static solution at fixed bones, from the current coordinates (or zero). Does not change the state.
+  /// Static solution at fixed bones, from the coordinates q, or from the blended targets when q is empty. Does not
+  /// change the state.
   StepReport solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
                           const VectorXd& external = VectorXd());
 
@@ -76,25 +78,29 @@ class Simulation {
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
   double kinetic_energy() const;
-  double elastic_energy() const { return model_->energy(blend_, state_.q[0]); }
+  double elastic_energy() const;
   const typename Model::Blend& blend() const { return blend_; }
 
  private:
   using Matrix = typename Model::Matrix;
   class Solver;
 
-  /// The quadratic part of Phi: 1/2 q.H q + g.q (inertia, damping, gravity, external forces).
+  /// The quadratic part of Phi: 1/2 d.H d + g.d with d = q - origin (inertia, damping, gravity, external forces).
+  /// About the predicted coordinates, so that g is a force and not the round-off of a large displacement.
   struct Quadratic {
     Matrix H;
-    VectorXd g;
-    double scale;  ///< of the force terms, N
+    VectorXd g, origin;
+    double round_off;  ///< of g: what no iteration can improve
   };
 
   void pose(const Transforms& bones, const VectorXd& weights);
   void resist(const VectorXd& external);  ///< nodal_ = -(gravity and external forces), newtons, world
   void pull_to_coordinates();             ///< quadratic_.g = U^T A^T nodal_, less what the targets are held with
-  StepReport minimize(VectorXd& q);
-  bool carry_past();
+  StepReport minimize(VectorXd& q, int max_iterations);
+  void factor(Matrix& H);  ///< of the tangent, shifted until it is positive definite
+  void require_start() const;
+  void check_weights(const VectorXd& weights) const;
+  bool carry_past();  ///< compares the posed prediction in lag_ with the past's course
   VectorXd node_mass() const;
 
   std::shared_ptr<const Model> model_;

@@ -10,6 +10,7 @@ namespace dynamorph {
 
 namespace {
 
+constexpr double kHalfRound = 150 * M_PI / 180;  // radians: beyond, angles the other way round come into play
 constexpr double kSamePose = 0.5 * M_PI / 180;  // radians: closer poses make the interpolation ill-conditioned
 
 double kernel(Kernel kind, double width, double distance) {
@@ -33,16 +34,12 @@ Vector3d rotation_vector(const Rotations& reference, const Eigen::Ref<const Rota
   return sine > 0 ? Vector3d(q.vec() * (2 * std::atan2(sine, q.w()) / sine)) : Vector3d::Zero();
 }
 
-double distance_between(const std::vector<int>& bones, const Rotations& a, const Eigen::Ref<const Rotations>& b) {
-  double sum = 0;
-  for (int bone : bones) sum += rotation_vector(a, b, bone).squaredNorm();
-  return std::sqrt(sum);
-}
-
 }  // namespace
 
 void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations) {
   const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> m(transforms.row(bone).data());
+  if (!m.allFinite())
+    throw Error("bone " + std::to_string(bone) + " has a transform that is not a number: check its drivers and constraints");
   const Eigen::JacobiSVD<Matrix3d> svd(m.topLeftCorner<3, 3>(), Eigen::ComputeFullU | Eigen::ComputeFullV);
   Matrix3d U = svd.matrixU();
   if (U.determinant() * svd.matrixV().determinant() < 0) U.col(2) *= -1;  // a mirrored bone: nearest proper rotation
@@ -50,8 +47,15 @@ void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotatio
   rotations.row(bone) << q.w(), q.x(), q.y(), q.z();
 }
 
-double pose_distance(const std::vector<int>& bones, const Rotations& a, const Rotations& b) {
-  return distance_between(bones, a, b);
+double pose_distance(const std::vector<int>& bones, const Rotations& a, const Eigen::Ref<const Rotations>& b,
+                     bool chordal) {
+  double sum = 0;
+  for (int bone : bones) {
+    const double angle = rotation_vector(a, b, bone).norm();
+    const double distance = chordal ? 2 * std::sin(angle / 2) : angle;
+    sum += distance * distance;
+  }
+  return std::sqrt(sum);
 }
 
 PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
@@ -73,19 +77,37 @@ PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
 }
 
 PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
-  const int count = int(set.poses.size());
-  MatrixXd distances = MatrixXd::Zero(count, count);
-  for (int j = 0; j < count; ++j)
-    for (int k = 0; k < j; ++k) {
-      distances(j, k) = distances(k, j) = pose_distance(set.bones, set.poses[j], set.poses[k]);
-      if (distances(j, k) < kSamePose)
+  for (size_t j = 0; j < set.poses.size(); ++j)
+    for (size_t k = 0; k < j; ++k)
+      if (!(pose_distance(set.bones, set.poses[j], set.poses[k]) >= kSamePose))
         throw Error("targets '" + set.names[k] + "' and '" + set.names[j] +
                     "' have the same pose: pose the character differently and capture one of them again");
-    }
+  Interpolant in;
+  in.set = std::move(set);
+  double widest = 0;
+  for (const Rotations& a : in.set.poses)
+    for (const Rotations& b : in.set.poses)
+      for (int bone : in.set.bones) widest = std::max(widest, rotation_vector(a, b, bone).norm());
+  for (bool chordal : {false, true}) {
+    if (!chordal && widest > kHalfRound) continue;
+    in.chordal = chordal;
+    if (fit(in)) return in;
+  }
+  throw Error("the poses of targets '" + in.set.names.front() + "' to '" + in.set.names.back() +
+              "' cannot be interpolated: capture poses that differ more, or remove a target");
+}
 
-  Interpolant out;
-  out.width = count > 1 ? distances.sum() / (count * (count - 1.0)) : 1.0;
-  out.span.resize(3 * set.bones.size(), 0);
+/// False when the kernel is not definite at these distances, or the system is too ill-conditioned to be cardinal.
+bool PoseSpace::fit(Interpolant& in) {
+  const TargetSet& set = in.set;
+  const int count = int(set.poses.size());
+  MatrixXd A = MatrixXd::Zero(count, count);
+  for (int j = 0; j < count; ++j)
+    for (int k = 0; k < count; ++k) A(j, k) = pose_distance(set.bones, set.poses[j], set.poses[k], in.chordal);
+  in.width = count > 1 ? A.sum() / (count * (count - 1.0)) : 1.0;
+  A = A.unaryExpr([&](double d) { return kernel(set.kernel, in.width, d); });
+
+  in.span.resize(3 * set.bones.size(), 0);
   if (set.kernel == Kernel::thin_plate && count > 1) {
     // Linear terms only where the poses have extent: elsewhere they could not be determined.
     MatrixXd coordinates(3 * set.bones.size(), count);
@@ -94,29 +116,32 @@ PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
         coordinates.col(j).segment<3>(3 * i) = rotation_vector(set.poses[0], set.poses[j], set.bones[i]);
     const Eigen::JacobiSVD<MatrixXd> svd(coordinates, Eigen::ComputeThinU);
     const int rank = std::min<int>(count - 1, (svd.singularValues().array() > 1e-6).count());
-    out.span = svd.matrixU().leftCols(rank);
+    in.span = svd.matrixU().leftCols(rank);
   }
+  MatrixXd P = MatrixXd::Zero(count, 1 + in.span.cols());
+  P.col(0).setOnes();
+  for (int j = 0; j < count; ++j)
+    for (size_t i = 0; i < set.bones.size() && in.span.cols() > 0; ++i)
+      P.row(j).tail(in.span.cols()) += rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() *
+                                       in.span.middleRows<3>(3 * i);
 
-  const int terms = 1 + int(out.span.cols());
-  MatrixXd A = MatrixXd::Zero(count + terms, count + terms);
-  for (int j = 0; j < count; ++j) {
-    for (int k = 0; k < count; ++k) A(j, k) = kernel(set.kernel, out.width, distances(j, k));
-    A(j, count) = 1;
-    for (size_t i = 0; terms > 1 && i < set.bones.size(); ++i)
-      A.row(j).tail(terms - 1) +=
-          rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() * out.span.middleRows<3>(3 * i);
+  // Definite on the coefficients that the polynomial leaves, or weights overshoot and jump between the targets.
+  if (count > P.cols()) {
+    const MatrixXd Q = MatrixXd(Eigen::HouseholderQR<MatrixXd>(P).householderQ()).rightCols(count - P.cols());
+    const VectorXd values = Eigen::SelfAdjointEigenSolver<MatrixXd>(Q.transpose() * A * Q).eigenvalues();
+    const double sign = set.kernel == Kernel::linear ? -1 : 1;
+    if (set.kernel != Kernel::thin_plate && !((sign * values).minCoeff() > 0)) return false;
   }
-  A.bottomLeftCorner(terms, count) = A.topRightCorner(count, terms).transpose();
-  MatrixXd cardinal = MatrixXd::Zero(count + terms, count);
+  MatrixXd system = MatrixXd::Zero(count + P.cols(), count + P.cols());
+  system.topLeftCorner(count, count) = A;
+  system.topRightCorner(count, P.cols()) = P;
+  system.bottomLeftCorner(P.cols(), count) = P.transpose();
+  MatrixXd cardinal = MatrixXd::Zero(count + P.cols(), count);
   cardinal.topRows(count).setIdentity();
-  const MatrixXd solution = A.fullPivLu().solve(cardinal);
-  if (!solution.allFinite() || (A * solution - cardinal).cwiseAbs().maxCoeff() > 1e-8)
-    throw Error("the poses of targets '" + set.names.front() + "' to '" + set.names.back() +
-                "' cannot be interpolated: capture poses that differ more, or remove a target");
-  out.coefficients = solution.topRows(count);
-  out.polynomial = solution.bottomRows(terms);
-  out.set = std::move(set);
-  return out;
+  const MatrixXd solution = system.fullPivLu().solve(cardinal);
+  in.coefficients = solution.topRows(count);
+  in.polynomial = solution.bottomRows(P.cols());
+  return solution.allFinite() && (system * solution - cardinal).cwiseAbs().maxCoeff() < 1e-8;
 }
 
 void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const {
@@ -126,7 +151,7 @@ void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<Vect
     auto out = w.segment(first, Eigen::Index(set.poses.size()));
     out = in.polynomial.row(0).transpose();
     for (size_t k = 0; k < set.poses.size(); ++k)
-      out += kernel(set.kernel, in.width, distance_between(set.bones, set.poses[k], pose)) *
+      out += kernel(set.kernel, in.width, pose_distance(set.bones, set.poses[k], pose, in.chordal)) *
              in.coefficients.row(k).transpose();
     for (Eigen::Index term = 0; term < in.span.cols(); ++term) {
       double coordinate = 0;

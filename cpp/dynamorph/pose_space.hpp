@@ -6,6 +6,10 @@
 //   w(q) = C^T phi(q) + P^T p(q),   w_j(q_k) = delta_jk,   sum_j w_j = 1,
 //
 // then negatives are clamped and the rest renormalised, so that the blended stiffness stays positive definite.
+//
+// Distances are joint angles, which make the linear kernel a driver's hat function. Poses right round a joint (0, 90,
+// 180, -90 degrees) are no set of points in a flat space by their angles, and weights would jump: those sets use chords,
+// which are.
 #pragma once
 
 #include <string>
@@ -35,8 +39,10 @@ using LocalTransforms = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 1
 /// The rotation of bone b's local transform, scale and shear removed, into row b.
 void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations);
 
-/// Geodesic distance in radians over the set's bones: sqrt(sum of squared joint angles). Blind to quaternion sign.
-double pose_distance(const std::vector<int>& bones, const Rotations& a, const Rotations& b);
+/// Distance in radians over the set's bones: sqrt(sum of squared joint angles), or of their chords 2 sin(angle / 2).
+/// Blind to quaternion sign.
+double pose_distance(const std::vector<int>& bones, const Rotations& a, const Eigen::Ref<const Rotations>& b,
+                     bool chordal = false);
 
 class PoseSpace {
  public:
@@ -57,12 +63,14 @@ class PoseSpace {
  private:
   struct Interpolant {
     TargetSet set;
+    bool chordal;           ///< distances are chords instead of angles
     double width;           ///< of the kernel, radians
     MatrixXd coefficients;  ///< (J, J): row k times phi(|q - q_k|)
     MatrixXd polynomial;    ///< (1 + dims, J): the constant, then the linear terms on the poses' span
     MatrixXd span;          ///< (3 bones, dims) orthonormal, empty but for thin_plate
   };
   static Interpolant interpolate(TargetSet set);
+  static bool fit(Interpolant& in);
 
   std::vector<Interpolant> sets_;
   std::vector<int> bones_;

@@ -94,9 +94,7 @@ class TargetSums {
   void add(double volume, const ModeGradients& G) {
     const Eigen::Matrix<double, 1, 9> identity = flat_identity();
     trace_rows_.row(filled_).head(r_) = std::sqrt(volume / 2) * (identity * G);
-    for (Eigen::Index k = 0; law_ == Law::stvk && k < r_; ++k)
-      strain_rows_.block<6, 1>(6 * filled_, k) = std::sqrt(volume) * six(mode_gradient(G, k));
-    for (Eigen::Index k = 0; law_ == Law::linear && k < r_; ++k)
+    for (Eigen::Index k = 0; law_ != Law::stable_stvk && k < r_; ++k)
       strain_rows_.block<6, 1>(6 * filled_, k) = std::sqrt(volume) * six(mode_gradient(G, k));
     if (law_ != Law::linear) add_pairs(volume, G);
     if (law_ == Law::stable_stvk) gradients_.middleRows(9 * filled_, 9) = G;
@@ -195,6 +193,7 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   if (U.rows() != model.dofs())
     throw std::invalid_argument("U: expected " + std::to_string(model.dofs()) + " rows, got " +
                                 std::to_string(U.rows()));
+  if (!U.allFinite()) throw std::invalid_argument("U: must be finite");
   ReducedTables tables;
   tables.law = model.law();
   tables.basis = U;
@@ -401,7 +400,7 @@ void ReducedModel::inertia(const SkinFrame& frame, const VectorXd& density, Matr
     for (Eigen::Index b = 0; b < frame.bones.rows(); ++b) {
       const Matrix3d R = rotation(b);
       const Matrix3d strain = R.transpose() * R - Matrix3d::Identity();
-      if (strain.cwiseAbs().maxCoeff() < 1e-14) continue;
+      if (strain.cwiseAbs().maxCoeff() < 1e-6) continue;  // rigid, to Blender's single precision
       auto x = entries(density(s) * strain);
       add_product(tables.bones.col(6 * b).data(), packed.size(), x.data(), 6, packed.data());
     }

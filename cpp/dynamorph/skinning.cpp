@@ -52,7 +52,9 @@ Transforms extrapolate_back(const Transforms& now, const Transforms& next, int k
     Eigen::Matrix4d here = Eigen::Matrix4d::Identity(), there = here;
     here.topRows<3>() = transform(now, b);
     there.topRows<3>() = transform(next, b);
-    if (std::abs(there.topLeftCorner<3, 3>().determinant()) < 1e-12) continue;  // collapsed bone: let it rest
+    // A bone that collapses or springs up is let rest: its motion extrapolates to anything.
+    const double growth = there.topLeftCorner<3, 3>().determinant() / here.topLeftCorner<3, 3>().determinant();
+    if (!(growth > 0.1 && growth < 10)) continue;
     const Eigen::Matrix4d back = here * there.inverse();
     for (int i = 0; i < k; ++i) here = back * here;
     Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(past.data() + 12 * b) = here.topRows<3>();

@@ -361,7 +361,7 @@ def test_ignored_modifiers_are_named(soft_arm):
     soft_arm.modifiers.move(1, 0)
     soft_arm.modifiers.new("Subdivision", "SUBSURF")
     soft_arm.show_only_shape_key = True
-    warnings = part("extract").check(soft_arm)
+    warnings = part("extract").warnings(soft_arm, part("extract").character(soft_arm))
     assert len(warnings) == 2 and "'Squeeze'" in warnings[0] and "unpin" in warnings[1]
 
 

@@ -89,6 +89,8 @@ def test_default_bones_turn_more_than_5_degrees(scene, soft_arm):
 
 def test_use_selected_bones(soft_arm):
     rig = rig_of(soft_arm)
+    activate(rig)
+    bpy.ops.object.mode_set(mode="POSE")
     for bone in rig.pose.bones:
         (bone if hasattr(bone, "select") else bone.bone).select = bone.name == "upper"
     soft_arm.dynamorph.active_target_index = 1

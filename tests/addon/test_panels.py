@@ -5,7 +5,7 @@ import types
 
 import bpy
 import pytest
-from builders import hand_made_bake, part
+from builders import activate, hand_made_bake, part, rig_of
 
 
 class Layout:
@@ -51,7 +51,7 @@ class Layout:
 def drawn(obj, panel="DYNAMORPH_PT_sidebar"):
     out = []
     panel_class = getattr(part("panels"), panel)
-    context = types.SimpleNamespace(object=obj)
+    context = types.SimpleNamespace(object=obj, view_layer=bpy.context.view_layer)
     assert panel_class.poll(context)
     panel_class.draw(types.SimpleNamespace(layout=Layout(out)), context)
     return out
@@ -96,6 +96,15 @@ def test_only_for_meshes(soft_arm):
     panel = part("panels").DYNAMORPH_PT_sidebar
     assert not panel.poll(types.SimpleNamespace(object=None))
     assert not panel.poll(types.SimpleNamespace(object=soft_arm.modifiers["Armature"].object))
+
+
+def test_in_pose_mode_for_the_skin_of_the_rig(soft_arm):
+    rig = rig_of(soft_arm)
+    activate(rig)
+    bpy.ops.object.mode_set(mode="POSE")
+    assert {"Arm", "Neutral", "flexed"} <= set(drawn(rig))
+    soft_arm.dynamorph.targets.clear()
+    assert not bpy.ops.dynamorph.capture_pose.poll()
 
 
 def test_a_target_without_its_key_is_marked(soft_arm):

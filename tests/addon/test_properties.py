@@ -141,7 +141,7 @@ def test_a_bone_added_later_is_at_rest(soft_arm):
     bone.tail = (0, 1, 0)
     bpy.ops.object.mode_set(mode="OBJECT")
     character = part("extract").character(soft_arm)
-    helper = character.skeleton.index("helper")
+    helper = character.skeleton.names.index("helper")
     np.testing.assert_array_equal(character.targets[1].local[helper], np.eye(4))
 
 

@@ -43,7 +43,7 @@ def test_is_a_ready_scene(limb):
     assert "Flexed" in bpy.data.texts["README"].as_string()
     assert 2000 <= len(limb.data.vertices) <= 4000
     assert all(polygon.use_smooth for polygon in limb.data.polygons)
-    assert part("extract").check(limb) == []
+    assert part("extract").warnings(limb, part("extract").character(limb)) == []
 
 
 def test_mesh_is_closed_and_skinned_smoothly(limb):

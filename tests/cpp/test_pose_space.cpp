@@ -72,3 +72,22 @@ TEST_CASE("two targets at one pose are an error that names both") {
     CHECK(std::string(e.what()).find("'half' and 'flexed'") != std::string::npos);
   }
 }
+
+TEST_CASE("targets right round a joint: cardinal, and no jump of the weights between them") {
+  for (double quarter : {M_PI / 2, 85 * M_PI / 180}) {
+    TargetSet set{{0}, {"a", "b", "c", "d"}, {hinge(0), hinge(quarter), hinge(2 * quarter), hinge(-quarter)},
+                  Kernel::linear};
+    const PoseSpace space({set});
+    CHECK((weights(space, hinge(2 * quarter)) - VectorXd::Unit(4, 2)).cwiseAbs().maxCoeff() < 1e-9);
+    double jump = 0;
+    for (double angle = -M_PI; angle < M_PI; angle += 0.01)
+      jump = std::max(jump, (weights(space, hinge(angle + 0.01)) - weights(space, hinge(angle))).cwiseAbs().maxCoeff());
+    CHECK(jump < 0.02);
+  }
+}
+
+TEST_CASE("a pose that is not a number is an error") {
+  Eigen::Matrix<double, 1, 16, Eigen::RowMajor> transform = Eigen::Matrix<double, 1, 16>::Constant(std::nan(""));
+  Rotations pose(1, 4);
+  CHECK_THROWS_AS(rotation_of(LocalTransforms(transform.data(), 1, 16), 0, pose), Error);
+}
