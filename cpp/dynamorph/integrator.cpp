@@ -68,7 +68,7 @@ Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions op
   if (!(options_.h > 0) || !std::isfinite(options_.h))
     throw std::invalid_argument("h: the step must be a positive number of seconds");
   if (!options_.gravity.allFinite()) throw std::invalid_argument("gravity: must be finite");
-  inertia_ = damped_ = stiffness_ = quadratic_.H = model_->zero();
+  inertia_ = damped_ = stiffness_ = tangent_ = quadratic_.H = model_->zero();
 }
 
 template <class Model>
@@ -275,60 +275,60 @@ template <class Model>
 StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   const Quadratic& quadratic = quadratic_;
   StepReport report;
-  VectorXd force, gradient, moved;
-  Matrix H = stiffness_;
-  double elastic = model_->linearize(blend_, q, force, stiffness_);
+  elastic_ = model_->linearize(blend_, q, force_, stiffness_);
   for (;; ++report.iterations) {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
-    moved = quadratic.H * (q - quadratic.origin);
-    gradient = moved + quadratic.g + force;
-    const double scale = quadratic.g.norm() + force.norm() + moved.norm();
+    gradient_ = quadratic.H * (q - quadratic.origin);
+    const double scale = gradient_.norm() + quadratic.g.norm() + force_.norm();
+    gradient_ += quadratic.g + force_;
     // Terms as large as the stiffness times the displacement cancel in the elastic force.
+    const double displacement = q.norm() + quadratic.origin.norm() + 0.1 * model_->body().size;
     const double round_off =
-        quadratic.round_off +
-        1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * (q.norm() + quadratic.origin.norm() + 0.1 * model_->body().size);
+        quadratic.round_off + 1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * displacement;
     if (!std::isfinite(scale))
       throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
-    report.residual = gradient.norm() / (scale + round_off / options_.tolerance);
-    report.energy = elastic;
+    report.residual = gradient_.norm() / (scale + round_off / options_.tolerance);
+    report.energy = elastic_;
     if (report.residual <= options_.tolerance || scale == 0) return report;
     if (report.iterations == max_iterations) break;
-
-    values(H) = values(quadratic.H) + values(stiffness_);
-    factor(H);
-    const VectorXd direction = -solver_->solve(gradient);
-    const double slope = gradient.dot(direction), norm = gradient.norm();
-    const auto potential = [&](const VectorXd& d, double energy) {
-      return d.dot(0.5 * (quadratic.H * d) + quadratic.g) + energy;
-    };
-    const VectorXd from = q - quadratic.origin;
-    const double start = potential(from, elastic);
-    const double terms = std::abs(elastic) + std::abs(start - elastic);
-    const double slack = 1e-12 * terms + round_off * q.norm();
-    const auto descends = [&](double length, double energy) {
-      return potential(from + length * direction, energy) <= start + 1e-4 * length * slope + slack;
-    };
-    // The whole step is nearly always taken, so its force and tangent are evaluated at once. Where the potential's
-    // digits run out, the gradient decides.
-    double length = 1;
-    VectorXd trial = q + direction;
-    elastic = model_->linearize(blend_, trial, force, stiffness_);
-    const auto improves = [&] {
-      return (quadratic.H * (from + direction) + quadratic.g + force).norm() < 0.5 * norm &&
-             potential(from + direction, elastic) <= start + 1e-6 * terms + slack;
-    };
-    if (!descends(length, elastic) && !improves()) {
-      do {
-        length /= 2;
-        trial = q + length * direction;
-      } while (length > 1e-6 && !descends(length, model_->energy(blend_, trial)));
-      if (length <= 1e-6) break;  // no descent left in round-off
-      elastic = model_->linearize(blend_, trial, force, stiffness_);
-    }
-    q = trial;
+    values(tangent_) = values(quadratic.H) + values(stiffness_);
+    factor(tangent_);
+    direction_ = -solver_->solve(gradient_);
+    if (!search(q, round_off * displacement)) break;
   }
   report.converged = report.residual <= 100 * options_.tolerance;
   return report;
+}
+
+template <class Model>
+bool Simulation<Model>::search(VectorXd& q, double energy_round_off) {
+  const Quadratic& quadratic = quadratic_;
+  const double slope = gradient_.dot(direction_), norm = gradient_.norm();
+  const auto potential = [&](const VectorXd& at, double elastic) {
+    trial_ = at - quadratic.origin;
+    return trial_.dot(0.5 * (quadratic.H * trial_) + quadratic.g) + elastic;
+  };
+  const double start = potential(q, elastic_);
+  const double terms = std::abs(elastic_) + std::abs(start - elastic_);
+  const double slack = 1e-12 * terms + energy_round_off;
+  const auto descends = [&](double length, double reached) { return reached <= start + 1e-4 * length * slope + slack; };
+
+  // The whole step is nearly always taken, so its force and tangent are evaluated at once. Where the potential's digits
+  // run out, the gradient decides.
+  const VectorXd from = q;
+  q = from + direction_;
+  elastic_ = model_->linearize(blend_, q, force_, stiffness_);
+  const double reached = potential(q, elastic_);
+  const double gradient_there = (quadratic.H * trial_ + quadratic.g + force_).norm();
+  if (descends(1, reached) || (gradient_there < 0.5 * norm && reached <= start + 1e-6 * terms + slack)) return true;
+  for (double length = 0.5; length > 1e-6; length /= 2) {
+    q = from + length * direction_;
+    if (!descends(length, potential(q, model_->energy(blend_, q)))) continue;
+    elastic_ = model_->linearize(blend_, q, force_, stiffness_);
+    return true;
+  }
+  q = from;
+  return false;
 }
 
 template <class Model>

@@ -97,6 +97,9 @@ class Simulation {
   void resist(const VectorXd& external);  ///< nodal_ = -(gravity and external forces), newtons, world
   void pull_to_coordinates();             ///< quadratic_.g = U^T A^T nodal_, less what the targets are held with
   StepReport minimize(VectorXd& q, int max_iterations);
+  /// Along direction_ from q: to where Phi descends, with elastic_, force_ and stiffness_ there; false when round-off
+  /// leaves no descent.
+  bool search(VectorXd& q, double energy_round_off);
   void factor(Matrix& H);  ///< of the tangent, shifted until it is positive definite
   void require_start() const;
   void check_weights(const VectorXd& weights) const;
@@ -108,7 +111,9 @@ class Simulation {
   State state_;
   SkinFrame frame_;
   typename Model::Blend blend_;
-  Matrix inertia_, damped_, stiffness_;
+  Matrix inertia_, damped_, stiffness_, tangent_;
+  VectorXd force_, gradient_, direction_, trial_;
+  double elastic_ = 0;
   Quadratic quadratic_;
   MatrixXd held_;                         ///< gravity in each target's own pose (dofs, J), or empty
   VectorXd mass_;                         ///< (free), kg
