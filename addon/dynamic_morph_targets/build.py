@@ -191,7 +191,7 @@ def _volume(character: Character, stages: _Stages) -> tuple[Model, dynamorph.Emb
 
 
 def _shape_targets(model: Model, body, embedding, targets: list[Target], report):
-    """Carries each sculpted shape into the nodes; what the cage cannot carry stays as detail (METHOD 7)."""
+    """Carries each sculpted shape into the nodes; what the cage cannot carry stays as detail."""
     for j, target in enumerate(targets):
         report(j / len(targets))
         if target.shape.any():

@@ -134,7 +134,7 @@ def _simulation(engine, model: Model, character: Character, rig: RigSamples, set
 def _target_frames(model: Model, character: Character, rig: RigSamples) -> np.ndarray:
     """Skin matrices (J, B + 1, 3, 4) of the targets' captured poses, with the armature where it stood then.
 
-    Sculpted shapes are what the artist saw under gravity, so each is held up in its own pose (METHOD 9).
+    Sculpted shapes are what the artist saw under gravity, so each is held up in its own pose.
     """
     pose = model.skeleton.pose(np.array([target.local for target in character.targets]))
     rig_world = np.array([target.rig_world for target in character.targets])

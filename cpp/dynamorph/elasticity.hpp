@@ -7,7 +7,7 @@
 //   stable StVK  psi = 1/2 (lambda + mu) tr(E)^2 + mu (tr E - det F + 1)
 //
 // The stable law has StVK's small-strain moduli and stays a quartic polynomial of the displacement, but its energy
-// does not vanish for inverted elements (METHOD 2).
+// does not vanish for inverted elements.
 #pragma once
 
 #include <vector>

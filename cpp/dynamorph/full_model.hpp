@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The unreduced soft skin: E(u, q) = sum_j w_j(q) E_j(u) over the free nodes of a tet mesh (METHOD 1, 2).
+// The unreduced soft skin: E(u, q) = sum_j w_j(q) E_j(u) over the free nodes of a tet mesh (thesis ch. 5).
 //
 // FullModel and ReducedModel have one interface, which step() is written against:
 //   Matrix, Blend             dense or sparse; the model at one set of target weights

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// One time step for every model. With posed positions x(q) = A (X + u(q)) + a, a step minimises (METHOD 3)
+// One time step for every model. With posed positions x(q) = A (X + u(q)) + a, a step minimises
 //
 //   Phi(q) = 1/(2 h^2 c^2) |x(q) - x^|^2_M + E(q) + D(q) - f . x(q)
 //

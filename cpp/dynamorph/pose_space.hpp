@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Pose space: how much each dynamic morph target counts at a pose.
 //
-// Per target set, cardinal radial basis functions over the joint rotations q of the set's bones (METHOD 4):
+// Per target set, cardinal radial basis functions over the joint rotations q of the set's bones:
 //
 //   w(q) = C^T phi(q) + P^T p(q),   w_j(q_k) = delta_jk,   sum_j w_j = 1,
 //

@@ -7,7 +7,7 @@
 //   H(v) = K0 + K1 v + K2 (v v),   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,   E = v . (1/2 K0 + 1/6 K1 v + 1/12 K2 (v v))
 //   v
 //
-// so one table [K0 | K1 | K2] gives energy, force and tangent from one product (METHOD 5).
+// so one table [K0 | K1 | K2] gives energy, force and tangent from one product.
 #pragma once
 
 #include "dynamorph/basis.hpp"
@@ -91,7 +91,7 @@ class ReducedModel {
   std::vector<VectorXd> forces_;          ///< of forces blending, at z = 0
   std::vector<double> energies_;
 
-  /// U^T A^T M A U without the mesh, for weights that sum to one (METHOD 6):
+  /// U^T A^T M A U without the mesh, for weights that sum to one:
   ///   A^T A = sum_b w_b R_b^T R_b - sum_{b<c} w_b w_c (R_b - R_c)^T (R_b - R_c),
   /// six columns for the entries of each of those symmetric 3 x 3 matrices. Rigid bones need only the pairs: the first
   /// sum is the identity. Single precision: a step reads all pairs, and is as fast as they are small (step() takes the

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Linear blend skinning of the nodes: x_i = A_i (X_i + u_i) + a_i, [A_i | a_i] = sum_b w_ib B_b  (METHOD 1).
+// Linear blend skinning of the nodes: x_i = A_i (X_i + u_i) + a_i, [A_i | a_i] = sum_b w_ib B_b.
 #pragma once
 
 #include "dynamorph/types.hpp"

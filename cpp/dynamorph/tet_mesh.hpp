@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // A mesh of tetrahedra and the body inside it: where each surface point sits, how much of each tet is body, what the
-// nodes inherit from the surface, and which of them the bones hold. METHOD 7.
+// nodes inherit from the surface, and which of them the bones hold.
 #pragma once
 
 #include <vector>
