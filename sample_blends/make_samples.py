@@ -315,7 +315,19 @@ def set_up_scene() -> bpy.types.Scene:
     scene.world = world
     for name, text in (("LICENCE", LICENCE), ("README", README)):
         bpy.data.texts.new(name).write(text)
+    look_through_camera()
     return scene
+
+
+def look_through_camera() -> None:
+    """Every 3D viewport opens on the scene, with the sidebar that holds the Dynamorph tab."""
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            if area.type == "VIEW_3D":
+                view = area.spaces.active
+                view.region_3d.view_perspective = "CAMERA"
+                view.show_region_ui = True
+                view.shading.color_type = "VERTEX"
 
 
 def add_soft_skin(limb: bpy.types.Object) -> None:

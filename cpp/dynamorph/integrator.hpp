@@ -112,7 +112,7 @@ class Simulation {
   SkinFrame frame_;
   typename Model::Blend blend_;
   Matrix inertia_, damped_, stiffness_, tangent_;
-  VectorXd force_, gradient_, direction_, trial_;
+  VectorXd force_, gradient_, direction_, trial_;  ///< of the iteration; trial_ is a point less the origin
   double elastic_ = 0;
   Quadratic quadratic_;
   MatrixXd held_;                         ///< gravity in each target's own pose (dofs, J), or empty

@@ -368,9 +368,9 @@ def test_the_range_is_checked(scene, soft_arm, stand_in):
     bpy.ops.dynamorph.bake()
     settings = part("extract").simulation_settings(soft_arm, scene)
     assert (settings.start, settings.end, settings.fps, settings.substeps) == (-3, 2, 24.0, 5)
-    assert settings.gravity == (0.0, 0.0, 0.0)
-    soft_arm.dynamorph.simulation.gravity = 1.0
-    assert part("extract").simulation_settings(soft_arm, scene).gravity[2] == pytest.approx(-9.81)
+    assert settings.gravity == pytest.approx((0.0, 0.0, -9.81))
+    soft_arm.dynamorph.simulation.gravity = 0.0
+    assert part("extract").simulation_settings(soft_arm, scene).gravity == (0.0, 0.0, 0.0)
 
 
 # A missing engine --------------------------------------------------------------------------------------------------
