@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test demo bench stubs format lint wheel extension clean
+.PHONY: setup build test demo docs bench stubs format lint wheel extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -27,6 +27,10 @@ test: build
 
 demo: build
 	@$(python) sample_blends/demo.py
+
+# The picture of the README.
+docs: build
+	@$(python) sample_blends/demo.py --docs
 
 bench: build
 	@$(python) tests/benchmarks/run.py

@@ -80,7 +80,7 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
 
     bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
     bake.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
-    bake.add_argument("--substeps", type=int, help="steps a frame; 0 keeps a step below 1/120 s; default: the object's setting")
+    bake.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
     bake.set_defaults(bake=True)
     command("build", run_job, "build models").set_defaults(bake=False, frames=None, substeps=None)
     command("free", run_free, "remove bakes and restore the target keys")

@@ -302,7 +302,7 @@ def _worlds_at_start(obj, rig) -> list[np.ndarray]:
 
 
 def _not_a_number(name: str, frame: int) -> str:
-    return f"'{name}' has a transform that is not a number at frame {frame}: check its channels, drivers and constraints"
+    return f"'{name}' has a transform that is not a number at frame {frame}: check its drivers and constraints"
 
 
 def _stretch(world) -> np.ndarray:

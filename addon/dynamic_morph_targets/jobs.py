@@ -299,7 +299,8 @@ class Job:
         self.warnings += self.report["warnings"]
         if self.report["inverted"]:
             self.warnings.append(
-                f"{self.report['inverted']} tetrahedra turn inside out: raise Stiffness or Cage Nodes, or smooth the sculpt"
+                f"{self.report['inverted']} tetrahedra turn inside out: raise Stiffness or Cage Nodes, or smooth the "
+                "sculpt"
             )
         for name in ("coordinates", "weights", "modes", "details"):
             if not np.isfinite(getattr(self.result, name)).all():

@@ -93,10 +93,10 @@ class DynamorphKey(KeyReference, PropertyGroup):
     """A shape key that a bake added or muted. A key of the bake that is gone leaves a reference without a name."""
 
     reach: FloatProperty(name="Reach", description="Largest displacement of a key that the bake added")
+    was_muted: BoolProperty(name="Was Muted", description="Whether the artist had muted the key before the bake")
 
     def looks_like(self, block) -> bool:
         return key_hash(block) == self.key_hash or math.isclose(key_reach(block), self.reach, rel_tol=0.01)
-    was_muted: BoolProperty(name="Was Muted", description="Whether the artist had muted the key before the bake")
 
 
 class DynamorphBone(PropertyGroup):

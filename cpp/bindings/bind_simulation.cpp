@@ -336,7 +336,9 @@ void bind_models(py::module_& m) {
           },
           "target"_a, "k"_a, "(omega (k) rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.")
       .def(
-          "fallbacks", [](const FullModel& model, int target) { return model.shape(checked_target(model, target)).fallbacks; }, "target"_a,
+          "fallbacks",
+          [](const FullModel& model, int target) { return model.shape(checked_target(model, target)).fallbacks; },
+          "target"_a,
           "Tetrahedra of a target that keep the neutral rest shape, because the sculpt would invert or crush them.");
   bind_model(full);
 

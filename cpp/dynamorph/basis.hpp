@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The subspace of a reduced soft skin (docs/theory.md, Reduction): per target linear modes, their modal derivatives and the static
-// responses to accelerated bones, compressed by mass-PCA; the targets' own shapes stay exactly in the span.
+// The subspace of a reduced soft skin (docs/theory.md, Reduction): per target linear modes, their modal derivatives and
+// the static responses to accelerated bones, compressed by mass-PCA; the targets' own shapes stay exactly in the span.
 #pragma once
 
 #include "dynamorph/full_model.hpp"

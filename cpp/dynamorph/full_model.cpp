@@ -85,8 +85,8 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
                                   ", there are " + std::to_string(body_->sets()));
     check_size("displacement", target.displacement.size(), body_->mesh.nodes.size());
     if (!target.displacement.allFinite()) throw Error("target '" + target.name + "' has a shape that is not finite");
-    const double properties = target.lame.mu + target.lame.lambda + target.density + target.mass_damping +
-                              target.stiffness_damping;
+    const double properties =
+        target.lame.mu + target.lame.lambda + target.density + target.mass_damping + target.stiffness_damping;
     if (!(target.lame.mu > 0 && target.lame.lambda >= 0 && target.density > 0 && target.mass_damping >= 0 &&
           target.stiffness_damping >= 0 && std::isfinite(properties)))
       throw std::invalid_argument("targets: '" + target.name + "' needs finite stiffness and density above zero");

@@ -236,8 +236,7 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   quadratic_.g += damped_ * ((c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h);
   quadratic_.g += (c.velocity[0] / h) * (damped_ * q);
   quadratic_.origin = q;
-  quadratic_.round_off = 1e-14 * inertial * farthest *
-                         std::sqrt(mass_.sum() * values(inertia_).cwiseAbs().maxCoeff());
+  quadratic_.round_off = 1e-14 * inertial * farthest * std::sqrt(mass_.sum() * values(inertia_).cwiseAbs().maxCoeff());
 
   StepReport report = minimize(q, options_.max_iterations);
   report.teleported = teleported;
@@ -283,8 +282,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
     gradient_ += quadratic.g + force_;
     // Terms as large as the stiffness times the displacement cancel in the elastic force.
     const double displacement = q.norm() + quadratic.origin.norm() + 0.1 * model_->body().size;
-    const double round_off =
-        quadratic.round_off + 1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * displacement;
+    const double round_off = quadratic.round_off + 1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * displacement;
     if (!std::isfinite(scale))
       throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
     report.residual = gradient_.norm() / (scale + round_off / options_.tolerance);

@@ -11,7 +11,7 @@ namespace dynamorph {
 namespace {
 
 constexpr double kHalfRound = 150 * M_PI / 180;  // radians: beyond, angles the other way round come into play
-constexpr double kSamePose = 0.5 * M_PI / 180;  // radians: closer poses make the interpolation ill-conditioned
+constexpr double kSamePose = 0.5 * M_PI / 180;   // radians: closer poses make the interpolation ill-conditioned
 
 double kernel(Kernel kind, double width, double distance) {
   const double d = distance / width;
@@ -39,7 +39,8 @@ Vector3d rotation_vector(const Rotations& reference, const Eigen::Ref<const Rota
 void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations) {
   const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> m(transforms.row(bone).data());
   if (!m.allFinite())
-    throw Error("bone " + std::to_string(bone) + " has a transform that is not a number: check its drivers and constraints");
+    throw Error("bone " + std::to_string(bone) +
+                " has a transform that is not a number: check its drivers and constraints");
   const Eigen::JacobiSVD<Matrix3d> svd(m.topLeftCorner<3, 3>(), Eigen::ComputeFullU | Eigen::ComputeFullV);
   Matrix3d U = svd.matrixU();
   if (U.determinant() * svd.matrixV().determinant() < 0) U.col(2) *= -1;  // a mirrored bone: nearest proper rotation
@@ -122,8 +123,8 @@ bool PoseSpace::fit(Interpolant& in) {
   P.col(0).setOnes();
   for (int j = 0; j < count; ++j)
     for (size_t i = 0; i < set.bones.size() && in.span.cols() > 0; ++i)
-      P.row(j).tail(in.span.cols()) += rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() *
-                                       in.span.middleRows<3>(3 * i);
+      P.row(j).tail(in.span.cols()) +=
+          rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() * in.span.middleRows<3>(3 * i);
 
   // Definite on the coefficients that the polynomial leaves, or weights overshoot and jump between the targets.
   if (count > P.cols()) {

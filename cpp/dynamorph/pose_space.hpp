@@ -8,8 +8,8 @@
 // then negatives are clamped and the rest renormalised, so that the blended stiffness stays positive definite.
 //
 // Distances are joint angles, which make the linear kernel a driver's hat function. Poses right round a joint (0, 90,
-// 180, -90 degrees) are no set of points in a flat space by their angles, and weights would jump: those sets use chords,
-// which are.
+// 180, -90 degrees) are no set of points in a flat space by their angles, and weights would jump: those sets use
+// chords, which are.
 #pragma once
 
 #include <string>

@@ -134,6 +134,21 @@ def test_failed_self_check(shot, run, stand_in):
     assert bake_of(shot, "Arm") == []
 
 
+def test_a_full_disk_may_be_tried_again(shot, run, stand_in):
+    stand_in.fail = OSError(28, "No space left on device")
+    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+    assert code == 75 and "No space left" in errors
+
+
+def test_the_engines_errors_name_the_object(shot, run, stand_in):
+    dynamorph = pytest.importorskip("dynamorph")
+    stand_in.fail = dynamorph.Error("The mesh is flat")
+    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+    assert code == 2 and "'Arm': The mesh is flat" in errors
+    stand_in.fail = dynamorph.Error("'Arm': no part is held")
+    assert run("bake", shot, "--object", "Arm", "--in-place")[2].count("'Arm'") == 1
+
+
 def test_ctrl_c(shot, run, stand_in):
     stand_in.patience = 10.0
     threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()

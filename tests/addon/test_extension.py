@@ -3,6 +3,7 @@
 
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -44,9 +45,11 @@ def archive():
 def test_zip_holds_the_add_on_and_a_wheel_for_this_python(archive):
     with zipfile.ZipFile(archive) as files:
         names = files.namelist()
-    assert {"blender_manifest.toml", "__init__.py", "LICENSE"} <= set(names)
+        manifest = tomllib.loads(files.read("blender_manifest.toml").decode())
+    assert {"blender_manifest.toml", "__init__.py", "LICENSE", "LICENSES.md"} <= set(names)
     tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
     assert any(name.startswith("wheels/dynamorph-") and tag in name for name in names)
+    assert manifest["platforms"] == ["linux-x64"]
     assert not [name for name in names if "__pycache__" in name or name.endswith((".o", ".a"))]
 
 

@@ -168,6 +168,34 @@ def test_shape_is_relative_to_its_key_times_its_group(soft_arm):
     np.testing.assert_allclose(part("extract").character(soft_arm).targets[1].shape, expected, atol=1e-6)
 
 
+def test_shape_ignores_a_group_that_is_gone(soft_arm):
+    soft_arm.data.shape_keys.key_blocks["flexed"].vertex_group = "Half"
+    shape = part("extract").character(soft_arm).targets[1].shape
+    np.testing.assert_allclose(shape, scenes.bulge(scenes.tube()[0]), atol=1e-6)
+
+
+def test_animated_scale_does_not_make_a_character_depend_on_the_frame(scene, soft_arm):
+    for frame, size in ((1, 1.0), (20, 2.0)):
+        soft_arm.scale = (size, size, size)
+        soft_arm.keyframe_insert("scale", frame=frame)
+    found = []
+    for frame in (1, 20):
+        scene.frame_set(frame)
+        found.append(part("extract").character(soft_arm).to_bind)
+    np.testing.assert_array_equal(found, [np.eye(3), np.eye(3)])
+
+
+def test_transforms_that_are_not_numbers_are_named(scene, soft_arm):
+    extract = part("extract")
+    bone = rig_of(soft_arm).pose.bones["lower"]
+    bone.location.x = np.nan
+    with pytest.raises(extract.SceneError, match="'lower'.*not a number at frame"):
+        extract.sample_rig(soft_arm, 1, 20, 2)
+    scene.frame_set(12)
+    with pytest.raises(extract.SceneError, match="'lower'.*not a number at frame 12"):
+        extract.current_pose(soft_arm)
+
+
 def test_soft_group(soft_arm):
     soft_arm.vertex_groups.new(name="Soft").add([1, 2], 0.25, "REPLACE")
     soft_arm.dynamorph.soft_group = "Soft"
@@ -293,6 +321,30 @@ def bone_removed(obj):
     bpy.ops.object.mode_set(mode="OBJECT")
 
 
+def basis_removed(obj):
+    obj.shape_key_remove(obj.data.shape_keys.reference_key)
+
+
+def same_pose_of_the_bones_that_count(obj):
+    """Another bone tells the poses apart, but it places no target."""
+    same_pose(obj)
+    pose = obj.dynamorph.targets[2].pose["upper"]
+    pose.local = np.array(Matrix.Rotation(0.5, 4, "X")).ravel()
+
+
+def hidden_modifier(obj):
+    obj.modifiers["Armature"].show_viewport = False
+
+
+def no_soft_skin(obj):
+    obj.dynamorph.targets.clear()
+
+
+def rig_nowhere(obj):
+    rig_of(obj).location.x = np.nan
+    bpy.context.view_layer.update()
+
+
 def subdivided_first(obj):
     obj.modifiers.new("Subdivision", "SUBSURF")
     obj.modifiers.move(1, 0)
@@ -341,6 +393,11 @@ def zero_scale(obj):
         (soft_group_removed, "'Arm'.*'Soft'.*gone"),
         (no_faces, "'Arm' has no faces"),
         (zero_scale, "'Arm' is scaled to zero"),
+        (basis_removed, "'Arm': target 'flexed' has become the Basis"),
+        (same_pose_of_the_bones_that_count, "'flexed' and 'smile' have the same pose"),
+        (hidden_modifier, "'Arm'.*'Armature' is disabled in viewports"),
+        (no_soft_skin, "'Arm' is no soft skin.*Add Soft Skin"),
+        (rig_nowhere, "'Arm Rig' has a transform that is not a number"),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
 )
@@ -363,6 +420,14 @@ def test_ignored_modifiers_are_named(soft_arm):
     soft_arm.show_only_shape_key = True
     warnings = part("extract").warnings(soft_arm, part("extract").character(soft_arm))
     assert len(warnings) == 2 and "'Squeeze'" in warnings[0] and "unpin" in warnings[1]
+
+
+@pytest.mark.parametrize("scale, size", [(1e-7, "e-07 m"), (100.0, " m long")])
+def test_implausible_sizes_are_named(soft_arm, scale, size):
+    soft_arm.scale = (scale, scale, scale)
+    bpy.context.view_layer.update()
+    (warning,) = part("extract").warnings(soft_arm, part("extract").character(soft_arm))
+    assert "'Arm' is" in warning and size in warning and "check the scale" in warning
 
 
 def test_two_characters_do_not_interfere(scene, soft_arm):

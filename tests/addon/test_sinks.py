@@ -200,6 +200,45 @@ def test_a_users_key_named_like_ours_is_never_taken(soft_arm):
     assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile", "Dynamorph Mode 09"]
 
 
+def test_baking_again_after_a_key_was_deleted(soft_arm):
+    sinks = part("sinks")
+    before = fingerprint(soft_arm)
+    bake = hand_made_bake(soft_arm)
+    sinks.write_modal_keys(soft_arm, bake)
+    soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks["Dynamorph Mode 01"])
+    sinks.write_modal_keys(soft_arm, bake)
+    assert [key.key_index for key in soft_arm.dynamorph.bake.keys] == [3, 4, 5, 6]
+    assert_shows(soft_arm, bake)
+    bpy.context.scene.frame_set(1)
+    sinks.free(soft_arm)
+    assert fingerprint(soft_arm) == before
+
+
+@pytest.mark.parametrize("name", ["Dynamorph Mode 01", "Dynamorph Detail flexed"])  # the first and the last key
+def test_a_users_key_in_place_of_a_deleted_one_is_never_taken(soft_arm, name):
+    sinks = part("sinks")
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks[name])
+    add_key(soft_arm, name, 0.1)
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
+    sinks.free(soft_arm)
+    assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile", name]
+
+
+def test_free_finds_its_keys_after_an_edit_of_the_mesh(soft_arm):
+    """Blender carries the edit of the Basis into the other keys, and rounds."""
+    sinks = part("sinks")
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    soft_arm.active_shape_key_index = 0
+    activate(soft_arm)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.translate(value=(0.1234567, 0.0, 0.0))
+    bpy.ops.object.mode_set(mode="OBJECT")
+    sinks.free(soft_arm)
+    assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile"]
+
+
 def test_a_duplicate_is_freed_alone(soft_arm):
     sinks = part("sinks")
     before = [k.name for k in keys_of(soft_arm).key_blocks]

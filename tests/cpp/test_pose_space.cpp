@@ -75,8 +75,8 @@ TEST_CASE("two targets at one pose are an error that names both") {
 
 TEST_CASE("targets right round a joint: cardinal, and no jump of the weights between them") {
   for (double quarter : {M_PI / 2, 85 * M_PI / 180}) {
-    TargetSet set{{0}, {"a", "b", "c", "d"}, {hinge(0), hinge(quarter), hinge(2 * quarter), hinge(-quarter)},
-                  Kernel::linear};
+    TargetSet set{
+        {0}, {"a", "b", "c", "d"}, {hinge(0), hinge(quarter), hinge(2 * quarter), hinge(-quarter)}, Kernel::linear};
     const PoseSpace space({set});
     CHECK((weights(space, hinge(2 * quarter)) - VectorXd::Unit(4, 2)).cwiseAbs().maxCoeff() < 1e-9);
     double jump = 0;

@@ -333,13 +333,9 @@ class FullModel:
         """
         (energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full model is a scipy.sparse matrix.
         """
-    def target(self, index: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+    def target(self, target: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
         Coordinates of a target's shape.
-        """
-    def worst_element(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, int]:
-        """
-        (smallest det F, number of inverted tetrahedra).
         """
     @property
     def body(self) -> SoftBody:
@@ -409,7 +405,7 @@ class ReducedModel:
         """
         (energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full model is a scipy.sparse matrix.
         """
-    def target(self, index: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+    def target(self, target: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
         Coordinates of a target's shape.
         """
@@ -425,9 +421,9 @@ class FullSimulation:
     """
     Steps a model through time. World space, SI.
     """
-    def __init__(self, model: FullModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+    def __init__(self, model: FullModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
-        h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which the past is carried along (0: never).
+        h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False raises Cancelled.
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
         """
@@ -437,9 +433,9 @@ class FullSimulation:
         """
         Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
         """
-    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
+    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
         """
-        (coordinates, report) of the static solution.
+        (coordinates, report) of the static solution, sought from `guess` or from the blended targets.
         """
     def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> dict:
         """
@@ -464,11 +460,6 @@ class FullSimulation:
     def model(self) -> FullModel:
         ...
     @property
-    def posed(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
-        """
-        World positions of the free nodes.
-        """
-    @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(2)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"]]:
         """
         (coordinates of the last two steps, posed positions of the last four): set it to resume.
@@ -480,9 +471,9 @@ class ReducedSimulation:
     """
     Steps a model through time. World space, SI.
     """
-    def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+    def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
-        h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which the past is carried along (0: never).
+        h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False raises Cancelled.
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
         """
@@ -492,9 +483,9 @@ class ReducedSimulation:
         """
         Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
         """
-    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
+    def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
         """
-        (coordinates, report) of the static solution.
+        (coordinates, report) of the static solution, sought from `guess` or from the blended targets.
         """
     def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> dict:
         """
@@ -518,11 +509,6 @@ class ReducedSimulation:
     @property
     def model(self) -> ReducedModel:
         ...
-    @property
-    def posed(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
-        """
-        World positions of the free nodes.
-        """
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(2)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"]]:
         """
