@@ -82,12 +82,6 @@ def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
     return arrays, _parse(metadata["meta"])
 
 
-def read_meta(buffer) -> dict:
-    """The description alone, without reading the arrays. Raises ModelFileError."""
-    _, metadata, _ = _read_header(memoryview(buffer).cast("B"))
-    return _parse(metadata["meta"])
-
-
 def save(path, packed: bytes):
     """Write whole or not at all: a crash leaves the old file or the new one."""
     path = Path(path)
