@@ -400,6 +400,10 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     bad = np.argwhere(~np.isfinite(transforms).all(axis=(2, 3)))
     if len(bad):
         raise SceneError(_not_a_number(moving[bad[0, 1]], start + int(bad[0, 0]) // substeps))
+    flat = np.argwhere(np.linalg.det(transforms[:, :2, :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
+    if len(flat):
+        name, frame = moving[flat[0, 1]], start + int(flat[0, 0]) // substeps
+        raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
     return samples
 
 

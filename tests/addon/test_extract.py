@@ -196,6 +196,17 @@ def test_transforms_that_are_not_numbers_are_named(scene, soft_arm):
         extract.current_pose(soft_arm)
 
 
+def test_an_armature_that_vanishes_is_refused_with_the_frame(soft_arm):
+    extract = part("extract")
+    rig = rig_of(soft_arm)
+    rig.scale = (1.0, 1.0, 1.0)
+    rig.keyframe_insert("scale", frame=1)
+    rig.scale = (0.0, 0.0, 0.0)
+    rig.keyframe_insert("scale", frame=9)
+    with pytest.raises(extract.SceneError, match="is scaled to zero at frame 9"):
+        extract.sample_rig(soft_arm, 1, 12, 2)
+
+
 def test_soft_group(soft_arm):
     soft_arm.vertex_groups.new(name="Soft").add([1, 2], 0.25, "REPLACE")
     soft_arm.dynamorph.soft_group = "Soft"
