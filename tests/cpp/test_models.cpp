@@ -151,16 +151,7 @@ TEST_CASE("reduced = U^T F(U z), energy and tangent too, to 1e-12 of the largest
       SparseMatrix K = full.zero();
       MatrixXd k;
       const double E = full.linearize(big, U * z, F, K), e = reduced.linearize(small, z, f, k);
-      double largest = f.cwiseAbs().maxCoeff();
-      for (int j = 0; j < 3; ++j) {  // the terms that cancel in the sum
-        VectorXd alone = VectorXd::Zero(3), term;
-        alone(j) = w(j);
-        full.blend(alone, big);
-        full.linearize(big, U * z, term, K);
-        largest = std::max(largest, (U.transpose() * term).cwiseAbs().maxCoeff());
-      }
-      full.blend(w, big);
-      full.linearize(big, U * z, F, K);
+      const double largest = f.cwiseAbs().maxCoeff();
       CHECK((f - U.transpose() * F).cwiseAbs().maxCoeff() <= 1e-12 * largest);
       CHECK(std::abs(e - E) <= 1e-11 * E);
       CHECK((k - U.transpose() * (K * U)).norm() <= 1e-11 * k.norm());
