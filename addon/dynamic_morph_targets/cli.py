@@ -195,6 +195,9 @@ def print_table(job, save_seconds: float):
     if job.bake:
         rows.append(("frames x substeps", f"{len(job.settings.frames)} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
+        rows.append(("smallest det F", f"{job.report['smallest_det']:.2f}"))
+        if "compression_error" in job.report:
+            rows.append(("compression error", f"{1000 * job.report['compression_error']:.3g} mm"))
     rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.seconds.items(), ("save", save_seconds))]
     print(f"\n{job.name}")
     for name, value in rows:

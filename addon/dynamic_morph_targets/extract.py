@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from .properties import key_points, reconcile, rest_skeleton
-from .scene_data import Character, RigSamples, SimulationSettings, Skeleton, Target, TargetSet
+from .scene_data import Character, RigSamples, SimulationSettings, Skeleton, Target, TargetSet, determinant, inverse
 
 SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
@@ -62,7 +62,7 @@ def character(obj) -> Character:
         to_bind=to_bind,
         weights=_skin_weights(obj, modifier, skeleton),
         softness=_softness(obj),
-        bone_segments=_bone_segments(obj, modifier.object, np.linalg.inv(world) @ rig_world, to_bind),
+        bone_segments=_bone_segments(obj, modifier.object, inverse(world) @ rig_world, to_bind),
         skeleton=skeleton,
         target_sets=(TargetSet(obj.name, targets),),
         settings=settings.model.settings(),
@@ -368,7 +368,7 @@ def _pose_matrices(evaluated_rig, order) -> np.ndarray:
 
 
 def _invertible(matrices: np.ndarray) -> np.ndarray:
-    return np.abs(np.linalg.det(matrices[..., :3, :3])) > 1e-12
+    return np.abs(determinant(matrices[..., :3, :3])) > 1e-12
 
 
 # The moving rig ----------------------------------------------------------------------------------------------------
@@ -400,7 +400,7 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     bad = np.argwhere(~np.isfinite(transforms).all(axis=(2, 3)))
     if len(bad):
         raise SceneError(_not_a_number(moving[bad[0, 1]], start + int(bad[0, 0]) // substeps))
-    flat = np.argwhere(np.linalg.det(transforms[:, :2, :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
+    flat = np.argwhere(determinant(transforms[:, :2, :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
     if len(flat):
         name, frame = moving[flat[0, 1]], start + int(flat[0, 0]) // substeps
         raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")

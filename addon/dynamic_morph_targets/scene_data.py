@@ -14,6 +14,30 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 
+def determinant(matrices: np.ndarray) -> np.ndarray:
+    """Determinants (...) of 3 x 3 matrices (..., 3, 3).
+
+    Written out, like `inverse`, because LAPACK wakes its threads for each matrix of a stack: on a busy machine that
+    takes seconds for a shot.
+    """
+    return np.einsum("...i,...i", matrices[..., 0, :], np.cross(matrices[..., 1, :], matrices[..., 2, :]))
+
+
+def inverse(transforms: np.ndarray) -> np.ndarray:
+    """Inverses of linear (..., 3, 3) or affine (..., 4, 4) transforms, which must not be singular."""
+    linear = transforms[..., :3, :3]
+    rows = linear[..., 0, :], linear[..., 1, :], linear[..., 2, :]
+    adjugate = np.stack([np.cross(rows[1], rows[2]), np.cross(rows[2], rows[0]), np.cross(rows[0], rows[1])], axis=-1)
+    back = adjugate / determinant(linear)[..., None, None]
+    if transforms.shape[-1] == 3:
+        return back
+    out = np.zeros_like(transforms)
+    out[..., :3, :3] = back
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", back, transforms[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
+
+
 @dataclass(frozen=True)
 class Skeleton:
     """The armature at rest: B bones, parents before children.
@@ -31,16 +55,16 @@ class Skeleton:
         pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. Returns (..., B, 4, 4).
         Uses the evaluated matrices, so constraints and IK count.
         """
-        rest_inverse = np.linalg.inv(self.rest)
+        rest_inverse = inverse(self.rest)
         unposed = np.broadcast_to(self.rest, pose.shape).copy()
         child = self.parents >= 0
         parent = self.parents[child]
         unposed[..., child, :, :] = pose[..., parent, :, :] @ rest_inverse[parent] @ self.rest[child]
-        return np.linalg.inv(unposed) @ pose
+        return inverse(unposed) @ pose
 
     def pose(self, local: np.ndarray) -> np.ndarray:
         """The inverse of `local_transforms`: armature-space pose matrices (..., B, 4, 4) of local transforms."""
-        rest_inverse = np.linalg.inv(self.rest)
+        rest_inverse = inverse(self.rest)
         pose = np.empty_like(local)
         for b, parent in enumerate(self.parents):
             unposed = self.rest[b] if parent < 0 else pose[..., parent, :, :] @ rest_inverse[parent] @ self.rest[b]
@@ -69,10 +93,10 @@ class RigSamples:
         those where the object puts them.
         """
         from_bind = np.eye(4)
-        from_bind[:3, :3] = np.linalg.inv(to_bind)
+        from_bind[:3, :3] = inverse(to_bind)
         object_from_bind = self.object_world @ from_bind
-        rig_from_bind = np.linalg.inv(self.rig_world) @ object_from_bind
-        bones = (self.rig_world[:, None] @ self.pose @ np.linalg.inv(skeleton.rest)) @ rig_from_bind[:, None]
+        rig_from_bind = inverse(self.rig_world) @ object_from_bind
+        bones = (self.rig_world[:, None] @ self.pose @ inverse(skeleton.rest)) @ rig_from_bind[:, None]
         return np.ascontiguousarray(np.concatenate([bones, object_from_bind[:, None]], axis=1)[:, :, :3, :])
 
 

@@ -11,7 +11,7 @@ import dynamorph
 import numpy as np
 
 from .build import Model, Progress
-from .scene_data import Bake, Character, RigSamples, SimulationSettings
+from .scene_data import Bake, Character, RigSamples, SimulationSettings, determinant, inverse
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
@@ -138,7 +138,7 @@ def _target_frames(model: Model, character: Character, rig: RigSamples) -> np.nd
     """
     pose = model.skeleton.pose(np.array([target.local for target in character.targets]))
     rig_world = np.array([target.rig_world for target in character.targets])
-    object_world = rig_world @ np.linalg.inv(rig.rig_world[0]) @ rig.object_world[0]
+    object_world = rig_world @ inverse(rig.rig_world[0]) @ rig.object_world[0]
     return RigSamples(pose, rig_world, object_world).skin_matrices(model.skeleton, model.to_bind)
 
 
@@ -176,11 +176,11 @@ def _worst_elements(model: Model, engine, coordinates: np.ndarray, weights: np.n
     """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames."""
     targets = np.array([engine.target(j) for j in range(weights.shape[1])])
     strength = np.abs(coordinates - weights @ targets).max(axis=1)
-    inverse = np.linalg.inv(_edges(model, model.nodes))
+    rest = inverse(_edges(model, model.nodes))
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
         sculpted, moved = (
-            np.linalg.det(_edges(model, model.nodes + engine.displacement(q)) @ inverse)
+            determinant(_edges(model, model.nodes + engine.displacement(q)) @ rest)
             for q in (weights[k] @ targets, coordinates[k])
         )
         smallest = min(smallest, moved.min())
