@@ -31,7 +31,7 @@ def build_native_wheels(folder: Path) -> list[Path]:
     """One for each Python, of the modules that `make build` compiled."""
     shutil.rmtree(folder, ignore_errors=True)  # every wheel found in it would be packed
     for python in pythons():
-        build_wheel(python, ROOT, folder, "-C", f"cmake.define.DYNAMORPH_PREBUILT={ROOT / 'build/cmake'}")
+        build_wheel(python, ROOT, folder, f"--config-settings=cmake.define.DYNAMORPH_PREBUILT={ROOT / 'build/cmake'}")
     return sorted(folder.glob("*.whl"))
 
 
