@@ -61,6 +61,7 @@ class ReducedModel {
                Blending blending);
 
   const SoftBody& body() const { return *body_; }
+  const std::shared_ptr<const SoftBody>& shared_body() const { return body_; }
   const std::vector<MorphTarget>& targets() const { return targets_; }
   const MatrixXd& basis() const { return U_; }
   int dofs() const { return int(U_.cols()); }
