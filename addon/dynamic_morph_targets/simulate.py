@@ -57,9 +57,9 @@ def simulate(
 ) -> Iterator[Frame]:
     """Yields every frame from settings.start to settings.end.
 
-    rig: 1 + (end - start) * substeps samples, the first at `start`. engine: model.engine(character), if it is at hand
-    already. progress(fraction, message) -> bool is asked at
-    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
+    rig: 1 + (end - start) * substeps samples, the first at `start`. progress(fraction, message) -> bool is asked at
+    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled. engine:
+    model.engine(character), if it is at hand already.
     """
     space = pose_space(character)
     done = 0

@@ -129,21 +129,23 @@ template <class Model>
 void bind_simulation_of(py::module_& m, const char* name) {
   using Sim = Simulation<Model>;
   py::class_<Sim>(m, name, "Steps a model through time. World space, SI.")
-      .def(py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
-                       int max_iterations, double teleport, const py::object& keep_going) {
-             std::function<bool()> asked;
-             if (!keep_going.is_none())
-               asked = [keep_going] {
-                 py::gil_scoped_acquire gil;
-                 return keep_going().cast<bool>();
-               };
-             return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked});
-           }),
-           "model"_a, "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
-           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
-           "h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which "
-           "the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False "
-           "raises Cancelled.")
+      .def(
+          py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
+                      int max_iterations, double teleport, const py::object& keep_going) {
+            std::function<bool()> asked;
+            if (!keep_going.is_none())
+              asked = [keep_going] {
+                py::gil_scoped_acquire gil;
+                return keep_going().cast<bool>();
+              };
+            return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked});
+          }),
+          "model"_a, "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
+          "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
+          "h: seconds a step; gravity (3,) m/s^2; teleport: jump of the skin off its course in one step, metres, above "
+          "which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, "
+          "False "
+          "raises Cancelled.")
       .def(
           "hold_targets",
           [](Sim& s, const Array& bones) {
@@ -344,7 +346,6 @@ void bind_models(py::module_& m) {
 
   py::class_<Basis>(m, "Basis")
       .def_readonly("U", &Basis::U, "(3 free, r), orthonormal in unit-density mass.")
-      .def_readonly("frequencies", &Basis::frequencies, "Per target omega of the modes that went in, rad/s.")
       .def_readonly("captured", &Basis::captured, "Fraction of the candidates' variance in the span.");
   m.def(
       "make_basis",

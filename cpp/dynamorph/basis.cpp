@@ -128,14 +128,14 @@ MatrixXd bone_loads(const SoftBody& body) {
 /// of their modes' amplitudes, static responses to the bones' loads so that a uniform acceleration would move as far.
 /// (By omega_1 / omega_i instead, high modes crowd the derivatives out and large motions lock: docs/decisions.)
 MatrixXd candidates(const FullModel& model, int target, int k, double amplitude, const MatrixXd& loads,
-                    const ProgressFn& progress, VectorXd& frequencies) {
+                    const ProgressFn& progress) {
   const int bending = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
   MatrixXd out(model.dofs(), k + bending * (bending + 1) / 2 + loads.cols());
   const double expected = double(out.cols()) + 4 * k;  // solves: the eigensolver takes a few for every mode
   double solves = 0;
   const Factored factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
-  frequencies = modes.frequencies;
+  const VectorXd& frequencies = modes.frequencies;
   const double floor = 1e-3 * frequencies(k - 1);  // rigid modes of an unpinned body would swamp all others
   const double unit = amplitude / largest(modes.shapes.col(0));
   Eigen::Index column = 0;
@@ -186,7 +186,6 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
                 " (half its degrees of freedom)");
 
   Basis basis;
-  basis.frequencies.resize(targets);
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
   report(progress, 0);
   const MatrixXd loads = bone_loads(model.body());
@@ -196,8 +195,7 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
       report(progress, (j + done) / (targets + 1));
       return true;
     };
-    const MatrixXd some =
-        root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, loads, part, basis.frequencies[j]);
+    const MatrixXd some = root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, loads, part);
     all.conservativeResize(Eigen::NoChange, all.cols() + some.cols());
     all.rightCols(some.cols()) = some;
   }

@@ -18,9 +18,8 @@ struct LinearModes {
 LinearModes linear_modes(const FullModel& model, int target, int k);
 
 struct Basis {
-  MatrixXd U;                         ///< (3 free, r), U^T M U = I for unit density
-  std::vector<VectorXd> frequencies;  ///< per target, omega of the modes that went in, rad/s
-  double captured = 1;                ///< fraction of the candidates' mass-weighted variance in the span
+  MatrixXd U;           ///< (3 free, r), U^T M U = I for unit density
+  double captured = 1;  ///< fraction of the candidates' mass-weighted variance in the span
 };
 
 /// r modes for all targets of the model. Throws Error when r cannot hold every target's shape and one mode of motion.

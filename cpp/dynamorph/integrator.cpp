@@ -72,23 +72,16 @@ Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions op
 }
 
 template <class Model>
-VectorXd Simulation<Model>::node_mass() const {
-  return model_->body().volumes * blend_.mass.density;
-}
-
-template <class Model>
 void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
   if (bones.rows() != model_->body().skin.cols())
     throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) + " transforms, got " +
                                 std::to_string(bones.rows()));
   if (!bones.allFinite() || !weights.allFinite())
     throw Error("the rig has a transform that is not a number: check its drivers and constraints at this frame");
-  check_weights(weights);
   frame_.bones = bones;
   pose_nodes(model_->body().skin, frame_);
   model_->blend(weights, blend_);
-  mass_ = node_mass();
-  to_world(frame_, model_->body().rest, skinned_);
+  mass_ = model_->body().volumes * blend_.mass.density;
 }
 
 template <class Model>
@@ -105,10 +98,11 @@ void Simulation<Model>::check_weights(const VectorXd& weights) const {
 
 template <class Model>
 void Simulation<Model>::resist(const VectorXd& external) {
-  if (external.size() > 0 && external.size() != skinned_.size())
-    throw std::invalid_argument("external: expected " + std::to_string(skinned_.size()) + " values, got " +
+  const Eigen::Index size = model_->body().rest.size();
+  if (external.size() > 0 && external.size() != size)
+    throw std::invalid_argument("external: expected " + std::to_string(size) + " values, got " +
                                 std::to_string(external.size()));
-  nodal_.resize(skinned_.size());
+  nodal_.resize(size);
   for (Eigen::Index i = 0; i < mass_.size(); ++i) nodal_.segment<3>(3 * i) = -mass_(i) * options_.gravity;
   if (!external.allFinite()) throw std::invalid_argument("external: forces must be finite");
   if (external.size() > 0) nodal_ -= external;
@@ -130,7 +124,7 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
   MatrixXd held(model_->dofs(), targets.size());
   held_.resize(0, 0);
   for (size_t j = 0; j < targets.size(); ++j) {
-    // The target alone, among those of its set: f_g^(j) = rho_j (A^(j))^T M1 g.
+    // The target alone, not even with the other sets': f_g^(j) = rho_j (A^(j))^T M1 g.
     VectorXd alone = VectorXd::Zero(targets.size());
     alone(j) = 1;
     pose(bones[j], alone);
@@ -144,6 +138,7 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
 template <class Model>
 StepReport Simulation<Model>::solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
                                            const VectorXd& external) {
+  check_weights(weights);
   pose(bones, weights);
   if (q.size() != model_->dofs()) {
     // The blended targets are close to the answer, and often are it.
@@ -206,7 +201,8 @@ bool Simulation<Model>::carry_past() {
 
 template <class Model>
 StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
-  require_start();
+  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
+  check_weights(weights);
   pose(bones, weights);
 
   const Coefficients c = coefficients(options_.scheme);
@@ -252,8 +248,9 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
 }
 
 template <class Model>
-void Simulation<Model>::require_start() const {
-  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
+void Simulation<Model>::require_pose() const {
+  if (state_.q[0].size() == 0 || mass_.size() == 0)
+    throw std::invalid_argument("energy: start() comes first, or after setting a state a step");
 }
 
 template <class Model>
@@ -331,13 +328,13 @@ bool Simulation<Model>::search(VectorXd& q, double energy_round_off) {
 
 template <class Model>
 double Simulation<Model>::elastic_energy() const {
-  require_start();
+  require_pose();
   return model_->energy(blend_, state_.q[0]);
 }
 
 template <class Model>
 double Simulation<Model>::kinetic_energy() const {
-  require_start();
+  require_pose();
   const VectorXd v = (1.5 * state_.x[0] - 2 * state_.x[1] + 0.5 * state_.x[2]) / options_.h;
   VectorXd momentum = v;
   scale_rows(mass_, momentum);

@@ -101,10 +101,9 @@ class Simulation {
   /// leaves no descent.
   bool search(VectorXd& q, double energy_round_off);
   void factor(Matrix& H);  ///< of the tangent, shifted until it is positive definite
-  void require_start() const;
+  void require_pose() const;
   void check_weights(const VectorXd& weights) const;
   bool carry_past();  ///< compares the posed prediction in lag_ with the past's course
-  VectorXd node_mass() const;
 
   std::shared_ptr<const Model> model_;
   StepOptions options_;
@@ -117,7 +116,6 @@ class Simulation {
   Quadratic quadratic_;
   MatrixXd held_;                         ///< gravity in each target's own pose (dofs, J), or empty
   VectorXd mass_;                         ///< (free), kg
-  VectorXd skinned_;                      ///< A X + a (3 free)
   std::array<VectorXd, 2> displacement_;  ///< u of the state's two coordinates (3 free)
   VectorXd nodal_, lag_;                  ///< scratch (3 free)
   std::shared_ptr<Solver> solver_;

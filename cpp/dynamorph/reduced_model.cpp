@@ -9,8 +9,6 @@ namespace dynamorph {
 
 namespace {
 
-Eigen::Index pair_count(Eigen::Index r) { return r * (r + 1) / 2; }
-
 /// Index of the pair (k, l) in the packed upper triangle, rows first.
 Eigen::Index pair_index(Eigen::Index r, Eigen::Index k, Eigen::Index l) {
   if (k > l) std::swap(k, l);
@@ -19,7 +17,7 @@ Eigen::Index pair_index(Eigen::Index r, Eigen::Index k, Eigen::Index l) {
 
 void pack(const MatrixXd& symmetric, VectorXd& packed) {
   const Eigen::Index r = symmetric.rows();
-  packed.resize(pair_count(r));
+  packed.resize(r * (r + 1) / 2);
   for (Eigen::Index k = 0, p = 0; k < r; ++k)
     for (Eigen::Index l = k; l < r; ++l, ++p) packed(p) = symmetric(k, l);
 }
@@ -298,7 +296,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   out.force.setZero(r);
   out.centre.setZero(r);
   out.energy = 0;
-  out.constant.setZero(pair_count(r));
+  out.constant.setZero(layout_.pairs());
   for (size_t j = 0; j < targets_.size(); ++j) {
     if (w(j) == 0) continue;
     out.constant += w(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
@@ -314,7 +312,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
 }
 
 void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
-  const Eigen::Index r = dofs(), pairs = pair_count(r);
+  const Eigen::Index r = dofs(), pairs = layout_.pairs();
   blend.v = z - blend.centre;
   blend.constant = blend.table.head(pairs);
   blend.linear.setZero(pairs);
@@ -346,7 +344,7 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
 
 void ReducedModel::build_inertia() {
   const SoftBody& body = *body_;
-  const Eigen::Index r = dofs(), pairs = pair_count(r), bones = body.skin.cols();
+  const Eigen::Index r = dofs(), pairs = layout_.pairs(), bones = body.skin.cols();
   std::map<std::pair<int, int>, double> shared;
   const VectorXd volumes = body.volumes.rowwise().sum();
   for (Eigen::Index i = 0; i < body.skin.rows(); ++i)
@@ -393,7 +391,7 @@ void ReducedModel::inertia(const SkinFrame& frame, const VectorXd& density, Matr
     return std::array<double, 6>{S(0, 0), S(1, 1), S(2, 2), S(0, 1), S(1, 2), S(2, 0)};
   };
   out.resize(dofs(), dofs());
-  VectorXd packed = VectorXd::Zero(pair_count(dofs()));
+  VectorXd packed = VectorXd::Zero(layout_.pairs());
   for (size_t s = 0; s < inertia_.size(); ++s) {
     const InertiaTables& tables = inertia_[s];
     packed += density(s) * tables.mass;

@@ -414,6 +414,8 @@ def test_state_resumes_bit_for_bit():
     simulation.advance(rig[10:], weights[10:])
     resumed = simulation_of(model)
     resumed.state = state
+    with pytest.raises(ValueError, match="after setting a state a step"):
+        _ = resumed.kinetic_energy
     resumed.advance(rig[10:], weights[10:])
     assert np.array_equal(resumed.coordinates, simulation.coordinates)
 
@@ -503,6 +505,9 @@ def test_regions_with_no_share_of_each_other_have_the_body_s_modes():
         dynamorph.MorphTarget("n", np.zeros_like(nodes), density=1000.0, set=s, **lame(2e4, 0.3)) for s in range(2)
     ]
     full = dynamorph.FullModel(body, targets, dynamorph.Law.LINEAR, dynamorph.Blending.EVEN)
+    simulation = simulation_of(full, gravity=(0, 0, -9.81))
+    simulation.hold_targets(np.array([bones(), bones()]))  # each set holds its own half
+    assert np.abs(simulation.solve_static(bones(), np.ones(2))[0]).max() < 1e-9
     reduced = dynamorph.ReducedModel(
         body, targets, dynamorph.reduce(full, dynamorph.make_basis(full, 14).U), dynamorph.Blending.EVEN
     )

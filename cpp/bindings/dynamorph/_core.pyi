@@ -356,11 +356,6 @@ class Basis:
         """
         Fraction of the candidates' variance in the span.
         """
-    @property
-    def frequencies(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
-        """
-        Per target omega of the modes that went in, rad/s.
-        """
 class ReducedTables:
     """
     What a built reduced model stores: geometry only, no material.
@@ -423,7 +418,7 @@ class FullSimulation:
     """
     def __init__(self, model: FullModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
-        h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False raises Cancelled.
+        h: seconds a step; gravity (3,) m/s^2; teleport: jump of the skin off its course in one step, metres, above which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False raises Cancelled.
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
         """
@@ -473,7 +468,7 @@ class ReducedSimulation:
     """
     def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
-        h: seconds a step; gravity (3,) m/s^2; teleport: mean jump of the skin in one step, metres, above which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False raises Cancelled.
+        h: seconds a step; gravity (3,) m/s^2; teleport: jump of the skin off its course in one step, metres, above which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False raises Cancelled.
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
         """
