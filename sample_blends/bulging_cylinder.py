@@ -36,10 +36,15 @@ TIP = 0.55
 BLEND = 0.12  # length over which a joint's two bones share the skin: about the limb's width, so that it never folds
 
 # (frame, bend of the whole elbow in degrees): each stage is reached and held; the fall takes a fifth of a second.
-BENDS = ((1, 0), (6, 0), (13, -34), (17, -34), (26, 50), (32, 50), (40, 100), (66, 100), (71, 0), (120, 0))
-SHAKES = (50, 96)  # the same shake twice: on the flexed limb and on the straight one
+BENDS = ((1, 0), (6, 0), (13, -34), (17, -34), (26, 50), (32, 50), (40, 100), (86, 100), (91, 0), (160, 0))
+# The same push and the same shake twice: on the flexed limb and on the straight one.
+PUSHES = (46, 114)
+PUSH = ((0, 0), (4, 1), (10, 1), (11, 0))  # (frames after its start, fraction of the full strength): let go at once
+PUSH_STRENGTH = 900  # newtons on a square metre of skin, down
+PUSH_CENTRE, PUSH_RADIUS = 0.19, 0.13  # along the limb, on its axis: the upper arm, bulged or not
+SHAKES = (66, 136)
 SHAKE = (0.0, 0.015, -0.015, 0.015, -0.015, 0.0)  # metres up and down, a key every other frame
-FRAMES = 120
+FRAMES = 160
 
 SKIN_COLOUR = np.array([0.03, 0.36, 0.37])
 BAND_COLOUR = np.array([0.86, 0.40, 0.13])
@@ -56,10 +61,10 @@ SHAPES = {
 SOFT_FLESH = {"stiffness": 12e3, "mass_damping": 2.0, "stiffness_damping": 0.006}
 TARGETS = {
     "Half bend": (32, {"stiffness": 30e3, "mass_damping": 2.0, "stiffness_damping": 0.004}),
-    "Flexed": (46, {"stiffness": 120e3, "mass_damping": 2.0, "stiffness_damping": 0.002}),
+    "Flexed": (44, {"stiffness": 120e3, "mass_damping": 2.0, "stiffness_damping": 0.002}),
     "Back bend": (16, {"stiffness": 40e3, "mass_damping": 2.0, "stiffness_damping": 0.004}),
 }
-MODEL = {"modes": 20, "cage_nodes": 400}
+MODEL = {"modes": 13, "cage_nodes": 357}  # as the thesis: 13 modes, about 918 degrees of freedom
 
 README = """Bulging cylinder
 
@@ -69,8 +74,9 @@ A soft limb with four dynamic morph targets, each captured at a pose of the elbo
   Flexed     100 degrees: hard, bulged by more than plain skinning loses in the bend
   Back bend  -34 degrees: stretched inside, folded outside
 
-The stand is shaken twice in the same way: at frame 50 with the limb flexed, at frame 96 with the limb straight.
-Bake it with Dynamorph, then compare the two.
+A jet of air (a Wind force field) pushes the upper arm down twice with the same force: at frame 46 with the limb flexed,
+at frame 114 with the limb straight. The stand is shaken twice in the same way, at frames 66 and 136.
+Bake it with Dynamorph, then compare: soft when straight, hard when flexed.
 """
 
 
@@ -182,6 +188,23 @@ def animate(rig: bpy.types.Object) -> None:
     rig.animation_data.action.name = "Bend and shake"
 
 
+def add_push(rig: bpy.types.Object) -> None:
+    """The jet of air. The same skin is in its reach, and so the same force acts, whether the limb is bulged or not."""
+    bpy.ops.object.effector_add(type="WIND", rotation=(math.pi, 0, 0))
+    wind = bpy.context.object
+    wind.name = "Push"
+    wind.parent = rig
+    wind.location.x = PUSH_CENTRE
+    wind.empty_display_size = 0.1
+    wind.field.falloff_power = 0
+    wind.field.use_max_distance, wind.field.distance_max = True, PUSH_RADIUS
+    for start in PUSHES:
+        for after, fraction in PUSH:
+            wind.field.strength = fraction * PUSH_STRENGTH
+            wind.keyframe_insert("field.strength", frame=start + after)
+    wind.animation_data.action.name = "Push"
+
+
 def add_limb(rig: bpy.types.Object) -> bpy.types.Object:
     vertices, quads = limb_mesh()
     limb = add_mesh("Limb", vertices, quads, add_material("Skin", SKIN_COLOUR, 0.38, "Skin", subsurface=0.12))
@@ -234,6 +257,7 @@ def make(path: Path) -> None:
     limb = add_limb(rig)
     add_stage(rig)
     animate(rig)
+    add_push(rig)
     add_soft_skin(limb, SOFT_FLESH, TARGETS)
     assign(limb.dynamorph.model, MODEL)
     limb.dynamorph.soft_group = SOFT

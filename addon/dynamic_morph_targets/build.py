@@ -23,21 +23,23 @@ Progress = Callable[[float, str], bool]
 HELD = 0.05  # nodes softer than this in the Soft group are free
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes")  # of the tetrahedra
 
 
 @dataclass(frozen=True)
 class Model:
-    """A built soft skin: n nodes, m tets, V surface vertices, J targets, B bones, r modes. Bind space, metres.
+    """A built soft skin: n nodes, m tets, V surface vertices, J targets, S sets, B bones, r modes. Bind space, metres.
 
-    nodes (n, 3), tets (m, 4), fill (m,), pinned (n,), node_weights (n, B + 1), embedding_nodes and embedding_weights
-    (V, 4), displacements (J, n, 3), details (J, V, 3) local space; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the
-    skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model (dynamorph.ReducedTables), empty
-    of a full one.
+    nodes (n, 3), tets (m, 4), fill (m,), shares (m, S), pinned (n,), node_weights (n, B + 1), embedding_nodes and
+    embedding_weights (V, 4), displacements (J, n, 3), details (J, V, 3) local space; to_bind (3, 3); parents (B,), rest
+    (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
+    (dynamorph.ReducedTables), empty of a full one. Static morph targets have no nodes: their details are the shapes.
     """
 
     nodes: np.ndarray
     tets: np.ndarray
     fill: np.ndarray
+    shares: np.ndarray
     pinned: np.ndarray
     node_weights: np.ndarray
     embedding_nodes: np.ndarray
@@ -89,14 +91,15 @@ class Model:
 
     def soft_body(self) -> dynamorph.SoftBody:
         mesh = dynamorph.TetMesh(self.nodes, self.tets)
-        tets = len(self.tets)
-        return dynamorph.SoftBody(mesh, self.fill, np.ones(tets), np.ones((tets, 1)), self.pinned, self.node_weights)
+        stiffness = np.ones(len(self.tets))
+        return dynamorph.SoftBody(mesh, self.fill, stiffness, self.shares, self.pinned, self.node_weights)
 
     def engine(self, character: Character) -> dynamorph.ReducedModel | dynamorph.FullModel:
         """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another."""
+        character = character.by_method()
         if len(character.targets) != len(self.displacements):
             raise ValueError(f"'{character.name}' has other targets than its model: build it again")
-        targets = _morph_targets(character.targets, self.displacements)
+        targets = _morph_targets(character, self.displacements)
         blending = dynamorph.Blending.__members__[character.settings.blending]
         law = dynamorph.Law.__members__[self.settings.law]
         if self.settings.solver == "FULL":
@@ -109,20 +112,31 @@ class Model:
         bind = np.einsum("va,...vac->...vc", self.embedding_weights, displacement[..., self.embedding_nodes, :])
         return bind @ np.linalg.inv(self.to_bind).T
 
+    def on_nodes(self, force: np.ndarray) -> np.ndarray:
+        """Forces on the nodes (n, 3) that carry those on the surface's vertices (V, 3), world space."""
+        carried = (self.embedding_weights[:, :, None] * force[:, None]).reshape(-1, 3)
+        nodes = self.embedding_nodes.ravel()
+        return np.column_stack([np.bincount(nodes, axis, len(self.nodes)) for axis in carried.T])
 
-def build(character: Character, progress: Progress | None = None) -> Model:
+
+def build(character: Character, progress: Progress | None = None, previous: Model | None = None) -> Model:
     """Builds the model of a character. progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
 
+    previous: a model of the same character, whose tetrahedra serve again if nothing they depend on has changed.
     Raises dynamorph.Error or ValueError with advice when the mesh or the targets cannot be used.
     """
-    if len(character.target_sets) != 1:
-        raise ValueError(f"'{character.name}': expected one target set, got {len(character.target_sets)}")
+    authored = dependencies(character)
+    character = character.by_method()
+    if character.settings.method == "STATIC":
+        return _static_model(character, authored)
     stages = _Stages(progress)
-    model, embedding = _volume(character, stages)
+    fits = previous is not None and all(previous.dependencies.get(name) == authored[name] for name in MESH_DEPENDENCIES)
+    mesh = dynamorph.TetMesh(previous.nodes, previous.tets) if fits and len(previous.tets) else None
+    model, embedding = _volume(character, authored, mesh, stages)
     body = model.soft_body()
     with stages("Target shapes", 0.10) as report:
         _shape_targets(model, body, embedding, character.targets, report)
-    targets = _morph_targets(character.targets, model.displacements)
+    targets = _morph_targets(character, model.displacements)
     law = dynamorph.Law.__members__[character.settings.law]
     full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
     if character.settings.solver == "REDUCED":
@@ -148,44 +162,68 @@ def build(character: Character, progress: Progress | None = None) -> Model:
     return model
 
 
-def _volume(character: Character, stages: _Stages) -> tuple[Model, dynamorph.Embedding]:
+def _static_model(character: Character, authored: dict[str, str]) -> Model:
+    """Geometric morph targets: nothing is simulated, so there is no flesh, and the shapes are all detail."""
+    targets = character.targets
+    return _model(
+        character,
+        authored,
+        shares=np.zeros((0, len(character.target_sets))),
+        details=np.array([target.shape for target in targets]),
+        summary={"nodes": 0, "tets": 0, "dofs": 0, "modes": 0, "targets": len(targets), "warnings": [], "seconds": {}},
+    )
+
+
+def _model(character: Character, authored: dict[str, str], **known) -> Model:
+    """What is `known` of a model, with what it takes over from the character; all else is empty."""
+    empty = {name: np.zeros((0, 0)) for name in Model.array_names()}
+    taken = {
+        "to_bind": character.to_bind,
+        "parents": character.skeleton.parents,
+        "rest": character.skeleton.rest,
+        "bone_names": character.skeleton.names,
+        "settings": character.settings,
+        "dependencies": authored,
+        "summary": {},
+    }
+    return Model(**(empty | taken | known))
+
+
+def _volume(character: Character, authored, mesh, stages: _Stages) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with all they inherit from it; the targets' shapes are still to come."""
     settings = character.settings
     surface = character.vertices @ character.to_bind.T
     with stages("Meshing", 0.30) as report:
-        _, _, mesh = dynamorph.mesh_body(
-            surface, character.triangles, settings.cage_nodes, bones=character.bone_segments, progress=report
-        )
+        if mesh is None:
+            _, _, mesh = dynamorph.mesh_body(
+                surface, character.triangles, settings.cage_nodes, bones=character.bone_segments, progress=report
+            )
     with stages("Embedding", 0.05) as report:
         embedding = dynamorph.embed(mesh, surface)
         fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
-        inherited = np.hstack([character.weights, character.softness[:, None]])
-        inherited = dynamorph.extend_to_nodes(mesh, embedding, inherited).clip(0.0)
+        shares = [target_set.share for target_set in character.target_sets]
+        painted = np.column_stack([character.weights, character.softness, *shares])
+        inherited = dynamorph.extend_to_nodes(mesh, embedding, painted).clip(0.0)
+        weights, softness, shares = np.split(inherited, np.cumsum([character.weights.shape[1], 1]), axis=1)
+        shares = shares[mesh.tets].mean(axis=1)
         heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
         pinned = dynamorph.pinned(mesh, surface, character.triangles, heads, tails, settings.pin_radius)
-        pinned |= inherited[:, -1] < HELD
+        pinned |= softness[:, 0] < HELD
     if not pinned.any():
         raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
-    model = Model(
+    model = _model(
+        character,
+        authored,
         nodes=mesh.nodes,
         tets=mesh.tets,
         fill=fill,
+        shares=shares / shares.sum(axis=1, keepdims=True),
         pinned=pinned,
-        node_weights=inherited[:, :-1] / inherited[:, :-1].sum(axis=1, keepdims=True),
+        node_weights=weights / weights.sum(axis=1, keepdims=True),
         embedding_nodes=embedding.nodes,
         embedding_weights=embedding.weights,
         displacements=np.zeros((len(character.targets), len(mesh.nodes), 3)),
         details=np.zeros((len(character.targets), len(surface), 3)),
-        to_bind=character.to_bind,
-        parents=character.skeleton.parents,
-        rest=character.skeleton.rest,
-        basis=np.zeros((0, 0)),
-        table_lambda=np.zeros((0, 0)),
-        table_mu=np.zeros((0, 0)),
-        bone_names=character.skeleton.names,
-        settings=settings,
-        dependencies=dependencies(character),
-        summary={},
     )
     return model, embedding
 
@@ -209,9 +247,11 @@ def _fallback_warnings(full, targets: list[Target]) -> list[str]:
     ]
 
 
-def _morph_targets(targets: list[Target], displacements: np.ndarray) -> list:
+def _morph_targets(character: Character, displacements: np.ndarray) -> list:
+    sets = [s for s, target_set in enumerate(character.target_sets) for _ in target_set.targets]
+    shifted = character.settings.method == "SHAPE"
     out = []
-    for target, displacement in zip(targets, displacements, strict=True):
+    for target, s, displacement in zip(character.targets, sets, displacements, strict=True):
         material = target.material
         lame_lambda, lame_mu = material.lame()
         out.append(
@@ -223,6 +263,8 @@ def _morph_targets(targets: list[Target], displacements: np.ndarray) -> list:
                 density=material.density,
                 mass_damping=material.mass_damping,
                 stiffness_damping=material.stiffness_damping,
+                set=s,
+                shifted=shifted,
             )
         )
     return out
@@ -263,7 +305,8 @@ def dependencies(character: Character) -> dict[str, str]:
         "object scale": (character.to_bind,),
         "skin weights": (character.weights,),
         "Soft vertex group": (character.softness,),
-        "bones at rest": (skeleton.parents, skeleton.rest),
+        "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
+        "regions": tuple(target_set.share for target_set in character.target_sets),
         "number of targets": (np.array([len(character.targets)]),),
     }
     for j, target in enumerate(character.targets):

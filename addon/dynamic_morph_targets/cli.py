@@ -14,13 +14,16 @@ import argparse
 import signal
 import sys
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import bpy
 
 from . import extract, jobs, properties, sinks
+from .scene_data import ModelSettings
 
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
+MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 
 
 class InputError(ValueError):
@@ -78,14 +81,42 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
             target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
         return sub
 
+    def simulation(sub):
+        sub.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
+        sub.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
+
+    def model(sub):
+        """The settings of the Model panel by the same names; what is given is set on the object first."""
+        settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["model"].fixed_type.properties
+        for name in MODEL_SETTINGS:
+            setting = settings[name]
+            choices = [item.identifier.lower() for item in setting.enum_items] if setting.type == "ENUM" else None
+            option = f"--{name.replace('_', '-')}"
+            kind = str if choices else number(setting)
+            sub.add_argument(option, choices=choices, type=kind, help=setting.description.replace("%", "%%"))
+
     bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
-    bake.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
-    bake.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
     bake.set_defaults(bake=True)
-    command("build", run_job, "build models").set_defaults(bake=False, frames=None, substeps=None)
+    simulation(bake)
+    build = command("build", run_job, "build models")
+    build.set_defaults(bake=False, frames=None, substeps=None)
+    for sub in (bake, build):
+        model(sub)
     command("free", run_free, "remove bakes and restore the target keys")
     command("info", run_info, "print what the file holds", writes=False)
     return root
+
+
+def number(setting):
+    """A parser of numbers that Blender would not quietly move into the setting's range."""
+
+    def parse(text: str):
+        value = {"INT": int, "FLOAT": float}[setting.type](text)
+        if not setting.hard_min <= value <= setting.hard_max:
+            raise argparse.ArgumentTypeError(f"{text} is not between {setting.hard_min:g} and {setting.hard_max:g}")
+        return value
+
+    return parse
 
 
 def open_file(args, opens_file: bool):
@@ -115,6 +146,9 @@ def run_job(args):
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
     done = []
     for obj in chosen_objects(args):
+        for name in MODEL_SETTINGS:
+            if (value := getattr(args, name)) is not None:
+                setattr(obj.dynamorph.model, name, value.upper() if isinstance(value, str) else value)
         frames = tuple(args.frames) if args.frames else None
         job = jobs.Job(obj, args.bake, frames, args.substeps, folder, rebuild=not args.bake)
         jobs.run(job, Progress())

@@ -7,12 +7,23 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import replace
 
 import bpy
 import numpy as np
 
 from .properties import key_points, reconcile, rest_skeleton
-from .scene_data import Character, RigSamples, SimulationSettings, Skeleton, Target, TargetSet, determinant, inverse
+from .scene_data import (
+    Character,
+    ForceField,
+    RigSamples,
+    SimulationSettings,
+    Skeleton,
+    Target,
+    TargetSet,
+    determinant,
+    inverse,
+)
 
 SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
@@ -49,8 +60,9 @@ def character(obj) -> Character:
     reconcile(obj)
     _check(obj, modifier)
     skeleton = rest_skeleton(modifier.object.data)
-    targets = tuple(_target(obj, target, skeleton) for target in _active_targets(obj))
-    _check_poses(obj, targets, skeleton)
+    target_sets = _target_sets(obj, skeleton)
+    for target_set in target_sets:
+        _check_poses(obj, target_set.targets, skeleton)
     basis = obj.data.shape_keys.reference_key
     settings = obj.dynamorph
     world, rig_world = _worlds_at_start(obj, modifier.object)
@@ -64,7 +76,7 @@ def character(obj) -> Character:
         softness=_softness(obj),
         bone_segments=_bone_segments(obj, modifier.object, inverse(world) @ rig_world, to_bind),
         skeleton=skeleton,
-        target_sets=(TargetSet(obj.name, targets),),
+        target_sets=target_sets,
         settings=settings.model.settings(),
     )
 
@@ -158,7 +170,7 @@ def _check_keys(obj):
     if not keys.use_relative:
         raise SceneError(f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
     targets = _active_targets(obj)
-    if len(targets) < 2:
+    if len(targets) < 2 and obj.dynamorph.model.method != "SINGLE":
         raise SceneError(f"'{obj.name}' has no targets: select a shape key, pose the armature and press Add Target")
     for target in targets[1:]:
         if target.name not in keys.key_blocks:
@@ -186,6 +198,34 @@ def _modifiers_before(obj, armature) -> list:
 def _active_targets(obj):
     """The neutral target and those that are not muted."""
     return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
+
+
+def _target_sets(obj, skeleton: Skeleton) -> tuple[TargetSet, ...]:
+    """The targets of the whole body, then those of each region, each set with the neutral target first.
+
+    Regions share out the flesh: where their groups add up to less than one the body has the rest.
+    """
+    neutral, *others = _active_targets(obj)
+    groups = list(dict.fromkeys(target.region for target in others if target.region))
+    gone = [group for group in groups if group not in obj.vertex_groups]
+    if gone:
+        name = next(target.name for target in others if target.region == gone[0])
+        raise SceneError(
+            f"'{obj.name}': the vertex group '{gone[0]}' of target '{name}' is gone: choose another Region"
+        )
+    shares = group_weights(obj, groups).clip(0.0, 1.0)
+    empty = [group for group, share in zip(groups, shares.T, strict=True) if not share.any()]
+    if empty:
+        raise SceneError(f"'{obj.name}': the vertex group '{empty[0]}' of a target's Region is empty: paint it")
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1.0)
+    sets = []
+    for group, share in zip(["", *groups], [1.0 - shares.sum(axis=1), *shares.T], strict=True):
+        targets = [_target(obj, target, skeleton) for target in others if target.region == group]
+        at_rest = _target(obj, neutral, skeleton)
+        if group:
+            at_rest = replace(at_rest, name=f"{at_rest.name} {group}")
+        sets.append(TargetSet(group or obj.name, (at_rest, *targets), share))
+    return tuple(sets)
 
 
 def _target(obj, target, skeleton: Skeleton) -> Target:
@@ -383,8 +423,16 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     skeleton = rest_skeleton(rig.data)
     order = _pose_order(rig, skeleton)
     count = 1 + (end - start) * substeps
-    samples = RigSamples(np.empty((count, len(order), 4, 4)), np.empty((count, 4, 4)), np.empty((count, 4, 4)))
+    sources = _force_fields(bpy.context.scene) if obj.dynamorph.simulation.fields else []
+    samples = RigSamples(
+        np.empty((count, len(order), 4, 4)),
+        np.empty((count, 4, 4)),
+        np.empty((count, 4, 4)),
+        tuple(_empty_samples(source.field, count) for source in sources),
+    )
     with _rig_scene(obj, rig) as scene:
+        for source in sources:
+            scene.collection.objects.link(source)
         for s in range(count):
             frame, substep = divmod(s, substeps)
             scene.frame_set(start + frame, subframe=substep / substeps)
@@ -393,6 +441,10 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
             samples.pose[s] = _pose_matrices(evaluated, order)
             samples.rig_world[s] = evaluated.matrix_world
             samples.object_world[s] = obj.evaluated_get(depsgraph).matrix_world
+            for source, field in zip(sources, samples.fields, strict=True):
+                moved = source.evaluated_get(depsgraph)
+                field.world[s] = moved.matrix_world
+                field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
             if progress and not progress(s / count, f"Sampling frame {start + frame}"):
                 raise Cancelled
     moving = (rig.name, obj.name, *skeleton.names)
@@ -404,7 +456,25 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     if len(flat):
         name, frame = moving[flat[0, 1]], start + int(flat[0, 0]) // substeps
         raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
+    for source, field in zip(sources, samples.fields, strict=True):
+        if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
+            raise SceneError(f"Force field '{source.name}' is not a number at some frame: check its drivers")
     return samples
+
+
+def _force_fields(scene) -> list:
+    """The objects whose force field pushes skin."""
+    return [
+        obj
+        for obj in scene.objects
+        if obj.field and obj.field.type in {"WIND", "FORCE"} and obj.field.apply_to_location and not obj.hide_viewport
+    ]
+
+
+def _empty_samples(field, count: int) -> ForceField:
+    nearest = field.distance_min if field.use_min_distance else 0.0
+    farthest = field.distance_max if field.use_max_distance else np.inf
+    return ForceField(field.type, field.falloff_power, nearest, farthest, np.empty((count, 4, 4)), np.empty(count))
 
 
 @contextmanager
@@ -443,7 +513,7 @@ def hold_collapsed(samples: RigSamples, skeleton: Skeleton) -> tuple[RigSamples,
     names = ", ".join(f"'{skeleton.names[b]}'" for b in np.flatnonzero(~good.all(axis=0)))
     frames = int((~good).any(axis=1).sum())
     warning = f"Bones scaled to zero are held at their last size ({frames} of {len(samples)} samples): {names}"
-    return RigSamples(pose, samples.rig_world, samples.object_world), [warning]
+    return replace(samples, pose=pose), [warning]
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:

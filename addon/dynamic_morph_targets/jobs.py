@@ -199,6 +199,7 @@ class Job:
         self.warnings: list[str] = []
         self.reasons: list[str] = []  # why the model was built
         self.report: dict = {}  # of the simulation
+        self.previous = None  # the model that the object had
         self.model = None
         self.result = None
         self._error: BaseException | None = None
@@ -213,8 +214,10 @@ class Job:
             sinks.check(obj)
         self.warnings = extract.warnings(obj, self.character)
         self.reasons = stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
+        with suppress(model_file.ModelFileError):  # then one of the reasons
+            self.previous = load_model(obj)
         if not self.reasons:
-            self.model = load_model(obj)
+            self.model = self.previous
         if not self.bake:
             return
         self.settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
@@ -287,7 +290,9 @@ class Job:
         start = 0.2
         if self.reasons:
             with self._stage("build"):
-                self.model = build.build(self.character, self._progress(start, 0.7 if self.bake else 1.0))
+                self.model = build.build(
+                    self.character, self._progress(start, 0.7 if self.bake else 1.0), self.previous
+                )
             start = 0.7
             self.warnings += self.model.summary["warnings"]
         if not self.bake:

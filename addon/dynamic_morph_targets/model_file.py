@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 FORMAT = "dynamorph model"
-VERSION = 1
+VERSION = 2  # 2: target sets
 MAX_HEADER = 16 * 2**20
 DTYPES = {
     "F64": "<f8", "F32": "<f4", "I64": "<i8", "I32": "<i4", "I16": "<i2", "I8": "|i1",

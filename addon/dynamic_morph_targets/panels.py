@@ -38,12 +38,13 @@ def draw_soft_skin(layout, obj):
     if not settings.targets:
         layout.operator("dynamorph.add_soft_skin", icon="ADD")
         return
-    draw_targets(layout, settings)
+    draw_targets(layout, obj)
     draw_model(layout, obj)
     draw_bake(layout, settings)
 
 
-def draw_targets(layout, settings):
+def draw_targets(layout, obj):
+    settings = obj.dynamorph
     row = layout.row()
     row.template_list("DYNAMORPH_UL_targets", "", settings, "targets", settings, "active_target_index", rows=4)
     column = row.column(align=True)
@@ -57,6 +58,7 @@ def draw_targets(layout, settings):
     if settings.active_target_index > 0:
         column.operator("dynamorph.use_selected_bones", icon="BONE_DATA")
         draw_message(layout, "Bones: " + (", ".join(target.bone_names()) or "none"), icon="BONE_DATA")
+        layout.prop_search(target, "region", obj, "vertex_groups")
     column = layout.column(align=True)
     column.enabled = jobs.running is None
     for name in ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping"):
@@ -70,7 +72,7 @@ def draw_model(layout, obj):
     header.label(text="Model")
     if body:
         body.enabled = jobs.running is None
-        for name in ("law", "solver", "blending", "modes", "cage_nodes", "pin_radius"):
+        for name in ("method", "law", "solver", "blending", "modes", "cage_nodes", "pin_radius"):
             body.prop(model, name)
         body.prop_search(settings, "soft_group", obj, "vertex_groups")
     if model.stale:
@@ -91,7 +93,7 @@ def draw_bake(layout, settings):
         column.active = not simulation.use_scene_range
         column.prop(simulation, "start")
         column.prop(simulation, "end")
-        for name in ("substeps", "scheme", "gravity", "preroll"):
+        for name in ("substeps", "scheme", "gravity", "fields", "preroll"):
             body.prop(simulation, name)
     draw_job(layout, "dynamorph.bake", "REC")
     if settings.bake.keys:

@@ -26,7 +26,7 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
-from .scene_data import Material, ModelSettings, Skeleton
+from .scene_data import METHODS, Material, ModelSettings, Skeleton
 
 NEUTRAL = "Neutral"
 OVERRIDE = {"LIBRARY_OVERRIDABLE"}
@@ -114,6 +114,10 @@ class DynamorphBonePose(PropertyGroup):
     )
 
 
+def _target_region_changed(target, _context):
+    _model_setting_changed(target.id_data.dynamorph.model, _context)
+
+
 class DynamorphTarget(KeyReference, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
@@ -148,6 +152,12 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Stiffness Damping",
         description="Rayleigh damping in proportion to stiffness, in seconds: calms fast ripples",
         default=Material.stiffness_damping, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
+    )  # fmt: skip
+    region: StringProperty(
+        name="Region",
+        description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
+        "the neutral target at rest: they do not compete with those of the rest of the body",
+        override=OVERRIDE, update=_target_region_changed,
     )  # fmt: skip
     bones: CollectionProperty(
         name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
@@ -196,6 +206,12 @@ def _model_setting_changed(model, _context):
 class DynamorphModel(PropertyGroup):
     """How the model of an object is built, and what came of it."""
 
+    method: EnumProperty(
+        name="Method",
+        description="What the targets do to the flesh",
+        items=tuple((method, *texts) for method, texts in METHODS.items()),
+        default=ModelSettings.method, override=OVERRIDE, update=_model_setting_changed,
+    )  # fmt: skip
     law: EnumProperty(
         name="Law",
         description="How the flesh resists deformation",
@@ -247,7 +263,9 @@ class DynamorphModel(PropertyGroup):
     stale: StringProperty(name="Out of Date", description="Why the model must be built again")
 
     def settings(self) -> ModelSettings:
-        return ModelSettings(self.law, self.solver, self.blending, self.modes, self.cage_nodes, self.pin_radius)
+        return ModelSettings(
+            self.method, self.law, self.solver, self.blending, self.modes, self.cage_nodes, self.pin_radius
+        )
 
 
 class DynamorphSimulation(PropertyGroup):
@@ -276,6 +294,11 @@ class DynamorphSimulation(PropertyGroup):
         name="Gravity",
         description="Factor on the scene's gravity. Targets do not sag: in a target's own pose and tilt it is balanced",
         default=1.0, min=-10.0, max=10.0, soft_min=0.0, soft_max=1.0, override=OVERRIDE,
+    )  # fmt: skip
+    fields: FloatProperty(
+        name="Force Fields",
+        description="Factor on the scene's Wind and Force fields, whose strength is newtons on a square metre of skin",
+        default=1.0, min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
         name="Pre-Roll", description="Frames in which the first pose is held before the start",

@@ -73,18 +73,52 @@ class Skeleton:
 
 
 @dataclass(frozen=True)
+class ForceField:
+    """A force field of the scene at S sample times, with Blender's own falloff.
+
+    kind: WIND blows along the object's Z axis, FORCE away from it. world (S, 4, 4); strength (S,) newtons on each
+    square metre of skin at rest; nearest, farthest: metres, within which it is constant and beyond which it is nothing.
+    """
+
+    kind: str
+    power: float
+    nearest: float
+    farthest: float
+    world: np.ndarray
+    strength: np.ndarray
+
+    def __getitem__(self, samples: slice) -> ForceField:
+        return replace(self, world=self.world[samples], strength=self.strength[samples])
+
+    def pull(self, sample: int, points: np.ndarray) -> np.ndarray:
+        """Force on each square metre (V, 3), world space, at points (V, 3) in world space."""
+        away = points - self.world[sample, :3, 3]
+        distance = np.linalg.norm(away, axis=1)
+        axis = self.world[sample, :3, 2]
+        direction = axis if self.kind == "WIND" else away
+        direction = direction / np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-12)
+        fall = (1.0 + np.maximum(distance - self.nearest, 0.0)) ** -self.power * (distance <= self.farthest)
+        return self.strength[sample] * fall[:, None] * direction
+
+
+@dataclass(frozen=True)
 class RigSamples:
-    """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4)."""
+    """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4).
+
+    fields: what pushes the skin then.
+    """
 
     pose: np.ndarray
     rig_world: np.ndarray
     object_world: np.ndarray
+    fields: tuple[ForceField, ...] = ()
 
     def __len__(self) -> int:
         return len(self.pose)
 
     def __getitem__(self, samples: slice) -> RigSamples:
-        return RigSamples(self.pose[samples], self.rig_world[samples], self.object_world[samples])
+        fields = tuple(field[samples] for field in self.fields)
+        return RigSamples(self.pose[samples], self.rig_world[samples], self.object_world[samples], fields)
 
     def skin_matrices(self, skeleton: Skeleton, to_bind: np.ndarray) -> np.ndarray:
         """The transforms that carry bind space to world space, one for each bone and one for the object itself.
@@ -135,16 +169,30 @@ class Target:
 
 @dataclass(frozen=True)
 class TargetSet:
-    """Targets whose weights sum to one; the first is the neutral. docs/theory.md, Targets."""
+    """Targets whose weights sum to one; the first is the neutral. docs/theory.md, Targets.
+
+    share (V,): how much of the flesh at each vertex follows this set; the shares of all sets sum to one.
+    """
 
     name: str
     targets: tuple[Target, ...]
+    share: np.ndarray
+
+
+# What targets do to the flesh: the same names in the interface and on the command line.
+METHODS = {
+    "DYNAMIC": ("Dynamic", "Shape, stiffness, damping and density follow the pose"),
+    "SHAPE": ("Shape", "The rest shape follows the pose, the flesh is the neutral one's everywhere"),
+    "SINGLE": ("Single", "The neutral target alone: an ordinary soft body"),
+    "STATIC": ("Static", "Geometric morph targets: the shape follows the pose, nothing moves by itself"),
+}
 
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """What a built model depends on, apart from the character itself."""
+    """What a built model depends on, apart from the character itself. method: see METHODS."""
 
+    method: str = "DYNAMIC"
     law: str = "STABLE_STVK"
     solver: str = "REDUCED"
     blending: str = "EVEN"
@@ -178,10 +226,22 @@ class Character:
         """All targets, set after set: the order of every (..., J) array."""
         return [target for target_set in self.target_sets for target in target_set.targets]
 
-    def single_material(self) -> Character:
-        """The same character with its neutral target alone: the ordinary, pose-independent soft body."""
-        sets = tuple(replace(s, targets=s.targets[:1]) for s in self.target_sets[:1])
-        return replace(self, target_sets=sets)
+    def with_settings(self, **changes) -> Character:
+        """The same character, built otherwise."""
+        return replace(self, settings=replace(self.settings, **changes))
+
+    def by_method(self) -> Character:
+        """The character that its method simulates: with the neutral target alone, or with the neutral's material."""
+        neutral = self.target_sets[0].targets[0]
+        if self.settings.method == "SINGLE":
+            return replace(self, target_sets=(TargetSet(self.name, (neutral,), np.ones(len(self.vertices))),))
+        if self.settings.method == "SHAPE":
+            sets = tuple(
+                replace(s, targets=tuple(replace(target, material=neutral.material) for target in s.targets))
+                for s in self.target_sets
+            )
+            return replace(self, target_sets=sets)
+        return self
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,7 @@ def simulate(
     every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled. engine:
     model.engine(character), if it is at hand already.
     """
+    character = character.by_method()
     space = pose_space(character)
     done = 0
 
@@ -74,12 +75,18 @@ def simulate(
     if len(rig) != 1 + (len(frames) - 1) * substeps:
         raise ValueError(f"rig: expected {1 + (len(frames) - 1) * substeps} samples, got {len(rig)}")
 
+    skin = _Skin(model, character) if rig.fields else None
+
+    def pushed(sample: int, bones: np.ndarray):
+        """What the force fields do to the nodes, from where the flesh is now; None without any."""
+        return skin and skin.push(rig.fields, sample, bones, engine.displacement(simulation.coordinates))
+
     bones, weights = _samples(model, space, rig[:2])
     held = settings.preroll > 0
     begun = simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
-    if held:
-        count = settings.preroll * substeps
-        simulation.advance(np.repeat(bones[:1], count, axis=0), np.repeat(weights[:1], count, axis=0))
+    for _ in range(settings.preroll):
+        still = np.repeat(bones[:1], substeps, axis=0), np.repeat(weights[:1], substeps, axis=0)
+        simulation.advance(*still, pushed(0, bones[0]))
     yield Frame(int(frames[0]), simulation.coordinates, weights[0], begun)
     for first in range(1, len(frames), CHUNK):
         last = min(first + CHUNK, len(frames))
@@ -88,7 +95,7 @@ def simulate(
             if not keep_going():
                 raise dynamorph.Cancelled("cancelled")
             steps = slice((done - first) * substeps, (done - first + 1) * substeps)
-            report = simulation.advance(bones[steps], weights[steps])
+            report = simulation.advance(bones[steps], weights[steps], pushed(done * substeps, bones[steps][-1]))
             yield Frame(int(frames[done]), simulation.coordinates, weights[steps][-1], report)
 
 
@@ -101,6 +108,9 @@ def bake(
 ) -> tuple[Bake, dict]:
     """Simulates a shot: (Bake, report). progress(fraction, message) -> bool; False raises dynamorph.Cancelled."""
     began = time.perf_counter()
+    character = character.by_method()
+    if model.settings.method == "STATIC":
+        return _static_bake(model, character, rig, settings)
     engine = model.engine(character)
     frames = list(simulate(model, character, rig, settings, progress, engine))
     coordinates = np.array([frame.coordinates for frame in frames])
@@ -114,6 +124,40 @@ def bake(
     report["seconds"] = time.perf_counter() - began
     names = tuple(target.name for target in character.targets)
     return Bake(settings.frames, coordinates, weights, model.surface(modes), model.details, names), report
+
+
+def _static_bake(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings):
+    """Geometric morph targets follow their weights and nothing else."""
+    began = time.perf_counter()
+    _, weights = _samples(model, pose_space(character), rig[:: settings.substeps])
+    modes = np.zeros((0, *character.vertices.shape))
+    names = tuple(target.name for target in character.targets)
+    report = _report([]) | {"smallest_det": 1.0, "inverted": 0, "seconds": time.perf_counter() - began}
+    return Bake(settings.frames, np.zeros((len(weights), 0)), weights, modes, model.details, names), report
+
+
+class _Skin:
+    """The skin in world space, for force fields: where it is, and which nodes carry what acts on it."""
+
+    def __init__(self, model: Model, character: Character):
+        self.model = model
+        self.weights = character.weights
+        self.rest = character.vertices @ character.to_bind.T
+        corners = self.rest[character.triangles]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        thirds = np.repeat(np.linalg.norm(across, axis=1) / 6.0, 3)
+        self.areas = np.bincount(character.triangles.ravel(), thirds, len(self.rest))  # m^2
+
+    def push(self, fields, sample: int, bones: np.ndarray, displacement: np.ndarray) -> np.ndarray | None:
+        """Newtons on the nodes (n, 3), world space; bones (B + 1, 3, 4), displacement of the nodes (n, 3)."""
+        acting = [field for field in fields if field.strength[sample]]
+        if not acting:
+            return None
+        model = self.model
+        moved = self.rest + np.einsum("va,vac->vc", model.embedding_weights, displacement[model.embedding_nodes])
+        skin = np.tensordot(self.weights, bones, 1)
+        points = np.einsum("vij,vj->vi", skin[:, :, :3], moved) + skin[:, :, 3]
+        return model.on_nodes(self.areas[:, None] * sum(field.pull(sample, points) for field in acting))
 
 
 def _simulation(engine, model: Model, character: Character, rig: RigSamples, settings: SimulationSettings, keep_going):
@@ -151,11 +195,11 @@ def _samples(model: Model, space, rig: RigSamples) -> tuple[np.ndarray, np.ndarr
 def _report(frames: list[Frame]) -> dict:
     steps = [frame.steps for frame in frames]
     count = sum(step["steps"] for step in steps)
-    seconds = sum(step["seconds"] for step in steps)
+    rates = [step["steps"] / step["seconds"] for step in steps if step["steps"]]
     report = {
         "steps": count,
-        "engine_seconds": seconds,
-        "steps_per_second": count / seconds if seconds else 0.0,
+        "engine_seconds": sum(step["seconds"] for step in steps),
+        "steps_per_second": float(np.median(rates)) if rates else 0.0,  # the median frame: machines have other work
         "iterations": sum(step["iterations"] for step in steps),
         "warnings": [],
     }

@@ -294,15 +294,16 @@ void bind_models(py::module_& m) {
 
   py::class_<MorphTarget>(m, "MorphTarget", "A dynamic morph target: shape and elastic properties.")
       .def(py::init([](std::string name, const Array& displacement, double lambda, double mu, double density,
-                       double mass_damping, double stiffness_damping, int set) {
-             return MorphTarget{std::move(name),  set,     flat_points("displacement", displacement, -1),
-                                {lambda, mu},     density, mass_damping,
-                                stiffness_damping};
+                       double mass_damping, double stiffness_damping, int set, bool shifted) {
+             return MorphTarget{std::move(name),   set,     flat_points("displacement", displacement, -1),
+                                {lambda, mu},      density, mass_damping,
+                                stiffness_damping, shifted};
            }),
            "name"_a, "displacement"_a, py::kw_only(), "lame_lambda"_a, "lame_mu"_a, "density"_a, "mass_damping"_a = 0.0,
-           "stiffness_damping"_a = 0.0, "set"_a = 0,
+           "stiffness_damping"_a = 0.0, "set"_a = 0, "shifted"_a = false,
            "displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, "
-           "Rayleigh damping in 1/s and s; set: index of its target set.");
+           "Rayleigh damping in 1/s and s; set: index of its target set; shifted: elastic as the neutral shape, moved "
+           "by the displacement.");
 
   py::class_<SoftBody, std::shared_ptr<SoftBody>>(m, "SoftBody", "What all models of one character share.")
       .def(py::init([](const TetMesh& mesh, const VectorXd& fill, const VectorXd& stiffness, const MatrixXd& shares,

@@ -51,7 +51,7 @@ Matrix3d cross_matrix(const Vector3d& c) {
 
 }  // namespace
 
-RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale) {
+RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale, bool shifted) {
   const Points& X = mesh.nodes;
   const Points x = X + as_points(displacement);
   RestShape shape;
@@ -62,14 +62,15 @@ RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const Ve
     const Matrix3d map = deformed * neutral.inverse();
     const double ratio = map.determinant();
     const bool usable = ratio >= 0.2 && ratio <= 5 && Eigen::JacobiSVD<Matrix3d>(map).singularValues()(2) >= 0.2;
-    const Matrix3d& rest = usable ? deformed : neutral;
+    const bool own = usable && !shifted;
+    const Matrix3d& rest = own ? deformed : neutral;
     Element& element = shape.elements[e];
     element.gradients.rightCols<3>() = rest.inverse().transpose();
     element.gradients.col(0) = -element.gradients.rightCols<3>().rowwise().sum();
     element.volume = rest.determinant() / 6 * scale(e);
     // F(d) = I. With the deformed rest shape F0 = D(X) D(X+d)^-1; with the neutral one F0 = I - grad d.
-    element.origin = usable ? Matrix3d(neutral * deformed.inverse()) : Matrix3d(2 * Matrix3d::Identity() - map);
-    shape.fallbacks += !usable;
+    element.origin = own ? Matrix3d(neutral * deformed.inverse()) : Matrix3d(2 * Matrix3d::Identity() - map);
+    shape.fallbacks += !usable && !shifted;
   }
   return shape;
 }

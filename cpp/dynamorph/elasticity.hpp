@@ -43,8 +43,9 @@ struct RestShape {
   int fallbacks = 0;  ///< elements that keep the neutral rest shape
 };
 
-/// displacement (3n) metres, scale (m) multiplies each element's volume.
-RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale);
+/// displacement (3n) metres, scale (m) multiplies each element's volume. shifted: all elements keep the neutral rest
+/// shape, so that the stiffness is the neutral's whatever the displacement.
+RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale, bool shifted = false);
 
 /// F of an element whose nodes are displaced by the columns of u (3 x 4).
 inline Matrix3d deformation_gradient(const Element& element, const Eigen::Matrix<double, 3, 4>& u) {

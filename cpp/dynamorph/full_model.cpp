@@ -95,7 +95,7 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
       throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
     rest_displacements_.push_back(d);
     shapes_.push_back(rest_shape(body_->mesh, target.displacement,
-                                 body_->stiffness_scale.cwiseProduct(body_->shares.col(target.set))));
+                                 body_->stiffness_scale.cwiseProduct(body_->shares.col(target.set)), target.shifted));
     Matrix K = zero();
     ElementStiffness block;
     for (Eigen::Index e = 0; e < body_->mesh.tets.rows(); ++e) {

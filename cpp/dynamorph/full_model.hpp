@@ -32,6 +32,7 @@ struct MorphTarget {
   double density = 1000;         ///< kg/m^3
   double mass_damping = 0;       ///< alpha, 1/s
   double stiffness_damping = 0;  ///< beta, s
+  bool shifted = false;          ///< elastic as the neutral shape, moved by d: a shape alone (after Capell et al. 2005)
 };
 
 /// What all models of one character share. Throws std::invalid_argument when sizes disagree.

@@ -57,6 +57,19 @@ def test_bake_writes_another_file(shot, run, stand_in):
     assert bake_of(output, "Arm") == []
 
 
+def test_model_settings_by_the_names_of_the_panel(shot, run, stand_in):
+    output = shot.parent / "baked.blend"
+    settings = ("--method", "shape", "--law", "stable_stvk", "--solver", "full", "--modes", 7, "--pin-radius", 0.25)
+    code, _, _ = run("bake", shot, "--object", "Arm", *settings, "-o", output)
+    assert code == 0
+    bpy.ops.wm.open_mainfile(filepath=str(output))
+    arm, leg = (bpy.data.objects[name].dynamorph.model.settings() for name in ("Arm", "Leg"))
+    assert (arm.method, arm.law, arm.solver, arm.modes, arm.pin_radius) == ("SHAPE", "STABLE_STVK", "FULL", 7, 0.25)
+    assert (leg.method, leg.solver, leg.modes) == ("DYNAMIC", "REDUCED", 20)
+    code, _, errors = run("build", shot, "--object", "Arm", "--modes", 0, "-o", output)
+    assert code == 2 and "--modes: 0 is not between 1 and 200" in errors
+
+
 def test_all_in_place(shot, run, stand_in):
     assert run("build", shot, "--all", "--in-place")[0] == 0
     assert stand_in.built == 2

@@ -37,7 +37,7 @@ def single(baked):
     """The same shot with the neutral target alone."""
     _, job = baked
     build, simulate = part("jobs").engine()
-    character = job.character.single_material()
+    character = job.character.with_settings(method="SINGLE")
     return simulate.bake(build.build(character), character, job.rig, job.settings)[0]
 
 

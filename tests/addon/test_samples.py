@@ -12,6 +12,9 @@ import pytest
 from builders import part
 
 SAMPLES = Path(__file__).parents[2] / "sample_blends"
+sys.path.append(str(SAMPLES))
+import measures  # noqa: E402
+
 SCENE = SAMPLES / "bulging_cylinder.blend"
 BENDS = {"Neutral": 0.0, "Half bend": 50.0, "Flexed": 100.0, "Back bend": -34.0}  # degrees, of the whole elbow
 
@@ -38,7 +41,7 @@ def volume(limb):
 def test_is_a_ready_scene(limb):
     scene = bpy.context.scene
     assert SCENE.stat().st_size < 400_000
-    assert scene.camera and (scene.frame_start, scene.frame_end, scene.render.fps) == (1, 120, 24)
+    assert scene.camera and (scene.frame_start, scene.frame_end, scene.render.fps) == (1, 160, 24)
     assert "CC0" in bpy.data.texts["LICENCE"].as_string()
     assert "Flexed" in bpy.data.texts["README"].as_string()
     assert 2000 <= len(limb.data.vertices) <= 4000
@@ -83,17 +86,20 @@ def test_flexed_shape_regains_the_volume_that_skinning_loses(limb):
     scene = bpy.context.scene
     scene.frame_set(1)
     straight = volume(limb)
-    scene.frame_set(46)
+    scene.frame_set(44)
     bent = volume(limb)
     limb.data.shape_keys.key_blocks["Flexed"].value = 1.0
     assert bent < 0.99 * straight < straight < volume(limb)
 
 
-def test_shakes_when_straight_and_holds_when_flexed(limb):
+def test_soft_when_straight_and_hard_when_flexed(limb):
     pytest.importorskip("dynamorph", reason="needs the engine")
     jobs = part("jobs")
     job = jobs.Job(limb, bake=True)
     jobs.run(job)
+    assert job.warnings == []
+    assert job.model.summary["dofs"] == pytest.approx(918, rel=0.02)
+    assert job.model.summary["modes"] == 13
 
     def swing(first, last):
         shapes = np.array([target.shape for target in job.character.targets])
@@ -101,12 +107,32 @@ def test_shakes_when_straight_and_holds_when_flexed(limb):
         apart = [job.result.displacement(k) - np.tensordot(job.result.weights[k], shapes, 1) for k in frames]
         return np.linalg.norm(apart, axis=2).max()
 
-    assert swing(96, 110) > 0.02
-    assert swing(50, 64) < 0.25 * swing(96, 110)
+    pushed, shaken = swing(114, 124), swing(136, 150)
+    assert 0.01 < pushed < 0.03 < shaken
+    assert swing(46, 56) < 0.25 * pushed
+    assert swing(66, 80) < 0.25 * shaken
+
+
+def test_the_push_acts_with_the_same_force_when_flexed_and_when_straight(limb):
+    extract = part("extract")
+    character = extract.character(limb)
+    samples = extract.sample_rig(limb, 1, 160, 1)
+    (field,) = samples.fields
+    assert field.strength[46 - 1 :][:20] == pytest.approx(field.strength[114 - 1 :][:20], abs=0.1)
+    reached = [pushed_vertices(character, samples, frame).sum() for frame in (55, 123)]
+    assert reached[0] == pytest.approx(reached[1], rel=0.1)
+
+
+def pushed_vertices(character, samples, frame):
+    """Which vertices (V,) the field reaches at a frame."""
+    matrices = samples.skin_matrices(character.skeleton, character.to_bind)[frame - 1]
+    shape = character.targets[2].shape if frame < 86 else 0
+    points = measures.posed(character.vertices + shape, character.weights, matrices)
+    return samples.fields[0].pull(frame - 1, points).any(axis=1)
 
 
 def test_script_reproduces_the_file(limb, tmp_path):
-    script = [sys.executable, str(SAMPLES / "make_samples.py"), str(tmp_path)]
+    script = [sys.executable, str(SAMPLES / "make_samples.py"), str(tmp_path), SCENE.stem]
     subprocess.run(script, check=True, stdout=subprocess.DEVNULL, timeout=120)
     stored = content(limb)
     made = content(open_limb(tmp_path / SCENE.name))
@@ -124,5 +150,7 @@ def content(limb):
         content[f"shape {target.name}"] = target.shape
         content[f"pose {target.name}"] = target.local
         content[f"material {target.name}"] = [material.stiffness, material.mass_damping, material.stiffness_damping]
-    samples = part("extract").sample_rig(limb, 1, 120, 1)
-    return content | {"motion": samples.pose, "rig": samples.rig_world}
+    samples = part("extract").sample_rig(limb, 1, 160, 1)
+    (field,) = samples.fields
+    motion = {"motion": samples.pose, "rig": samples.rig_world, "push": field.strength, "from": field.world}
+    return content | motion

@@ -97,6 +97,29 @@ TEST_CASE("element laws: energy is zero at the rest shape, also for an element t
   }
 }
 
+TEST_CASE("a shifted target has the neutral's stiffness about its own shape") {
+  const auto body = scenes::two_bone_bar();
+  auto targets = scenes::targets(*body);
+  for (MorphTarget& target : targets) {
+    target.lame = targets[0].lame;
+    target.shifted = true;
+  }
+  for (Law law : kLaws) {
+    const FullModel model(body, targets, law, Blending::even);
+    for (int j = 0; j < int(targets.size()); ++j) {
+      CHECK(model.shape(j).fallbacks == 0);
+      VectorXd w = VectorXd::Zero(targets.size()), force;
+      SparseMatrix stiffness;
+      w(j) = 1;
+      FullModel::Blend blend;
+      model.blend(w, blend);
+      CHECK(std::abs(model.linearize(blend, model.target(j), force, stiffness)) < 1e-12);
+      const VectorXd neutral = values(model.rest_stiffness(0));
+      CHECK((values(stiffness) - neutral).norm() < 1e-9 * neutral.norm());
+    }
+  }
+}
+
 TEST_CASE("stable StVK resists inversion, and has StVK's stiffness at rest") {
   const Lame lame{2e4, 1e4};
   const Matrix3d mirrored = Vector3d(-1, 1, 1).asDiagonal();

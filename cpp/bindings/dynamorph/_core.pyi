@@ -274,9 +274,9 @@ class MorphTarget:
     """
     A dynamic morph target: shape and elastic properties.
     """
-    def __init__(self, name: str, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], *, lame_lambda: typing.SupportsFloat | typing.SupportsIndex, lame_mu: typing.SupportsFloat | typing.SupportsIndex, density: typing.SupportsFloat | typing.SupportsIndex, mass_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, stiffness_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, set: typing.SupportsInt | typing.SupportsIndex = 0) -> None:
+    def __init__(self, name: str, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], *, lame_lambda: typing.SupportsFloat | typing.SupportsIndex, lame_mu: typing.SupportsFloat | typing.SupportsIndex, density: typing.SupportsFloat | typing.SupportsIndex, mass_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, stiffness_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, set: typing.SupportsInt | typing.SupportsIndex = 0, shifted: bool = False) -> None:
         """
-        displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, Rayleigh damping in 1/s and s; set: index of its target set.
+        displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, Rayleigh damping in 1/s and s; set: index of its target set; shifted: elastic as the neutral shape, moved by the displacement.
         """
 class SoftBody:
     """

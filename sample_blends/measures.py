@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the figures claim, as numbers. Pure functions of arrays: NumPy, and Blender's mathutils for collisions.
+
+V vertices, T triangles with outward normals, F frames; metres, seconds, world space unless said otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mathutils import Vector
+from mathutils.bvhtree import BVHTree
+
+CHUNK = 2_000_000  # points times triangles in one piece of the winding number: bounds memory
+OUTWARD = 0.5  # cosine above which a way leads out through a triangle rather than along it
+
+
+# The skin in motion ---------------------------------------------------------------------------------------------------
+
+
+def posed(vertices: np.ndarray, weights: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+    """World positions (V, 3) of bind-space vertices (V, 3) under skin weights (V, B) and bones (B, 3, 4)."""
+    blended = np.tensordot(weights, matrices, 1)
+    return np.einsum("vij,vj->vi", blended[:, :, :3], vertices) + blended[:, :, 3]
+
+
+def patch_displacement(motion: np.ndarray, patch: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Mean displacement (F,) of a patch's vertices along a unit direction; motion (F, V, 3), patch: indices or mask."""
+    return motion[:, patch].mean(axis=1) @ direction
+
+
+def amplitude(signal: np.ndarray) -> float:
+    """Half the way from the lowest to the highest value of a signal (F,)."""
+    return float(np.ptp(signal) / 2)
+
+
+def spectrum(signal: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """(frequencies in Hz, amplitudes in the signal's unit) of samples (F,) taken `rate` times a second.
+
+    Without the mean, through a Hann window scaled so that a steady sine shows its amplitude.
+    """
+    window = np.hanning(len(signal))
+    amplitudes = np.abs(np.fft.rfft((signal - signal.mean()) * window)) * 2 / window.sum()
+    return np.fft.rfftfreq(len(signal), 1 / rate), amplitudes
+
+
+def dominant_frequency(signal: np.ndarray, rate: float) -> float:
+    """Where the spectrum peaks, in Hz; between samples of the spectrum by a parabola through the logarithms."""
+    frequencies, amplitudes = spectrum(signal, rate)
+    peak = int(np.clip(amplitudes.argmax(), 1, len(amplitudes) - 2))
+    below, at, above = np.log(np.maximum(amplitudes[peak - 1 : peak + 2], 1e-300))
+    curvature = below - 2 * at + above
+    shift = 0.5 * (below - above) / curvature if curvature else 0.0
+    return float((peak + np.clip(shift, -0.5, 0.5)) * frequencies[1])
+
+
+# Size -----------------------------------------------------------------------------------------------------------------
+
+
+def volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    """Volume inside a surface, cubic metres. Each hole of an open one is closed by a fan round its own centre."""
+    corners = vertices[triangles]
+    closed = [corners]
+    for loop in boundary_loops(triangles):
+        rim = vertices[loop]
+        centre = np.broadcast_to(rim.mean(axis=0), rim.shape)
+        closed.append(np.stack([np.roll(rim, -1, axis=0), rim, centre], axis=1))
+    a, b, c = np.concatenate(closed).transpose(1, 0, 2)
+    return float(np.einsum("ti,ti->", a, np.cross(b, c)) / 6)
+
+
+def boundary_loops(triangles: np.ndarray) -> list[list[int]]:
+    """The holes of a surface: vertices in the order of the triangles' own edges. Holes that touch may come as one."""
+    edges = {(int(t[k]), int(t[k - 2])) for t in triangles for k in range(3)}
+    after = {begin: end for begin, end in edges if (end, begin) not in edges}
+    loops = []
+    while after:
+        loop = [next(iter(after))]
+        while loop[-1] in after:
+            loop.append(after.pop(loop[-1]))
+        loops.append(loop[:-1])
+    return loops
+
+
+def region(triangles: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """The triangles all of whose vertices are inside; inside (V,) bool."""
+    return triangles[inside[triangles].all(axis=1)]
+
+
+def girth(vertices: np.ndarray, triangles: np.ndarray, point: np.ndarray, normal: np.ndarray) -> float:
+    """Length of the line in which a plane cuts the surface."""
+    height = (vertices - point) @ normal
+    crossing = triangles[np.ptp(np.sign(height[triangles]), axis=1) > 0]
+    ends = []
+    for k in range(3):  # the edges that change sides: two of each triangle
+        begin, end = crossing[:, k], crossing[:, k - 2]
+        change = (height[begin] >= 0) != (height[end] >= 0)
+        t = np.where(change, height[begin] / np.where(change, height[begin] - height[end], 1), np.nan)
+        ends.append(vertices[begin] + t[:, None] * (vertices[end] - vertices[begin]))
+    ends = np.array(ends)
+    lengths = [np.linalg.norm(ends[k] - ends[k - 2], axis=1) for k in range(3)]
+    return float(np.nansum(lengths))
+
+
+def depth(vertices: np.ndarray, patch: np.ndarray, axis: np.ndarray) -> float:
+    """Extent of a patch along a unit axis, such as that of a chest from front to back."""
+    along = vertices[patch] @ axis
+    return float(np.ptp(along))
+
+
+# Self-intersection ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Intersections:
+    """pairs: of triangles that intersect and share no vertex. depth: how far a vertex is buried, at most, metres."""
+
+    pairs: int
+    depth: float
+
+
+def self_intersections(vertices: np.ndarray, triangles: np.ndarray) -> Intersections:
+    """Where a skin (V, 3), (T, 3) passes through itself, closed or nearly so.
+
+    A vertex is buried when the skin's winding number there exceeds 1: its own sheet gives between 0 and 1, each part of
+    the body that it is inside of one more. Its depth is the distance to the nearest point of the skin where the straight
+    way to it leads out.
+    """
+    tree = BVHTree.FromPolygons(vertices.tolist(), triangles.tolist())
+    pairs = np.array([pair for pair in tree.overlap(tree) if pair[0] < pair[1]], int).reshape(-1, 2)
+    first, second = triangles[pairs[:, 0]], triangles[pairs[:, 1]]
+    pairs = pairs[(first[:, :, None] != second[:, None, :]).all(axis=(1, 2))]
+    if not len(pairs):
+        return Intersections(0, 0.0)
+    buried = _buried(vertices, triangles, np.unique(triangles[pairs]))
+    return Intersections(len(pairs), max((_way_out(tree, vertices[v]) for v in buried), default=0.0))
+
+
+def winding_numbers(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """How often the surface encloses each point (P, 3): the solid angles of its triangles over 4 pi; (P,)."""
+    numbers = np.empty(len(points))
+    step = max(1, CHUNK // len(triangles))
+    for begin in range(0, len(points), step):
+        a, b, c = (vertices[triangles[:, k]] - points[begin : begin + step, None] for k in range(3))
+        la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
+        below = la * lb * lc + _dot(a, b) * lc + _dot(b, c) * la + _dot(c, a) * lb
+        numbers[begin : begin + step] = np.arctan2(_dot(a, np.cross(b, c)), below).sum(axis=1) / (2 * np.pi)
+    return numbers
+
+
+def _dot(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.einsum("...i,...i->...", x, y)
+
+
+def _buried(vertices: np.ndarray, triangles: np.ndarray, front: np.ndarray) -> np.ndarray:
+    """Indices of the buried vertices. front: those of intersecting triangles, from which a buried patch is reached."""
+    seen = np.zeros(len(vertices), bool)
+    buried = []
+    while len(front):
+        seen[front] = True
+        deep = front[winding_numbers(vertices[front], vertices, triangles) > 1]
+        buried.append(deep)
+        touched = np.zeros(len(vertices), bool)
+        touched[triangles[np.isin(triangles, deep).any(axis=1)]] = True
+        front = np.flatnonzero(touched & ~seen)
+    return np.concatenate(buried)
+
+
+def _way_out(tree: BVHTree, vertex: np.ndarray) -> float:
+    """Distance from a buried vertex to where the straight way leads out of the skin, at least."""
+    origin = Vector(vertex)
+    reach = 1e-3
+    while reach < 1e3:
+        for point, normal, _, distance in sorted(tree.find_nearest_range(origin, reach), key=lambda hit: hit[3]):
+            if distance > 0 and (point - origin).dot(normal) > OUTWARD * distance:
+                return distance
+        reach *= 2
+    return 0.0

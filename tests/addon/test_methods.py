@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is chosen in the Model panel or on the command line is what is simulated: methods, regions, force fields."""
+
+import bpy
+import numpy as np
+import pytest
+from builders import activate, add_key, part, rig_of
+from test_sinks import assert_shows
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+FULL = {"solver": "FULL"}
+METHODS = [{"method": method} for method in ("DYNAMIC", "SHAPE", "SINGLE", "STATIC")]
+LAWS = [{"law": law, **solver} for law in ("LINEAR", "STVK", "STABLE_STVK") for solver in ({}, FULL)]
+
+
+@pytest.fixture
+def arm(soft_arm):
+    """The soft arm with a coarse cage, bent quickly to 'flexed', which is ten times as stiff."""
+    soft_arm.dynamorph.model.cage_nodes = 150
+    soft_arm.dynamorph.model.modes = 8
+    soft_arm.dynamorph.model.pin_radius = 0.8  # a cage held along one line could spin about it
+    soft_arm.dynamorph.targets["flexed"].stiffness = 10 * soft_arm.dynamorph.targets[0].stiffness
+    return soft_arm
+
+
+@pytest.fixture
+def two_regions(arm):
+    """The arm with another target at its tip, placed by the first bone alone."""
+    rest = part("properties").key_points(arm.data.shape_keys.reference_key)
+    add_key(arm, "tip", np.outer(rest[:, 2] > 1.8, [0.05, 0.0, 0.0]))
+    tip = arm.vertex_groups.new(name="Tip")
+    for index, height in enumerate(rest[:, 2]):
+        tip.add([index], float(np.clip(3.0 * height - 4.0, 0.0, 1.0)), "REPLACE")
+    rig_of(arm).pose.bones["upper"].rotation_euler.y = 0.8
+    activate(arm)
+    bpy.ops.dynamorph.add_target(key="tip")
+    arm.dynamorph.active_target.region = "Tip"
+    arm.dynamorph.active_target.set_bones(["upper"])
+    rig_of(arm).pose.bones["upper"].rotation_euler.y = 0.0
+    return arm
+
+
+def run(obj, **settings):
+    for name, value in settings.items():
+        setattr(obj.dynamorph.model, name, value)
+    job = part("jobs").Job(obj, bake=True, substeps=3)
+    part("jobs").run(job)
+    return job
+
+
+def displacements(job):
+    return np.array([job.result.displacement(k) for k in range(len(job.result.frames))])
+
+
+@pytest.mark.parametrize("settings", METHODS + LAWS, ids=lambda settings: " ".join(settings.values()))
+def test_every_method_bakes_what_blender_shows(arm, settings):
+    job = run(arm, **settings)
+    assert not job.report["inverted"]
+    assert_shows(arm, job.result)
+
+
+def test_full_bakes_tell_what_compression_costs(arm):
+    job = run(arm, **FULL)
+    moved = np.abs(displacements(job)).max()
+    assert 0 <= job.report["compression_error"] < 0.02 * moved
+
+
+def test_static_targets_follow_the_pose_alone(arm):
+    job = run(arm, method="STATIC")
+    shape = job.character.targets[1].shape
+    assert np.allclose(displacements(job), job.result.weights[:, 1, None, None] * shape, atol=1e-12)
+    assert job.result.weights[[0, -1], 1] == pytest.approx([0, 1])
+    assert [key.name for key in arm.dynamorph.bake.keys] == ["Dynamorph Detail flexed"]
+
+
+def test_single_material_does_not_know_the_targets(arm):
+    job = run(arm, method="SINGLE")
+    assert job.result.target_names == ("Neutral",)
+    arm.dynamorph.targets["flexed"].stiffness *= 10
+    assert np.array_equal(displacements(run(arm)), displacements(job))
+
+
+def test_single_material_needs_no_targets(arm):
+    bpy.ops.dynamorph.remove_target()
+    assert len(arm.dynamorph.targets) == 1
+    assert np.abs(displacements(run(arm, method="SINGLE"))).max() > 0
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+@pytest.mark.parametrize("method", ["DYNAMIC", "SHAPE"])
+def test_shape_follows_the_pose_and_stiffness_only_if_dynamic(arm, method, solver):
+    """One push in both target poses: pose-dependent shape alone answers alike, up to the turning of the skin."""
+    job = run(arm, method=method, solver=solver)
+    _, simulate = part("jobs").engine()
+    engine = job.model.engine(job.character)
+    stepper = simulate.dynamorph.FullSimulation if solver == "FULL" else simulate.dynamorph.ReducedSimulation
+    simulation = stepper(engine, 0.01)
+    held = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
+    push = np.zeros_like(job.model.nodes)
+    push[job.model.nodes[:, 2] > 1.5, 0] = 1.0
+    given = []
+    for weights in ([1.0, 0.0], [0.0, 1.0]):
+        rest, _ = simulation.solve_static(held, np.array(weights))
+        pushed, _ = simulation.solve_static(held, np.array(weights), push, rest)
+        given.append(np.abs(engine.displacement(pushed) - engine.displacement(rest)).max())
+        assert np.allclose(rest, np.array(weights) @ [engine.target(0), engine.target(1)], atol=1e-9)
+    expected = 10.0 if method == "DYNAMIC" else 1.0
+    assert given[0] / given[1] == pytest.approx(expected, rel=0.3 if method == "DYNAMIC" else 0.02)
+
+
+def test_regions_have_weights_of_their_own(two_regions):
+    job = run(two_regions)
+    assert job.result.target_names == ("Neutral", "flexed", "Neutral Tip", "tip")
+    assert np.allclose(job.result.weights[:, :2].sum(axis=1), 1) and np.allclose(
+        job.result.weights[:, 2:].sum(axis=1), 1
+    )
+    assert job.result.weights[-1] == pytest.approx([0, 1, 1, 0], abs=1e-6)
+    shares = job.model.shares
+    assert np.allclose(shares.sum(axis=1), 1)
+    centres = job.model.nodes[job.model.tets].mean(axis=1)[:, 2]
+    assert shares[centres > 1.8, 1].min() > 0.9 and shares[centres < 1.0, 1].max() < 0.1
+    assert_shows(two_regions, job.result)
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_targets_are_met_in_both_regions_at_once(two_regions, solver):
+    job = run(two_regions, solver=solver)
+    _, simulate = part("jobs").engine()
+    engine = job.model.engine(job.character)
+    stepper = simulate.dynamorph.FullSimulation if solver == "FULL" else simulate.dynamorph.ReducedSimulation
+    held = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
+    weights = np.array([0.0, 1.0, 0.0, 1.0])
+    rest, report = stepper(engine, 0.01).solve_static(held, weights, guess=np.zeros_like(engine.target(0)))
+    shape = job.model.surface(engine.displacement(rest)) + np.tensordot(weights, job.model.details, 1)
+    sculpted = np.tensordot(weights, [target.shape for target in job.character.targets], 1)
+    assert report["converged"]
+    assert np.abs(shape - sculpted).max() < 1e-5 * np.abs(sculpted).max()
+
+
+def test_region_that_is_gone_or_empty_is_refused(two_regions):
+    extract = part("extract")
+    two_regions.vertex_groups["Tip"].name = "Toe"
+    with pytest.raises(extract.SceneError, match="'Tip' of target 'tip' is gone"):
+        extract.character(two_regions)
+    two_regions.vertex_groups.new(name="Tip")
+    with pytest.raises(extract.SceneError, match="'Tip' of a target's Region is empty"):
+        extract.character(two_regions)
+
+
+def wind(strength):
+    bpy.ops.object.effector_add(type="WIND", location=(-3.0, 0.0, 1.5), rotation=(0.0, np.pi / 2, 0.0))
+    field = bpy.context.object
+    field.field.strength = strength
+    return field
+
+
+def test_wind_pushes_the_skin_along_its_axis(arm):
+    rig_of(arm).animation_data_clear()
+    bpy.context.scene.gravity = (0, 0, 0)
+    field = wind(0.0)
+    still = displacements(run(arm))
+    assert np.abs(still).max() < 1e-9
+    field.field.strength = 100.0
+    pushed = displacements(run(arm))[-1]
+    largest = np.abs(pushed).max(axis=0)
+    assert largest[0] > 1e-3 and largest[0] > 3 * largest[1]
+    assert pushed[np.abs(pushed[:, 0]).argmax(), 0] > 0
+    arm.dynamorph.simulation.fields = 0.5
+    assert displacements(run(arm))[-1] == pytest.approx(0.5 * pushed, abs=0.1 * np.abs(pushed).max())
+    arm.dynamorph.simulation.fields = 0.0
+    assert np.abs(displacements(run(arm))).max() < 1e-9
+
+
+def test_fields_fall_off_as_blender_says(scene):
+    field = part("scene_data").ForceField("FORCE", 2.0, 1.0, 4.0, np.eye(4)[None], np.array([8.0]))
+    points = np.array([[0.5, 0, 0], [0, 2.0, 0], [0, 0, 4.5]])
+    assert np.allclose(field.pull(0, points), [[8.0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
