@@ -23,7 +23,7 @@ Progress = Callable[[float, str], bool]
 HELD = 0.05  # nodes softer than this in the Soft group are free
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
-MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes")  # of the tetrahedra
+MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes", "pin radius")  # of the tetrahedra
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,12 @@ def _volume(character: Character, authored, mesh, stages: _Stages) -> tuple[Mode
     with stages("Meshing", 0.30) as report:
         if mesh is None:
             _, _, mesh = dynamorph.mesh_body(
-                surface, character.triangles, settings.cage_nodes, bones=character.bone_segments, progress=report
+                surface,
+                character.triangles,
+                settings.cage_nodes,
+                bones=character.bone_segments,
+                held=settings.pin_radius,
+                progress=report,
             )
     with stages("Embedding", 0.05) as report:
         embedding = dynamorph.embed(mesh, surface)

@@ -11,16 +11,17 @@ not be read or written (a full disk, a lost network: try again), 130 Ctrl-C.
 from __future__ import annotations
 
 import argparse
+import json
 import signal
 import sys
 import time
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import bpy
 
-from . import extract, jobs, properties, sinks
-from .scene_data import ModelSettings
+from . import extract, jobs, materials, properties, sinks
+from .scene_data import VARIANTS, ModelSettings
 
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
@@ -102,6 +103,19 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     build.set_defaults(bake=False, frames=None, substeps=None)
     for sub in (bake, build):
         model(sub)
+    report = command("report", run_report, "simulate by several methods and compare them", writes=False)
+    report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
+                        help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
+    report.add_argument("--json", type=Path, metavar="FILE", help="also write all figures, in metres and seconds")
+    simulation(report)
+    fit = command("fit", run_fit, "set a target's stiffness and damping as measured; its model must be up to date")
+    fit.add_argument("--target", required=True, metavar="NAME", help="the target's name")
+    measured = fit.add_mutually_exclusive_group(required=True)
+    measured.add_argument("--oscillation", type=Path, metavar="CSV", help="a point let go: seconds, x, y, z")
+    measured.add_argument(
+        "--force-displacement", type=Path, metavar="CSV", help="pushes: newtons x, y, z, metres x, y, z; mesh's axes"
+    )
+    fit.add_argument("--patch", metavar="GROUP", help="vertex group that was looked at or pushed; default: all flesh")
     command("free", run_free, "remove bakes and restore the target keys")
     command("info", run_info, "print what the file holds", writes=False)
     return root
@@ -139,10 +153,14 @@ def open_file(args, opens_file: bool):
         raise InputError(f"'{output}' is the file that is open: say --in-place to overwrite it")
 
 
-def run_job(args):
-    """bake and build."""
+def check_substeps(args):
     if args.substeps is not None and args.substeps < 1:
         raise InputError(f"--substeps is {args.substeps}: give 1 or more")
+
+
+def run_job(args):
+    """bake and build."""
+    check_substeps(args)
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
     done = []
     for obj in chosen_objects(args):
@@ -160,6 +178,58 @@ def run_job(args):
     seconds = save(args)
     for job in done:
         print_table(job, seconds)
+
+
+def run_report(args):
+    check_substeps(args)
+    jobs.engine()  # says what is missing
+    from . import report
+
+    found = {}
+    for obj in chosen_objects(args):
+        job = jobs.Job(obj, bake=True, frames=tuple(args.frames) if args.frames else None, substeps=args.substeps)
+        job.prepare()
+        tick = Progress()
+
+        def progress(fraction, message, job=job, tick=tick):
+            job.fraction, job.message = fraction, message
+            tick(job)
+            return True
+
+        variants = {name: VARIANTS[name] for name in args.methods}
+        found[obj.name] = report.compare(job.character, job.rig, job.settings, variants, progress)
+    for name, compared in found.items():
+        print(f"\n{name}\n{report.table(compared)}")
+    if args.json:
+        args.json.write_text(json.dumps(found, indent=1) + "\n")
+        print(f"written to {args.json}")
+
+
+def run_fit(args):
+    path = args.oscillation or args.force_displacement
+    if not path.is_file():
+        raise InputError(f"there is no file '{path}'")
+    rows = materials.read_columns(path, (2, 3, 4) if args.oscillation else (6,))
+    if args.oscillation:
+        seen = materials.oscillation(rows[:, 0], rows[:, 1:])
+        print(f"frequency {seen.frequency:.4g} +- {seen.frequency_error:.2g} Hz")
+        print(f"decay {seen.decay:.4g} +- {seen.decay_error:.2g} 1/s, settles in {seen.settle:.3g} s")
+    for obj in chosen_objects(args):
+        target = obj.dynamorph.targets.get(args.target)
+        if target is None:
+            raise InputError(f"'{obj.name}' has no target named '{args.target}'")
+        if args.patch and args.patch not in obj.vertex_groups:
+            raise InputError(f"'{obj.name}' has no vertex group named '{args.patch}'")
+        patch = extract.group_weights(obj, [args.patch])[:, 0] if args.patch else None
+        subject = jobs.fit_input(obj, target)
+        if args.oscillation:
+            fitted = materials.fit_oscillation(*subject, seen.frequency, seen.decay, patch)
+        else:
+            fitted = materials.fit_force_displacement(*subject, rows[:, :3], rows[:, 3:], patch)
+        for name, value in asdict(fitted).items():
+            print(f"{obj.name}: {target.name}: {name.replace('_', ' ')} {getattr(target, name):.4g} -> {value:.4g}")
+        target.set_material(fitted)
+    save(args)
 
 
 def run_free(args):

@@ -95,6 +95,7 @@ def store_model(obj, packed: bytes, folder: Path | None = None):
         model_file.save(_model_path(folder, content_id), packed)
         obj.pop(PACKED, None)
     else:
+        obj.pop(PACKED, None)  # Blender cuts bytes that replace other bytes at their first zero
         obj[PACKED] = packed
     obj.dynamorph.model.content_id = content_id
 
@@ -146,6 +147,22 @@ def stale_reasons(obj, character) -> list[str]:
     except model_file.ModelFileError as error:
         return [str(error)]
     return ["not built yet"] if model is None else build.stale_reasons(model, character)
+
+
+def fit_input(obj, target):
+    """What the fits of `materials` ask for: (model, character, index there) of one of the object's targets.
+
+    Raises SceneError unless the model is up to date.
+    """
+    character = extract.character(obj)
+    reasons = stale_reasons(obj, character)
+    if reasons:
+        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    names = [each.name for each in character.by_method().targets]
+    first = 0 if target == obj.dynamorph.targets[0] else 1  # a shape key may be called like the neutral target
+    if target.name not in names[first:]:
+        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
+    return load_model(obj), character, names.index(target.name, first)
 
 
 def show_stale(obj):

@@ -6,10 +6,10 @@ from __future__ import annotations
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from bpy.props import StringProperty
+from bpy.props import EnumProperty, FloatProperty, StringProperty
 from bpy.types import Operator
 
-from . import extract, jobs, properties, sinks
+from . import extract, jobs, materials, properties, sinks
 from .extract import Cancelled, SceneError
 
 
@@ -154,6 +154,65 @@ class DYNAMORPH_OT_use_selected_bones(SoftSkinOperator, Operator):
         if target is None or not chosen:
             raise SceneError(f"Select a target in the list, and in Pose Mode the bones of '{rig.name}' it depends on")
         target.set_bones(chosen)
+
+
+class DYNAMORPH_OT_apply_material(SoftSkinOperator, Operator):
+    """Give the selected target the properties of a measured material"""
+
+    bl_idname = "dynamorph.apply_material"
+    bl_label = "Material"
+
+    preset: EnumProperty(
+        name="Material",
+        description="What the flesh is made of at this target",
+        items=[(key, preset.label, preset.source) for key, preset in materials.PRESETS.items()],
+    )
+
+    def apply(self, obj):
+        selected_target(obj).set_material(materials.PRESETS[self.preset].material)
+
+
+class DYNAMORPH_OT_fit_material(SoftSkinOperator, Operator):
+    """Set stiffness and damping of the selected target so that the flesh swings as observed, on the cage as built"""
+
+    bl_idname = "dynamorph.fit_material"
+    bl_label = "Fit Bounce"
+
+    frequency: FloatProperty(
+        name="Bounce", description="Swings a second after a push, in hertz", default=3.0, min=0.01, max=1000.0
+    )
+    settle: FloatProperty(
+        name="Settle", description="Seconds until a twentieth of the swing is left", default=1.0, min=0.001, max=1000.0
+    )
+
+    @classmethod
+    def poll(cls, context):
+        if not super().poll(context):
+            return False
+        if not properties.mesh_in(context).dynamorph.model.content_id:
+            cls.poll_message_set("Press Build Model first: the bounce is measured on its cage")
+            return False
+        return True
+
+    def invoke(self, context, _event):
+        return guarded(self, self._ask, context)
+
+    def _ask(self, context):
+        obj = properties.mesh_in(context)
+        now = materials.bounce(*jobs.fit_input(obj, selected_target(obj)))
+        self.frequency, self.settle = now.frequency or self.frequency, now.settle
+        return context.window_manager.invoke_props_dialog(self)
+
+    def apply(self, obj):
+        target, decay = selected_target(obj), materials.decay_of(self.settle)
+        target.set_material(materials.fit_oscillation(*jobs.fit_input(obj, target), self.frequency, decay))
+
+
+def selected_target(obj):
+    target = obj.dynamorph.active_target
+    if target is None:
+        raise SceneError("Select a target in the list")
+    return target
 
 
 class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
@@ -306,6 +365,8 @@ CLASSES = (
     DYNAMORPH_OT_remove_target,
     DYNAMORPH_OT_capture_pose,
     DYNAMORPH_OT_use_selected_bones,
+    DYNAMORPH_OT_apply_material,
+    DYNAMORPH_OT_fit_material,
     DYNAMORPH_OT_build,
     DYNAMORPH_OT_bake,
     DYNAMORPH_OT_free_bake,

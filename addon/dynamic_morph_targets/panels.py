@@ -61,6 +61,9 @@ def draw_targets(layout, obj):
         layout.prop_search(target, "region", obj, "vertex_groups")
     column = layout.column(align=True)
     column.enabled = jobs.running is None
+    row = column.row(align=True)
+    row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
+    row.operator("dynamorph.fit_material", text="Bounce")
     for name in ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping"):
         column.prop(target, name)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import asdict
 
 import bpy
 import numpy as np
@@ -173,6 +174,10 @@ class DynamorphTarget(KeyReference, PropertyGroup):
 
     def material(self) -> Material:
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
+
+    def set_material(self, material: Material):
+        for name, value in asdict(material).items():
+            setattr(self, name, value)
 
     def bone_names(self) -> tuple[str, ...]:
         return tuple(bone.name for bone in self.bones)

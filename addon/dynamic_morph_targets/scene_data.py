@@ -187,6 +187,18 @@ METHODS = {
     "STATIC": ("Static", "Geometric morph targets: the shape follows the pose, nothing moves by itself"),
 }
 
+# What `dynamorph report` compares: changes of ModelSettings. What they do not name stays the object's own.
+VARIANTS: dict[str, dict[str, str]] = {
+    "static morphs": {"method": "STATIC"},
+    "pose-dependent shape": {"method": "SHAPE"},
+    **{
+        f"{material} {law} {solver}": {"method": method, "law": law.replace(" ", "_").upper(), "solver": solver.upper()}
+        for law in ("linear", "StVK", "stable StVK")
+        for solver in ("full", "reduced")
+        for material, method in (("single", "SINGLE"), ("DMT", "DYNAMIC"))
+    },
+}
+
 
 @dataclass(frozen=True)
 class ModelSettings:

@@ -123,35 +123,62 @@ MatrixXd bone_loads(const SoftBody& body) {
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
-/// Candidate displacements about one target, each scaled to the amplitude it is expected to have when the lowest mode
-/// moves by `amplitude` metres: modes by (omega_1 / omega_i)^2, as they answer a slow load, derivatives by the product
-/// of their modes' amplitudes, static responses to the bones' loads so that a uniform acceleration would move as far.
-/// (By omega_1 / omega_i instead, high modes crowd the derivatives out and large motions lock: docs/decisions.)
-MatrixXd candidates(const FullModel& model, int target, int k, double amplitude, const MatrixXd& loads,
-                    const ProgressFn& progress) {
-  const int bending = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
-  MatrixXd out(model.dofs(), k + bending * (bending + 1) / 2 + loads.cols());
-  const double expected = double(out.cols()) + 4 * k;  // solves: the eigensolver takes a few for every mode
+/// Candidate displacements about one target.
+struct Candidates {
+  MatrixXd modes;      ///< as each answers a slow load: phi_i / omega_i^2 (by 1 / omega_i high modes crowd the
+                       ///< derivatives out and large motions lock: docs/decisions)
+  MatrixXd bending;    ///< derivatives of pairs of those modes, quadratic in their scale
+  MatrixXd responses;  ///< static, to the bones' loads
+  double response;     ///< how far a uniform acceleration moves the flesh, in the scale of the responses
+};
+
+Candidates candidates(const FullModel& model, int target, int k, const MatrixXd& loads, const ProgressFn& progress) {
+  const int bent = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
+  const Eigen::Index pairs = bent * (bent + 1) / 2;
+  const double expected = double(k + pairs + loads.cols() + 4 * k);  // solves: the eigensolver takes a few for a mode
   double solves = 0;
   const Factored factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
-  const VectorXd& frequencies = modes.frequencies;
-  const double floor = 1e-3 * frequencies(k - 1);  // rigid modes of an unpinned body would swamp all others
-  const double unit = amplitude / largest(modes.shapes.col(0));
+  // Rigid modes of an unpinned body would swamp all others.
+  const VectorXd frequencies = modes.frequencies.cwiseMax(1e-3 * modes.frequencies(k - 1));
+  Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), MatrixXd(model.dofs(), pairs),
+                 MatrixXd(model.dofs(), loads.cols()), 0};
   Eigen::Index column = 0;
-  for (int i = 0; i < k; ++i) {
-    const double ratio = std::max(frequencies(0), floor) / std::max(frequencies(i), floor);
-    out.col(column++) = unit * ratio * ratio * modes.shapes.col(i);
-  }
-  for (int i = 0; i < bending; ++i)
+  for (int i = 0; i < bent; ++i)
     for (int j = 0; j <= i; ++j)
-      out.col(column++) =
-          (i == j ? -0.5 : -1.0) * factored.solve(model.force_curvature(target, out.col(i), out.col(j)));
+      out.bending.col(column++) =
+          (i == j ? -0.5 : -1.0) * factored.solve(model.force_curvature(target, out.modes.col(i), out.modes.col(j)));
+  for (Eigen::Index c = 0; c < loads.cols(); ++c) out.responses.col(c) = factored.solve(loads.col(c));
   VectorXd uniform = VectorXd::Zero(factored.mass.size());
-  for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i);
-  const double pull = amplitude / largest(factored.solve(uniform)) * model.targets()[target].density;
-  for (Eigen::Index c = 0; c < loads.cols(); ++c) out.col(column++) = pull * factored.solve(loads.col(c));
+  for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i) / model.targets()[target].density;
+  out.response = largest(factored.solve(uniform));
   return out;
+}
+
+/// All targets' candidates as columns, in common units: the softest target's first mode moves by `amplitude` metres, the
+/// others' with the same energy, and so far they would by a uniform acceleration: stiff targets move less, and so count
+/// less, but by the same loads they would hardly count.
+MatrixXd in_common_units(const std::vector<Candidates>& found, double amplitude) {
+  double softest = 0;
+  Eigen::Index columns = 0;
+  for (const Candidates& some : found) {
+    softest = std::max(softest, largest(some.modes.col(0)));
+    columns += some.modes.cols() + some.bending.cols() + some.responses.cols();
+  }
+  MatrixXd all(found[0].modes.rows(), columns);
+  Eigen::Index column = 0;
+  const auto append = [&](const MatrixXd& some, double scale) {
+    all.middleCols(column, some.cols()) = scale * some;
+    column += some.cols();
+  };
+  for (const Candidates& some : found) {
+    const double sway = largest(some.modes.col(0));
+    const double reach = amplitude * std::sqrt(sway / softest);
+    append(some.modes, reach / sway);
+    append(some.bending, reach / sway * reach / sway);
+    append(some.responses, reach / some.response);
+  }
+  return all;
 }
 
 /// Orthonormal basis of the columns' span, relative rank tolerance 1e-9.
@@ -189,16 +216,13 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
   report(progress, 0);
   const MatrixXd loads = bone_loads(model.body());
-  MatrixXd all(model.dofs(), 0);
-  for (int j = 0; j < targets; ++j) {
-    const auto part = [&](double done) {
+  std::vector<Candidates> found;
+  for (int j = 0; j < targets; ++j)
+    found.push_back(candidates(model, j, k, loads, [&](double done) {
       report(progress, (j + done) / (targets + 1));
       return true;
-    };
-    const MatrixXd some = root.asDiagonal() * candidates(model, j, k, 0.1 * model.body().size, loads, part);
-    all.conservativeResize(Eigen::NoChange, all.cols() + some.cols());
-    all.rightCols(some.cols()) = some;
-  }
+    }));
+  MatrixXd all = root.asDiagonal() * in_common_units(found, 0.1 * model.body().size);
   report(progress, double(targets) / (targets + 1));
 
   // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.

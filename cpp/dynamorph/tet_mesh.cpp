@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/tet_mesh.hpp"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -214,23 +215,36 @@ MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const 
   return solver.solve(e.transpose() * values);
 }
 
-Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& heads, const Points& tails) {
+Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& heads, const Points& tails,
+                       double ratio) {
   if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
   const Surface surface(cage, triangles);
   double spacing = 0;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
     spacing += (cage.row(triangles(t, 0)) - cage.row(triangles(t, 1))).norm() / double(triangles.rows());
-  constexpr double room = 0.4;  // of the spacing: nodes nearer to the cage or to each other make slivers
+  const double room = 0.4 * spacing;  // nodes nearer to the cage or to each other make slivers
+  constexpr double inside = 0.75;     // of the held radius: the cage is wider than the body
   std::vector<Vector3d> kept;
+  const auto keep = [&](const Vector3d& p) {
+    const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room; };
+    if (std::none_of(kept.begin(), kept.end(), crowds) && surface.contains(p) && surface.distance(p) >= room)
+      kept.push_back(p);
+  };
   for (Eigen::Index b = 0; b < heads.rows(); ++b) {
-    const Vector3d head = heads.row(b), tail = tails.row(b);
-    const int pieces = std::max(1, int(std::round((tail - head).norm() / spacing)));
+    const Vector3d head = heads.row(b), along = Vector3d(tails.row(b)) - head;
+    const Eigen::Quaterniond frame = Eigen::Quaterniond::FromTwoVectors(Vector3d::UnitZ(), along);
+    const int pieces = std::max(1, int(std::round(along.norm() / spacing)));
     for (int i = 0; i <= pieces; ++i) {
-      const Vector3d p = head + (tail - head) * i / pieces;
-      const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room * spacing; };
-      if (std::none_of(kept.begin(), kept.end(), crowds) && surface.contains(p) &&
-          surface.distance(p) >= room * spacing)
-        kept.push_back(p);
+      const Vector3d p = head + along * i / pieces;
+      const double radius = surface.contains(p) ? inside * ratio * surface.distance(p) : 0;
+      if (std::sqrt(3) * radius < room) {
+        keep(p);
+        continue;
+      }
+      for (int corner = 0; corner < 3; ++corner) {
+        const double angle = M_PI / 3 * (2 * corner + i % 2);  // each triangle turned against the last
+        keep(p + radius * (frame * Vector3d(std::cos(angle), std::sin(angle), 0)));
+      }
     }
   }
   Points out(kept.size(), 3);

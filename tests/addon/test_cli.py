@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line: the same work as the button, exit codes, nothing written unless all went well."""
 
+import json
 import os
 import signal
 import subprocess
@@ -188,3 +189,21 @@ def test_as_a_python_module(arguments, code):
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_report_compares_methods_and_writes_no_blend(shot, capfd):
+    pytest.importorskip("dynamorph", reason="needs the engine")
+    before = {path: path.read_bytes() for path in shot.parent.iterdir()}
+    figures = shot.parent / "figures.json"
+    short = ["--frames", "1", "6", "--substeps", "2"]
+    arguments = ["report", str(shot), "--object", "Arm", *short, "--json", str(figures)]
+    chosen = ["static morphs", "DMT linear full", "DMT linear reduced"]
+    assert part("cli").main([*arguments, "--methods", *chosen], opens_file=True) == 0
+    out = capfd.readouterr().out
+    for word in ("Arm", "steps/s", "target miss", "Frames 1 to 6, 2 substeps", *chosen):
+        assert word in out
+    found = json.loads(figures.read_text())
+    assert list(found) == ["Arm"] and list(found["Arm"]["variants"]) == chosen
+    assert found["Arm"]["variants"]["DMT linear reduced"]["error"]["rms_total"] < 1
+    assert {path: path.read_bytes() for path in shot.parent.iterdir() if path != figures} == before
+    assert part("cli").main([*arguments, "--methods", "guessing"], opens_file=True) == 2

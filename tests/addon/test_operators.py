@@ -126,6 +126,15 @@ def test_model_survives_save_and_load(soft_arm, stand_in, tmp_path):
     assert stand_in.built == 1
 
 
+def test_a_second_build_replaces_the_first(soft_arm, stand_in):
+    jobs, extract = part("jobs"), part("extract")
+    for size in (800, 1600):
+        stand_in.bytes = size
+        bpy.ops.dynamorph.build()
+        jobs._load.cache_clear()
+        assert jobs.stale_reasons(soft_arm, extract.character(soft_arm)) == []
+
+
 def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypatch):
     jobs = part("jobs")
     monkeypatch.setattr(jobs, "PACK_LIMIT", 100)

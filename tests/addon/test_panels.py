@@ -26,6 +26,9 @@ class Layout:
         assert getattr(bpy.ops, module).__getattr__(function).get_rna_type()
         self.drawn.append(name)
 
+    def operator_menu_enum(self, name, _property, **_options):
+        self.operator(name)
+
     def label(self, text="", **_options):
         self.drawn.append(text)
 

@@ -31,15 +31,16 @@ def mesh_body(
     target_nodes: int,
     *,
     bones: np.ndarray | None = None,
+    held: float = 0.4,
     time_limit: float = 60.0,
     memory_limit_gb: float = 4.0,
     progress: Callable[[float], bool] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     """Wraps a closed cage around any triangle soup and fills it with about `target_nodes` nodes.
 
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. bones (B, 2, 3): heads and tails of bones
-    along which nodes are wanted, metres. time_limit: seconds. progress: called with 0..1 every
-    50 ms, returns False to cancel.
+    vertices (V, 3): metres. triangles (T, 3): vertex indices. bones (B, 2, 3): heads and tails of bones along which
+    nodes are wanted, metres. held: how far of the way to the skin the bones hold the flesh. time_limit: seconds.
+    progress: called with 0..1 every 50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices; Error, saying what to do, when the mesh cannot be used or the mesher crashes, hangs or takes too much
     memory; Cancelled.
@@ -53,7 +54,7 @@ def mesh_body(
         np.save(request, triangles, allow_pickle=False)
         np.save(request, bones, allow_pickle=False)
         request.seek(0)
-        _run_child([target_nodes, time_limit, memory_limit_gb], request, answer, time_limit, progress)
+        _run_child([target_nodes, time_limit, memory_limit_gb, held], request, answer, time_limit, progress)
         answer.seek(0)
         cage_vertices, cage_triangles, nodes, tets = (np.load(answer, allow_pickle=False) for _ in range(4))
     return cage_vertices, cage_triangles, TetMesh(nodes, tets)
@@ -124,12 +125,13 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
 
 def _child() -> None:
     """The child's main: arrays from standard input to standard output."""
-    target_nodes, time_limit, memory_limit_gb = int(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3])
+    target_nodes = int(sys.argv[1])
+    time_limit, memory_limit_gb, held = map(float, sys.argv[2:5])
     _limit_resources(time_limit, memory_limit_gb)
     try:
         _fault(os.environ.get(FAULT_VARIABLE))
         vertices, triangles, bones = (np.load(sys.stdin.buffer, allow_pickle=False) for _ in range(3))
-        for array in _mesh(vertices, triangles, bones, target_nodes):
+        for array in _mesh(vertices, triangles, bones, held, target_nodes):
             np.save(sys.stdout.buffer, array, allow_pickle=False)
     except (Error, ValueError) as error:
         print(error, file=sys.stderr)
@@ -150,7 +152,7 @@ def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
 
 
-def _mesh(vertices: np.ndarray, triangles: np.ndarray, bones: np.ndarray, target_nodes: int) -> tuple[np.ndarray, ...]:
+def _mesh(vertices, triangles, bones, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
     """A cage that leaves room for nodes inside; again with fewer vertices while good tets need too many nodes."""
     # Fitted to many characters: the surface's share of the nodes falls as the mesh gets finer.
     share = np.clip(0.62 - 0.12 * math.log(target_nodes / 2000, 4), 0.4, 0.7)
@@ -158,7 +160,7 @@ def _mesh(vertices: np.ndarray, triangles: np.ndarray, bones: np.ndarray, target
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
         cage = make_cage(vertices, triangles, max(int(cage_vertices), 4), progress)
-        mesh = tetrahedralize(*cage, target_nodes, points_on_bones(*cage, bones[:, 0], bones[:, 1]))
+        mesh = tetrahedralize(*cage, target_nodes, points_on_bones(*cage, bones[:, 0], bones[:, 1], held))
         if len(mesh.nodes) <= 1.1 * target_nodes:
             break
         cage_vertices *= target_nodes / len(mesh.nodes)
