@@ -19,7 +19,9 @@ import numpy as np
 from .scene_data import Character, ModelSettings, Skeleton, Target
 
 Progress = Callable[[float, str], bool]
+Rehearsal = Callable[["Model"], tuple[np.ndarray, np.ndarray]]
 
+REHEARSAL_MODES = 40  # of the model from whose motion fewer modes are chosen
 HELD = 0.05  # nodes softer than this in the Soft group are free
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
@@ -119,10 +121,16 @@ class Model:
         return np.column_stack([np.bincount(nodes, axis, len(self.nodes)) for axis in carried.T])
 
 
-def build(character: Character, progress: Progress | None = None, previous: Model | None = None) -> Model:
+def build(
+    character: Character,
+    progress: Progress | None = None,
+    previous: Model | None = None,
+    rehearse: Rehearsal | None = None,
+) -> Model:
     """Builds the model of a character. progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
 
     previous: a model of the same character, whose tetrahedra serve again if nothing they depend on has changed.
+    rehearse(model): reduced coordinates (F, r) and target weights (F, J) of the shot that modes are to be fitted to.
     Raises dynamorph.Error or ValueError with advice when the mesh or the targets cannot be used.
     """
     authored = dependencies(character)
@@ -140,16 +148,18 @@ def build(character: Character, progress: Progress | None = None, previous: Mode
     law = dynamorph.Law.__members__[character.settings.law]
     full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
     if character.settings.solver == "REDUCED":
-        with stages("Modes", 0.35) as report:
-            basis = dynamorph.make_basis(full, character.settings.modes, report)
+        modes = character.settings.modes
+        fitted = character.settings.fit_to_shot
+        with stages("Modes", 0.15 if fitted else 0.35) as report:
+            basis = dynamorph.make_basis(full, _rehearsal_modes(full, modes) if fitted else modes, report).U
+        if fitted:
+            if rehearse is None:
+                raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
+            with stages("Rehearsal", 0.20) as report:
+                larger = _reduced(model, full, basis, report)
+                basis = _fitted_basis(larger.engine(character), basis, *rehearse(larger), modes)
         with stages("Polynomials", 0.20) as report:
-            tables = dynamorph.reduce(full, basis.U, report)
-        model = replace(
-            model,
-            basis=basis.U,
-            table_lambda=np.array(tables.lame_lambda),
-            table_mu=np.array(tables.lame_mu),
-        )
+            model = _reduced(model, full, basis, report)
     model.summary.update(
         nodes=len(model.nodes),
         tets=len(model.tets),
@@ -160,6 +170,30 @@ def build(character: Character, progress: Progress | None = None, previous: Mode
         seconds=stages.seconds,
     )
     return model
+
+
+def _reduced(model: Model, full, basis: np.ndarray, report) -> Model:
+    """The model in the modes of `basis` (3 free, r)."""
+    tables = dynamorph.reduce(full, basis, report)
+    return replace(model, basis=basis, table_lambda=np.array(tables.lame_lambda), table_mu=np.array(tables.lame_mu))
+
+
+def _rehearsal_modes(full, modes: int) -> int:
+    return max(modes, min(REHEARSAL_MODES, full.dofs // 3))
+
+
+def _fitted_basis(engine, basis: np.ndarray, coordinates: np.ndarray, weights: np.ndarray, modes: int) -> np.ndarray:
+    """The best of a larger basis: the targets' shapes exactly, then what moves most about them (mass-PCA).
+
+    All modes move a little, so that there are enough of them in a shot in which nothing does.
+    """
+    targets = np.array([engine.target(j) for j in range(weights.shape[1])])
+    u, s, _ = np.linalg.svd(targets.T, full_matrices=False)
+    shapes = u[:, s > 1e-9 * max(s[0], 1e-300)]
+    motion = (coordinates - weights @ targets).T
+    motion = np.hstack([motion, np.eye(len(motion)) * max(1e-3 * np.abs(motion).max(), 1e-300)])
+    others, _, _ = np.linalg.svd(motion - shapes @ (shapes.T @ motion), full_matrices=False)
+    return basis @ np.hstack([shapes, others[:, : modes - shapes.shape[1]]])
 
 
 def _static_model(character: Character, authored: dict[str, str]) -> Model:

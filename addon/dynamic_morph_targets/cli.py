@@ -91,6 +91,10 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["model"].fixed_type.properties
         for name in MODEL_SETTINGS:
             setting = settings[name]
+            if setting.type == "BOOLEAN":
+                option = f"--{name.replace('_', '-')}"
+                sub.add_argument(option, action=argparse.BooleanOptionalAction, help=setting.description)
+                continue
             choices = [item.identifier.lower() for item in setting.enum_items] if setting.type == "ENUM" else None
             option = f"--{name.replace('_', '-')}"
             kind = str if choices else number(setting)

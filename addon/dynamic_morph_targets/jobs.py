@@ -217,6 +217,7 @@ class Job:
         self.reasons: list[str] = []  # why the model was built
         self.report: dict = {}  # of the simulation
         self.previous = None  # the model that the object had
+        self.settings = self.rig = None  # the shot
         self.model = None
         self.result = None
         self._error: BaseException | None = None
@@ -235,7 +236,8 @@ class Job:
             self.previous = load_model(obj)
         if not self.reasons:
             self.model = self.previous
-        if not self.bake:
+        fits = bool(self.reasons) and self.character.settings.fit_to_shot
+        if not (self.bake or fits):
             return
         self.settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         with self._stage("sample rig"):
@@ -303,13 +305,12 @@ class Job:
             self._error = error
 
     def _compute(self):
-        build, simulate = engine()
+        _, simulate = engine()
         start = 0.2
         if self.reasons:
             with self._stage("build"):
-                self.model = build.build(
-                    self.character, self._progress(start, 0.7 if self.bake else 1.0), self.previous
-                )
+                progress = self._progress(start, 0.7 if self.bake else 1.0)
+                self.model = simulate.build_for(self.character, self.rig, self.settings, progress, self.previous)
             start = 0.7
             self.warnings += self.model.summary["warnings"]
         if not self.bake:

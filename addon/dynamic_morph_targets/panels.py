@@ -75,7 +75,7 @@ def draw_model(layout, obj):
     header.label(text="Model")
     if body:
         body.enabled = jobs.running is None
-        for name in ("method", "law", "solver", "blending", "modes", "cage_nodes", "pin_radius"):
+        for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot", "cage_nodes", "pin_radius"):
             body.prop(model, name)
         body.prop_search(settings, "soft_group", obj, "vertex_groups")
     if model.stale:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import asdict
+from dataclasses import asdict, fields
 
 import bpy
 import numpy as np
@@ -252,6 +252,12 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40,
         override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
+    fit_to_shot: BoolProperty(
+        name="Fit Modes to Shot",
+        description="Choose the modes from how the shot moves when the model is built: as accurate with far fewer of "
+        "them. The model then suits other shots less; build it again for each",
+        default=ModelSettings.fit_to_shot, override=OVERRIDE, update=_model_setting_changed,
+    )  # fmt: skip
     cage_nodes: IntProperty(
         name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
         default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000,
@@ -268,9 +274,7 @@ class DynamorphModel(PropertyGroup):
     stale: StringProperty(name="Out of Date", description="Why the model must be built again")
 
     def settings(self) -> ModelSettings:
-        return ModelSettings(
-            self.method, self.law, self.solver, self.blending, self.modes, self.cage_nodes, self.pin_radius
-        )
+        return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
 
 
 class DynamorphSimulation(PropertyGroup):

@@ -94,7 +94,7 @@ def runs(
         if varied.settings.solver == "FULL":
             varied = varied.with_settings(modes=len(settings.frames))
         with one_core():
-            made = build.build(varied, part, model)
+            made = simulate.build_for(varied, rig, settings, part, model)
             baked, report = simulate.bake(made, varied, rig, settings, part)
         if made.summary["tets"]:
             shared = model or made

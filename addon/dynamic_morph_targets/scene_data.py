@@ -209,6 +209,7 @@ class ModelSettings:
     solver: str = "REDUCED"
     blending: str = "EVEN"
     modes: int = 20
+    fit_to_shot: bool = False  # choose the modes from how the shot moves
     cage_nodes: int = 2000
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
 

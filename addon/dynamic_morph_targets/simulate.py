@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import dynamorph
 import numpy as np
 
-from .build import Model, Progress
+from .build import Model, Progress, build
 from .scene_data import Bake, Character, RigSamples, SimulationSettings, determinant, inverse
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
@@ -97,6 +97,23 @@ def simulate(
             steps = slice((done - first) * substeps, (done - first + 1) * substeps)
             report = simulation.advance(bones[steps], weights[steps], pushed(done * substeps, bones[steps][-1]))
             yield Frame(int(frames[done]), simulation.coordinates, weights[steps][-1], report)
+
+
+def build_for(
+    character: Character,
+    rig: RigSamples | None,
+    settings: SimulationSettings | None,
+    progress: Progress | None = None,
+    previous: Model | None = None,
+) -> Model:
+    """`build.build` for a character in a shot, to which its modes are fitted if it says so; else no shot is needed."""
+
+    def rehearse(model: Model) -> tuple[np.ndarray, np.ndarray]:
+        keep_going = progress and (lambda _fraction, _message: progress(0.5, "Rehearsal"))
+        frames = list(simulate(model, character, rig, settings, keep_going))
+        return np.array([frame.coordinates for frame in frames]), np.array([frame.weights for frame in frames])
+
+    return build(character, progress, previous, rehearse)
 
 
 def bake(

@@ -149,7 +149,7 @@ class StandIn:
         now = self.dependencies(character)
         return [f"{name} changed" for name in now if model.meta["dependencies"].get(name) != now[name]]
 
-    def build(self, character, progress=None, previous=None):
+    def build_for(self, character, rig, settings, progress=None, previous=None):
         self.built += 1
         for i in range(5):
             assert progress(i / 5, "Modes")

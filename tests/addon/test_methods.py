@@ -176,3 +176,27 @@ def test_fields_fall_off_as_blender_says(scene):
     field = part("scene_data").ForceField("FORCE", 2.0, 1.0, 4.0, np.eye(4)[None], np.array([8.0]))
     points = np.array([[0.5, 0, 0], [0, 2.0, 0], [0, 0, 4.5]])
     assert np.allclose(field.pull(0, points), [[8.0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
+
+
+def test_modes_fitted_to_the_shot_follow_it_more_closely(arm):
+    """Against every node simulated; ten modes, of which targets take one."""
+    full = displacements(run(arm, **FULL, modes=20))
+    apart = {}
+    for fitted in (False, True):
+        job = run(arm, solver="REDUCED", modes=10, fit_to_shot=fitted)
+        assert job.model.summary["modes"] == 10
+        apart[fitted] = np.abs(displacements(job) - full).max()
+    assert apart[True] < 0.5 * apart[False]
+
+
+def test_a_model_is_fitted_to_the_scene_s_range_when_it_is_built(arm):
+    arm.dynamorph.model.modes = 6
+    arm.dynamorph.model.fit_to_shot = True
+    assert bpy.ops.dynamorph.build() == {"FINISHED"}
+    model = part("jobs").load_model(arm)
+    assert "rehearsal" in model.summary["seconds"]
+    still = model.basis.T @ (np.repeat(model.soft_body().volumes.sum(axis=1), 3)[:, None] * model.basis)
+    assert np.allclose(still, np.eye(6), atol=1e-10)
+    job = part("jobs").Job(arm, bake=True)
+    part("jobs").run(job)
+    assert job.reasons == []
