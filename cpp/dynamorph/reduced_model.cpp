@@ -49,26 +49,7 @@ double packed_quadratic(const VectorXd& S, const VectorXd& x) {
   return sum;
 }
 
-using ModeGradients = Eigen::Matrix<double, 9, Eigen::Dynamic>;  ///< column k: dF/dz_k, column-major 3 x 3
-
-Matrix3d mode_gradient(const ModeGradients& G, Eigen::Index k) { return Eigen::Map<const Matrix3d>(G.col(k).data()); }
-
-/// sqrt(2) on the shear entries, so that the dot product of two of these is A:B of symmetric A and B.
-Eigen::Matrix<double, 6, 1> six(const Matrix3d& m) {
-  const double s = std::sqrt(0.5);
-  Eigen::Matrix<double, 6, 1> out;
-  out << m(0, 0), m(1, 1), m(2, 2), s * (m(0, 1) + m(1, 0)), s * (m(1, 2) + m(2, 1)), s * (m(2, 0) + m(0, 2));
-  return out;
-}
-
-Matrix3d tensor_cross(const Matrix3d& A, const Matrix3d& B) {
-  Matrix3d C;
-  for (int i = 0; i < 3; ++i) {
-    const int j = (i + 1) % 3, k = (i + 2) % 3;
-    C.col(i) = A.col(j).cross(B.col(k)) + B.col(j).cross(A.col(k));
-  }
-  return C;
-}
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 /// Sums over the tetrahedra of one target that its tables are made of. Green's strain is quadratic in v,
 /// E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l), so with the monomials m = (v_k, v_k v_l) each tet adds
@@ -78,22 +59,31 @@ class TargetSums {
   TargetSums(Law law, Eigen::Index r) : law_(law), layout_{r, law != Law::linear}, r_(r), pairs_(layout_.pairs()) {
     const Eigen::Index monomials = law == Law::linear ? r : r + pairs_;
     trace_gram_.setZero(monomials, monomials);
-    if (law != Law::stable_stvk) strain_gram_.setZero(monomials, monomials);
     trace_rows_.setZero(kBatch, monomials);
-    strain_rows_.setZero(6 * kBatch, monomials);
-    if (law == Law::stable_stvk) {
-      det_quadratic_.setZero(r, r);
-      det_cubic_.setZero(pairs_, r);
-      crosses_.resize(pairs_, 9 * kBatch);
+    if (law != Law::stable_stvk) {
+      strain_gram_.setZero(monomials, monomials);
+      strain_rows_.setZero(6 * kBatch, monomials);
+    } else {
+      det_quadratic_.setZero(pairs_);
+      det_cubic_.setZero(r, pairs_);
+      crosses_.resize(9 * kBatch, pairs_);
       gradients_.resize(9 * kBatch, r);
     }
   }
 
-  void add(double volume, const ModeGradients& G) {
-    const Eigen::Matrix<double, 1, 9> identity = flat_identity();
-    trace_rows_.row(filled_).head(r_) = std::sqrt(volume / 2) * (identity * G);
-    for (Eigen::Index k = 0; law_ != Law::stable_stvk && k < r_; ++k)
-      strain_rows_.block<6, 1>(6 * filled_, k) = std::sqrt(volume) * six(mode_gradient(G, k));
+  /// G (9, r): column k is dF/dz_k, column-major 3 x 3.
+  void add(double volume, const RowMajor& G) {
+    const double root = std::sqrt(volume);
+    trace_rows_.row(filled_).head(r_) = root / std::sqrt(2.0) * (G.row(0) + G.row(4) + G.row(8));
+    if (law_ != Law::stable_stvk) {
+      // sqrt(2) on the shear entries, so that the dot product of two rows of six is A:B of symmetric A and B.
+      const double shear = root * std::sqrt(0.5);
+      for (int a = 0; a < 3; ++a) {
+        const int b = (a + 1) % 3;
+        strain_rows_.row(6 * filled_ + a).head(r_) = root * G.row(4 * a);
+        strain_rows_.row(6 * filled_ + 3 + a).head(r_) = shear * (G.row(3 * a + b) + G.row(3 * b + a));
+      }
+    }
     if (law_ != Law::linear) add_pairs(volume, G);
     if (law_ == Law::stable_stvk) gradients_.middleRows(9 * filled_, 9) = G;
     if (++filled_ == kBatch) flush();
@@ -107,55 +97,52 @@ class TargetSums {
       return;
     }
     mu = lambda;  // 1/2 mu tr(E)^2, and mu (tr E - det F + 1)
-    VectorXd packed;
-    pack(det_quadratic_, packed);
-    mu.head(pairs_) += packed;
-    mu.segment(layout_.linear(), pairs_ * r_) += Eigen::Map<const VectorXd>(det_cubic_.data(), det_cubic_.size());
+    mu.head(pairs_) += det_quadratic_;
+    mu.segment(layout_.linear(), pairs_ * r_) -= Eigen::Map<const VectorXd>(det_cubic_.data(), det_cubic_.size());
   }
 
  private:
   static constexpr Eigen::Index kBatch = 32;
 
-  static Eigen::Matrix<double, 1, 9> flat_identity() {
-    const Matrix3d identity = Matrix3d::Identity();
-    return Eigen::Map<const Eigen::Matrix<double, 1, 9>>(identity.data());
-  }
-
-  void add_pairs(double volume, const ModeGradients& G) {
-    const MatrixXd products = G.transpose() * G;  // G_k : G_l
-    const VectorXd traces = (flat_identity() * G).transpose();
-    for (Eigen::Index k = 0, p = 0; k < r_; ++k) {
-      const Matrix3d Gk = mode_gradient(G, k);
-      for (Eigen::Index l = k; l < r_; ++l, ++p) {
-        trace_rows_(filled_, r_ + p) = std::sqrt(volume / 2) * 0.5 * products(k, l);
-        const Matrix3d Gl = mode_gradient(G, l);
-        if (law_ == Law::stvk) {
-          strain_rows_.block<6, 1>(6 * filled_, r_ + p) = std::sqrt(volume) * 0.5 * six(Gk.transpose() * Gl);
-          continue;
-        }
-        const Matrix3d cross = volume * tensor_cross(Gk, Gl);
-        crosses_.block<1, 9>(p, 9 * filled_) = Eigen::Map<const Eigen::Matrix<double, 1, 9>>(cross.data());
-        // tr E - det F + 1 to second order: 1/2 G:G - 1/2 ((tr G)^2 - G : G^T).
-        det_quadratic_(k, l) +=
-            volume * (products(k, l) + Gk.cwiseProduct(Gl.transpose()).sum() - traces(k) * traces(l));
+  void add_pairs(double volume, const RowMajor& G) {
+    const double half = 0.5 * std::sqrt(volume);
+    const bool stable = law_ == Law::stable_stvk;
+    for (Eigen::Index k = 0, p = 0; k < r_; p += r_ - k, ++k) {
+      double* trace = trace_rows_.row(filled_).data() + r_ + p;
+      const Eigen::Index count = r_ - k;
+      double* strain = stable ? nullptr : strain_rows_.row(6 * filled_).data() + r_ + p;
+      strain_of_pairs(G.data(), r_, k, trace, strain, strain_rows_.cols());
+      Eigen::Map<Eigen::RowVectorXd> products(trace, count);
+      if (stable) {
+        crosses_of_pairs(G.data(), r_, k, crosses_.row(9 * filled_).data() + p, pairs_);
+        // tr E - det F + 1 to second order: 1/2 G:G - 1/2 ((tr G)^2 - G : G^T), and the latter is half the cross
+        // product's trace.
+        const auto cross = [&](int c) { return crosses_.row(9 * filled_ + c).segment(p, count); };
+        det_quadratic_.segment(p, count) += (volume * (products - cross(0) - cross(4) - cross(8))).transpose();
+        crosses_.block(9 * filled_, p, 9, count) *= volume;
+      } else {
+        strain_rows_.block(6 * filled_, r_ + p, 6, count) *= half;
       }
+      products *= half / std::sqrt(2.0);
     }
   }
 
   void flush() {
-    if (filled_ == 0) return;  // Eigen's product kernels divide by the depth
-    const auto trace = trace_rows_.topRows(filled_);
-    trace_gram_.selfadjointView<Eigen::Upper>().rankUpdate(trace.transpose());
+    if (filled_ == 0) return;
+    const Eigen::Index monomials = trace_rows_.cols();
+    add_transposed_product(trace_rows_.data(), monomials, trace_rows_.data(), monomials, filled_, true,
+                           trace_gram_.data());
     if (law_ != Law::stable_stvk)
-      strain_gram_.selfadjointView<Eigen::Upper>().rankUpdate(strain_rows_.topRows(6 * filled_).transpose());
+      add_transposed_product(strain_rows_.data(), monomials, strain_rows_.data(), monomials, 6 * filled_, true,
+                             strain_gram_.data());
     else
-      det_cubic_.noalias() -= crosses_.leftCols(9 * filled_) * gradients_.topRows(9 * filled_);
+      add_transposed_product(gradients_.data(), r_, crosses_.data(), pairs_, 9 * filled_, false, det_cubic_.data());
     filled_ = 0;
   }
 
   /// Differentiates E = m^T gram m twice, symmetrised over all indices.
-  VectorXd table(const MatrixXd& upper) const {
-    const MatrixXd g = upper.selfadjointView<Eigen::Upper>();
+  VectorXd table(const RowMajor& upper) const {
+    const MatrixXd g = MatrixXd(upper).selfadjointView<Eigen::Upper>();
     VectorXd out(layout_.size());
     const auto pair = [&](Eigen::Index k, Eigen::Index l) { return r_ + pair_index(r_, k, l); };
     const auto for_pairs = [&](const auto& visit) {
@@ -180,8 +167,9 @@ class TargetSums {
   Law law_;
   TableLayout layout_;
   Eigen::Index r_, pairs_, filled_ = 0;
-  MatrixXd trace_gram_, strain_gram_, trace_rows_, strain_rows_;
-  MatrixXd det_quadratic_, det_cubic_, crosses_, gradients_;
+  RowMajor trace_gram_, strain_gram_, trace_rows_, strain_rows_;
+  VectorXd det_quadratic_;                    ///< packed pairs
+  RowMajor det_cubic_, crosses_, gradients_;  ///< (r, pairs), (9 batch, pairs), (9 batch, r)
 };
 
 }  // namespace
@@ -197,7 +185,8 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   tables.basis = U;
   const int targets = int(model.targets().size());
   const Eigen::Index tets = body.mesh.tets.rows();
-  ModeGradients G(9, U.cols());
+  const RowMajor modes = U;  // a node's rows in one piece
+  RowMajor G(9, U.cols());
   for (int j = 0; j < targets; ++j) {
     TargetSums sums(model.law(), U.cols());
     for (Eigen::Index e = 0; e < tets; ++e) {
@@ -208,7 +197,7 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
       for (int a = 0; a < 4; ++a) {
         const int i = body.free_of_node[body.mesh.tets(e, a)];
         for (int c = 0; i >= 0 && c < 3; ++c)
-          G.middleRows<3>(3 * c) += element.gradients(c, a) * U.middleRows<3>(3 * i);
+          G.middleRows<3>(3 * c) += element.gradients(c, a) * modes.middleRows<3>(3 * i);
       }
       sums.add(element.volume, G);
     }
