@@ -8,9 +8,10 @@ from pathlib import Path
 
 import bulging_cylinder
 import dynamic_morph_targets
+import herbert
 import shoulder
 
-SCENES = {"bulging_cylinder": bulging_cylinder, "shoulder": shoulder}
+SCENES = {"bulging_cylinder": bulging_cylinder, "herbert": herbert, "shoulder": shoulder}
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parent

@@ -100,7 +100,7 @@ class Simulation {
   /// Along direction_ from q: to where Phi descends, with elastic_, force_ and stiffness_ there; false when round-off
   /// leaves no descent.
   bool search(VectorXd& q, double energy_round_off);
-  void factor(Matrix& H);  ///< of the tangent, shifted until it is positive definite
+  void descend(Matrix& H);  ///< direction_ by the tangent, which is shifted until it is positive definite
   void require_pose() const;
   void check_weights(const VectorXd& weights) const;
   bool carry_past();  ///< compares the posed prediction in lag_ with the past's course
