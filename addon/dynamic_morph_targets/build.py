@@ -21,7 +21,8 @@ from .scene_data import Character, ModelSettings, Skeleton, Target
 Progress = Callable[[float, str], bool]
 Rehearsal = Callable[["Model"], tuple[np.ndarray, np.ndarray]]
 
-REHEARSAL_MODES = 40  # of the model from whose motion fewer modes are chosen
+REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
+REHEARSAL_MODES = 40  # in which larger models rehearse
 HELD = 0.05  # nodes softer than this in the Soft group are free
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
@@ -148,16 +149,11 @@ def build(
     law = dynamorph.Law.__members__[character.settings.law]
     full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
     if character.settings.solver == "REDUCED":
-        modes = character.settings.modes
-        fitted = character.settings.fit_to_shot
-        with stages("Modes", 0.15 if fitted else 0.35) as report:
-            basis = dynamorph.make_basis(full, _rehearsal_modes(full, modes) if fitted else modes, report).U
-        if fitted:
-            if rehearse is None:
-                raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
-            with stages("Rehearsal", 0.20) as report:
-                larger = _reduced(model, full, basis, report)
-                basis = _fitted_basis(larger.engine(character), basis, *rehearse(larger), modes)
+        if character.settings.fit_to_shot:
+            basis = _fitted_basis(model, body, full, character, rehearse, stages)
+        else:
+            with stages("Modes", 0.35) as report:
+                basis = dynamorph.make_basis(full, character.settings.modes, report).U
         with stages("Polynomials", 0.20) as report:
             model = _reduced(model, full, basis, report)
     model.summary.update(
@@ -178,22 +174,33 @@ def _reduced(model: Model, full, basis: np.ndarray, report) -> Model:
     return replace(model, basis=basis, table_lambda=np.array(tables.lame_lambda), table_mu=np.array(tables.lame_mu))
 
 
-def _rehearsal_modes(full, modes: int) -> int:
-    return max(modes, min(REHEARSAL_MODES, full.dofs // 3))
-
-
-def _fitted_basis(engine, basis: np.ndarray, coordinates: np.ndarray, weights: np.ndarray, modes: int) -> np.ndarray:
-    """The best of a larger basis: the targets' shapes exactly, then what moves most about them (mass-PCA).
+def _fitted_basis(model: Model, body, full, character: Character, rehearse, stages: _Stages) -> np.ndarray:
+    """Modes (3 free, r) for a shot: the targets' shapes exactly, then what moves most about them in a rehearsal
+    (mass-PCA). It is unreduced where that takes seconds, else in more modes than are wanted.
 
     All modes move a little, so that there are enough of them in a shot in which nothing does.
     """
-    targets = np.array([engine.target(j) for j in range(weights.shape[1])])
-    u, s, _ = np.linalg.svd(targets.T, full_matrices=False)
-    shapes = u[:, s > 1e-9 * max(s[0], 1e-300)]
-    motion = (coordinates - weights @ targets).T
-    motion = np.hstack([motion, np.eye(len(motion)) * max(1e-3 * np.abs(motion).max(), 1e-300)])
-    others, _, _ = np.linalg.svd(motion - shapes @ (shapes.T @ motion), full_matrices=False)
-    return basis @ np.hstack([shapes, others[:, : modes - shapes.shape[1]]])
+    if rehearse is None:
+        raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
+    wanted = character.settings.modes
+    with stages("Modes", 0.15) as report:
+        if full.dofs <= REHEARSED_IN_FULL:
+            rehearsed = replace(model, settings=replace(model.settings, solver="FULL"))
+            root = np.sqrt(np.repeat(body.volumes.sum(axis=1), 3))
+            orthonormal, scale = np.diag(1.0 / root), root
+        else:
+            orthonormal, scale = dynamorph.make_basis(full, max(wanted, REHEARSAL_MODES), report).U, 1.0
+            rehearsed = _reduced(model, full, orthonormal, report)
+    with stages("Rehearsal", 0.20):
+        coordinates, weights = rehearse(rehearsed)
+        engine = rehearsed.engine(character)
+        targets = np.array([engine.target(j) for j in range(weights.shape[1])])
+        motion = (scale * (coordinates - weights @ targets)).T
+        u, s, _ = np.linalg.svd((scale * targets).T, full_matrices=False)
+        shapes = u[:, s > 1e-9 * max(s[0], 1e-300)]
+        motion = np.hstack([motion, np.eye(len(motion)) * max(1e-3 * np.abs(motion).max(), 1e-300)])
+        others, _, _ = np.linalg.svd(motion - shapes @ (shapes.T @ motion), full_matrices=False)
+    return orthonormal @ np.hstack([shapes, others[:, : wanted - shapes.shape[1]]])
 
 
 def _static_model(character: Character, authored: dict[str, str]) -> Model:
