@@ -8,6 +8,8 @@
 #include <Eigen/SVD>
 #include <Eigen/SparseCholesky>
 
+#include "dynamorph/parallel.hpp"
+
 namespace dynamorph {
 
 namespace {
@@ -216,14 +218,10 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
   report(progress, 0);
   const MatrixXd loads = bone_loads(model.body());
-  std::vector<Candidates> found;
-  for (int j = 0; j < targets; ++j)
-    found.push_back(candidates(model, j, k, loads, [&](double done) {
-      report(progress, (j + done) / (targets + 1));
-      return true;
-    }));
+  std::vector<Candidates> found(targets);
+  in_parallel(targets, progress,
+              [&](int j, const ProgressFn& done) { found[j] = candidates(model, j, k, loads, done); });
   MatrixXd all = root.asDiagonal() * in_common_units(found, 0.1 * model.body().size);
-  report(progress, double(targets) / (targets + 1));
 
   // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.
   const double total = all.squaredNorm();

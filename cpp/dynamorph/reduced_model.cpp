@@ -4,6 +4,7 @@
 #include <map>
 
 #include "dynamorph/kernels.hpp"
+#include "dynamorph/parallel.hpp"
 
 namespace dynamorph {
 
@@ -186,11 +187,13 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   const int targets = int(model.targets().size());
   const Eigen::Index tets = body.mesh.tets.rows();
   const RowMajor modes = U;  // a node's rows in one piece
-  RowMajor G(9, U.cols());
-  for (int j = 0; j < targets; ++j) {
+  tables.lambda.resize(targets);
+  tables.mu.resize(targets);
+  in_parallel(targets, progress, [&](int j, const ProgressFn& done) {
     TargetSums sums(model.law(), U.cols());
+    RowMajor G(9, U.cols());
     for (Eigen::Index e = 0; e < tets; ++e) {
-      if (e % 512 == 0) report(progress, (j + double(e) / tets) / targets);
+      if (e % 512 == 0) report(done, double(e) / tets);
       const Element& element = model.shape(j).elements[e];
       if (element.volume == 0) continue;  // a tet outside this target's region
       G.setZero();
@@ -201,8 +204,8 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
       }
       sums.add(element.volume, G);
     }
-    sums.tables(tables.lambda.emplace_back(), tables.mu.emplace_back());
-  }
+    sums.tables(tables.lambda[j], tables.mu[j]);
+  });
   report(progress, 1);
   return tables;
 }
