@@ -46,6 +46,32 @@ struct Factored {
     if (tick) tick();
     return solver.solve(load);
   }
+  /// All columns of `loads`, several at a time: reading the factor is most of the work.
+  MatrixXd solve_all(const MatrixXd& loads) const {
+    constexpr Eigen::Index kBlock = 8;
+    using Block = Eigen::Matrix<double, Eigen::Dynamic, kBlock, Eigen::RowMajor>;
+    const SparseMatrix& L = solver.matrixL().nestedExpression();
+    MatrixXd out(loads.rows(), loads.cols());
+    for (Eigen::Index first = 0; first < loads.cols(); first += kBlock) {
+      const Eigen::Index some = std::min(kBlock, loads.cols() - first);
+      Block X = Block::Zero(loads.rows(), kBlock);
+      X.leftCols(some) = solver.permutationP() * loads.middleCols(first, some);
+      for (int j = 0; j < L.cols(); ++j) {
+        SparseMatrix::InnerIterator it(L, j);
+        X.row(j) /= it.value();
+        for (++it; it; ++it) X.row(it.row()) -= it.value() * X.row(j);
+      }
+      for (int j = int(L.cols()) - 1; j >= 0; --j) {
+        SparseMatrix::InnerIterator it(L, j);
+        const double diagonal = it.value();
+        for (++it; it; ++it) X.row(j) -= it.value() * X.row(it.row());
+        X.row(j) /= diagonal;
+      }
+      out.middleCols(first, some) = solver.permutationPinv() * MatrixXd(X.leftCols(some));
+      for (Eigen::Index c = 0; tick && c < some; ++c) tick();
+    }
+    return out;
+  }
   VectorXd mass;               ///< (3 free), kg
   double shift;                ///< 1/s^2
   std::function<void()> tick;  ///< called before every solve: reports progress, may throw Cancelled
@@ -144,13 +170,14 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   // Rigid modes of an unpinned body would swamp all others.
   const VectorXd frequencies = modes.frequencies.cwiseMax(1e-3 * modes.frequencies(k - 1));
   Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), MatrixXd(model.dofs(), pairs),
-                 MatrixXd(model.dofs(), loads.cols()), 0};
+                 MatrixXd(), 0};
   Eigen::Index column = 0;
   for (int i = 0; i < bent; ++i)
     for (int j = 0; j <= i; ++j)
       out.bending.col(column++) =
-          (i == j ? -0.5 : -1.0) * factored.solve(model.force_curvature(target, out.modes.col(i), out.modes.col(j)));
-  for (Eigen::Index c = 0; c < loads.cols(); ++c) out.responses.col(c) = factored.solve(loads.col(c));
+          (i == j ? -0.5 : -1.0) * model.force_curvature(target, out.modes.col(i), out.modes.col(j));
+  out.bending = factored.solve_all(out.bending);
+  out.responses = factored.solve_all(loads);
   VectorXd uniform = VectorXd::Zero(factored.mass.size());
   for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i) / model.targets()[target].density;
   out.response = largest(factored.solve(uniform));
