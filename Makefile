@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test demo docs bench stubs format lint wheel extension clean
+.PHONY: setup build test demo docs figures bench stubs format lint wheel extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -31,6 +31,10 @@ demo: build
 # The picture of the README.
 docs: build
 	@$(python) sample_blends/demo.py --docs
+
+# docs/results.md with its pictures; takes about 20 minutes.
+figures: build
+	@$(python) sample_blends/figures.py
 
 bench: build
 	@$(python) tests/benchmarks/run.py

@@ -40,7 +40,7 @@ BENDS = ((1, 0), (6, 0), (13, -34), (17, -34), (26, 50), (32, 50), (40, 100), (8
 # The same push and the same shake twice: on the flexed limb and on the straight one.
 PUSHES = (46, 114)
 PUSH = ((0, 0), (4, 1), (10, 1), (11, 0))  # (frames after its start, fraction of the full strength): let go at once
-PUSH_STRENGTH = 900  # newtons on a square metre of skin, down
+PUSH_STRENGTH = 800  # newtons on a square metre of skin, down
 PUSH_CENTRE, PUSH_RADIUS = 0.19, 0.13  # along the limb, on its axis: the upper arm, bulged or not
 SHAKES = (66, 136)
 SHAKE = (0.0, 0.015, -0.015, 0.015, -0.015, 0.0)  # metres up and down, a key every other frame
@@ -58,13 +58,13 @@ SHAPES = {
 }
 
 # Stiffness in Pa and the two Rayleigh dampings of each target; the frame at which its pose is captured.
-SOFT_FLESH = {"stiffness": 12e3, "mass_damping": 2.0, "stiffness_damping": 0.006}
+SOFT_FLESH = {"stiffness": 15e3, "mass_damping": 2.0, "stiffness_damping": 0.005}
 TARGETS = {
-    "Half bend": (32, {"stiffness": 30e3, "mass_damping": 2.0, "stiffness_damping": 0.004}),
-    "Flexed": (44, {"stiffness": 120e3, "mass_damping": 2.0, "stiffness_damping": 0.002}),
-    "Back bend": (16, {"stiffness": 40e3, "mass_damping": 2.0, "stiffness_damping": 0.004}),
+    "Half bend": (32, {"stiffness": 40e3, "mass_damping": 2.0, "stiffness_damping": 0.0035}),
+    "Flexed": (44, {"stiffness": 150e3, "mass_damping": 2.0, "stiffness_damping": 0.0015}),
+    "Back bend": (16, {"stiffness": 45e3, "mass_damping": 2.0, "stiffness_damping": 0.003}),
 }
-MODEL = {"modes": 13, "cage_nodes": 357}  # as the thesis: 13 modes, about 918 degrees of freedom
+MODEL = {"modes": 13, "cage_nodes": 416, "pin_radius": 0.25}  # as the thesis: 13 modes, about 918 degrees of freedom
 
 README = """Bulging cylinder
 
@@ -196,7 +196,7 @@ def add_push(rig: bpy.types.Object) -> None:
     wind.parent = rig
     wind.location.x = PUSH_CENTRE
     wind.empty_display_size = 0.1
-    wind.field.falloff_power = 0
+    wind.field.shape, wind.field.falloff_power = "POINT", 0  # reach is measured from its centre
     wind.field.use_max_distance, wind.field.distance_max = True, PUSH_RADIUS
     for start in PUSHES:
         for after, fraction in PUSH:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
 from PIL import Image, ImageDraw, ImageFont
 
 MARGIN = 14
@@ -27,13 +29,22 @@ class Row:
     notes: Sequence[str]
 
 
-def render(frames: Sequence[int], size: tuple[int, int], engine: str = "CYCLES", samples: int = 8) -> list[Image.Image]:
+def render(
+    frames: Sequence[int],
+    size: tuple[int, int],
+    engine: str = "CYCLES",
+    samples: int = 8,
+    focus: Mapping[int, Sequence[float]] | None = None,
+    zoom: float = 1.0,
+) -> list[Image.Image]:
     """The open scene at `frames`, through its own camera and lights. CYCLES runs on the CPU, BLENDER_WORKBENCH needs
-    EGL; EEVEE takes minutes a frame without a GPU."""
+    EGL; EEVEE takes minutes a frame without a GPU. zoom: the part of the picture's width that is rendered, around the
+    point `focus` has for the frame, world space."""
     scene = bpy.context.scene
     scene.render.engine = engine
-    scene.render.resolution_x, scene.render.resolution_y = size
+    scene.render.resolution_x, scene.render.resolution_y = (round(pixels / zoom) for pixels in size)
     scene.render.resolution_percentage = 100
+    scene.render.use_border = scene.render.use_crop_to_border = zoom < 1
     scene.render.use_persistent_data = True
     scene.render.image_settings.file_format = "PNG"
     scene.cycles.device = "CPU"
@@ -44,12 +55,23 @@ def render(frames: Sequence[int], size: tuple[int, int], engine: str = "CYCLES",
     with tempfile.TemporaryDirectory() as folder:
         for frame in frames:
             scene.frame_set(frame)
+            if zoom < 1:
+                frame_point(focus[frame], zoom)
             scene.render.filepath = str(Path(folder, "frame.png"))
             with quiet():
                 bpy.ops.render.render(write_still=True)
             with Image.open(scene.render.filepath) as picture:
-                pictures.append(picture.convert("RGB"))
+                pictures.append(picture.convert("RGB").resize(size))  # a border may miss the size by a pixel
     return pictures
+
+
+def frame_point(point: Sequence[float], zoom: float) -> None:
+    """Render only the part `zoom` of the camera's picture, with a point of the world in its middle if it can be."""
+    scene = bpy.context.scene
+    x, y, _ = world_to_camera_view(scene, scene.camera, Vector(point))
+    left, low = (min(max(middle - zoom / 2, 0), 1 - zoom) for middle in (x, y))
+    scene.render.border_min_x, scene.render.border_max_x = left, left + zoom
+    scene.render.border_min_y, scene.render.border_max_y = low, low + zoom
 
 
 @contextlib.contextmanager
@@ -67,21 +89,21 @@ def quiet() -> Iterator[None]:
             os.close(copy)
 
 
-def compose(title: str, subtitle: str, frames: Mapping[int, str], rows: Sequence[Row]) -> Image.Image:
-    """One row for each variant, one column for each frame; frames: number and what happens there."""
+def compose(title: str, subtitle: str, columns: Sequence[str], rows: Sequence[Row]) -> Image.Image:
+    """One row for each variant; columns: what each one's pictures show."""
     font, small, large = (ImageFont.load_default(points) for points in (15, 12, 24))
     width, height = rows[0].pictures[0].size
     row_height = 26 + height + 22
     top = MARGIN + 66
     sheet = Image.new(
-        "RGB", (2 * MARGIN + len(frames) * (width + 4) - 4, top + 24 + len(rows) * row_height + MARGIN), PAPER
+        "RGB", (2 * MARGIN + len(columns) * (width + 4) - 4, top + 24 + len(rows) * row_height + MARGIN), PAPER
     )
     draw = ImageDraw.Draw(sheet)
     draw.text((MARGIN, MARGIN), title, INK, large)
     draw.text((MARGIN, MARGIN + 36), subtitle, FAINT, font)
-    for column, (frame, event) in enumerate(frames.items()):
+    for column, event in enumerate(columns):
         x = MARGIN + column * (width + 4)
-        draw.text((x, top), f"{frame}: {event}", FAINT, font)
+        draw.text((x, top), event, FAINT, font)
         for r, row in enumerate(rows):
             y = top + 24 + r * row_height
             sheet.paste(row.pictures[column], (x, y + 26))

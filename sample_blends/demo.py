@@ -71,7 +71,8 @@ def run(draft: bool, docs: bool) -> None:
     rows.insert(0, row("Plain skinning", "no simulation", draft))
     rendering += time.perf_counter() - began
 
-    sheet = compose("Bulging cylinder", "The same frames; under the pictures, the targets' weights", FRAMES, rows)
+    columns = [f"{frame}: {event}" for frame, event in FRAMES.items()]
+    sheet = compose("Bulging cylinder", "The same frames; under the pictures, the targets' weights", columns, rows)
     save(sheet, SHEET)
     print(f"saved {shown(SHEET)} (rendered in {rendering:.0f} s)")
     if docs:

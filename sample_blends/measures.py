@@ -13,6 +13,8 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 CHUNK = 2_000_000  # points times triangles in one piece of the winding number: bounds memory
+PADDING = 16  # samples of a spectrum to one of the signal
+FAR = 1e6  # metres
 OUTWARD = 0.5  # cosine above which a way leads out through a triangle rather than along it
 
 
@@ -38,21 +40,19 @@ def amplitude(signal: np.ndarray) -> float:
 def spectrum(signal: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """(frequencies in Hz, amplitudes in the signal's unit) of samples (F,) taken `rate` times a second.
 
-    Without the mean, through a Hann window scaled so that a steady sine shows its amplitude.
+    Without the mean, through a Hann window scaled so that a steady sine shows its amplitude; padded with zeros, which
+    draws the same spectrum finely.
     """
     window = np.hanning(len(signal))
-    amplitudes = np.abs(np.fft.rfft((signal - signal.mean()) * window)) * 2 / window.sum()
-    return np.fft.rfftfreq(len(signal), 1 / rate), amplitudes
+    size = PADDING * len(signal)
+    amplitudes = np.abs(np.fft.rfft((signal - signal.mean()) * window, size)) * 2 / window.sum()
+    return np.fft.rfftfreq(size, 1 / rate), amplitudes
 
 
 def dominant_frequency(signal: np.ndarray, rate: float) -> float:
-    """Where the spectrum peaks, in Hz; between samples of the spectrum by a parabola through the logarithms."""
+    """Where the spectrum peaks, in Hz."""
     frequencies, amplitudes = spectrum(signal, rate)
-    peak = int(np.clip(amplitudes.argmax(), 1, len(amplitudes) - 2))
-    below, at, above = np.log(np.maximum(amplitudes[peak - 1 : peak + 2], 1e-300))
-    curvature = below - 2 * at + above
-    shift = 0.5 * (below - above) / curvature if curvature else 0.0
-    return float((peak + np.clip(shift, -0.5, 0.5)) * frequencies[1])
+    return float(frequencies[amplitudes.argmax()])
 
 
 # Size -----------------------------------------------------------------------------------------------------------------
@@ -81,6 +81,13 @@ def boundary_loops(triangles: np.ndarray) -> list[list[int]]:
             loop.append(after.pop(loop[-1]))
         loops.append(loop[:-1])
     return loops
+
+
+def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The area (V,) that belongs to each vertex, square metres: a third of its triangles'."""
+    corners = vertices[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.bincount(triangles.ravel(), np.repeat(np.linalg.norm(across, axis=1) / 6, 3), len(vertices))
 
 
 def region(triangles: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -124,17 +131,26 @@ def self_intersections(vertices: np.ndarray, triangles: np.ndarray) -> Intersect
     """Where a skin (V, 3), (T, 3) passes through itself, closed or nearly so.
 
     A vertex is buried when the skin's winding number there exceeds 1: its own sheet gives between 0 and 1, each part of
-    the body that it is inside of one more. Its depth is the distance to the nearest point of the skin where the straight
-    way to it leads out.
+    the body that it is inside of one more. Its depth is the distance to the nearest point of buried skin to which the
+    straight way leads out, for there it leaves the part that it is in.
     """
     tree = BVHTree.FromPolygons(vertices.tolist(), triangles.tolist())
     pairs = np.array([pair for pair in tree.overlap(tree) if pair[0] < pair[1]], int).reshape(-1, 2)
     first, second = triangles[pairs[:, 0]], triangles[pairs[:, 1]]
     pairs = pairs[(first[:, :, None] != second[:, None, :]).all(axis=(1, 2))]
-    if not len(pairs):
-        return Intersections(0, 0.0)
-    buried = _buried(vertices, triangles, np.unique(triangles[pairs]))
-    return Intersections(len(pairs), max((_way_out(tree, vertices[v]) for v in buried), default=0.0))
+    rim = np.unique(triangles[pairs])
+    buried = _buried(vertices, triangles, rim)
+    outside = np.setdiff1d(rim, buried)
+    if not len(buried):
+        return Intersections(len(pairs), 0.0)
+    there = np.isin(triangles, buried).any(axis=1)
+    there[pairs] = True
+    skin = BVHTree.FromPolygons(vertices.tolist(), triangles[there].tolist())
+    depths = np.array([_way_out(skin, vertices[v]) for v in buried] + [0.0] * len(outside))
+    # None is deeper than another by more than the way between: in the corner of a fold none may lead straight out.
+    known = vertices[np.concatenate([buried, outside])]
+    ways = np.linalg.norm(vertices[buried, None] - known, axis=2)
+    return Intersections(len(pairs), float((ways + depths).min(axis=1).max()))
 
 
 def winding_numbers(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -156,7 +172,7 @@ def _dot(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _buried(vertices: np.ndarray, triangles: np.ndarray, front: np.ndarray) -> np.ndarray:
     """Indices of the buried vertices. front: those of intersecting triangles, from which a buried patch is reached."""
     seen = np.zeros(len(vertices), bool)
-    buried = []
+    buried = [front[:0]]
     while len(front):
         seen[front] = True
         deep = front[winding_numbers(vertices[front], vertices, triangles) > 1]
@@ -167,13 +183,8 @@ def _buried(vertices: np.ndarray, triangles: np.ndarray, front: np.ndarray) -> n
     return np.concatenate(buried)
 
 
-def _way_out(tree: BVHTree, vertex: np.ndarray) -> float:
-    """Distance from a buried vertex to where the straight way leads out of the skin, at least."""
+def _way_out(skin: BVHTree, vertex: np.ndarray) -> float:
+    """Distance from a buried vertex to where the straight way leads out through `skin`; FAR where none does."""
     origin = Vector(vertex)
-    reach = 1e-3
-    while reach < 1e3:
-        for point, normal, _, distance in sorted(tree.find_nearest_range(origin, reach), key=lambda hit: hit[3]):
-            if distance > 0 and (point - origin).dot(normal) > OUTWARD * distance:
-                return distance
-        reach *= 2
-    return 0.0
+    hits = skin.find_nearest_range(origin, FAR)
+    return min((d for point, normal, _, d in hits if d > 0 and (point - origin).dot(normal) > OUTWARD * d), default=FAR)

@@ -19,10 +19,10 @@ import numpy as np
 from .scene_data import Character, ModelSettings, Skeleton, Target
 
 Progress = Callable[[float, str], bool]
-Rehearsal = Callable[["Model"], tuple[np.ndarray, np.ndarray]]
+Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.ndarray]]
 
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
-REHEARSAL_MODES = 40  # in which larger models rehearse
+REHEARSAL_MODES = 40  # in which larger models rehearse, or in twice as many as are wanted
 HELD = 0.05  # nodes softer than this in the Soft group are free
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
@@ -110,6 +110,15 @@ class Model:
         tables = dynamorph.ReducedTables(law, self.basis, list(self.table_lambda), list(self.table_mu))
         return dynamorph.ReducedModel(self.soft_body(), targets, tables, blending)
 
+    @property
+    def stepper(self) -> type:
+        """The engine's simulation of such a model."""
+        return dynamorph.FullSimulation if self.settings.solver == "FULL" else dynamorph.ReducedSimulation
+
+    def target_coordinates(self, engine) -> np.ndarray:
+        """Coordinates (J, dofs) of every target's shape."""
+        return np.array([engine.target(j) for j in range(len(self.displacements))])
+
     def surface(self, displacement: np.ndarray) -> np.ndarray:
         """Displacement of the render surface (..., V, 3), local space, from that of the nodes (..., n, 3), bind."""
         bind = np.einsum("va,...vac->...vc", self.embedding_weights, displacement[..., self.embedding_nodes, :])
@@ -131,7 +140,7 @@ def build(
     """Builds the model of a character. progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
 
     previous: a model of the same character, whose tetrahedra serve again if nothing they depend on has changed.
-    rehearse(model): reduced coordinates (F, r) and target weights (F, J) of the shot that modes are to be fitted to.
+    rehearse(model, report): coordinates (F, dofs) and target weights (F, J) of the shot that modes are to be fitted to.
     Raises dynamorph.Error or ValueError with advice when the mesh or the targets cannot be used.
     """
     authored = dependencies(character)
@@ -162,7 +171,7 @@ def build(
         dofs=full.dofs,
         modes=model.basis.shape[1],
         targets=len(targets),
-        warnings=_fallback_warnings(full, character.targets),
+        warnings=_fallback_warnings(full, character.targets, len(model.tets)),
         seconds=stages.seconds,
     )
     return model
@@ -178,27 +187,30 @@ def _fitted_basis(model: Model, body, full, character: Character, rehearse, stag
     """Modes (3 free, r) for a shot: the targets' shapes exactly, then what moves most about them in a rehearsal
     (mass-PCA). It is unreduced where that takes seconds, else in more modes than are wanted.
 
-    All modes move a little, so that there are enough of them in a shot in which nothing does.
+    The usual modes move a little too, so that there are enough of them in a shot in which little does.
     """
     if rehearse is None:
         raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
     wanted = character.settings.modes
-    with stages("Modes", 0.15) as report:
-        if full.dofs <= REHEARSED_IN_FULL:
+    in_full = full.dofs <= REHEARSED_IN_FULL
+    with stages("Modes", 0.05 if in_full else 0.15) as report:
+        more = wanted if in_full else min(max(2 * wanted, REHEARSAL_MODES), full.dofs // 3)
+        usual = dynamorph.make_basis(full, max(wanted, more), report).U
+    with stages("Rehearsal", 0.30 if in_full else 0.20) as report:
+        building = 0.0 if in_full else 0.8  # of the time, by polynomials in many modes
+        if in_full:
             rehearsed = replace(model, settings=replace(model.settings, solver="FULL"))
-            root = np.sqrt(np.repeat(body.volumes.sum(axis=1), 3))
-            orthonormal, scale = np.diag(1.0 / root), root
+            root = np.sqrt(np.repeat(body.volumes.sum(axis=1), 3))  # of the mass for unit density
+            orthonormal, scale, little = np.diag(1.0 / root), root, root[:, None] * usual
         else:
-            orthonormal, scale = dynamorph.make_basis(full, max(wanted, REHEARSAL_MODES), report).U, 1.0
-            rehearsed = _reduced(model, full, orthonormal, report)
-    with stages("Rehearsal", 0.20):
-        coordinates, weights = rehearse(rehearsed)
-        engine = rehearsed.engine(character)
-        targets = np.array([engine.target(j) for j in range(weights.shape[1])])
+            orthonormal, scale, little = usual, 1.0, np.eye(usual.shape[1])
+            rehearsed = _reduced(model, full, usual, lambda fraction: report(building * fraction))
+        coordinates, weights = rehearse(rehearsed, lambda fraction: report(building + (1.0 - building) * fraction))
+        targets = rehearsed.target_coordinates(rehearsed.engine(character))
         motion = (scale * (coordinates - weights @ targets)).T
         u, s, _ = np.linalg.svd((scale * targets).T, full_matrices=False)
         shapes = u[:, s > 1e-9 * max(s[0], 1e-300)]
-        motion = np.hstack([motion, np.eye(len(motion)) * max(1e-3 * np.abs(motion).max(), 1e-300)])
+        motion = np.hstack([motion, little * max(1e-3 * np.abs(motion).max(), 1e-300)])
         others, _, _ = np.linalg.svd(motion - shapes @ (shapes.T @ motion), full_matrices=False)
     return orthonormal @ np.hstack([shapes, others[:, : wanted - shapes.shape[1]]])
 
@@ -283,14 +295,18 @@ def _shape_targets(model: Model, body, embedding, targets: list[Target], report)
             model.details[j] = target.shape - model.surface(model.displacements[j])
 
 
-def _fallback_warnings(full, targets: list[Target]) -> list[str]:
-    counts = [(target.name, full.fallbacks(j)) for j, target in enumerate(targets)]
-    return [
-        f"Target '{name}' would crush or invert {count} tetrahedra: they keep their neutral shape; "
-        "a finer cage or a smoother sculpt avoids it"
-        for name, count in counts
-        if count
-    ]
+def _fallback_warnings(full, targets: list[Target], tets: int) -> list[str]:
+    """Says how many tetrahedra of each target's sculpt could not be used, with advice where it is more than a few."""
+    warnings = []
+    for j, target in enumerate(targets):
+        count = full.fallbacks(j)
+        if count:
+            advice = "; a finer cage or a smoother sculpt avoids it" if count > 1e-3 * tets else ""
+            warnings.append(
+                f"Target '{target.name}' would crush or invert {count} of {tets} tetrahedra, which stay as in the "
+                f"neutral shape{advice}"
+            )
+    return warnings
 
 
 def _morph_targets(character: Character, displacements: np.ndarray) -> list:
@@ -352,7 +368,10 @@ def dependencies(character: Character) -> dict[str, str]:
         "skin weights": (character.weights,),
         "Soft vertex group": (character.softness,),
         "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
-        "regions": tuple(target_set.share for target_set in character.target_sets),
+        "regions": (
+            np.array([len(target_set.targets) for target_set in character.target_sets]),
+            *(target_set.share for target_set in character.target_sets),
+        ),
         "number of targets": (np.array([len(character.targets)]),),
     }
     for j, target in enumerate(character.targets):

@@ -91,14 +91,13 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["model"].fixed_type.properties
         for name in MODEL_SETTINGS:
             setting = settings[name]
+            option, text = f"--{name.replace('_', '-')}", setting.description.replace("%", "%%")
             if setting.type == "BOOLEAN":
-                option = f"--{name.replace('_', '-')}"
-                sub.add_argument(option, action=argparse.BooleanOptionalAction, help=setting.description)
-                continue
-            choices = [item.identifier.lower() for item in setting.enum_items] if setting.type == "ENUM" else None
-            option = f"--{name.replace('_', '-')}"
-            kind = str if choices else number(setting)
-            sub.add_argument(option, choices=choices, type=kind, help=setting.description.replace("%", "%%"))
+                sub.add_argument(option, action=argparse.BooleanOptionalAction, help=text)
+            elif setting.type == "ENUM":
+                sub.add_argument(option, choices=[item.identifier.lower() for item in setting.enum_items], help=text)
+            else:
+                sub.add_argument(option, type=number(setting), help=text)
 
     bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
     bake.set_defaults(bake=True)

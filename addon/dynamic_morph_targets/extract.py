@@ -171,6 +171,8 @@ def _check_keys(obj):
         raise SceneError(f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
     targets = _active_targets(obj)
     if len(targets) < 2 and obj.dynamorph.model.method != "SINGLE":
+        if len(obj.dynamorph.targets) > 1:
+            raise SceneError(f"'{obj.name}': all targets are muted: unmute one, or choose the Method Single")
         raise SceneError(f"'{obj.name}' has no targets: select a shape key, pose the armature and press Add Target")
     for target in targets[1:]:
         if target.name not in keys.key_blocks:
@@ -219,7 +221,7 @@ def _target_sets(obj, skeleton: Skeleton) -> tuple[TargetSet, ...]:
         raise SceneError(f"'{obj.name}': the vertex group '{empty[0]}' of a target's Region is empty: paint it")
     shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1.0)
     sets = []
-    for group, share in zip(["", *groups], [1.0 - shares.sum(axis=1), *shares.T], strict=True):
+    for group, share in zip(["", *groups], [(1.0 - shares.sum(axis=1)).clip(0.0), *shares.T], strict=True):
         targets = [_target(obj, target, skeleton) for target in others if target.region == group]
         at_rest = _target(obj, neutral, skeleton)
         if group:
@@ -423,7 +425,7 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     skeleton = rest_skeleton(rig.data)
     order = _pose_order(rig, skeleton)
     count = 1 + (end - start) * substeps
-    sources = _force_fields(bpy.context.scene) if obj.dynamorph.simulation.fields else []
+    sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
     samples = RigSamples(
         np.empty((count, len(order), 4, 4)),
         np.empty((count, 4, 4)),
@@ -432,7 +434,8 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     )
     with _rig_scene(obj, rig) as scene:
         for source in sources:
-            scene.collection.objects.link(source)
+            if source.name not in scene.collection.objects:  # the rig may be one
+                scene.collection.objects.link(source)
         for s in range(count):
             frame, substep = divmod(s, substeps)
             scene.frame_set(start + frame, subframe=substep / substeps)
@@ -462,19 +465,29 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     return samples
 
 
-def _force_fields(scene) -> list:
-    """The objects whose force field pushes skin."""
-    return [
-        obj
-        for obj in scene.objects
-        if obj.field and obj.field.type in {"WIND", "FORCE"} and obj.field.apply_to_location and not obj.hide_viewport
-    ]
+def _force_fields(view_layer) -> list:
+    """The objects whose force field pushes skin. Raises SceneError for kinds that would act otherwise than shown."""
+    found = []
+    for obj in view_layer.objects:
+        field = obj.field
+        if not field or field.type not in {"WIND", "FORCE"} or not field.apply_to_location or obj.hide_viewport:
+            continue
+        if field.shape not in {"POINT", "PLANE"} or field.falloff_type != "SPHERE" or field.z_direction != "BOTH":
+            raise SceneError(
+                f"Force field '{obj.name}' cannot push skin as it is: choose Shape Point or Plane, Falloff Sphere "
+                "and Z Direction Both, or set Force Fields to 0"
+            )
+        found.append(obj)
+    return found
 
 
 def _empty_samples(field, count: int) -> ForceField:
     nearest = field.distance_min if field.use_min_distance else 0.0
     farthest = field.distance_max if field.use_max_distance else np.inf
-    return ForceField(field.type, field.falloff_power, nearest, farthest, np.empty((count, 4, 4)), np.empty(count))
+    plane = field.shape == "PLANE"
+    return ForceField(
+        field.type, plane, field.falloff_power, nearest, farthest, np.empty((count, 4, 4)), np.empty(count)
+    )
 
 
 @contextmanager

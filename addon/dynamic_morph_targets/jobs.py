@@ -124,7 +124,7 @@ def forget_model(obj):
     """Drop the model kept in the .blend. A file stays: another .blend may use it."""
     obj.pop(PACKED, None)
     record = obj.dynamorph.model
-    record.content_id = record.summary = record.stale = ""
+    record.content_id = record.summary = record.stale = record.warnings = ""
 
 
 def load_model(obj):
@@ -136,7 +136,12 @@ def load_model(obj):
 @lru_cache(maxsize=4)
 def _load(session_uid: int, _content_id: str):
     build, _ = engine()
-    return build.Model.from_arrays(*model_file.unpack(stored_model(find(session_uid))))
+    try:
+        return build.Model.from_arrays(*model_file.unpack(stored_model(find(session_uid))))
+    except model_file.ModelFileError:
+        raise
+    except ValueError as error:  # it lacks something, or has what this version does not know
+        raise model_file.ModelFileError(str(error)) from error
 
 
 def stale_reasons(obj, character) -> list[str]:
@@ -236,7 +241,8 @@ class Job:
             self.previous = load_model(obj)
         if not self.reasons:
             self.model = self.previous
-        fits = bool(self.reasons) and self.character.settings.fit_to_shot
+        model = self.character.settings
+        fits = bool(self.reasons) and model.fit_to_shot and model.solver == "REDUCED" and model.method != "STATIC"
         if not (self.bake or fits):
             return
         self.settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
@@ -273,16 +279,22 @@ class Job:
             with self._stage("write keys"):
                 sinks.write_modal_keys(obj, self.result)
             obj.dynamorph.bake.summary = self.summary()
+            obj.dynamorph.bake.warnings = "\n".join(
+                warning for warning in self.warnings if warning not in self.model.summary["warnings"]
+            )
 
     def summary(self) -> str:
         """One line for the artist."""
         if not self.bake:
             return self.model_summary()
         frames = len(self.settings.frames)
-        return f"{frames} frames, {frames / max(sum(self.seconds.values()), 1e-9):.0f} frames/s"
+        seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
+        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s"
 
     def model_summary(self) -> str:
         made = self.model.summary
+        if not made["tets"]:
+            return f"{made['targets']} targets, nothing to simulate"
         return f"{made['nodes']} nodes, {made['modes']} modes, {made['targets']} targets, {made['dofs']} DOF"
 
     def _store_model(self, obj):
@@ -294,6 +306,8 @@ class Job:
         elif PACKED not in obj and self.folder not in (None, _blend_folder()):
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
         record.stale = ""
+        if self.reasons:
+            record.warnings = "\n".join(self.model.summary["warnings"])
 
     def _work(self):
         try:
@@ -307,11 +321,12 @@ class Job:
     def _compute(self):
         _, simulate = engine()
         start = 0.2
+        built = 0.95 if self.character.settings.fit_to_shot else 0.7
         if self.reasons:
             with self._stage("build"):
-                progress = self._progress(start, 0.7 if self.bake else 1.0)
+                progress = self._progress(start, built if self.bake else 1.0)
                 self.model = simulate.build_for(self.character, self.rig, self.settings, progress, self.previous)
-            start = 0.7
+            start = built
             self.warnings += self.model.summary["warnings"]
         if not self.bake:
             return
@@ -320,10 +335,13 @@ class Job:
                 self.model, self.character, self.rig, self.settings, self._progress(start, 1.0)
             )
         self.warnings += self.report["warnings"]
+        first, last = self.model.summary.get("fitted", (self.settings.start, self.settings.end))
+        if self.settings.start < first or self.settings.end > last:
+            self.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
         if self.report["inverted"]:
             self.warnings.append(
-                f"{self.report['inverted']} tetrahedra turn inside out: raise Stiffness or Cage Nodes, or smooth the "
-                "sculpt"
+                f"{self.report['inverted']} of {len(self.model.tets)} tetrahedra turn inside out at worst: raise "
+                "Stiffness or Cage Nodes, or smooth the sculpt"
             )
         for name in ("coordinates", "weights", "modes", "details"):
             if not np.isfinite(getattr(self.result, name)).all():

@@ -219,7 +219,7 @@ def oscillation(times: np.ndarray, positions: np.ndarray) -> Oscillation:
     if omega * times[-1] < 4 * pi:
         raise ValueError("fewer than two periods: record longer, or push less damped flesh; the motion hardly swings")
     if decay > 0.5 * hypot(decay, omega):
-        raise ValueError("overdamped: the point hardly swings back; measure force and displacement instead")
+        raise ValueError("too damped: the point hardly swings back; measure force and displacement instead")
     jacobian = _jacobian(times, along, decay, omega)
     variance = squares / (len(times) - 5) * np.linalg.inv(jacobian.T @ jacobian).diagonal()
     decay_error, omega_error = np.sqrt(variance[:2])
@@ -410,7 +410,7 @@ def fit_force_displacement(
         raise ValueError("the displacements go against the forces: check signs, axes and units (newtons, metres)")
     start = log(now.stiffness * (answer**2).sum() / along)
     stiffness, misses = _least_squares(lambda log_e: press(exp(log_e), forces) - displacements, start)
-    if (misses**2).sum() > 0.25 * (displacements**2).sum():
+    if not (misses**2).sum() <= 0.25 * (displacements**2).sum():  # nor if they are not numbers
         raise ValueError(
             "no stiffness meets these displacements: check axes and units (newtons, metres), and the patch"
         )
@@ -442,13 +442,8 @@ class _Press:
 
     def __call__(self, stiffness: float, forces: np.ndarray) -> np.ndarray:
         """NaN where the flesh finds no rest."""
-        import dynamorph
-
         engine = self.model.engine(_with_stiffness(self.character, self.target, stiffness))
-        reduced = isinstance(engine, dynamorph.ReducedModel)
-        simulation = (dynamorph.ReducedSimulation if reduced else dynamorph.FullSimulation)(
-            engine, 1.0, tolerance=1e-9, max_iterations=100
-        )
+        simulation = self.model.stepper(engine, 1.0, tolerance=1e-9, max_iterations=100)
         answers, found = [], []
         for k, force in enumerate([np.zeros(3), *forces]):
             guess = self.guesses[k] if self.guesses else found[-1] if found else None
@@ -486,7 +481,10 @@ def _least_squares(residual: Callable[[float], np.ndarray], x: float) -> tuple[f
 
 
 def _checked(model, character: Character, target: int, patch) -> tuple[Character, np.ndarray]:
-    """The character that is simulated, and the weights (V,) of its surface vertices, by default the target's region."""
+    """The character that is simulated, and the weights (V,) of its surface vertices, by default the target's region.
+
+    The neutral target is all sets', so its region is all of the flesh.
+    """
     character = character.by_method()
     if not len(model.tets):
         raise ValueError(f"'{character.name}': the model has no flesh to fit: choose another Method and build it")
@@ -494,7 +492,8 @@ def _checked(model, character: Character, target: int, patch) -> tuple[Character
         raise ValueError(f"target: expected 0 to {len(character.targets) - 1}, got {target}")
     if patch is None:
         sets = zip(character.target_sets, _indices(character), strict=True)
-        patch = next(target_set.share for target_set, indices in sets if target in indices)
+        share, neutral = next((s.share, indices[0]) for s, indices in sets if target in indices)
+        patch = np.ones(len(character.vertices)) if target == neutral else share
     patch = np.asarray(patch, float)
     if patch.shape != (len(character.vertices),) or not np.isfinite(patch).all() or (patch < 0.0).any():
         raise ValueError(f"patch: expected a weight of 0 or more for each of {len(character.vertices)} vertices")
@@ -521,7 +520,7 @@ def _with_stiffness(character: Character, target: int, stiffness: float) -> Char
     ranges = _indices(character)
     neutrals = [indices[0] for indices in ranges]
     if character.settings.method == "SHAPE" and target not in neutrals:
-        raise ValueError("with the method Shape Only the flesh is the neutral target's everywhere: fit that one")
+        raise ValueError("with the method Shape the flesh is the neutral target's everywhere: fit that one")
     targets = list(character.targets)
     for index in neutrals if target in neutrals else [target]:
         targets[index] = replace(targets[index], material=replace(targets[index].material, stiffness=stiffness))

@@ -168,6 +168,11 @@ class DYNAMORPH_OT_apply_material(SoftSkinOperator, Operator):
         items=[(key, preset.label, preset.source) for key, preset in materials.PRESETS.items()],
     )
 
+    @classmethod
+    def description(cls, _context, given):
+        """The tooltip: Blender does not show the descriptions of items of an operator's menu."""
+        return materials.PRESETS[given.preset].source if given.is_property_set("preset") else ""
+
     def apply(self, obj):
         selected_target(obj).set_material(materials.PRESETS[self.preset].material)
 

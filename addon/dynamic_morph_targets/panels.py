@@ -25,6 +25,7 @@ class DYNAMORPH_UL_targets(UIList):
         row.active = not item.mute
         row.label(text=item.name, icon=icon, translate=False)
         if not neutral:
+            row.enabled = jobs.running is None
             row.prop(item, "mute", text="", icon="CHECKBOX_DEHLT" if item.mute else "CHECKBOX_HLT", emboss=False)
 
 
@@ -58,9 +59,10 @@ def draw_targets(layout, obj):
     if settings.active_target_index > 0:
         column.operator("dynamorph.use_selected_bones", icon="BONE_DATA")
         draw_message(layout, "Bones: " + (", ".join(target.bone_names()) or "none"), icon="BONE_DATA")
-        layout.prop_search(target, "region", obj, "vertex_groups")
     column = layout.column(align=True)
     column.enabled = jobs.running is None
+    if settings.active_target_index > 0:
+        column.prop_search(target, "region", obj, "vertex_groups")
     row = column.row(align=True)
     row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
     row.operator("dynamorph.fit_material", text="Bounce")
@@ -83,6 +85,7 @@ def draw_model(layout, obj):
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
+        draw_warnings(layout, model.warnings)
 
 
 def draw_bake(layout, settings):
@@ -102,6 +105,7 @@ def draw_bake(layout, settings):
     if settings.bake.keys:
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
+            draw_warnings(layout, settings.bake.warnings)
         layout.operator("dynamorph.free_bake", icon="X")
 
 
@@ -114,6 +118,11 @@ def draw_job(layout, operator: str, icon: str):
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")
     row.operator("dynamorph.cancel", text="", icon="X")
+
+
+def draw_warnings(layout, warnings: str):
+    for warning in filter(None, warnings.split("\n")):
+        draw_message(layout, warning)
 
 
 def draw_message(layout, text: str, icon="ERROR"):

@@ -271,6 +271,7 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
+    warnings: StringProperty(name="Warnings", description="Of the last build, a line each")
     stale: StringProperty(name="Out of Date", description="Why the model must be built again")
 
     def settings(self) -> ModelSettings:
@@ -327,6 +328,7 @@ class DynamorphBake(PropertyGroup):
     had_animation_data: BoolProperty(name="Had Animation Data")
     active_index: IntProperty(name="Active Key")
     summary: StringProperty(name="Result", description="What the last bake made")
+    warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
 
 
 class DynamorphSettings(PropertyGroup):

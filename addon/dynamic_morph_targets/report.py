@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
-import dynamorph
 import numpy as np
 
 from . import build, simulate
@@ -201,10 +200,8 @@ class Statics:
         self.model = run.model
         self.simulation = None
         if run.model.summary["tets"]:
-            full = run.model.settings.solver == "FULL"
-            stepper = dynamorph.FullSimulation if full else dynamorph.ReducedSimulation
             self.engine = run.model.engine(run.character)
-            self.simulation = stepper(self.engine, 1.0)
+            self.simulation = run.model.stepper(self.engine, 1.0)
 
     def surface(self, weights: np.ndarray, bones: np.ndarray | None = None, push: np.ndarray | None = None):
         """Displacement (V, 3) of the surface, local space, at target weights (J,).

@@ -76,11 +76,13 @@ class Skeleton:
 class ForceField:
     """A force field of the scene at S sample times, with Blender's own falloff.
 
-    kind: WIND blows along the object's Z axis, FORCE away from it. world (S, 4, 4); strength (S,) newtons on each
-    square metre of skin at rest; nearest, farthest: metres, within which it is constant and beyond which it is nothing.
+    kind: WIND blows along the object's Z axis, FORCE away from it. plane: distance is from the object's plane, not its
+    origin. world (S, 4, 4); strength (S,) newtons on each square metre of skin at rest; nearest, farthest: metres,
+    within which it is constant and beyond which it is nothing.
     """
 
     kind: str
+    plane: bool
     power: float
     nearest: float
     farthest: float
@@ -93,8 +95,10 @@ class ForceField:
     def pull(self, sample: int, points: np.ndarray) -> np.ndarray:
         """Force on each square metre (V, 3), world space, at points (V, 3) in world space."""
         away = points - self.world[sample, :3, 3]
-        distance = np.linalg.norm(away, axis=1)
         axis = self.world[sample, :3, 2]
+        if self.plane:
+            away = np.outer(away @ axis, axis) / (axis @ axis)
+        distance = np.linalg.norm(away, axis=1)
         direction = axis if self.kind == "WIND" else away
         direction = direction / np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-12)
         fall = (1.0 + np.maximum(distance - self.nearest, 0.0)) ** -self.power * (distance <= self.farthest)

@@ -108,12 +108,14 @@ def build_for(
 ) -> Model:
     """`build.build` for a character in a shot, to which its modes are fitted if it says so; else no shot is needed."""
 
-    def rehearse(model: Model) -> tuple[np.ndarray, np.ndarray]:
-        keep_going = progress and (lambda _fraction, _message: progress(0.5, "Rehearsal"))
-        frames = list(simulate(model, character, rig, settings, keep_going))
+    def rehearse(model: Model, report) -> tuple[np.ndarray, np.ndarray]:
+        frames = list(simulate(model, character, rig, settings, lambda fraction, _message: report(fraction)))
         return np.array([frame.coordinates for frame in frames]), np.array([frame.weights for frame in frames])
 
-    return build(character, progress, previous, rehearse)
+    model = build(character, progress, previous, rehearse if rig is not None else None)
+    if "rehearsal" in model.summary["seconds"]:
+        model.summary["fitted"] = [settings.start, settings.end]
+    return model
 
 
 def bake(
@@ -179,7 +181,7 @@ class _Skin:
 
 def _simulation(engine, model: Model, character: Character, rig: RigSamples, settings: SimulationSettings, keep_going):
     full = model.settings.solver == "FULL"
-    simulation = (dynamorph.FullSimulation if full else dynamorph.ReducedSimulation)(
+    simulation = model.stepper(
         engine,
         settings.step,
         scheme=dynamorph.Scheme.__members__[settings.scheme],
@@ -222,20 +224,21 @@ def _report(frames: list[Frame]) -> dict:
     }
     unconverged = [frame.number for frame in frames if not frame.steps["converged"]]
     if unconverged:
-        report["warnings"].append(f"Steps did not converge at frames {_some(unconverged)}: raise Substeps")
+        report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
     cuts = [frame.number for frame in frames if frame.steps["teleported"]]
     if cuts:
-        report["warnings"].append(f"The rig jumps at frames {_some(cuts)}: the soft skin was carried along")
+        report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
     return report
 
 
 def _some(numbers: list[int]) -> str:
-    return ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+    listed = ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+    return f"frame{'s' * (len(numbers) > 1)} {listed}"
 
 
 def _worst_elements(model: Model, engine, coordinates: np.ndarray, weights: np.ndarray) -> dict:
     """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames."""
-    targets = np.array([engine.target(j) for j in range(weights.shape[1])])
+    targets = model.target_coordinates(engine)
     strength = np.abs(coordinates - weights @ targets).max(axis=1)
     rest = inverse(_edges(model, model.nodes))
     smallest, inverted = np.inf, 0

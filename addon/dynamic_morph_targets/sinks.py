@@ -119,7 +119,7 @@ def _free(obj, names):
     record.keys.clear()
     record.muted.clear()
     record.action = None
-    record.summary = ""
+    record.summary = record.warnings = ""
 
 
 def _scaled_keys(bake: Bake, basis: np.ndarray):

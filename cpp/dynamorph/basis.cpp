@@ -185,7 +185,7 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
 }
 
 /// All targets' candidates as columns, in common units: the softest target's first mode moves by `amplitude` metres,
-/// the others' with the same energy, and so far they would by a uniform acceleration: stiff targets move less, and so
+/// the others' with about the same energy, and so far they would by a uniform acceleration: stiff targets move less, and so
 /// count less, but by the same loads they would hardly count.
 MatrixXd in_common_units(const std::vector<Candidates>& found, double amplitude) {
   double softest = 0;
@@ -245,9 +245,12 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
   report(progress, 0);
   const MatrixXd loads = bone_loads(model.body());
-  std::vector<Candidates> found(targets);
-  in_parallel(targets, progress,
-              [&](int j, const ProgressFn& done) { found[j] = candidates(model, j, k, loads, done); });
+  std::vector<int> distinct;  // each set's first target is the same neutral
+  for (int j = 0; j < targets; ++j)
+    if (j == 0 || model.targets()[j].set == model.targets()[j - 1].set) distinct.push_back(j);
+  std::vector<Candidates> found(distinct.size());
+  in_parallel(int(found.size()), progress,
+              [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
   MatrixXd all = root.asDiagonal() * in_common_units(found, 0.1 * model.body().size);
 
   // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.

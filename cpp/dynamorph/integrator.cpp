@@ -38,7 +38,7 @@ class DenseSolver {
 
 /// The same for tangents that change little from one to the next, where factoring is by far the most work: conjugate
 /// gradients, preconditioned with the factor of an earlier tangent. Factors anew when they converge slowly or meet
-/// negative curvature; without it even an unfinished solution is a descent direction.
+/// negative curvature; where they meet none, what they find is a descent direction even if H is indefinite.
 class SparseSolver {
  public:
   bool solve(const SparseMatrix& H, const VectorXd& b, VectorXd& x) {

@@ -69,9 +69,9 @@ void symmetric(const double* __restrict A, Eigen::Index size, const double* __re
   }
 }
 
-using Vector4 = double __attribute__((vector_size(32), aligned(8)));
-constexpr Eigen::Index kPanel = 12;   // three vectors
-constexpr Eigen::Index kDepth = 128;  // of a panel: 12 kB, so that two stay in the first cache
+using Vector4 = double __attribute__((vector_size(32), aligned(8), may_alias));
+constexpr Eigen::Index kPanel = kTile;  // three vectors
+constexpr Eigen::Index kDepth = 128;    // of a panel: 12 kB, so that two stay in the first cache
 
 /// C (4, kPanel, rows `stride` apart) += A^T B for `depth` rows of two panels; A from its column `first`.
 inline __attribute__((always_inline)) void tile(const double* __restrict A, const double* __restrict B,
@@ -159,17 +159,14 @@ void crosses(const double* __restrict G, Eigen::Index r, Eigen::Index k, double*
 
 void add_transposed_product(const double* A, Eigen::Index m, const double* B, Eigen::Index n, Eigen::Index depth,
                             bool symmetric, double* C) {
-  const Eigen::Index rows = (m + kPanel - 1) / kPanel, columns = (n + kPanel - 1) / kPanel, width = columns * kPanel;
-  std::vector<double> packed_a, packed_b, sums(rows * kPanel * width);
+  std::vector<double> packed_a, packed_b;
   for (Eigen::Index d = 0; d < depth; d += kDepth) {
     const Eigen::Index some = std::min(kDepth, depth - d);
     pack_panels(B + d * n, n, some, packed_b);
     if (!symmetric) pack_panels(A + d * m, m, some, packed_a);
-    multiply_panels((symmetric ? packed_b : packed_a).data(), rows, packed_b.data(), columns, some, symmetric,
-                    sums.data());
+    multiply_panels((symmetric ? packed_b : packed_a).data(), padded(m) / kPanel, packed_b.data(), padded(n) / kPanel,
+                    some, symmetric, C);
   }
-  for (Eigen::Index i = 0; i < m; ++i)
-    for (Eigen::Index j = 0; j < n; ++j) C[i * n + j] += sums[i * width + j];
 }
 
 void strain_of_pairs(const double* G, Eigen::Index r, Eigen::Index k, double* trace, double* strain,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The few loops a reduced step spends its time in. Compiled for several instruction sets and chosen when loaded, so
-// that a wheel built for any x86-64 uses AVX2 where the machine has it. Matrices are column-major.
+// that a wheel built for any x86-64 uses AVX2 where the machine has it. Matrices are column-major unless said.
 #pragma once
 
 #include "dynamorph/types.hpp"
@@ -16,8 +16,12 @@ void add_product(const float* A, Eigen::Index rows, const double* x, Eigen::Inde
 /// y += A x, A symmetric (size, size), its lower triangle packed column after column.
 void add_symmetric_product(const double* A, Eigen::Index size, const double* x, double* y);
 
-/// C += A^T B, all row-major: A (depth, m), B (depth, n), C (m, n). Of a symmetric product only the upper triangle is
-/// promised.
+/// Rows and columns of the sums below are padded to whole tiles.
+constexpr Eigen::Index kTile = 12;
+inline Eigen::Index padded(Eigen::Index size) { return (size + kTile - 1) / kTile * kTile; }
+
+/// C += A^T B, all row-major: A (depth, m), B (depth, n), C (padded m, padded n). Of a symmetric product (A = B) only
+/// the upper triangle is promised.
 void add_transposed_product(const double* A, Eigen::Index m, const double* B, Eigen::Index n, Eigen::Index depth,
                             bool symmetric, double* C);
 

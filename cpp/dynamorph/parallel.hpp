@@ -16,8 +16,8 @@
 
 namespace dynamorph {
 
-/// work(i, progress) for i = 0..count-1, each with a progress of its own that throws Cancelled when asked to stop. The
-/// caller's `progress` hears the mean and is called from the calling thread alone. Rethrows what the first i threw.
+/// work(i, progress) for i = 0..count-1, each with a progress of its own that asks to stop once a work has failed. The
+/// caller's `progress` hears the mean and is called from the calling thread alone. Rethrows what a work threw.
 template <class Work>
 void in_parallel(int count, const ProgressFn& progress, const Work& work) {
   std::vector<std::atomic<double>> done(count);
@@ -35,6 +35,8 @@ void in_parallel(int count, const ProgressFn& progress, const Work& work) {
             done[i] = fraction;
             return !stop;
           });
+        } catch (const Cancelled&) {  // told to stop: the caller's wish or another's error is the reason
+          stop = true;
         } catch (...) {
           errors[i] = std::current_exception();
           stop = true;

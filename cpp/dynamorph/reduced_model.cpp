@@ -59,14 +59,14 @@ class TargetSums {
  public:
   TargetSums(Law law, Eigen::Index r) : law_(law), layout_{r, law != Law::linear}, r_(r), pairs_(layout_.pairs()) {
     const Eigen::Index monomials = law == Law::linear ? r : r + pairs_;
-    trace_gram_.setZero(monomials, monomials);
+    trace_gram_.setZero(padded(monomials), padded(monomials));
     trace_rows_.setZero(kBatch, monomials);
     if (law != Law::stable_stvk) {
-      strain_gram_.setZero(monomials, monomials);
+      strain_gram_.setZero(padded(monomials), padded(monomials));
       strain_rows_.setZero(6 * kBatch, monomials);
     } else {
       det_quadratic_.setZero(pairs_);
-      det_cubic_.setZero(r, pairs_);
+      det_cubic_.setZero(padded(r), padded(pairs_));
       crosses_.resize(9 * kBatch, pairs_);
       gradients_.resize(9 * kBatch, r);
     }
@@ -99,7 +99,7 @@ class TargetSums {
     }
     mu = lambda;  // 1/2 mu tr(E)^2, and mu (tr E - det F + 1)
     mu.head(pairs_) += det_quadratic_;
-    mu.segment(layout_.linear(), pairs_ * r_) -= Eigen::Map<const VectorXd>(det_cubic_.data(), det_cubic_.size());
+    Eigen::Map<RowMajor>(mu.data() + layout_.linear(), r_, pairs_) -= det_cubic_.topLeftCorner(r_, pairs_);
   }
 
  private:
@@ -170,7 +170,7 @@ class TargetSums {
   Eigen::Index r_, pairs_, filled_ = 0;
   RowMajor trace_gram_, strain_gram_, trace_rows_, strain_rows_;
   VectorXd det_quadratic_;                    ///< packed pairs
-  RowMajor det_cubic_, crosses_, gradients_;  ///< (r, pairs), (9 batch, pairs), (9 batch, r)
+  RowMajor det_cubic_, crosses_, gradients_;  ///< (r, pairs) padded, (9 batch, pairs), (9 batch, r)
 };
 
 }  // namespace

@@ -227,8 +227,10 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
   std::vector<Vector3d> kept;
   const auto keep = [&](const Vector3d& p) {
     const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room; };
-    if (std::none_of(kept.begin(), kept.end(), crowds) && surface.contains(p) && surface.distance(p) >= room)
-      kept.push_back(p);
+    const bool fits =
+        std::none_of(kept.begin(), kept.end(), crowds) && surface.contains(p) && surface.distance(p) >= room;
+    if (fits) kept.push_back(p);
+    return fits;
   };
   for (Eigen::Index b = 0; b < heads.rows(); ++b) {
     const Vector3d head = heads.row(b), along = Vector3d(tails.row(b)) - head;
@@ -237,14 +239,12 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
     for (int i = 0; i <= pieces; ++i) {
       const Vector3d p = head + along * i / pieces;
       const double radius = surface.contains(p) ? inside * ratio * surface.distance(p) : 0;
-      if (std::sqrt(3) * radius < room) {
-        keep(p);
-        continue;
-      }
-      for (int corner = 0; corner < 3; ++corner) {
+      bool around = false;
+      for (int corner = 0; corner < 3 && std::sqrt(3) * radius >= room; ++corner) {
         const double angle = M_PI / 3 * (2 * corner + i % 2);  // each triangle turned against the last
-        keep(p + radius * (frame * Vector3d(std::cos(angle), std::sin(angle), 0)));
+        around |= keep(p + radius * (frame * Vector3d(std::cos(angle), std::sin(angle), 0)));
       }
+      if (!around) keep(p);
     }
   }
   Points out(kept.size(), 3);

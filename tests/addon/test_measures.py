@@ -90,11 +90,18 @@ def test_volume_of_a_closed_and_of_an_open_surface():
     assert measures.volume(*sphere(radius=0.5, rings=128, around=128)) == pytest.approx(np.pi / 6, rel=2e-3)
     around, radius, length = 16, 0.3, 2.0
     prism = around / 2 * np.sin(2 * np.pi / around) * radius**2 * length
-    shifted, triangles = tube()
-    assert measures.volume(shifted + [3, 4, 5], triangles) == pytest.approx(prism)
-    shifted, triangles = tube(open_ends=True)
+    away = np.array([3.0, 4.0, 5.0])
+    vertices, triangles = tube()
+    assert measures.volume(vertices + away, triangles) == pytest.approx(prism)
+    vertices, triangles = tube(open_ends=True)
     assert sorted(map(len, measures.boundary_loops(triangles))) == [16, 16]
-    assert measures.volume(shifted + [3, 4, 5], triangles) == pytest.approx(prism)
+    assert measures.volume(vertices + away, triangles) == pytest.approx(prism)
+
+
+def test_vertex_areas_add_up_to_the_surface():
+    vertices, triangles = sphere(radius=2.0, rings=64, around=96)
+    areas = measures.vertex_areas(vertices, triangles)
+    assert areas.shape == (len(vertices),) and areas.sum() == pytest.approx(16 * np.pi, rel=2e-3)
 
 
 def test_region_keeps_whole_triangles():
@@ -117,7 +124,7 @@ def test_depth_of_a_patch_is_its_extent():
 def test_posed_is_linear_blend_skinning():
     vertices = np.array([[1.0, 0, 0], [0, 1, 0]])
     still = np.eye(4)[:3]
-    raised = still + [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0]]
+    raised = np.column_stack([np.eye(3), [0, 0, 2.0]])
     weights = np.array([[1.0, 0], [0.5, 0.5]])
     assert np.allclose(measures.posed(vertices, weights, np.array([still, raised])), [[1, 0, 0], [0, 1, 1]])
 
@@ -133,7 +140,7 @@ def test_patch_displacement_and_amplitude():
 def test_spectrum_shows_a_sine_s_frequency_and_amplitude():
     time = np.arange(240) / 120
     signal = 5 + 0.02 * np.sin(2 * np.pi * 7.3 * time)
-    assert measures.dominant_frequency(signal, 120) == pytest.approx(7.3, abs=0.03)
+    assert measures.dominant_frequency(signal, 120) == pytest.approx(7.3, abs=0.05)
     frequencies, amplitudes = measures.spectrum(signal, 120)
     assert frequencies[-1] == 60 and len(frequencies) == len(amplitudes)
-    assert amplitudes.max() == pytest.approx(0.02, rel=0.15)
+    assert amplitudes.max() == pytest.approx(0.02, rel=0.02)

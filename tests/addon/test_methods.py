@@ -173,7 +173,7 @@ def test_wind_pushes_the_skin_along_its_axis(arm):
 
 
 def test_fields_fall_off_as_blender_says(scene):
-    field = part("scene_data").ForceField("FORCE", 2.0, 1.0, 4.0, np.eye(4)[None], np.array([8.0]))
+    field = part("scene_data").ForceField("FORCE", False, 2.0, 1.0, 4.0, np.eye(4)[None], np.array([8.0]))
     points = np.array([[0.5, 0, 0], [0, 2.0, 0], [0, 0, 4.5]])
     assert np.allclose(field.pull(0, points), [[8.0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
 
@@ -200,3 +200,38 @@ def test_a_model_is_fitted_to_the_scene_s_range_when_it_is_built(arm):
     job = part("jobs").Job(arm, bake=True)
     part("jobs").run(job)
     assert job.reasons == []
+    flat = part("scene_data").ForceField("WIND", True, 1.0, 0.0, np.inf, np.eye(4)[None], np.array([8.0]))
+    assert np.allclose(flat.pull(0, np.array([[9.0, 0, 0], [5, 5, 3.0]])), [[0, 0, 8.0], [0, 0, 2.0]])
+
+
+def test_fields_that_would_act_otherwise_than_shown_are_refused(arm):
+    field = wind(100.0)
+    field.field.falloff_type = "CONE"
+    with pytest.raises(part("extract").SceneError, match="'Wind'.*Falloff Sphere"):
+        run(arm)
+
+
+def test_a_target_that_changes_its_region_makes_the_model_old(two_regions):
+    """Also when the order of the shapes does not tell."""
+    add_key(two_regions, "as it was", np.zeros((len(two_regions.data.vertices), 3)))
+    rig_of(two_regions).pose.bones["upper"].rotation_euler.y = 0.4
+    bpy.ops.dynamorph.add_target(key="as it was")
+    two_regions.dynamorph.targets.move(3, 2)
+    run(two_regions)
+    assert part("jobs").stale_reasons(two_regions, part("extract").character(two_regions)) == []
+    two_regions.dynamorph.targets["as it was"].region = "Tip"
+    assert "regions changed" in part("jobs").stale_reasons(two_regions, part("extract").character(two_regions))
+
+
+def test_fewer_modes_than_shapes_are_refused_when_fitted_too(arm):
+    with pytest.raises(Exception, match="needs more than 1"):
+        run(arm, modes=1, fit_to_shot=True)
+
+
+def test_a_fitted_model_says_so_in_another_range(arm):
+    for name, value in {"modes": 6, "fit_to_shot": True}.items():
+        setattr(arm.dynamorph.model, name, value)
+    for frames, warned in (((1, 5), False), ((1, 20), True)):
+        job = part("jobs").Job(arm, bake=True, frames=frames)
+        part("jobs").run(job)
+        assert any("fitted to frames 1 to 5" in warning for warning in job.warnings) == warned

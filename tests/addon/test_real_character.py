@@ -118,7 +118,11 @@ def test_picture(baked, single):
     sinks.free(body)
     rows.insert(0, Row("Plain skinning", "", _pictures(), [""] * len(PICTURED)))
     sinks.write_modal_keys(body, job.result)
-    save(compose("MakeHuman body", f"{CLIP}, the file's own clip and shape keys", PICTURED, rows), PICTURE)
+    columns = [f"{frame}: {event}" for frame, event in PICTURED.items()]
+    save(
+        compose("MakeHuman body", f"{CLIP}, the file's own clip and shape keys", columns, rows),
+        PICTURE,
+    )
     pixels = [np.asarray(row.pictures[2], float) for row in rows]
     assert pixels[0].std() > 5  # something is there
     assert np.abs(pixels[0] - pixels[2]).mean() > 0.1  # and it moves

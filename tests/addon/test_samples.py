@@ -108,7 +108,7 @@ def test_soft_when_straight_and_hard_when_flexed(limb):
         return np.linalg.norm(apart, axis=2).max()
 
     pushed, shaken = swing(114, 124), swing(136, 150)
-    assert 0.01 < pushed < 0.03 < shaken
+    assert 0.01 < pushed < shaken
     assert swing(46, 56) < 0.25 * pushed
     assert swing(66, 80) < 0.25 * shaken
 

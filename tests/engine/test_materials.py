@@ -67,7 +67,7 @@ def bad_records():
     yield times, noise, "no oscillation"
     yield times, np.exp(-3 * times), "two periods"
     yield *swing(0.7, 0.1, 2.0), "two periods"
-    yield *swing(3.0, 15.0, 2.0, fps=1000.0), "overdamped"
+    yield *swing(3.0, 15.0, 2.0, fps=1000.0), "too damped"
     yield *swing(3.0, -1.0, 2.0), "grows"
 
 

@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make figures`: the thesis's table and figures again, from the sample scenes, and what they claim as numbers.
+
+Writes docs/results.md, docs/results.json and docs/images/results: nothing there is written by hand. A draft, or a part
+of it all, goes to out/results instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import asdict, replace
+from functools import cached_property
+from pathlib import Path
+
+try:
+    import bpy
+    import claims
+    import dynamic_morph_targets
+    import measures
+    import numpy as np
+    import plots
+    import results_page
+    from contact_sheet import Row, compose, render, save
+    from dynamic_morph_targets import report, sinks
+    from dynamic_morph_targets.scene_data import VARIANTS
+    from subjects import SUBJECTS, Sheet, Shot, Subject, open_shot
+except ImportError as error:
+    sys.exit(f"figures: {error}. `make figures` installs and builds everything first.")
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = ("table", "claims", "accuracy", "sheets")
+CELL = (264, 204)
+LAWS = {"linear": "LINEAR", "StVK": "STVK"}
+MODES = (4, 8, 12, 16, 20, 30, 40, 60)
+FITTED_MODES = (8, 12, 16, 20, 30)
+FULL = "DMT full"
+SHOWN_MODES = 40  # shape keys of a full bake that is rendered: what they lose is not seen
+TABLE = {name: changes for name, changes in VARIANTS.items() if changes.get("law") in LAWS.values()}
+ABOUT = {
+    claims.PLAIN: "no simulation",
+    "static morphs": "geometric morph targets: the shape follows the pose, nothing moves by itself",
+    "single material": "the neutral target alone: the same softness in every pose",
+    "pose-dependent shape": "after Capell et al. 2005: the shape follows the pose, the softness does not",
+    "DMT reduced": "dynamic morph targets: shape and softness follow the pose; simulated in modes",
+    "DMT full": "dynamic morph targets, every node of the cage simulated",
+}
+
+
+class Work:
+    """One scene's shot and the runs that several parts of the page share, each simulated once."""
+
+    def __init__(self, subject: Subject):
+        self.subject = subject
+        self.shot = open_shot(subject)
+        self.measured = self.shot.part(*subject.measured)
+
+    @cached_property
+    def table(self) -> dict[str, report.Run]:
+        """The variants of table 5.1, over the measured frames."""
+        return self.measured.runs(TABLE)
+
+    @cached_property
+    def shown(self) -> dict[str, report.Run]:
+        """The methods side by side, over the whole shot; without the full model where it is too slow."""
+        return self.shot.runs(claims.FAST if self.subject.full else claims.SHOWN)
+
+    @cached_property
+    def rows(self) -> dict[str, list[tuple[Shot, report.Run]]]:
+        """What contact sheets show of each simulated method: shots and their runs."""
+        rows = {name: [(self.shot, run)] for name, run in self.shown.items()}
+        for first, last in self.subject.full:
+            shot = self.shot.part(first, last)
+            rows.setdefault(FULL, []).append((shot, shot.runs({FULL: claims.SHOWN[FULL]})[FULL]))
+        return rows
+
+
+# Numbers --------------------------------------------------------------------------------------------------------------
+
+
+def table(work: Work) -> dict:
+    """The figures of table 5.1, over the measured frames."""
+    return {name: report.figures(run, work.shot.character) for name, run in work.table.items()}
+
+
+def measure_claims(work: Work) -> dict:
+    return claims.MEASURE[work.subject.name](work.shot, work.shown)
+
+
+def accuracy(work: Work) -> dict:
+    """Reduced against full by number of modes, linear against StVK, and what a tracked vertex does in detail."""
+    full = {key: work.table[f"DMT {law} full"] for law, key in LAWS.items()}
+    compared = {key: (run.motion, run.static) for key, run in full.items()}
+    errors: dict[str, dict] = {}
+    shot = work.measured
+    for name, run in report.runs(shot.character, shot.rig, shot.settings, sweep(shot)):
+        label, _, modes = name.rpartition(" ")
+        error = asdict(report.motion_error(run.motion, *compared[run.character.settings.law]))
+        errors.setdefault(label, {})[modes] = error | {"steps_per_second": run.report["steps_per_second"]}
+    between = report.motion_error(compared["LINEAR"][0], *compared["STVK"])
+    return {"reduced": errors, "linear for StVK": asdict(between), "tracked": tracked(work)}
+
+
+def sweep(shot: Shot) -> dict[str, dict]:
+    """Reduced variants by number of modes, of which there must be more than sculpted shapes."""
+    shapes = sum(bool(target.shape.any()) for target in shot.character.targets)
+    return {
+        f"{law}{', fitted' if fitted else ''} {modes}": {
+            "law": key, "solver": "REDUCED", "fit_to_shot": fitted, "modes": modes
+        }
+        for law, key in LAWS.items()
+        for fitted in (False, True)
+        for modes in (FITTED_MODES if fitted else MODES)
+        if modes > shapes
+    }  # fmt: skip
+
+
+def tracked(work: Work) -> dict:
+    """The tracked vertex while it rings, at every step: path in metres along the subject's direction, its spectrum."""
+    subject = work.subject
+    before, first, last = subject.ringing
+    shot = work.shot.part(before, last).every_step()
+    free = slice((first - before) * work.shot.settings.substeps, None)
+    vertex, direction = subject.tracked(shot.rest), np.array(subject.direction)
+    variants = {f"{law} {solver}": {"law": key, "solver": solver.upper()}
+                for law, key in LAWS.items() for solver in ("full", "reduced")}  # fmt: skip
+    found = {}
+    for name, run in shot.runs(variants).items():
+        path = (run.motion - run.static)[free, vertex] @ direction
+        frequencies, amplitudes = measures.spectrum(path, shot.settings.fps)
+        found[name] = {
+            "path": path.tolist(),
+            "frequencies": frequencies.tolist(),
+            "amplitudes": amplitudes.tolist(),
+            "dominant": measures.dominant_frequency(path, shot.settings.fps),
+            "amplitude": measures.amplitude(path),
+        }
+    return {"rate": shot.settings.fps, "variants": found}
+
+
+# Pictures -------------------------------------------------------------------------------------------------------------
+
+
+def sheets(work: Work, engine: str, folder: Path) -> dict[str, str]:
+    """The subject's contact sheets: figure -> file name. Each method is baked into the open scene and rendered once."""
+    subject = work.subject
+    frames = sorted({frame for sheet in subject.sheets for frame in sheet.frames})
+    pictures = {claims.PLAIN: dict(zip(frames, photograph(work, None, frames, engine), strict=True))}
+    for name, parts in work.rows.items():
+        pictures[name] = {}
+        for shot, run in parts:
+            seen = [frame for frame in frames if shot.settings.start <= frame <= shot.settings.end]
+            pictures[name] |= zip(seen, photograph(work, run, seen, engine), strict=True)
+    files = {}
+    for sheet in subject.sheets:
+        files[sheet.figure] = f"figure_{sheet.figure.replace('.', '_')}.png"
+        save(lay_out(work, sheet, pictures), folder / files[sheet.figure], small=True)
+    return files
+
+
+def photograph(work: Work, run: report.Run | None, frames, engine: str) -> list:
+    """Renders frames of the open scene with a run's bake, or as the bones alone move it."""
+    obj = bpy.data.objects[work.subject.object]
+    if run is None:
+        sinks.free(obj)
+    else:
+        kept = slice(SHOWN_MODES)
+        bake = replace(run.bake, coordinates=run.bake.coordinates[:, kept], modes=run.bake.modes[kept])
+        sinks.write_modal_keys(obj, bake)
+    focus = {frame: work.shot.middle(frame) for frame in frames}
+    return render(list(frames), CELL, engine, focus=focus, zoom=work.subject.zoom)
+
+
+def lay_out(work: Work, sheet: Sheet, pictures: dict[str, dict]):
+    """A sheet with one row for each method; under each picture of a simulated one, the targets that act there."""
+    rows = [
+        Row(name, ABOUT[name], [shots[frame] for frame in sheet.frames],
+            [acting(work.shot, work.shown.get(name), frame) for frame in sheet.frames])
+        for name, shots in pictures.items()
+    ]  # fmt: skip
+    columns = [f"{frame}: {event}" for frame, event in sheet.frames.items()]
+    return compose(f"Figure {sheet.figure}: {sheet.title}", work.subject.title, columns, rows)
+
+
+def acting(shot: Shot, run: report.Run | None, frame: int) -> str:
+    """The targets that act at a frame, but for the neutral ones."""
+    if run is None:
+        return ""
+    weights = run.bake.weights[shot.index(frame)]
+    named = zip(run.bake.target_names, weights, strict=True)
+    return ", ".join(f"{name} {w:.2f}" for name, w in named if w > 0.05 and not name.startswith("Neutral"))
+
+
+def overview(works: list[Work], engine: str, folder: Path) -> str:
+    """Figure 5.1: every character with reduced dynamic morph targets."""
+    rows = []
+    for work in works:
+        subject = work.subject
+        open_shot(subject)
+        run = work.shown["DMT reduced"]
+        pictures = photograph(work, run, subject.overview, engine)
+        rows.append(Row(subject.title, "", pictures, [acting(work.shot, run, frame) for frame in subject.overview]))
+    sheet = compose("Figure 5.1: dynamic morph targets", "Reduced models", [""] * len(rows[0].pictures), rows)
+    save(sheet, folder / "figure_5_1.png", small=True)
+    return "figure_5_1.png"
+
+
+def draw_plots(name: str, found: dict, folder: Path) -> None:
+    """The plots of one scene's numbers."""
+    if "accuracy" in found:
+        draw_accuracy(name, found["accuracy"], folder)
+    if "claims" in found:
+        drawing = DRAW[name](found["claims"])
+        plots.save(drawing, folder / f"{name}_claims.svg")
+
+
+def draw_accuracy(name: str, found: dict, folder: Path) -> None:
+    drawing, axes = plots.figure(3)
+    kinds = (("rms_total", "RMS error against full", "RMS"), ("max_total", "Largest error against full", "largest"))
+    for panel, (kind, title, of) in zip(axes, kinds, strict=False):
+        curves = {
+            law: (list(map(int, errors)), [100 * e[kind] for e in errors.values()])
+            for law, errors in found["reduced"].items()
+        }
+        plots.draw(panel, title, curves, "modes", f"% of the {of} displacement", marker="o", ms=4)
+        plots.logarithmic(panel)
+    ringing = found["tracked"]["variants"]
+    curves = {label: (v["frequencies"], [1000 * a for a in v["amplitudes"]]) for label, v in ringing.items()}
+    plots.draw(axes[2], "Spectrum of the tracked point", curves, "Hz", "mm")
+    axes[2].set_xlim(0, 25)
+    plots.save(drawing, folder / f"{name}_accuracy.svg")
+
+
+def draw_cylinder(found: dict):
+    drawing, axes = plots.figure(2)
+    curves = {name: (found["bend"], [1e6 * v for v in gained]) for name, gained in found["bulge"].items()}
+    plots.draw(axes[0], "Bulge against pose", curves, "bend of the elbow, degrees", "volume gained, cm³")
+    poses = [claims.STRAIGHT, claims.FLEXED]
+    give = {name: [1000 * found["give"][name][pose] for pose in poses] for name in found["give"]}
+    plots.bars(axes[1], "The same push", poses, give, "the skin gives, mm")
+    return drawing
+
+
+def draw_shoulder(found: dict):
+    drawing, axes = plots.figure(3)
+    for panel, (way, paths) in zip(axes, found["folds"].items(), strict=False):
+        curves = {name: (path["frames"], path["pairs"]) for name, path in paths.items()}
+        plots.draw(panel, f"Self-intersection, {way}", curves, "frame", "pairs of triangles")
+    rest = found["chest"][claims.PLAIN][0]
+    curves = {name: (found["lowering"], [1000 * (d - rest) for d in depths]) for name, depths in found["chest"].items()}
+    plots.draw(axes[2], "Chest depth as the arm lowers", curves, "frame", "mm over plain skinning's first")
+    return drawing
+
+
+def draw_herbert(found: dict):
+    drawing, axes = plots.figure(3)
+    split = len(claims.IN_THE_TUCK)
+    for panel, part, title in zip(
+        axes, (slice(split), slice(split, None)), ("in the tuck", "after the wall"), strict=False
+    ):
+        curves = {
+            name: (found["frames"][part], [1000 * x for x in out["belly"][part]]) for name, out in found["out"].items()
+        }
+        plots.draw(panel, f"The belly {title}", curves, "frame", "mm outwards")
+    poses = [claims.UPRIGHT, claims.TUCKED]
+    swings = {name: [1000 * swing[pose] for pose in poses] for name, swing in found["swing"].items()}
+    plots.bars(axes[2], "The belly under the same shake", poses, swings, "amplitude, mm")
+    return drawing
+
+
+DRAW = {"bulging_cylinder": draw_cylinder, "shoulder": draw_shoulder, "herbert": draw_herbert}
+
+
+# The page -------------------------------------------------------------------------------------------------------------
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--scenes", nargs="+", choices=SUBJECTS, default=list(SUBJECTS), help="default: all")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts of the page; default: all")
+    parser.add_argument("--draft", action="store_true", help="render with Workbench: faster, plainer")
+    args = parser.parse_args()
+    complete = not args.draft and set(args.only) == set(PARTS) and set(args.scenes) == set(SUBJECTS)
+    dynamic_morph_targets.register()
+    try:
+        make(args, ROOT / "docs" if complete else ROOT / "out" / "results")
+    finally:
+        dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered
+    return 0
+
+
+def make(args, folder: Path) -> None:
+    images = folder / "images" / "results"
+    engine = "BLENDER_WORKBENCH" if args.draft else "CYCLES"
+    found, pictures, works = {}, {}, []
+    for name in args.scenes:
+        work = Work(SUBJECTS[name])
+        works.append(work)
+        found[name] = {}
+        for part, measure in (("table", table), ("claims", measure_claims), ("accuracy", accuracy)):
+            if part in args.only:
+                found[name][part] = timed(f"{name}: {part}", measure, work)
+        draw_plots(name, found[name], images)
+        if "sheets" in args.only:
+            pictures |= timed(f"{name}: contact sheets", sheets, work, engine, images)
+    if "sheets" in args.only:
+        pictures["5.1"] = timed("overview", overview, works, engine, images)
+    results_page.write(folder, report.machine(), found, pictures)
+    print(f"written to {folder.relative_to(ROOT)}")
+
+
+def timed(what: str, function, *arguments):
+    began = time.perf_counter()
+    result = function(*arguments)
+    print(f"{what}: {time.perf_counter() - began:.0f} s", flush=True)
+    return result
+
+
+if __name__ == "__main__":
+    sys.exit(main())
