@@ -64,7 +64,12 @@ TARGETS = {
     "Flexed": (44, {"stiffness": 150e3, "mass_damping": 2.0, "stiffness_damping": 0.0015}),
     "Back bend": (16, {"stiffness": 45e3, "mass_damping": 2.0, "stiffness_damping": 0.003}),
 }
-MODEL = {"modes": 13, "cage_nodes": 416, "pin_radius": 0.25}  # as the thesis: 13 modes, about 918 degrees of freedom
+MODEL = {
+    "modes": 13,
+    "fit_to_shot": True,
+    "cage_nodes": 416,
+    "pin_radius": 0.25,
+}  # as the thesis: 13 modes, about 918 degrees of freedom
 
 README = """Bulging cylinder
 

@@ -50,9 +50,10 @@ def spectrum(signal: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def dominant_frequency(signal: np.ndarray, rate: float) -> float:
-    """Where the spectrum peaks, in Hz."""
+    """Where the spectrum peaks, in Hz; what has fewer than two periods in the window is drift."""
     frequencies, amplitudes = spectrum(signal, rate)
-    return float(frequencies[amplitudes.argmax()])
+    swings = frequencies >= 2 * rate / len(signal)
+    return float(frequencies[swings][amplitudes[swings].argmax()])
 
 
 # Size -----------------------------------------------------------------------------------------------------------------

@@ -35,7 +35,8 @@ class Subject:
     models are timed and compared. ringing: frame before a stop, first and last frame in which the tracked vertex then
     swings freely; tracked(vertices (V, 3) in bind space) is its index, direction the unit vector, local space, along
     which it is watched. zoom: part of the camera's picture that sheets show, around the soft skin. full: ranges around
-    the sheets' frames, for a scene whose unreduced model is too slow for more.
+    the sheets' frames, for a scene whose unreduced model is too slow for more. also: further ranges in which the
+    scene's own reduced model is compared with the unreduced one.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Subject:
     direction: tuple[float, float, float]
     zoom: float = 1.0
     full: tuple[tuple[int, int], ...] = ()
+    also: tuple[tuple[int, int], ...] = ()
 
     @property
     def path(self) -> Path:
@@ -103,6 +105,7 @@ SHOULDER = Subject(
     direction=(0.0, -1.0, 0.0),
     zoom=0.62,
     full=((34, 36), (72, 76), (138, 142), (172, 185)),
+    also=((148, 214),),
 )  # fmt: skip
 
 HERBERT = Subject(
