@@ -184,10 +184,14 @@ class DYNAMORPH_OT_fit_material(SoftSkinOperator, Operator):
     bl_label = "Fit Bounce"
 
     frequency: FloatProperty(
-        name="Bounce", description="Swings a second after a push, in hertz", default=3.0, min=0.01, max=1000.0
+        name="Bounce (Hz)", description="Swings a second after a push", default=3.0, min=0.01, max=1000.0
     )
     settle: FloatProperty(
-        name="Settle", description="Seconds until a twentieth of the swing is left", default=1.0, min=0.001, max=1000.0
+        name="Settle (s)",
+        description="Seconds until a twentieth of the swing is left",
+        default=1.0,
+        min=0.001,
+        max=1000.0,
     )
 
     @classmethod

@@ -66,8 +66,10 @@ def draw_targets(layout, obj):
     row = column.row(align=True)
     row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
     row.operator("dynamorph.fit_material", text="Bounce")
-    for name in ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping"):
+    for name in ("stiffness", "poisson", "density"):
         column.prop(target, name)
+    column.prop(target, "mass_damping", text="Damping Mass")
+    column.prop(target, "stiffness_damping", text="Stiffness")
 
 
 def draw_model(layout, obj):
@@ -141,7 +143,7 @@ class SoftSkinPanel:
 
     def draw(self, context):
         obj = properties.mesh_in(context)
-        if obj != context.object:  # in Pose Mode
+        if obj != context.object:  # the armature is active
             self.layout.label(text=obj.name, icon="MESH_DATA", translate=False)
         draw_soft_skin(self.layout, obj)
 

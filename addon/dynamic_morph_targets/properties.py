@@ -435,12 +435,12 @@ def soft_skins(objects):
 
 
 def mesh_in(context):
-    """The mesh object that buttons and panels are about, or None: the active one, in Pose Mode the soft skin on it.
+    """The mesh object that buttons and panels are about, or None: the active one, of an armature the soft skin on it.
 
     Of several soft skins on one armature, a selected one.
     """
     obj = context.object
-    if obj is not None and obj.mode == "POSE":
+    if obj is not None and obj.type == "ARMATURE":
         skins = [skin for skin in soft_skins(context.view_layer.objects) if rig_of(skin) == obj]
         return min(skins, key=lambda skin: not skin.select_get(), default=None)
     return obj if obj is not None and obj.type == "MESH" else None

@@ -98,13 +98,14 @@ def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
 def test_only_for_meshes(soft_arm):
     panel = part("panels").DYNAMORPH_PT_sidebar
     assert not panel.poll(types.SimpleNamespace(object=None))
-    assert not panel.poll(types.SimpleNamespace(object=soft_arm.modifiers["Armature"].object))
+    assert not panel.poll(types.SimpleNamespace(object=bpy.data.objects.new("Empty", None)))
 
 
-def test_in_pose_mode_for_the_skin_of_the_rig(soft_arm):
+@pytest.mark.parametrize("mode", ["OBJECT", "POSE"])
+def test_on_the_rig_for_its_skin(soft_arm, mode):
     rig = rig_of(soft_arm)
     activate(rig)
-    bpy.ops.object.mode_set(mode="POSE")
+    bpy.ops.object.mode_set(mode=mode)
     assert {"Arm", "Neutral", "flexed"} <= set(drawn(rig))
     soft_arm.dynamorph.targets.clear()
     assert not bpy.ops.dynamorph.capture_pose.poll()
