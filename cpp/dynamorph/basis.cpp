@@ -185,8 +185,8 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
 }
 
 /// All targets' candidates as columns, in common units: the softest target's first mode moves by `amplitude` metres,
-/// the others' with about the same energy, and so far they would by a uniform acceleration: stiff targets move less, and so
-/// count less, but by the same loads they would hardly count.
+/// the others' with about the same energy, and so far they would by a uniform acceleration: stiff targets move less,
+/// and so count less, but by the same loads they would hardly count.
 MatrixXd in_common_units(const std::vector<Candidates>& found, double amplitude) {
   double softest = 0;
   Eigen::Index columns = 0;
