@@ -164,6 +164,14 @@ def test_the_engines_errors_name_the_object(shot, run, stand_in):
 
 
 def test_ctrl_c(shot, run, stand_in):
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
+    try:
+        interrupt(shot, run, stand_in)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def interrupt(shot, run, stand_in):
     stand_in.patience = 10.0
     threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()
     before = shot.read_bytes()
