@@ -88,13 +88,15 @@ def runs(
     """Simulates each variant on one core; they share one cage. progress(fraction, message) -> bool, as in `build`."""
     model = None
     for k, (name, changes) in enumerate(variants.items()):
-        part = progress and partial(_part, progress, k, len(variants), name)
+        building, baking = (
+            progress and partial(_part, progress, 2 * k + half, 2 * len(variants), name) for half in (0, 1)
+        )
         varied = character.with_settings(**changes)
         if varied.settings.solver == "FULL":
             varied = varied.with_settings(modes=len(settings.frames))
         with one_core():
-            made = simulate.build_for(varied, rig, settings, part, model)
-            baked, report = simulate.bake(made, varied, rig, settings, part)
+            made = simulate.build_for(varied, rig, settings, building, model)
+            baked, report = simulate.bake(made, varied, rig, settings, baking)
         if made.summary["tets"]:
             shared = model or made
             made.summary["seconds"]["meshing"] = shared.summary["seconds"]["meshing"]
