@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -49,7 +50,13 @@ def write(folder: Path, machine: str, found: dict, pictures: dict[str, str]) -> 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "results.md").write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
     stored = {"machine": machine, "scenes": found}
-    (folder / "results.json").write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+    (folder / "results.json").write_text(as_json(stored), encoding="utf-8")
+
+
+def as_json(stored: dict) -> str:
+    """Indented, but each list of numbers on one line."""
+    lists = r"\[\s+([^][{}]*?)\s+\]"
+    return re.sub(lists, lambda found: f"[{' '.join(found[1].split())}]", json.dumps(stored, indent=1)) + "\n"
 
 
 def parts(found: dict, part: str) -> dict:

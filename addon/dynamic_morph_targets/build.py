@@ -22,7 +22,7 @@ Progress = Callable[[float, str], bool]
 Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.ndarray]]
 
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
-REHEARSAL_MODES = 40  # in which larger models rehearse, or in twice as many as are wanted
+REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
 HELD = 0.05  # nodes softer than this in the Soft group are free
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
@@ -194,7 +194,7 @@ def _fitted_basis(model: Model, body, full, character: Character, rehearse, stag
     wanted = character.settings.modes
     in_full = full.dofs <= REHEARSED_IN_FULL
     with stages("Modes", 0.05 if in_full else 0.15) as report:
-        more = wanted if in_full else min(max(2 * wanted, REHEARSAL_MODES), full.dofs // 3)
+        more = 0 if in_full else min(int(np.clip(2 * wanted, *REHEARSAL_MODES)), full.dofs // 3)
         usual = dynamorph.make_basis(full, max(wanted, more), report).U
     with stages("Rehearsal", 0.30 if in_full else 0.20) as report:
         building = 0.0 if in_full else 0.8  # of the time, by polynomials in many modes

@@ -241,8 +241,8 @@ class Job:
             self.previous = load_model(obj)
         if not self.reasons:
             self.model = self.previous
-        model = self.character.settings
-        fits = bool(self.reasons) and model.fit_to_shot and model.solver == "REDUCED" and model.method != "STATIC"
+        chosen = self.character.settings
+        fits = bool(self.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
         if not (self.bake or fits):
             return
         self.settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)

@@ -113,6 +113,31 @@ def test_skin_weights_extend_into_the_body():
     assert (nodes[mesh.nodes[:, 2] > 1.2, 0] > 0.8).all()
 
 
+@pytest.mark.parametrize(
+    "ratio, count, around", [(0.0, 11, False), (0.4, 11, True), (0.95, 11, True), (0.95, 4, False)]
+)
+def test_nodes_are_wanted_around_bones_where_there_is_room(ratio, count, around):
+    """Around, not along: flesh held along a line could spin about it. Where the ring would touch the cage, the line."""
+    turn = np.arange(12) * np.pi / 6
+    rings = [
+        np.column_stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), np.full(12, z)]) for z in np.linspace(0, 0.5, count)
+    ]
+    vertices = np.concatenate([*rings, [[0, 0, 0.0], [0, 0, 0.5]]])
+    k, top = np.arange(12), 12 * count
+    after = (k + 1) % 12
+    sides = [np.column_stack([12 * j + a, 12 * j + b, 12 * j + c]) for j in range(count - 1)
+             for a, b, c in ((k, after, after + 12), (k, after + 12, k + 12))]  # fmt: skip
+    ends = [
+        np.column_stack([after, k, np.full(12, top)]),
+        np.column_stack([k + top - 12, after + top - 12, np.full(12, top + 1)]),
+    ]
+    points = dynamorph.points_on_bones(vertices, np.concatenate([*sides, *ends]), [[0, 0, 0.1]], [[0, 0, 0.4]], ratio)
+    off = np.hypot(points[:, 0], points[:, 1])
+    assert len(points) >= 2
+    assert (off > 0.02).all() if around else (off < 1e-12).all()
+    assert off.max() < max(ratio, 1e-9) * 0.1
+
+
 def test_bones_hold_nodes_near_them():
     vertices, triangles = box(size=(1, 1, 4))
     *_, mesh = dynamorph.mesh_body(vertices, triangles, 600)

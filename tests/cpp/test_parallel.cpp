@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Work on all cores: everything is done once, and what went wrong is what the caller hears.
+#include <doctest/doctest.h>
+
+#include "dynamorph/parallel.hpp"
+
+using namespace dynamorph;
+
+TEST_CASE("every piece of work is done once, whatever the number of threads") {
+  std::vector<int> done(100);
+  in_parallel(100, {}, [&](int i, const ProgressFn& progress) {
+    report(progress, 0.5);
+    ++done[i];
+  });
+  CHECK(done == std::vector<int>(100, 1));
+}
+
+TEST_CASE("an error is rethrown, not what it stopped") {
+  const auto work = [](int i, const ProgressFn& progress) {
+    if (i == 1) throw Error("this one");
+    for (int k = 0; k < 100; ++k) {  // until it is told to stop; on one core it ends by itself
+      report(progress, 0);
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
+  };
+  CHECK_THROWS_WITH_AS(in_parallel(2, {}, work), "this one", Error);
+}
+
+TEST_CASE("false from progress stops the work, and its exceptions pass") {
+  const auto endless = [](int, const ProgressFn& progress) {
+    for (;;) report(progress, 0);
+  };
+  CHECK_THROWS_AS(in_parallel(3, [](double) { return false; }, endless), Cancelled);
+  CHECK_THROWS_AS(in_parallel(3, [](double) -> bool { throw Error("no"); }, endless), Error);
+}
