@@ -82,35 +82,18 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
             target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
         return sub
 
-    def simulation(sub):
-        sub.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
-        sub.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
-
-    def model(sub):
-        """The settings of the Model panel by the same names; what is given is set on the object first."""
-        settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["model"].fixed_type.properties
-        for name in MODEL_SETTINGS:
-            setting = settings[name]
-            option, text = f"--{name.replace('_', '-')}", setting.description.replace("%", "%%")
-            if setting.type == "BOOLEAN":
-                sub.add_argument(option, action=argparse.BooleanOptionalAction, help=text)
-            elif setting.type == "ENUM":
-                sub.add_argument(option, choices=[item.identifier.lower() for item in setting.enum_items], help=text)
-            else:
-                sub.add_argument(option, type=number(setting), help=text)
-
     bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
     bake.set_defaults(bake=True)
-    simulation(bake)
+    add_shot(bake)
     build = command("build", run_job, "build models")
     build.set_defaults(bake=False, frames=None, substeps=None)
     for sub in (bake, build):
-        model(sub)
+        add_model_settings(sub)
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
     report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
                         help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
     report.add_argument("--json", type=Path, metavar="FILE", help="also write all figures, in metres and seconds")
-    simulation(report)
+    add_shot(report)
     fit = command("fit", run_fit, "set a target's stiffness and damping as measured; its model must be up to date")
     fit.add_argument("--target", required=True, metavar="NAME", help="the target's name")
     measured = fit.add_mutually_exclusive_group(required=True)
@@ -118,10 +101,29 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     measured.add_argument(
         "--force-displacement", type=Path, metavar="CSV", help="pushes: newtons x, y, z, metres x, y, z; mesh's axes"
     )
-    fit.add_argument("--patch", metavar="GROUP", help="vertex group that was looked at or pushed; default: all flesh")
+    fit.add_argument("--patch", metavar="GROUP", help="vertex group looked at or pushed; default: the target's region")
     command("free", run_free, "remove bakes and restore the target keys")
     command("info", run_info, "print what the file holds", writes=False)
     return root
+
+
+def add_shot(sub):
+    sub.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
+    sub.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
+
+
+def add_model_settings(sub):
+    """The settings of the Model panel by the same names; what is given is set on the object first."""
+    settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["model"].fixed_type.properties
+    for name in MODEL_SETTINGS:
+        setting = settings[name]
+        option, text = f"--{name.replace('_', '-')}", setting.description.replace("%", "%%")
+        if setting.type == "BOOLEAN":
+            sub.add_argument(option, action=argparse.BooleanOptionalAction, help=text)
+        elif setting.type == "ENUM":
+            sub.add_argument(option, choices=[item.identifier.lower() for item in setting.enum_items], help=text)
+        else:
+            sub.add_argument(option, type=number(setting), help=text)
 
 
 def number(setting):
