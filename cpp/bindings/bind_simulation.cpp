@@ -3,6 +3,7 @@
 #include <chrono>
 
 #include "bindings.hpp"
+#include "dynamorph/basis.hpp"
 #include "dynamorph/integrator.hpp"
 #include "dynamorph/pose_space.hpp"
 

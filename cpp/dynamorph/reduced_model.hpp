@@ -1,45 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The soft skin in a modal subspace, u = U z, with the interface of FullModel.
-//
-// Every law's energy is a polynomial of degree <= 4 in z (thesis eq. 5.7). About a target's own coordinates z_j, with
-// v = z - z_j, its tangent is, as packed pairs (k <= l),
-//
-//   H(v) = K0 + K1 v + K2 (v v),   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,   E = v . (1/2 K0 + 1/6 K1 v + 1/12 K2 (v v))
-//   v
-//
-// so one table [K0 | K1 | K2] gives energy, force and tangent from one product.
 #pragma once
 
-#include "dynamorph/basis.hpp"
 #include "dynamorph/full_model.hpp"
+#include "dynamorph/polynomials.hpp"
 
 namespace dynamorph {
-
-/// Where the parts of one table lie in its vector: K0 (pairs), K1 (pairs, r), then the lower triangle of the symmetric
-/// K2 (pairs, pairs), column after column; K0 alone for the linear law. Pairs of modes are the packed upper triangle,
-/// rows first; in a product with K2 a pair k < l stands for both its orders.
-struct TableLayout {
-  Eigen::Index r;
-  bool nonlinear;
-  Eigen::Index pairs() const { return r * (r + 1) / 2; }
-  Eigen::Index linear() const { return pairs(); }               ///< start of K1
-  Eigen::Index quadratic() const { return pairs() * (1 + r); }  ///< start of K2
-  Eigen::Index size() const { return nonlinear ? quadratic() + pairs() * (pairs() + 1) / 2 : pairs(); }
-};
-
-/// What a built reduced model stores: geometry only. Each target's table for lambda = 1 Pa and mu = 1 Pa, so that
-/// changing a target's stiffness is a linear recombination and never a new precompute.
-struct ReducedTables {
-  Law law = Law::linear;
-  MatrixXd basis;                ///< U (3 free, r)
-  std::vector<VectorXd> lambda;  ///< per target, laid out as TableLayout
-  std::vector<VectorXd> mu;
-
-  TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
-};
-
-/// Tables of every target of `model` in the basis U (3 free, r), orthonormal in unit-density mass.
-ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {});
 
 class ReducedModel {
  public:

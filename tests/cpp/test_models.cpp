@@ -5,6 +5,7 @@
 #include <Eigen/Geometry>
 #include <random>
 
+#include "dynamorph/basis.hpp"
 #include "dynamorph/integrator.hpp"
 #include "scenes.hpp"
 
