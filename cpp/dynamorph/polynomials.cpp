@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/polynomials.hpp"
 
-#include "dynamorph/kernels.hpp"
+#include "dynamorph/gram_kernels.hpp"
 #include "dynamorph/parallel.hpp"
 
 namespace dynamorph {
