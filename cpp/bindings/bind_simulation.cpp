@@ -105,13 +105,15 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
       .def(
           "inertia",
           [](const Model& m, const Array& bones, double density) {
-            SkinFrame frame;
             check_shape("bones", bones, {py::ssize_t(m.body().skin.cols()), 3, 4});
-            frame.bones = transforms("bones", bones);
-            pose_nodes(m.body().skin, frame);
-            typename Model::Matrix out = m.zero();
-            m.inertia(frame, VectorXd::Constant(m.body().sets(), density), out);
-            return out;
+            const Transforms pose = transforms("bones", bones);
+            const VectorXd rest = VectorXd::Zero(m.dofs());
+            Motion still{};
+            still.q.fill(&rest);
+            still.bones.fill(&pose);
+            typename Model::Inertia out;
+            m.inertia(still, {VectorXd::Constant(m.body().sets(), density), VectorXd::Zero(m.body().sets())}, out);
+            return out.mass;
           },
           "bones"_a, "density"_a, "A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).")
       .def(
@@ -230,11 +232,11 @@ void bind_simulation_of(py::module_& m, const char* name) {
       .def_property_readonly("kinetic_energy", &Sim::kinetic_energy, "J, of the posed nodes.")
       .def_property_readonly("elastic_energy", &Sim::elastic_energy, "J.")
       .def_property(
-          "state", [](const Sim& s) { return py::make_tuple(s.state().q, s.state().x); },
-          [](Sim& s, const std::pair<std::array<VectorXd, 2>, std::array<VectorXd, 4>>& state) {
+          "state", [](const Sim& s) { return py::make_tuple(s.state().q, s.state().bones); },
+          [](Sim& s, const std::pair<std::array<VectorXd, 4>, std::array<Transforms, 4>>& state) {
             s.set_state({state.first, state.second});
           },
-          "(coordinates of the last two steps, posed positions of the last four): set it to resume.");
+          "(coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.");
 }
 
 void bind_pose_space(py::module_& m) {

@@ -51,6 +51,14 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
     const VectorXd all = lumped_volumes(mesh, fill.cwiseProduct(shares.col(s)));
     for (Eigen::Index i = 0; i < f; ++i) volumes(i, s) = all(free_nodes[i]);
   }
+  centre.setZero();
+  for (Eigen::Index i = 0; i < f; ++i) centre += volumes.row(i).sum() / volumes.sum() * rest.segment<3>(3 * i);
+  moments.assign(skin.cols(), Eigen::Matrix4d::Zero());
+  for (Eigen::Index i = 0; i < f; ++i) {
+    const Eigen::Vector4d p = (rest.segment<3>(3 * i) - centre).homogeneous();
+    for (SkinWeights::InnerIterator b(skin, i); b; ++b)
+      moments[b.col()] += volumes.row(i).sum() * b.value() * p * p.transpose();
+  }
   size = (mesh.nodes.colwise().maxCoeff() - mesh.nodes.colwise().minCoeff()).norm();
 }
 
@@ -260,15 +268,39 @@ double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& for
   return sum;
 }
 
-void FullModel::inertia(const SkinFrame& frame, const VectorXd& density, Matrix& out) const {
-  if (out.nonZeros() != pattern_.nonZeros()) out = pattern_;
-  values(out).setZero();
-  for (size_t i = 0; i < body_->free_nodes.size(); ++i) {
-    const auto A = transform(frame.nodes, Eigen::Index(i)).leftCols<3>();
-    const Matrix3d block = body_->volumes.row(i).dot(density) * A.transpose() * A;
-    for (int c = 0; c < 3; ++c)
-      for (int r = 0; r < 3; ++r) out.coeffRef(3 * i + r, 3 * i + c) = block(r, c);
+void FullModel::inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const {
+  out.force.setZero(dofs());
+  out.frame.bones = *motion.bones[0];
+  pose_nodes(body_->skin, out.frame);
+  for (int n = 0; n < Motion::kPoses; ++n) {
+    if (motion.share.col(n).isZero(0)) continue;
+    if (n > 0) {
+      out.past.bones = *motion.bones[n];
+      pose_nodes(body_->skin, out.past);
+    }
+    const double sum = motion.share.col(n).sum();
+    out.bind = sum * body_->rest;
+    for (int m = 0; m < Motion::kMoments; ++m)
+      if (motion.share(m, n) != 0) out.bind += motion.share(m, n) * *motion.q[m];
+    to_world(n > 0 ? out.past : out.frame, sum, out.bind, out.posed);
+    out.force += out.posed;
   }
+  if (out.mass.nonZeros() != pattern_.nonZeros()) out.mass = out.damped = pattern_;
+  values(out.mass).setZero();
+  values(out.damped).setZero();
+  for (size_t i = 0; i < body_->free_nodes.size(); ++i) {
+    const auto A = transform(out.frame.nodes, Eigen::Index(i)).leftCols<3>();
+    const Matrix3d square = A.transpose() * A;
+    const double mass = body_->volumes.row(i).dot(densities.density);
+    const double damped = body_->volumes.row(i).dot(densities.damped);
+    for (int c = 0; c < 3; ++c)
+      for (int r = 0; r < 3; ++r) {
+        out.mass.coeffRef(3 * i + r, 3 * i + c) = mass * square(r, c);
+        out.damped.coeffRef(3 * i + r, 3 * i + c) = damped * square(r, c);
+      }
+    out.force.segment<3>(3 * i) = mass * (out.force.segment<3>(3 * i) - motion.lift);
+  }
+  pull_back(out.frame, out.force);
 }
 
 VectorXd FullModel::force_curvature(int target, const VectorXd& a, const VectorXd& b) const {

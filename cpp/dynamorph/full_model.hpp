@@ -5,7 +5,7 @@
 //   Matrix, Blend             dense or sparse; the model at one set of target weights
 //   blend(w, out)             paid once per pose
 //   energy, linearize         E, F = dE/dq and K = dF/dq at coordinates q
-//   inertia(frame, density)   A^T M A
+//   inertia(motion, ...)      A^T M A, and the force that the moving rig exerts
 //   displacement, project     q -> u and its transpose
 #pragma once
 
@@ -52,6 +52,9 @@ struct SoftBody {
   VectorXd rest;                  ///< X of the free nodes (3 free)
   MatrixXd volumes;               ///< (free nodes, S) lumped, m^3
   double size;                    ///< bounding-box diagonal, m
+  Vector3d centre;                ///< of the free nodes' volume, m
+  /// Of each bone's flesh: sum of volume times weight times p p^T, p = (X - centre, 1).
+  std::vector<Eigen::Matrix4d> moments;
 
   int sets() const { return int(shares.cols()); }
   VectorXd restrict_to_free(const VectorXd& node_values) const;  ///< (3n) -> (3 free)
@@ -84,6 +87,15 @@ class FullModel {
     double energy = 0;
   };
 
+  /// The flesh's inertia in one pose, and scratch.
+  struct Inertia {
+    Matrix mass;     ///< A^T M A
+    Matrix damped;   ///< the same with M times mass damping
+    VectorXd force;  ///< A^T M times the motion
+    SkinFrame frame, past;
+    VectorXd bind, posed;
+  };
+
   FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending);
 
   const SoftBody& body() const { return *body_; }
@@ -97,7 +109,7 @@ class FullModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& q) const;
   double linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const;
-  void inertia(const SkinFrame& frame, const VectorXd& density, Matrix& out) const;
+  void inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const;
   void displacement(const VectorXd& q, VectorXd& u) const { u = q; }
   void project(const VectorXd& f, VectorXd& out) const { out = f; }
   VectorXd target(int j) const { return rest_displacements_[j]; }

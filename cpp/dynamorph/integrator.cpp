@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/integrator.hpp"
 
-#include <Eigen/Cholesky>
-#include <Eigen/Geometry>
+#include <Eigen/SVD>
 
+#include "dynamorph/kernels.hpp"
 #include "dynamorph/sparse_solver.hpp"
 
 namespace dynamorph {
@@ -27,22 +27,39 @@ Coefficients coefficients(Scheme scheme) {
 class DenseSolver {
  public:
   bool solve(const MatrixXd& H, const VectorXd& b, VectorXd& x) {
-    llt_.compute(H);
-    if (llt_.info() != Eigen::Success) return false;
-    x = llt_.solve(b);
+    factor_ = H;
+    if (!factorize(factor_.data(), factor_.rows())) return false;
+    x = b;
+    solve_factorized(factor_.data(), factor_.rows(), x.data());
     return true;
   }
 
  private:
-  Eigen::LLT<MatrixXd> llt_;
+  MatrixXd factor_;
 };
+
+/// Gravity (m/s^2, world) on the flesh at the bones, and nothing of the past.
+Motion at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
+  Motion motion{};
+  motion.q.fill(&q);
+  motion.bones.fill(&bones);
+  motion.lift = gravity;
+  return motion;
+}
+
+using Affine = Eigen::Matrix<double, 3, 4>;
+
+/// A transform of rest positions relative to `centre`.
+template <class Row>
+Affine about(const Vector3d& centre, const Row& row) {
+  const Eigen::Matrix<double, 1, 12> entries = row;
+  Affine T = TransformMap(entries.data());
+  T.col(3) += T.leftCols<3>() * centre;
+  return T;
+}
 
 template <class Matrix>
 using TangentSolver = std::conditional_t<std::is_same_v<Matrix, MatrixXd>, DenseSolver, SparseSolver>;
-
-void scale_rows(const VectorXd& mass, VectorXd& x) {
-  for (Eigen::Index i = 0; i < mass.size(); ++i) x.segment<3>(3 * i) *= mass(i);
-}
 
 }  // namespace
 
@@ -55,7 +72,7 @@ Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions op
   if (!(options_.h > 0) || !std::isfinite(options_.h))
     throw std::invalid_argument("h: the step must be a positive number of seconds");
   if (!options_.gravity.allFinite()) throw std::invalid_argument("gravity: must be finite");
-  inertia_ = damped_ = stiffness_ = tangent_ = quadratic_.H = model_->zero();
+  damped_ = stiffness_ = tangent_ = quadratic_.H = model_->zero();
 }
 
 template <class Model>
@@ -65,10 +82,7 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
                                 std::to_string(bones.rows()));
   if (!bones.allFinite() || !weights.allFinite())
     throw Error("the rig has a transform that is not a number: check its drivers and constraints at this frame");
-  frame_.bones = bones;
-  pose_nodes(model_->body().skin, frame_);
   model_->blend(weights, blend_);
-  mass_ = model_->body().volumes * blend_.mass.density;
 }
 
 template <class Model>
@@ -77,29 +91,32 @@ void Simulation<Model>::check_weights(const VectorXd& weights) const {
   if (weights.size() != Eigen::Index(targets.size()))
     throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
                                 std::to_string(weights.size()));
-  VectorXd sums = VectorXd::Zero(model_->body().sets());
-  for (Eigen::Index j = 0; j < weights.size(); ++j) sums(targets[j].set) += weights(j);
-  if (!((weights.array() >= 0).all() && ((sums.array() - 1).abs() < 1e-6).all()))
-    throw std::invalid_argument("weights: every target set's must be >= 0 and sum to one");
+  for (int set = 0; set < model_->body().sets(); ++set) {
+    double sum = 0;
+    for (Eigen::Index j = 0; j < weights.size(); ++j)
+      if (targets[j].set == set) sum += weights(j);
+    if (!((weights.array() >= 0).all() && std::abs(sum - 1) < 1e-6))
+      throw std::invalid_argument("weights: every target set's must be >= 0 and sum to one");
+  }
 }
 
 template <class Model>
-void Simulation<Model>::resist(const VectorXd& external) {
+void Simulation<Model>::pull(const Motion& motion, double square, const VectorXd& external) {
+  model_->inertia(motion, blend_.mass, inertia_);
+  quadratic_.g = inertia_.force / square;
+  if (held_.size() > 0) quadratic_.g.noalias() += held_ * blend_.weights;
+  if (external.size() == 0) return;
   const Eigen::Index size = model_->body().rest.size();
-  if (external.size() > 0 && external.size() != size)
+  if (external.size() != size)
     throw std::invalid_argument("external: expected " + std::to_string(size) + " values, got " +
                                 std::to_string(external.size()));
-  nodal_.resize(size);
-  for (Eigen::Index i = 0; i < mass_.size(); ++i) nodal_.segment<3>(3 * i) = -mass_(i) * options_.gravity;
   if (!external.allFinite()) throw std::invalid_argument("external: forces must be finite");
-  if (external.size() > 0) nodal_ -= external;
-}
-
-template <class Model>
-void Simulation<Model>::pull_to_coordinates() {
+  frame_.bones = *motion.bones[0];
+  pose_nodes(model_->body().skin, frame_);
+  nodal_ = external;
   pull_back(frame_, nodal_);
-  model_->project(nodal_, quadratic_.g);
-  if (held_.size() > 0) quadratic_.g += held_ * blend_.weights;
+  model_->project(nodal_, projected_);
+  quadratic_.g -= projected_;
 }
 
 template <class Model>
@@ -110,13 +127,13 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
                                 " targets, got " + std::to_string(bones.size()));
   MatrixXd held(model_->dofs(), targets.size());
   held_.resize(0, 0);
+  const VectorXd rest = VectorXd::Zero(model_->dofs());
   for (size_t j = 0; j < targets.size(); ++j) {
     // The target alone, not even with the other sets': f_g^(j) = rho_j (A^(j))^T M1 g.
     VectorXd alone = VectorXd::Zero(targets.size());
     alone(j) = 1;
     pose(bones[j], alone);
-    resist(VectorXd());
-    pull_to_coordinates();
+    pull(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
     held.col(j) = -quadratic_.g;
   }
   held_ = held;
@@ -133,12 +150,11 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
     for (Eigen::Index j = 0; j < weights.size(); ++j)
       if (weights(j) != 0) q += weights(j) * model_->target(int(j));
   }
-  resist(external);
-  pull_to_coordinates();
+  if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
+  pull(at_rest(q, bones, options_.gravity), 1, external);
   values(quadratic_.H).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
   quadratic_.round_off = 1e-15 * quadratic_.g.norm();
-  if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
   return minimize(q, kStaticIterations);
 }
 
@@ -149,15 +165,9 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
                                 std::to_string(next.rows()));
   VectorXd q;
   const StepReport report = solve_static(now, weights, q);
-  state_.q = {q, q};
-  model_->displacement(q, displacement_[0]);
-  displacement_[1] = displacement_[0];
-  const VectorXd u = displacement_[0] + model_->body().rest;
-  SkinFrame past;
-  for (int k = 0; k < 4; ++k) {
-    past.bones = extrapolate_back(now, next, k);
-    pose_nodes(model_->body().skin, past);
-    to_world(past, u, state_.x[k]);
+  for (int k = 0; k < Motion::kMoments; ++k) {
+    state_.q[k] = q;
+    state_.bones[k] = extrapolate_back(now, next, k);
   }
   return report;
 }
@@ -166,24 +176,56 @@ template <class Model>
 void Simulation<Model>::set_state(const State& state) {
   for (const VectorXd& q : state.q)
     if (q.size() != model_->dofs()) throw std::invalid_argument("state: is of another model");
-  for (const VectorXd& x : state.x)
-    if (x.size() != model_->body().rest.size()) throw std::invalid_argument("state: is of another model");
+  for (const Transforms& bones : state.bones)
+    if (bones.rows() != model_->body().skin.cols()) throw std::invalid_argument("state: is of another model");
   state_ = state;
-  for (int m = 0; m < 2; ++m) model_->displacement(state_.q[m], displacement_[m]);
 }
 
 template <class Model>
-bool Simulation<Model>::carry_past() {
+bool Simulation<Model>::carry_past(const Transforms& bones) {
   if (options_.teleport <= 0) return false;
-  const VectorXd course = 2 * state_.x[0] - state_.x[1];  // where the flesh would be had nothing jumped
-  if ((lag_ - course).squaredNorm() < options_.teleport * options_.teleport * double(mass_.size())) return false;
-  const Eigen::Map<const Eigen::Matrix3Xd> expected(course.data(), 3, mass_.size()), now(lag_.data(), 3, mass_.size());
-  const Eigen::Matrix4d jump = Eigen::umeyama(expected, now, false);
-  for (VectorXd& x : state_.x) {
-    Eigen::Map<Eigen::Matrix3Xd> points(x.data(), 3, x.size() / 3);
-    points = ((jump.topLeftCorner<3, 3>() * points).colwise() + jump.topRightCorner<3, 1>()).eval();
+  const SoftBody& body = model_->body();
+  // Where the bones would be had nothing jumped, and how far off their flesh is, all by its moments.
+  const auto course = [&](Eigen::Index b) {
+    return about(body.centre, 2 * state_.bones[0].row(b) - state_.bones[1].row(b));
+  };
+  double jump = 0, volume = 0;
+  for (Eigen::Index b = 0; b < bones.rows(); ++b) {
+    const Affine off = about(body.centre, bones.row(b)) - course(b);
+    jump += (off * body.moments[b]).cwiseProduct(off).sum();
+    volume += body.moments[b](3, 3);
   }
+  if (jump < options_.teleport * options_.teleport * volume) return false;
+  // The rigid motion that fits the jump best (Kabsch).
+  Eigen::Matrix3d across = Eigen::Matrix3d::Zero();
+  Vector3d from = Vector3d::Zero(), to = from;
+  for (Eigen::Index b = 0; b < bones.rows(); ++b) {
+    from += course(b) * body.moments[b].col(3) / volume;
+    to += about(body.centre, bones.row(b)) * body.moments[b].col(3) / volume;
+  }
+  for (Eigen::Index b = 0; b < bones.rows(); ++b) {
+    Affine a = course(b), c = about(body.centre, bones.row(b));
+    a.col(3) -= from;
+    c.col(3) -= to;
+    across += c * body.moments[b] * a.transpose();
+  }
+  const Eigen::JacobiSVD<Matrix3d> svd(across, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  Matrix3d flip = Matrix3d::Identity();
+  flip(2, 2) = (svd.matrixU() * svd.matrixV().transpose()).determinant() < 0 ? -1 : 1;
+  const Matrix3d turn = svd.matrixU() * flip * svd.matrixV().transpose();
+  for (Transforms& past : state_.bones)
+    for (Eigen::Index b = 0; b < bones.rows(); ++b) {
+      Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>> T(past.data() + 12 * b);
+      T = (turn * T).eval();
+      T.col(3) += to - turn * from;
+    }
   return true;
+}
+
+template <class Model>
+double Simulation<Model>::farthest(const Transforms& bones) const {
+  return bones.rightCols<1>().cwiseAbs().maxCoeff() + bones.col(3).cwiseAbs().maxCoeff() +
+         bones.col(7).cwiseAbs().maxCoeff() + model_->body().centre.norm() + model_->body().size;
 }
 
 template <class Model>
@@ -191,52 +233,48 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
   check_weights(weights);
   pose(bones, weights);
+  const bool teleported = carry_past(bones);
 
   const Coefficients c = coefficients(options_.scheme);
-  const double h = options_.h, inertial = 1 / (h * h * c.c * c.c);
-  // Inertia about constant bind-pose velocity, exactly over the nodes; the model's own inertia acts on the change.
-  VectorXd q = 2 * state_.q[0] - state_.q[1];
-  nodal_ = 2 * displacement_[0] - displacement_[1] + model_->body().rest;
-  to_world(frame_, nodal_, lag_);
-  const bool teleported = carry_past();
-  // Far from the world's origin posed positions lose digits, and inertia multiplies the loss.
-  const double farthest = lag_.cwiseAbs().maxCoeff();
-  for (int m = 0; m < 4; ++m)
-    if (c.past[m] != 0) lag_ -= c.past[m] * state_.x[m];
-  resist(external);
-  for (Eigen::Index i = 0; i < mass_.size(); ++i)
-    nodal_.segment<3>(3 * i) += inertial * mass_(i) * lag_.segment<3>(3 * i);
-  pull_to_coordinates();
-  model_->inertia(frame_, blend_.mass.density, inertia_);
+  const double h = options_.h, square = h * h * c.c * c.c;
+  // Inertia about constant bind-pose velocity: next_ = 2 q(n) - q(n-1), posed, less x^ of the posed past.
+  next_ = 2 * state_.q[0] - state_.q[1];
+  Motion motion{};
+  motion.bones[0] = &bones;
+  motion.share(0, 0) = 2;
+  motion.share(1, 0) = -1;
+  for (int m = 0; m < Motion::kMoments; ++m) {
+    motion.q[m] = &state_.q[m];
+    motion.bones[m + 1] = &state_.bones[m];
+    motion.share(m, m + 1) = -c.past[m];
+  }
+  motion.lift = square * options_.gravity;
+  pull(motion, square, external);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
-  if (model_->body().sets() == 1)
-    values(damped_) = blend_.mass.damped(0) / blend_.mass.density(0) * values(inertia_);
-  else
-    model_->inertia(frame_, blend_.mass.damped, damped_);
-  values(damped_) += values(blend_.damping);
-  values(quadratic_.H) = inertial * values(inertia_) + (c.velocity[0] / h) * values(damped_);
-  quadratic_.g += damped_ * ((c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h);
-  quadratic_.g += (c.velocity[0] / h) * (damped_ * q);
-  quadratic_.origin = q;
-  quadratic_.round_off = 1e-14 * inertial * farthest * std::sqrt(mass_.sum() * values(inertia_).cwiseAbs().maxCoeff());
+  values(damped_) = values(inertia_.damped) + values(blend_.damping);
+  values(quadratic_.H) = values(inertia_.mass) / square + (c.velocity[0] / h) * values(damped_);
+  velocity_ = (c.velocity[0] * next_ + c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h;
+  quadratic_.g.noalias() += damped_ * velocity_;
+  quadratic_.origin = next_;
+  // Far from the world's origin posed positions lose digits, and inertia multiplies the loss.
+  quadratic_.round_off = 1e-14 / square * farthest(bones) *
+                         std::sqrt(model_->body().volumes.sum() * blend_.mass.density.maxCoeff() *
+                                   values(inertia_.mass).cwiseAbs().maxCoeff());
 
-  StepReport report = minimize(q, options_.max_iterations);
+  StepReport report = minimize(next_, options_.max_iterations);
   report.teleported = teleported;
 
-  std::swap(state_.q[0], state_.q[1]);
-  state_.q[0] = q;
-  std::swap(displacement_[0], displacement_[1]);
-  model_->displacement(q, displacement_[0]);
-  nodal_ = displacement_[0] + model_->body().rest;
-  std::rotate(state_.x.rbegin(), state_.x.rbegin() + 1, state_.x.rend());
-  to_world(frame_, nodal_, state_.x[0]);
+  std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
+  std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
+  state_.q[0] = next_;
+  state_.bones[0] = bones;
   return report;
 }
 
 template <class Model>
 void Simulation<Model>::require_pose() const {
-  if (state_.q[0].size() == 0 || mass_.size() == 0)
+  if (state_.q[0].size() == 0 || blend_.weights.size() == 0)
     throw std::invalid_argument("energy: start() comes first, or after setting a state a step");
 }
 
@@ -256,15 +294,22 @@ void Simulation<Model>::descend(Matrix& H) {
 }
 
 template <class Model>
+double Simulation<Model>::potential(const VectorXd& q, double elastic) {
+  trial_ = q - quadratic_.origin;
+  image_.noalias() = quadratic_.H * trial_;
+  return 0.5 * trial_.dot(image_) + trial_.dot(quadratic_.g) + elastic;
+}
+
+template <class Model>
 StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   const Quadratic& quadratic = quadratic_;
   StepReport report;
   elastic_ = model_->linearize(blend_, q, force_, stiffness_);
+  double reached = potential(q, elastic_);
   for (;; ++report.iterations) {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
-    gradient_ = quadratic.H * (q - quadratic.origin);
-    const double scale = gradient_.norm() + quadratic.g.norm() + force_.norm();
-    gradient_ += quadratic.g + force_;
+    const double scale = image_.norm() + quadratic.g.norm() + force_.norm();
+    gradient_ = image_ + quadratic.g + force_;
     // Terms as large as the stiffness times the displacement cancel in the elastic force.
     const double displacement = q.norm() + quadratic.origin.norm() + 0.1 * model_->body().size;
     const double round_off = quadratic.round_off + 1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * displacement;
@@ -276,40 +321,35 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
     if (report.iterations == max_iterations) break;
     values(tangent_) = values(quadratic.H) + values(stiffness_);
     descend(tangent_);
-    if (!search(q, round_off * displacement)) break;
+    if (!search(q, reached, round_off * displacement)) break;
   }
   report.converged = report.residual <= 100 * options_.tolerance;
   return report;
 }
 
 template <class Model>
-bool Simulation<Model>::search(VectorXd& q, double energy_round_off) {
-  const Quadratic& quadratic = quadratic_;
-  const double slope = gradient_.dot(direction_), norm = gradient_.norm();
-  const auto potential = [&](const VectorXd& at, double elastic) {
-    trial_ = at - quadratic.origin;
-    return trial_.dot(0.5 * (quadratic.H * trial_) + quadratic.g) + elastic;
-  };
-  const double start = potential(q, elastic_);
+bool Simulation<Model>::search(VectorXd& q, double& reached, double energy_round_off) {
+  const double slope = gradient_.dot(direction_), norm = gradient_.norm(), start = reached;
   const double terms = std::abs(elastic_) + std::abs(start - elastic_);
   const double slack = 1e-12 * terms + energy_round_off;
-  const auto descends = [&](double length, double reached) { return reached <= start + 1e-4 * length * slope + slack; };
+  const auto descends = [&](double length) { return reached <= start + 1e-4 * length * slope + slack; };
 
   // The whole step is nearly always taken, so its force and tangent are evaluated at once. Where the potential's digits
   // run out, the gradient decides.
-  const VectorXd from = q;
-  q = from + direction_;
+  from_ = q;
+  q += direction_;
   elastic_ = model_->linearize(blend_, q, force_, stiffness_);
-  const double reached = potential(q, elastic_);
-  const double gradient_there = (quadratic.H * trial_ + quadratic.g + force_).norm();
-  if (descends(1, reached) || (gradient_there < 0.5 * norm && reached <= start + 1e-6 * terms + slack)) return true;
+  reached = potential(q, elastic_);
+  trial_ = image_ + quadratic_.g + force_;
+  if (descends(1) || (trial_.norm() < 0.5 * norm && reached <= start + 1e-6 * terms + slack)) return true;
   for (double length = 0.5; length > 1e-6; length /= 2) {
-    q = from + length * direction_;
-    if (!descends(length, potential(q, model_->energy(blend_, q)))) continue;
+    q = from_ + length * direction_;
+    reached = potential(q, model_->energy(blend_, q));
+    if (!descends(length)) continue;
     elastic_ = model_->linearize(blend_, q, force_, stiffness_);
     return true;
   }
-  q = from;
+  q = from_;
   return false;
 }
 
@@ -322,10 +362,20 @@ double Simulation<Model>::elastic_energy() const {
 template <class Model>
 double Simulation<Model>::kinetic_energy() const {
   require_pose();
-  const VectorXd v = (1.5 * state_.x[0] - 2 * state_.x[1] + 0.5 * state_.x[2]) / options_.h;
-  VectorXd momentum = v;
-  scale_rows(mass_, momentum);
-  return 0.5 * v.dot(momentum);
+  const SoftBody& body = model_->body();
+  VectorXd velocity = VectorXd::Zero(body.rest.size()), u, x;
+  const double shares[] = {1.5, -2, 0.5};
+  for (int m = 0; m < 3; ++m) {
+    SkinFrame frame{state_.bones[m], {}};
+    pose_nodes(body.skin, frame);
+    model_->displacement(state_.q[m], u);
+    to_world(frame, 1, body.rest + u, x);
+    velocity += shares[m] / options_.h * x;
+  }
+  const VectorXd mass = body.volumes * blend_.mass.density;
+  double energy = 0;
+  for (Eigen::Index i = 0; i < mass.size(); ++i) energy += 0.5 * mass(i) * velocity.segment<3>(3 * i).squaredNorm();
+  return energy;
 }
 
 template class Simulation<FullModel>;

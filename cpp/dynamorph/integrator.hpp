@@ -35,11 +35,11 @@ struct StepOptions {
   std::function<bool()> keep_going = {};
 };
 
-/// Where a soft skin is: coordinates now and one step ago, and the last four posed positions (3 free), world space.
-/// Copy it to undo, resume or fork a simulation.
+/// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps. Copy it to undo,
+/// resume or fork a simulation.
 struct State {
-  std::array<VectorXd, 2> q;
-  std::array<VectorXd, 4> x;
+  std::array<VectorXd, Motion::kMoments> q;
+  std::array<Transforms, Motion::kMoments> bones;
 };
 
 struct StepReport {
@@ -94,30 +94,34 @@ class Simulation {
   };
 
   void pose(const Transforms& bones, const VectorXd& weights);
-  void resist(const VectorXd& external);  ///< nodal_ = -(gravity and external forces), newtons, world
-  void pull_to_coordinates();             ///< quadratic_.g = U^T A^T nodal_, less what the targets are held with
+  /// Inertia's force on `motion` divided by `square` s^2, the external forces and what holds the targets, in
+  /// quadratic_.g.
+  void pull(const Motion& motion, double square, const VectorXd& external);
   StepReport minimize(VectorXd& q, int max_iterations);
   /// Along direction_ from q: to where Phi descends, with elastic_, force_ and stiffness_ there; false when round-off
   /// leaves no descent.
-  bool search(VectorXd& q, double energy_round_off);
+  bool search(VectorXd& q, double& potential, double energy_round_off);
+  double potential(const VectorXd& q, double elastic);  ///< Phi, with trial_ and image_ there
   void descend(Matrix& H);  ///< direction_ by the tangent, which is shifted until it is positive definite
   void require_pose() const;
   void check_weights(const VectorXd& weights) const;
-  bool carry_past();  ///< compares the posed prediction in lag_ with the past's course
+  bool carry_past(const Transforms& bones);  ///< when they jump off the course of the past
+  double farthest(const Transforms& bones) const;
 
   std::shared_ptr<const Model> model_;
   StepOptions options_;
   State state_;
-  SkinFrame frame_;
   typename Model::Blend blend_;
-  Matrix inertia_, damped_, stiffness_, tangent_;
-  VectorXd force_, gradient_, direction_, trial_;  ///< of the iteration; trial_ is a point less the origin
+  typename Model::Inertia inertia_;
+  Matrix damped_, stiffness_, tangent_;
+  VectorXd force_, gradient_, direction_, from_;  ///< of the iteration
+  VectorXd trial_, image_;                        ///< a point less the origin, and H times that
+  VectorXd next_, velocity_;                      ///< coordinates of the step, and bind-pose velocity
   double elastic_ = 0;
   Quadratic quadratic_;
-  MatrixXd held_;                         ///< gravity in each target's own pose (dofs, J), or empty
-  VectorXd mass_;                         ///< (free), kg
-  std::array<VectorXd, 2> displacement_;  ///< u of the state's two coordinates (3 free)
-  VectorXd nodal_, lag_;                  ///< scratch (3 free)
+  MatrixXd held_;    ///< gravity in each target's own pose (dofs, J), or empty
+  SkinFrame frame_;  ///< of the nodes, where external forces act
+  VectorXd nodal_, projected_;
   std::shared_ptr<Solver> solver_;
 };
 

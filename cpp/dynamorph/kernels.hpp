@@ -1,22 +1,47 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The few loops a reduced step spends its time in. Compiled for several instruction sets and chosen when loaded, so
-// that a wheel built for any x86-64 uses AVX2 where the machine has it. Matrices are column-major unless said.
+// The loops that a reduced step spends its time in, beside those of modal_inertia.
 #pragma once
 
 #include "dynamorph/types.hpp"
 
 namespace dynamorph {
 
-/// y += A x, A (rows, columns).
-void add_product(const double* A, Eigen::Index rows, const double* x, Eigen::Index columns, double* y);
+constexpr Eigen::Index kChunk = 4;
+inline Eigen::Index whole_chunks(Eigen::Index size) { return (size + kChunk - 1) / kChunk * kChunk; }
 
-/// y += A x with A in single precision, summed in double.
+/// Of a symmetric matrix (size, size), size a whole number of chunks: what add_symmetric_product reads.
+inline Eigen::Index symmetric_size(Eigen::Index size) { return size * (size + kChunk) / 2; }
+
+/// Where entry (row, column), row not in an earlier chunk than column, lies there: panels of four columns from their
+/// diagonal block down, whole chunks of four rows, column after column. Diagonal blocks are stored whole.
+inline Eigen::Index symmetric_index(Eigen::Index size, Eigen::Index row, Eigen::Index column) {
+  const Eigen::Index c = column / kChunk;
+  const Eigen::Index panel = kChunk * c * size - kChunk * kChunk * c * (c - 1) / 2;
+  return panel + kChunk * kChunk * (row / kChunk - c) + kChunk * (column % kChunk) + row % kChunk;
+}
+
+/// y += A x, A (rows, columns) column-major. Single precision is summed in double.
+void add_product(const double* A, Eigen::Index rows, const double* x, Eigen::Index columns, double* y);
 void add_product(const float* A, Eigen::Index rows, const double* x, Eigen::Index columns, double* y);
 
-/// y += A x, A symmetric (size, size), its lower triangle packed column after column.
-void add_symmetric_product(const double* A, Eigen::Index size, const double* x, double* y);
+/// y += A x, A symmetric, stored by symmetric_index, summed in double.
+void add_symmetric_product(const float* A, Eigen::Index size, const double* x, double* y);
 
 /// y = A^T x.
 void transposed_product(const MatrixXd& A, const double* x, double* y);
+
+/// From the packed orders K0, K1 v and K2 (v v) of a tangent (polynomials.hpp): returns the energy, writes the force
+/// (r) and the tangent itself (r, r).
+double contract_orders(const double* constant, const double* linear, const double* quadratic, const double* v,
+                       Eigen::Index r, double* force, double* stiffness);
+
+/// out = sum_k weights[k] tables[k], each (size).
+void blend_tables(const float* const* tables, const double* weights, int count, Eigen::Index size, float* out);
+
+/// Cholesky factor of the symmetric matrix A (n, n), in its lower triangle; false when A is not positive definite.
+bool factorize(double* A, Eigen::Index n);
+
+/// x = A^-1 x by the factor L of factorize.
+void solve_factorized(const double* L, Eigen::Index n, double* x);
 
 }  // namespace dynamorph

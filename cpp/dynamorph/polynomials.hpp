@@ -25,8 +25,12 @@ struct TableLayout {
   Eigen::Index r;
   bool nonlinear;
   Eigen::Index pairs() const { return r * (r + 1) / 2; }
-  Eigen::Index linear() const { return pairs(); }               ///< start of K1
-  Eigen::Index quadratic() const { return pairs() * (1 + r); }  ///< start of K2
+  Eigen::Index linear() const { return pairs(); }                 ///< start of K1
+  Eigen::Index quadratic() const { return pairs() * (1 + r); }    ///< start of K2
+  Eigen::Index quadratic(Eigen::Index p, Eigen::Index q) const {  ///< of K2's entry (p, q), or (q, p)
+    if (p < q) std::swap(p, q);
+    return quadratic() + q * pairs() - q * (q - 1) / 2 + (p - q);
+  }
   Eigen::Index size() const { return nonlinear ? quadratic() + pairs() * (pairs() + 1) / 2 : pairs(); }
 };
 

@@ -194,9 +194,8 @@ def let_go(model, character, target, push, seconds, h=1 / 600):
     simulation = simulation_of(engine, h)
     weights = np.eye(len(character.targets))[target]
     simulation.start(BONES, BONES, weights)
-    (now, _), posed = simulation.state
-    moved = (engine.displacement(bent) - engine.displacement(now))[engine.body.free_nodes].ravel()
-    simulation.state = ([bent, bent], [x + moved for x in posed])
+    _, posed = simulation.state
+    simulation.state = ([bent] * 4, posed)
     path = []
     for _ in range(round(seconds / h)):
         assert simulation.advance(BONES[None], weights[None])["converged"]

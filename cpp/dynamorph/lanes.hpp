@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Eight numbers that go through the same arithmetic. GCC's vectors: whatever the processor has carries them out.
+#pragma once
+
+#include <new>
+#include <vector>
+
+#include "dynamorph/types.hpp"
+
+// Functions marked so are compiled for several instruction sets and chosen when the library is loaded, so that a wheel
+// built for any x86-64 uses AVX2 or AVX-512 where the machine has them. What they call must be DYNAMORPH_INLINE, and no
+// lambda, to be compiled along with them.
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
+#define DYNAMORPH_MULTIVERSION __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
+#else
+#define DYNAMORPH_MULTIVERSION
+#endif
+#define DYNAMORPH_INLINE inline __attribute__((always_inline))
+
+namespace dynamorph {
+
+// Vectors wider than the baseline's registers are only passed between functions that are inlined.
+#pragma GCC diagnostic ignored "-Wpsabi"
+
+constexpr int kLanes = 8;
+using Floats = float __attribute__((vector_size(32)));
+using Doubles = double __attribute__((vector_size(64)));
+
+/// Of lanes, aligned as every instruction set wants it: the baseline alone would ask for less.
+template <class T>
+struct CacheAligned {
+  using value_type = T;
+  CacheAligned() = default;
+  template <class U>
+  CacheAligned(const CacheAligned<U>&) {}
+  T* allocate(std::size_t n) { return static_cast<T*>(::operator new(n * sizeof(T), std::align_val_t(64))); }
+  void deallocate(T* p, std::size_t) { ::operator delete(p, std::align_val_t(64)); }
+  bool operator==(const CacheAligned&) const { return true; }
+  bool operator!=(const CacheAligned&) const { return false; }
+};
+template <class T>
+using LaneVector = std::vector<T, CacheAligned<T>>;
+
+DYNAMORPH_INLINE void to_single(const Doubles& from, Floats& to) { to = __builtin_convertvector(from, Floats); }
+
+DYNAMORPH_INLINE float sum_of(const Floats& v) {
+  return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]));
+}
+
+}  // namespace dynamorph

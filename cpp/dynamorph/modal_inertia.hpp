@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Inertia of a soft skin in modes, without its mesh: its cost does not depend on the number of nodes.
+//
+// Nodes are posed by x = sum_b w_b (R_b (X + U z) + t_b), linear in the bones' matrices, so every sum over nodes is a
+// fixed tensor contracted with those. Weights sum to one, hence for any matrices D_b
+//
+//   A^T sum_b w_b D_b = sum_b w_b R_b^T D_b - sum_{b<c} w_b w_c (R_b - R_c)^T (D_b - D_c):
+//
+// a sum over `terms`, which are the bones, and the pairs of bones that share flesh. Rigid bones need only the pairs for
+// the mass (R_b^T R_b = 1), and pairs that turn together need nothing.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "dynamorph/full_model.hpp"
+#include "dynamorph/lanes.hpp"
+
+namespace dynamorph {
+
+class ModalInertia {
+ public:
+  /// Tensors of all target sets in the basis U (3 free, r).
+  ModalInertia(const SoftBody& body, const MatrixXd& U);
+
+  /// What one bone contributes to the terms: R, then sum_n share'(m, n) R_n for each backward difference m of the
+  /// coordinates, then sum_n share'(0, n) t_n; row-major, t of the flesh's centre.
+  using BoneMotion = std::array<double, 9 * (1 + Motion::kMoments) + 3>;
+
+  /// What `evaluate` makes, and its scratch: nothing is allocated after the first time.
+  struct Result {
+    MatrixXd mass;    ///< U^T A^T M A U (r, r)
+    MatrixXd damped;  ///< the same with M times mass damping
+    VectorXd force;   ///< of the motion (r)
+    std::vector<BoneMotion> bones;
+    std::array<VectorXd, Motion::kMoments> differences;
+    LaneVector<Floats> sums, slopes;
+  };
+
+  /// Mass and force of `motion` in the pose of its first bones. Tensors are in single precision: force and the mass's
+  /// change with the pose have relative errors of 1e-7. Differences in time are taken in double.
+  void evaluate(const Motion& motion, const SetDensities& densities, Result& out) const;
+
+  /// Number of terms of all sets.
+  int terms() const;
+
+ private:
+  using Bones = std::pair<int, int>;  ///< (b, b) one bone, (b, c) a pair
+  /// Up to eight terms, side by side.
+  struct Group {
+    bool pairs;
+    std::vector<Bones> bones;
+    double influence;  ///< the largest part of the force that one of the terms can have
+  };
+  /// Of one target set.
+  struct Tensors {
+    VectorXd mass;              ///< U^T M1 U, packed upper triangle
+    std::vector<Group> groups;  ///< bones, then pairs, the most influential first
+    LaneVector<Floats> table;   ///< entries() of each group
+  };
+  Eigen::Index entries() const { return (12 + 6) * r_ + 9 * r_ * (r_ - 1) / 2; }
+  void tabulate(const SoftBody& body, const MatrixXd& U, int set, Tensors& out) const;
+
+  Eigen::Index r_;
+  Vector3d centre_;        ///< of the flesh: rest positions are relative to it
+  std::vector<int> used_;  ///< bones of any term
+  std::vector<Tensors> sets_;
+};
+
+}  // namespace dynamorph
