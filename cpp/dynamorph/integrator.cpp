@@ -23,19 +23,17 @@ Coefficients coefficients(Scheme scheme) {
   return {{24 / 9., -22 / 9., 8 / 9., -1 / 9.}, 2 / 3., {1.5, -2, 0.5}};
 }
 
-/// Solves H x = b by Cholesky; false when H is not positive definite.
+/// Solves H x = b; false when H is not positive definite.
 class DenseSolver {
  public:
   bool solve(const MatrixXd& H, const VectorXd& b, VectorXd& x) {
-    factor_ = H;
-    if (!factorize(factor_.data(), factor_.rows())) return false;
-    x = b;
-    solve_factorized(factor_.data(), factor_.rows(), x.data());
+    if (!factor_.compute(H)) return false;
+    factor_.solve(b, x);
     return true;
   }
 
  private:
-  MatrixXd factor_;
+  DenseFactor factor_;
 };
 
 /// Gravity (m/s^2, world) on the flesh at the bones, and nothing of the past.

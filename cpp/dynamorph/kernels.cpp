@@ -52,18 +52,24 @@ double dot(const double* __restrict a, const double* __restrict b, Eigen::Index 
 }
 
 using Chunk = double __attribute__((vector_size(32), aligned(8), may_alias));
-using FloatChunk = float __attribute__((vector_size(16), aligned(4), may_alias));
+using SingleChunk = float __attribute__((vector_size(32), aligned(4), may_alias));
 using Order = std::int64_t __attribute__((vector_size(32)));
 
-DYNAMORPH_INLINE Chunk column(const float* A, int c) {
-  return __builtin_convertvector(*reinterpret_cast<const FloatChunk*>(A + kChunk * c), Chunk);
+DYNAMORPH_INLINE Chunk& at(double* x) { return *reinterpret_cast<Chunk*>(x); }
+DYNAMORPH_INLINE const Chunk& at(const double* x) { return *reinterpret_cast<const Chunk*>(x); }
+
+/// Eight entries of a column, converted from single precision in two instructions.
+DYNAMORPH_INLINE void column(const float* A, int c, Chunk& low, Chunk& high) {
+  const Doubles all = __builtin_convertvector(*reinterpret_cast<const SingleChunk*>(A + kChunk * c), Doubles);
+  low = __builtin_shufflevector(all, all, 0, 1, 2, 3);
+  high = __builtin_shufflevector(all, all, 4, 5, 6, 7);
 }
 
 /// The sum of each of four vectors.
-DYNAMORPH_INLINE Chunk sums_of(const Chunk& a, const Chunk& b, const Chunk& c, const Chunk& d) {
+DYNAMORPH_INLINE Chunk sums_of(const Chunk* v) {
   const Order even = {0, 4, 2, 6}, odd = {1, 5, 3, 7}, low = {0, 1, 4, 5}, high = {2, 3, 6, 7};
-  const Chunk ab = __builtin_shuffle(a, b, even) + __builtin_shuffle(a, b, odd);
-  const Chunk cd = __builtin_shuffle(c, d, even) + __builtin_shuffle(c, d, odd);
+  const Chunk ab = __builtin_shuffle(v[0], v[1], even) + __builtin_shuffle(v[0], v[1], odd);
+  const Chunk cd = __builtin_shuffle(v[2], v[3], even) + __builtin_shuffle(v[2], v[3], odd);
   return __builtin_shuffle(ab, cd, low) + __builtin_shuffle(ab, cd, high);
 }
 
@@ -71,21 +77,23 @@ DYNAMORPH_MULTIVERSION
 void symmetric(const float* __restrict A, Eigen::Index chunks, const double* __restrict x, double* __restrict y) {
   const Chunk* X = reinterpret_cast<const Chunk*>(x);
   Chunk* Y = reinterpret_cast<Chunk*>(y);
-  for (Eigen::Index c = 0; c < chunks; ++c) {
-    const double x0 = x[4 * c], x1 = x[4 * c + 1], x2 = x[4 * c + 2], x3 = x[4 * c + 3];
-    Y[c] += column(A, 0) * x0 + column(A, 1) * x1 + (column(A, 2) * x2 + column(A, 3) * x3);
-    A += kChunk * kChunk;
-    Chunk s0 = {}, s1 = {}, s2 = {}, s3 = {};
-    for (Eigen::Index i = c + 1; i < chunks; ++i, A += kChunk * kChunk) {
-      const Chunk a0 = column(A, 0), a1 = column(A, 1), a2 = column(A, 2), a3 = column(A, 3);
-      const Chunk xi = X[i];
-      Y[i] += a0 * x0 + a1 * x1 + (a2 * x2 + a3 * x3);
-      s0 += a0 * xi;
-      s1 += a1 * xi;
-      s2 += a2 * xi;
-      s3 += a3 * xi;
+  for (Eigen::Index panel = 0; panel < 2 * chunks; ++panel) {  // of four columns
+    const Eigen::Index diagonal = panel / 2;
+    Chunk sums[4] = {}, low, high;
+    for (Eigen::Index i = diagonal; i < chunks; ++i, A += 4 * kChunk) {
+      Chunk below = Y[2 * i], above = Y[2 * i + 1];
+      for (int c = 0; c < 4; ++c) {
+        column(A, c, low, high);
+        below += low * x[4 * panel + c];
+        above += high * x[4 * panel + c];
+        if (i == diagonal) continue;  // stored whole
+        sums[c] += low * X[2 * i];
+        sums[c] += high * X[2 * i + 1];
+      }
+      Y[2 * i] = below;
+      Y[2 * i + 1] = above;
     }
-    Y[c] += sums_of(s0, s1, s2, s3);
+    Y[panel] += sums_of(sums);
   }
 }
 
@@ -134,34 +142,46 @@ void blend(const float* const* __restrict tables, const double* __restrict weigh
     for (Eigen::Index i = 0; i < size; ++i) out[i] += float(weights[k]) * tables[k][i];
 }
 
-/// Left-looking: column j less the earlier columns, then scaled.
+/// Columns V = L D of L D L^T, each less what the earlier ones make of it, in whole vectors of rows from the one that
+/// holds the diagonal; zero on and above the diagonal when done.
 DYNAMORPH_MULTIVERSION
-bool cholesky(double* __restrict A, Eigen::Index n) {
+bool decompose(double* __restrict V, Eigen::Index n, double* __restrict inverse) {
+  const Eigen::Index stride = whole_vectors(n);
   for (Eigen::Index j = 0; j < n; ++j) {
-    double* column = A + j * n;
+    double* own = V + j * stride;
+    const Eigen::Index first = j / 4 * 4;
     Eigen::Index k = 0;
     for (; k + 4 <= j; k += 4) {
-      const double *a0 = A + k * n, *a1 = a0 + n, *a2 = a1 + n, *a3 = a2 + n;
-      const double x0 = a0[j], x1 = a1[j], x2 = a2[j], x3 = a3[j];
-      for (Eigen::Index i = j; i < n; ++i) column[i] -= a0[i] * x0 + a1[i] * x1 + (a2[i] * x2 + a3[i] * x3);
+      const double *v0 = V + k * stride, *v1 = v0 + stride, *v2 = v1 + stride, *v3 = v2 + stride;
+      const double x0 = v0[j] * inverse[k], x1 = v1[j] * inverse[k + 1];
+      const double x2 = v2[j] * inverse[k + 2], x3 = v3[j] * inverse[k + 3];
+      for (Eigen::Index i = first; i < stride; i += 4)
+        at(own + i) -= at(v0 + i) * x0 + at(v1 + i) * x1 + (at(v2 + i) * x2 + at(v3 + i) * x3);
     }
-    for (; k < j; ++k)
-      for (Eigen::Index i = j; i < n; ++i) column[i] -= A[k * n + i] * A[k * n + j];
-    if (!(column[j] > 0) || !std::isfinite(column[j])) return false;
-    const double scale = 1 / std::sqrt(column[j]);
-    for (Eigen::Index i = j; i < n; ++i) column[i] *= scale;
+    for (; k < j; ++k) {
+      const double x = V[k * stride + j] * inverse[k];
+      for (Eigen::Index i = first; i < stride; i += 4) at(own + i) -= at(V + k * stride + i) * x;
+    }
+    if (!(own[j] > 0) || !std::isfinite(own[j])) return false;
+    inverse[j] = 1 / own[j];
+    for (Eigen::Index i = first; i <= j; ++i) own[i] = 0;
   }
   return true;
 }
 
+/// L y = x, then L^T x = D^-1 y.
 DYNAMORPH_MULTIVERSION
-void substitute(const double* __restrict L, Eigen::Index n, double* __restrict x) {
+void substitute(const double* __restrict V, const double* __restrict inverse, Eigen::Index n, double* __restrict x) {
+  const Eigen::Index stride = whole_vectors(n);
   for (Eigen::Index j = 0; j < n; ++j) {
-    x[j] /= L[j * n + j];
-    for (Eigen::Index i = j + 1; i < n; ++i) x[i] -= L[j * n + i] * x[j];
+    const double own = x[j] * inverse[j];
+    for (Eigen::Index i = j / 4 * 4; i < stride; i += 4) at(x + i) -= at(V + j * stride + i) * own;
   }
-  for (Eigen::Index j = n - 1; j >= 0; --j)
-    x[j] = (x[j] - sum_products(L + j * n + j + 1, x + j + 1, n - j - 1)) / L[j * n + j];
+  for (Eigen::Index j = n - 1; j >= 0; --j) {
+    Chunk sum = {};
+    for (Eigen::Index i = j / 4 * 4; i < stride; i += 4) sum += at(V + j * stride + i) * at(x + i);
+    x[j] = (x[j] - ((sum[0] + sum[1]) + (sum[2] + sum[3]))) * inverse[j];
+  }
 }
 
 }  // namespace
@@ -191,8 +211,21 @@ void blend_tables(const float* const* tables, const double* weights, int count, 
   blend(tables, weights, count, size, out);
 }
 
-bool factorize(double* A, Eigen::Index n) { return cholesky(A, n); }
+bool DenseFactor::compute(const MatrixXd& H) {
+  const Eigen::Index n = H.rows();
+  columns_.resize(whole_vectors(n), n);
+  columns_.topRows(n) = H;
+  columns_.bottomRows(columns_.rows() - n).setZero();
+  inverse_.resize(n);
+  return decompose(columns_.data(), n, inverse_.data());
+}
 
-void solve_factorized(const double* L, Eigen::Index n, double* x) { substitute(L, n, x); }
+void DenseFactor::solve(const VectorXd& b, VectorXd& x) {
+  const Eigen::Index n = b.size();
+  padded_.setZero(columns_.rows());
+  padded_.head(n) = b;
+  substitute(columns_.data(), inverse_.data(), n, padded_.data());
+  x = padded_.head(n);
+}
 
 }  // namespace dynamorph

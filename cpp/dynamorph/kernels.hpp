@@ -6,18 +6,21 @@
 
 namespace dynamorph {
 
-constexpr Eigen::Index kChunk = 4;
+constexpr Eigen::Index kChunk = 8;
 inline Eigen::Index whole_chunks(Eigen::Index size) { return (size + kChunk - 1) / kChunk * kChunk; }
+
+/// Rows of the columns that DenseFactor works in.
+inline Eigen::Index whole_vectors(Eigen::Index size) { return (size + 3) / 4 * 4; }
 
 /// Of a symmetric matrix (size, size), size a whole number of chunks: what add_symmetric_product reads.
 inline Eigen::Index symmetric_size(Eigen::Index size) { return size * (size + kChunk) / 2; }
 
-/// Where entry (row, column), row not in an earlier chunk than column, lies there: panels of four columns from their
-/// diagonal block down, whole chunks of four rows, column after column. Diagonal blocks are stored whole.
+/// Where entry (row, column), row not in an earlier chunk than column, lies there: panels of four columns, each from
+/// the chunk of rows that holds the diagonal down; chunk after chunk, column after column. Diagonal chunks are whole.
 inline Eigen::Index symmetric_index(Eigen::Index size, Eigen::Index row, Eigen::Index column) {
-  const Eigen::Index c = column / kChunk;
-  const Eigen::Index panel = kChunk * c * size - kChunk * kChunk * c * (c - 1) / 2;
-  return panel + kChunk * kChunk * (row / kChunk - c) + kChunk * (column % kChunk) + row % kChunk;
+  const Eigen::Index c = column / kChunk, below = size - kChunk * c;
+  const Eigen::Index panels = kChunk * c * size - kChunk * kChunk * c * (c - 1) / 2 + 4 * below * (column % kChunk / 4);
+  return panels + 4 * kChunk * (row / kChunk - c) + kChunk * (column % 4) + row % kChunk;
 }
 
 /// y += A x, A (rows, columns) column-major. Single precision is summed in double.
@@ -38,10 +41,15 @@ double contract_orders(const double* constant, const double* linear, const doubl
 /// out = sum_k weights[k] tables[k], each (size).
 void blend_tables(const float* const* tables, const double* weights, int count, Eigen::Index size, float* out);
 
-/// Cholesky factor of the symmetric matrix A (n, n), in its lower triangle; false when A is not positive definite.
-bool factorize(double* A, Eigen::Index n);
+/// Factor L D L^T of a small symmetric matrix. Allocates only when the size changes.
+class DenseFactor {
+ public:
+  bool compute(const MatrixXd& H);  ///< false when H (n, n) is not positive definite
+  void solve(const VectorXd& b, VectorXd& x);
 
-/// x = A^-1 x by the factor L of factorize.
-void solve_factorized(const double* L, Eigen::Index n, double* x);
+ private:
+  MatrixXd columns_;  ///< L D below the diagonal, rows padded to whole vectors
+  VectorXd inverse_, padded_;
+};
 
 }  // namespace dynamorph

@@ -43,8 +43,4 @@ using LaneVector = std::vector<T, CacheAligned<T>>;
 
 DYNAMORPH_INLINE void to_single(const Doubles& from, Floats& to) { to = __builtin_convertvector(from, Floats); }
 
-DYNAMORPH_INLINE float sum_of(const Floats& v) {
-  return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]));
-}
-
 }  // namespace dynamorph

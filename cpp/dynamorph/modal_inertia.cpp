@@ -11,10 +11,11 @@ namespace {
 
 using Eigen::Index;
 
-constexpr double kNegligible = 1e-7;  // part of the force, at most, that is left out with a term
-constexpr int kRotation = 9, kRigid = 12, kSymmetric = 6, kSkew = 3;
-constexpr int kCombined = std::tuple_size_v<ModalInertia::BoneMotion>;
+constexpr double kNegligible = 1e-5;  // part of the force, at most, that is left out with a pair of bones
+constexpr int kRigid = 12, kSymmetric = 6, kSkew = 3;
 using BoneMotion = ModalInertia::BoneMotion;
+using EightMotion = ModalInertia::EightMotion;
+using EightInertia = ModalInertia::EightInertia;
 
 /// Of eight terms: coefficients that their tensors are contracted with.
 struct Coefficients {
@@ -25,51 +26,53 @@ struct Coefficients {
 
 /// Shares of the backward differences q_0, q_0 - q_1, q_0 - 2 q_1 + q_2, ... instead of the coordinates themselves.
 /// Each has the size of what it adds to the force, which therefore keeps its digits in single precision.
-Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> shares_of_differences(const Motion& motion) {
+using Shares = Eigen::Matrix<double, Motion::kMoments, Motion::kPoses, Eigen::RowMajor>;
+Shares shares_of_differences(const Eigen::Matrix<double, Motion::kMoments, Motion::kPoses>& share) {
   Eigen::Matrix4d binomials;
   binomials << 1, 1, 1, 1, 0, -1, -2, -3, 0, 0, 1, 3, 0, 0, 0, -1;
-  return binomials * motion.share;
+  return binomials * share;
 }
 
-void take_differences(const Motion& motion, std::array<VectorXd, Motion::kMoments>& out) {
-  out[0] = *motion.q[0];
-  out[1] = *motion.q[0] - *motion.q[1];
-  out[2] = *motion.q[0] - 2 * *motion.q[1] + *motion.q[2];
-  out[3] = *motion.q[0] - 3 * *motion.q[1] + 3 * *motion.q[2] - *motion.q[3];
+/// Backward differences of each mode, one after another.
+void take_differences(const Motion& motion, std::vector<float>& y) {
+  const VectorXd &q0 = *motion.q[0], &q1 = *motion.q[1], &q2 = *motion.q[2], &q3 = *motion.q[3];
+  y.clear();
+  for (Index k = 0; k < q0.size(); ++k)
+    for (double difference : {q0(k), q0(k) - q1(k), q0(k) - 2 * q1(k) + q2(k), q0(k) - 3 * q1(k) + 3 * q2(k) - q3(k)})
+      y.push_back(float(difference));
 }
 
 /// Symmetric and skew parts that the tensors are stored by: xx yy zz, xy yz zx; xy yz zx.
-DYNAMORPH_INLINE void split(const Doubles* G, Floats* parts) {
+DYNAMORPH_INLINE void split(const Doubles G[3][4], Floats* parts) {
   for (int i = 0; i < 3; ++i) {
     const int j = (i + 1) % 3;
-    to_single(G[4 * i], parts[i]);
-    to_single(G[3 * i + j] + G[3 * j + i], parts[3 + i]);
-    to_single(G[3 * i + j] - G[3 * j + i], parts[6 + i]);
+    to_single(G[i][i], parts[i]);
+    to_single(G[i][j] + G[j][i], parts[3 + i]);
+    to_single(G[i][j] - G[j][i], parts[6 + i]);
   }
 }
 
-/// From eight terms' own motions, entry after entry.
-DYNAMORPH_INLINE void contract_bones(const Doubles* motion, bool pairs, Coefficients& out) {
-  const double sign = pairs ? -1 : 1;
-  Doubles R[kRotation], G[kRotation];
-  for (int e = 0; e < kRotation; ++e) R[e] = sign * motion[e];
-  for (int m = -1; m < Motion::kMoments; ++m) {
-    const Doubles* D = motion + kRotation * (m + 1);
+/// From eight terms' own motions, entry after entry. sign: 1 of a bone, whose mass counts by how far it is from rigid;
+/// -1 of a pair.
+DYNAMORPH_INLINE void contract_bones(const Doubles (*motion)[12], const Doubles& sign, Coefficients& out) {
+  Doubles R[3][3], G[3][4];
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) R[i][j] = sign * motion[0][4 * i + j];
+  for (int m = 0; m <= Motion::kMoments; ++m) {
+    const Doubles* D = motion[m];
     for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) G[3 * i + j] = R[i] * D[j] + R[3 + i] * D[3 + j] + R[6 + i] * D[6 + j];
-    if (m >= 0) {
-      split(G, out.differences[m]);
-    } else {
-      for (int i = 0; i < 3; ++i) {
-        to_single(G[4 * i] - (pairs ? 0.0 : 1.0), out.mass[i]);
-        to_single(2 * G[3 * i + (i + 1) % 3], out.mass[3 + i]);
-      }
-    }
+      for (int j = 0; j < (m == 1 ? 4 : 3); ++j) G[i][j] = R[0][i] * D[j] + R[1][i] * D[4 + j] + R[2][i] * D[8 + j];
     if (m == 0)
-      for (int e = 0; e < kRotation; ++e) to_single(G[e], out.rigid[e]);
+      for (int i = 0; i < 3; ++i) {
+        to_single(G[i][i] - (0.5 + 0.5 * sign), out.mass[i]);
+        to_single(2 * G[i][(i + 1) % 3], out.mass[3 + i]);
+      }
+    else
+      split(G, out.differences[m - 1]);
+    if (m == 1)
+      for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 4; ++j) to_single(G[i][j], out.rigid[4 * i + j]);
   }
-  const Doubles* d = motion + kRotation * (1 + Motion::kMoments);
-  for (int i = 0; i < 3; ++i) to_single(R[i] * d[0] + R[3 + i] * d[1] + R[6 + i] * d[2], out.rigid[kRotation + i]);
 }
 
 /// How much the mass's coefficients can change it.
@@ -81,10 +84,21 @@ DYNAMORPH_INLINE float largest(const Coefficients& c) {
   return std::sqrt(out);
 }
 
-/// force += tensors : coefficients, and with kHeavy the mass, packed. slopes: scratch, 9 for each mode.
-template <bool kHeavy>
-DYNAMORPH_INLINE void add_terms(const Floats* __restrict table, Index r, const Floats* __restrict slopes,
-                                const Coefficients& c, Floats* __restrict force, Floats* __restrict mass) {
+/// One lane of a table: the tensor of one term.
+struct Term {
+  const float* entries;
+  DYNAMORPH_INLINE float operator[](Index e) const { return entries[kLanes * e]; }
+  DYNAMORPH_INLINE Term& operator+=(Index count) {
+    entries += kLanes * count;
+    return *this;
+  }
+};
+
+/// force += tensors : coefficients, and with kHeavy the mass, packed: of eight terms (Table: const Floats*) or of one
+/// term for eight characters (Term). slopes: 9 coefficients of each mode.
+template <bool kHeavy, class Table>
+DYNAMORPH_INLINE void add_terms(Table table, Index r, const Floats* __restrict slopes, const Coefficients& c,
+                                Floats* __restrict force, Floats* __restrict mass) {
   for (Index k = 0; k < r; ++k) {
     const Floats* own = slopes + 9 * k;
     Floats sums[3] = {};  // independent, or each addition would wait for the one before
@@ -117,51 +131,128 @@ DYNAMORPH_INLINE void add_terms(const Floats* __restrict table, Index r, const F
   }
 }
 
-/// Adds eight terms' part of force (r) and mass, packed, lane by lane. `influence`: the largest part of the force that
-/// one of them can have.
-DYNAMORPH_MULTIVERSION
-void add_group(const Doubles* motion, bool pairs, double influence, const double* const* differences, Index r,
-               const Floats* table, Floats* slopes, Floats* force, Floats* mass) {
+/// Lane by lane, to force (r) and packed mass. y: each mode's backward differences, numbers or lanes. influence: the
+/// largest part of the force that a term can have, where all are pairs.
+template <class Table, class Y>
+DYNAMORPH_INLINE void add_contribution(const Doubles (*motion)[12], const Doubles& sign, double influence, const Y* y,
+                                       Index r, Table table, Floats* slopes, Floats* force, Floats* mass) {
   Coefficients c;
-  contract_bones(motion, pairs, c);
+  contract_bones(motion, sign, c);
   const float change = largest(c);
-  if (pairs && change * influence < 1e-9) return;  // the bones hardly turned against each other: below round-off
-  for (Index l = 0; l < r; ++l) {
-    float y[Motion::kMoments];
-    for (int m = 0; m < Motion::kMoments; ++m) y[m] = float(differences[m][l]);
+  if (change * influence < 0.01 * kNegligible) return;  // the bones hardly turned against each other
+  for (Index l = 0; l < r; ++l, y += Motion::kMoments)
     for (int e = 0; e < kSymmetric + kSkew; ++e)
       slopes[9 * l + e] = (y[0] * c.differences[0][e] + y[1] * c.differences[1][e]) +
                           (y[2] * c.differences[2][e] + y[3] * c.differences[3][e]);
-  }
-  if (pairs || change > 1e-6f)  // a bone is rigid, to Blender's single precision
+  if (change > 1e-6f)  // bones are rigid to Blender's single precision
     add_terms<true>(table, r, slopes, c, force, mass);
   else
     add_terms<false>(table, r, slopes, c, force, mass);
 }
 
-void combine(const Motion& motion, const Eigen::Matrix<double, Motion::kMoments, Motion::kPoses>& shares, int bone,
-             const Vector3d& centre, BoneMotion& out) {
-  using Rotation = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-  Eigen::Map<Eigen::Matrix<double, 3 * (1 + Motion::kMoments), 3, Eigen::RowMajor>> parts(out.data());
-  Eigen::Map<Vector3d> offset(out.data() + parts.size());
-  parts.setZero();
-  offset = -motion.lift;
-  parts.topRows<3>() = transform(*motion.bones[0], bone).leftCols<3>();
-  for (int n = 0; n < Motion::kPoses; ++n) {
-    const TransformMap T = transform(*motion.bones[n], bone);
-    const Rotation R = T.leftCols<3>();
-    for (int m = 0; m < Motion::kMoments; ++m)
-      if (shares(m, n) != 0) parts.middleRows<3>(3 * (m + 1)) += shares(m, n) * R;
-    offset += shares(0, n) * (R * centre + T.col(3));
+DYNAMORPH_MULTIVERSION
+void add_eight_terms(const Doubles (*motion)[12], const Doubles& sign, double influence, const float* y, Index r,
+                     const Floats* table, Floats* slopes, Floats* force, Floats* mass) {
+  add_contribution(motion, sign, influence, y, r, table, slopes, force, mass);
+}
+
+/// One term of eight characters; second: null of a single bone.
+DYNAMORPH_MULTIVERSION
+void add_term_of_eight(const Doubles (*first)[12], const Doubles (*second)[12], double influence, const Floats* y,
+                       Index r, const float* table, Floats* slopes, Floats* force, Floats* mass) {
+  Doubles motion[1 + Motion::kMoments][12], sign = {};
+  for (int m = 0; m <= Motion::kMoments; ++m)
+    for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
+  sign += second ? -1 : 1;
+  add_contribution(motion, sign, second ? influence : HUGE_VAL, y, r, Term{table}, slopes, force, mass);
+}
+
+using Order = std::int32_t __attribute__((vector_size(32)));
+
+/// Each of two vectors' halves of neighbours, or of neighbouring pairs, added up.
+DYNAMORPH_INLINE Floats folded(const Floats& a, const Floats& b, const Order& one, const Order& other) {
+  return __builtin_shuffle(a, b, one) + __builtin_shuffle(a, b, other);
+}
+
+/// totals[8 i + j] = the sum of the lanes of sums[8 i + j].
+DYNAMORPH_MULTIVERSION
+void add_lanes(const Floats* sums, Index count, float* totals) {
+  const Order even = {0, 8, 2, 10, 4, 12, 6, 14}, odd = {1, 9, 3, 11, 5, 13, 7, 15};
+  const Order low = {0, 1, 8, 9, 4, 5, 12, 13}, high = {2, 3, 10, 11, 6, 7, 14, 15};
+  const Order left = {0, 1, 2, 3, 8, 9, 10, 11}, right = {4, 5, 6, 7, 12, 13, 14, 15};
+  for (Index i = 0; i < count; ++i, sums += kLanes) {
+    Floats four[2];
+    for (int half = 0; half < 2; ++half) {
+      const Floats* v = sums + 4 * half;
+      four[half] = folded(folded(v[0], v[1], even, odd), folded(v[2], v[3], even, odd), low, high);
+    }
+    const Floats all = folded(four[0], four[1], left, right);
+    for (int lane = 0; lane < kLanes; ++lane) totals[kLanes * i + lane] = all[lane];
   }
 }
 
-/// lanes[e][t] = entry e of term t: its bone's, less that of the second bone of a pair.
-void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<int, int>>& terms, Doubles* lanes) {
+/// What one bone contributes to the terms (BoneMotion), of one character or of eight. bones: its twelve entries in each
+/// pose; shares (kMoments, kPoses), row-major.
+template <class Value>
+DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, const Vector3d& centre,
+                              const Vector3d& lift, Value (*out)[12]) {
+  for (int e = 0; e < 12; ++e) {
+    out[0][e] = bones[0][e];
+    for (int m = 0; m < Motion::kMoments; ++m) {
+      Value sum = shares[m * Motion::kPoses] * bones[0][e];
+      for (int n = 1; n < Motion::kPoses; ++n) sum += shares[m * Motion::kPoses + n] * bones[n][e];
+      out[m + 1][e] = sum;
+    }
+  }
+  for (int i = 0; i < 3; ++i) {
+    Value* row = out[1] + 4 * i;
+    row[3] += row[0] * centre[0] + row[1] * centre[1] + row[2] * centre[2] - lift[i];
+  }
+}
+
+DYNAMORPH_MULTIVERSION
+void combine_one(const double* const* bones, const double* shares, const Vector3d& centre, const Vector3d& lift,
+                 double (*out)[12]) {
+  combine(bones, shares, centre, lift, out);
+}
+
+DYNAMORPH_MULTIVERSION
+void combine_eight(const Doubles* const* bones, const double* shares, const Vector3d& centre, const Vector3d& lift,
+                   Doubles (*out)[12]) {
+  combine(bones, shares, centre, lift, out);
+}
+
+/// A set's part, by its densities: force (r), and mass and damped mass, packed.
+DYNAMORPH_MULTIVERSION
+void add_set_of_eight(const Doubles& density, const Doubles& damping, const double* constant, Index r,
+                      const Floats* force_sums, const Floats* mass_sums, EightInertia& out) {
+  for (Index k = 0; k < r; ++k) out.force[k] += density * __builtin_convertvector(force_sums[k], Doubles);
+  for (Index p = 0; p < r * (r + 1) / 2; ++p) {
+    const Doubles mass = constant[p] + __builtin_convertvector(mass_sums[p], Doubles);
+    out.mass[p] += density * mass;
+    out.damped[p] += damping * mass;
+  }
+}
+
+DYNAMORPH_MULTIVERSION
+void differences_of_eight(const EightMotion& motion, Index r, Floats* y) {
+  for (Index k = 0; k < r; ++k, y += Motion::kMoments) {
+    const Doubles q0 = motion.q[0][k], q1 = motion.q[1][k], q2 = motion.q[2][k], q3 = motion.q[3][k];
+    to_single(q0, y[0]);
+    to_single(q0 - q1, y[1]);
+    to_single(q0 - 2 * q1 + q2, y[2]);
+    to_single(q0 - 3 * q1 + 3 * q2 - q3, y[3]);
+  }
+}
+
+/// lanes[m][e][t] = entry e of matrix m of term t: its bone's, less that of the second bone of a pair.
+void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<int, int>>& terms,
+            const std::array<double, kLanes>& signs, Doubles lanes[][12]) {
   for (size_t t = 0; t < terms.size(); ++t) {
-    const BoneMotion &a = bones[terms[t].first], &b = bones[terms[t].second];
-    const double less = terms[t].first == terms[t].second ? 0 : 1;
-    for (size_t e = 0; e < a.size(); ++e) lanes[e][t] = a[e] - less * b[e];
+    const auto &a = bones[terms[t].first].values, &b = bones[terms[t].second].values;
+    const double less = signs[t] < 0;
+    for (int m = 0; m <= Motion::kMoments; ++m)
+      for (int e = 0; e < 12; ++e) lanes[m][e][t] = a[m][e] - less * b[m][e];
   }
 }
 
@@ -181,8 +272,7 @@ void node_tensor(const Eigen::Ref<const Eigen::Matrix3Xd>& U, const Vector3d& X,
   double* entry = out.data();
   for (Index k = 0; k < U.cols(); ++k) {
     for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) *entry++ = U(i, k) * X(j);
-    for (int i = 0; i < 3; ++i) *entry++ = U(i, k);
+      for (int j = 0; j < 4; ++j) *entry++ = U(i, k) * (j < 3 ? X(j) : 1);
     for (Index l = k; l < U.cols(); ++l) {
       for (int i = 0; i < 3; ++i) *entry++ = U(i, k) * U(i, l);
       for (double sign : {1.0, -1.0})
@@ -206,28 +296,33 @@ ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols(
       volumes[bones] += part / volume;
       motions[bones] += part * motion(i) / all_motion;
     });
-    std::vector<std::pair<double, Bones>> single, paired;
+    std::vector<std::pair<double, Bones>> terms,
+        pairs;  // with a bound, by Cauchy and Schwarz, of their part of the force
     for (const auto& [bones, share] : volumes) {
-      const double influence =
-          std::sqrt(share * motions[bones]);  // Cauchy and Schwarz's bound of its part of the force
-      if (influence > kNegligible) (bones.first == bones.second ? single : paired).push_back({influence, bones});
+      const double influence = std::sqrt(share * motions[bones]);
+      if (influence > kNegligible) (bones.first == bones.second ? terms : pairs).push_back({influence, bones});
     }
     Tensors& set = sets_.emplace_back();
-    for (auto* terms : {&single, &paired}) {
-      std::sort(terms->rbegin(), terms->rend());
-      for (size_t t = 0; t < terms->size(); ++t) {
-        if (t % kLanes == 0) set.groups.push_back({terms == &paired, {}, (*terms)[t].first});
-        set.groups.back().bones.push_back((*terms)[t].second);
-      }
+    std::sort(pairs.rbegin(), pairs.rend());
+    const size_t bones = terms.size();
+    terms.insert(terms.end(), pairs.begin(), pairs.end());
+    for (size_t t = 0; t < terms.size(); ++t) {
+      if (t % kLanes == 0) set.groups.push_back({{}, {}, t < bones ? HUGE_VAL : terms[t].first});
+      set.groups.back().bones.push_back(terms[t].second);
+      set.groups.back().signs[t % kLanes] = t < bones ? 1 : -1;
     }
     tabulate(body, U, s, set);
   }
-  for (Index b = 0; b < body.skin.cols(); ++b)
-    for (const Tensors& set : sets_)
-      for (const Group& group : set.groups)
-        for (const Bones& bones : group.bones)
-          if (b == bones.first || b == bones.second) used_.push_back(int(b));
-  used_.erase(std::unique(used_.begin(), used_.end()), used_.end());
+  for (Tensors& set : sets_)
+    for (Group& group : set.groups)
+      for (Bones& bones : group.bones) bones = {used(bones.first), used(bones.second)};
+}
+
+int ModalInertia::used(int bone) {
+  const auto found = std::find(used_.begin(), used_.end(), bone);
+  if (found != used_.end()) return int(found - used_.begin());
+  used_.push_back(bone);
+  return int(used_.size()) - 1;
 }
 
 void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tensors& set) const {
@@ -259,14 +354,17 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
 void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities, Result& out) const {
   const Index pairs = r_ * (r_ + 1) / 2;
   take_differences(motion, out.differences);
-  const double* differences[Motion::kMoments];
-  for (int m = 0; m < Motion::kMoments; ++m) differences[m] = out.differences[m].data();
-  out.bones.resize(motion.bones[0]->rows());
-  const auto shares = shares_of_differences(motion);
-  for (int b : used_) combine(motion, shares, b, centre_, out.bones[b]);
+  out.bones.resize(used_.size());
+  const Shares shares = shares_of_differences(motion.share);
+  for (size_t b = 0; b < used_.size(); ++b) {
+    const double* poses[Motion::kPoses];
+    for (int n = 0; n < Motion::kPoses; ++n) poses[n] = motion.bones[n]->data() + 12 * used_[b];
+    combine_one(poses, shares.data(), centre_, motion.lift, out.bones[b].values);
+  }
 
   out.slopes.resize(9 * r_);
-  out.sums.resize(r_ + pairs);
+  out.sums.resize((r_ + pairs + kLanes - 1) / kLanes * kLanes);
+  out.totals.resize(out.sums.size());
   out.mass.setZero(r_, r_);
   out.damped.setZero(r_, r_);
   out.force.setZero(r_);
@@ -274,23 +372,61 @@ void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities,
     const Tensors& set = sets_[s];
     std::fill(out.sums.begin(), out.sums.end(), Floats{});
     for (size_t g = 0; g < set.groups.size(); ++g) {
-      alignas(64) Doubles lanes[kCombined] = {};
-      gather(out.bones, set.groups[g].bones, lanes);
-      add_group(lanes, set.groups[g].pairs, set.groups[g].influence, differences, r_, set.table.data() + g * entries(),
-                out.slopes.data(), out.sums.data(), out.sums.data() + r_);
+      alignas(64) Doubles lanes[1 + Motion::kMoments][12] = {};
+      gather(out.bones, set.groups[g].bones, set.groups[g].signs, lanes);
+      alignas(64) Doubles sign;
+      std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<double*>(&sign));
+      add_eight_terms(lanes, sign, set.groups[g].influence, out.differences.data(), r_,
+                      set.table.data() + g * entries(), out.slopes.data(), out.sums.data(), out.sums.data() + r_);
     }
+    add_lanes(out.sums.data(), Index(out.sums.size()) / kLanes, out.totals.data());
     const double density = densities.density(s), damped = densities.damped(s);
-    for (Index k = 0; k < r_; ++k) out.force(k) += density * sum_of(out.sums[k]);
-    const Floats* change = out.sums.data() + r_;
+    for (Index k = 0; k < r_; ++k) out.force(k) += density * out.totals[k];
+    const float* change = out.totals.data() + r_;
     for (Index k = 0, p = 0; k < r_; ++k)
       for (Index l = k; l < r_; ++l, ++p) {
-        const double mass = set.mass(p) + sum_of(change[p]);
+        const double mass = set.mass(p) + change[p];
         out.mass(l, k) += density * mass;
         out.damped(l, k) += damped * mass;
       }
   }
   out.mass.triangularView<Eigen::StrictlyUpper>() = out.mass.transpose();
   out.damped.triangularView<Eigen::StrictlyUpper>() = out.damped.transpose();
+}
+
+void ModalInertia::evaluate(const EightMotion& motion, const Doubles* density, const Doubles* damping,
+                            EightInertia& out) const {
+  const Index pairs = r_ * (r_ + 1) / 2;
+  out.differences.resize(Motion::kMoments * r_);
+  differences_of_eight(motion, r_, out.differences.data());
+  out.bones.resize((1 + Motion::kMoments) * 12 * used_.size());
+  const auto bone = [&](int b) {
+    return reinterpret_cast<Doubles(*)[12]>(&out.bones[(1 + Motion::kMoments) * 12 * b]);
+  };
+  const Shares shares = shares_of_differences(motion.share);
+  for (size_t b = 0; b < used_.size(); ++b) {
+    const Doubles* poses[Motion::kPoses];
+    for (int n = 0; n < Motion::kPoses; ++n) poses[n] = motion.bones[n] + 12 * b;
+    combine_eight(poses, shares.data(), centre_, motion.lift, bone(int(b)));
+  }
+  out.slopes.resize(9 * r_);
+  out.sums.resize(r_ + pairs);
+  out.mass.assign(pairs, Doubles{});
+  out.damped.assign(pairs, Doubles{});
+  out.force.assign(r_, Doubles{});
+  for (size_t s = 0; s < sets_.size(); ++s) {
+    const Tensors& set = sets_[s];
+    std::fill(out.sums.begin(), out.sums.end(), Floats{});
+    for (size_t g = 0; g < set.groups.size(); ++g)
+      for (size_t t = 0; t < set.groups[g].bones.size(); ++t) {
+        const Bones& bones = set.groups[g].bones[t];
+        const float* table = reinterpret_cast<const float*>(set.table.data() + g * entries()) + t;
+        add_term_of_eight(bone(bones.first), set.groups[g].signs[t] < 0 ? bone(bones.second) : nullptr,
+                          set.groups[g].influence, out.differences.data(), r_, table, out.slopes.data(),
+                          out.sums.data(), out.sums.data() + r_);
+      }
+    add_set_of_eight(density[s], damping[s], set.mass.data(), r_, out.sums.data(), out.sums.data() + r_, out);
+  }
 }
 
 int ModalInertia::terms() const {

@@ -23,9 +23,12 @@ class ModalInertia {
   /// Tensors of all target sets in the basis U (3 free, r).
   ModalInertia(const SoftBody& body, const MatrixXd& U);
 
-  /// What one bone contributes to the terms: R, then sum_n share'(m, n) R_n for each backward difference m of the
-  /// coordinates, then sum_n share'(0, n) t_n; row-major, t of the flesh's centre.
-  using BoneMotion = std::array<double, 9 * (1 + Motion::kMoments) + 3>;
+  /// What one bone contributes to the terms, 3 x 4 row-major: its transform, then sum_n share'(m, n) [R_n | t_n] for
+  /// each backward difference m of the coordinates; t of the first of those, at the flesh's centre and less the lift,
+  /// counts.
+  struct BoneMotion {
+    double values[1 + Motion::kMoments][12];
+  };
 
   /// What `evaluate` makes, and its scratch: nothing is allocated after the first time.
   struct Result {
@@ -33,7 +36,7 @@ class ModalInertia {
     MatrixXd damped;  ///< the same with M times mass damping
     VectorXd force;   ///< of the motion (r)
     std::vector<BoneMotion> bones;
-    std::array<VectorXd, Motion::kMoments> differences;
+    std::vector<float> differences, totals;
     LaneVector<Floats> sums, slopes;
   };
 
@@ -41,16 +44,35 @@ class ModalInertia {
   /// change with the pose have relative errors of 1e-7. Differences in time are taken in double.
   void evaluate(const Motion& motion, const SetDensities& densities, Result& out) const;
 
+  /// The same of eight characters, one a lane: coordinates (r); the entries of used_bones(), twelve each.
+  struct EightMotion {
+    std::array<const Doubles*, Motion::kMoments> q;
+    std::array<const Doubles*, Motion::kPoses> bones;
+    Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> share;
+    Vector3d lift;
+  };
+  struct EightInertia {
+    LaneVector<Doubles> mass, damped;  ///< packed upper triangles
+    LaneVector<Doubles> force;
+    LaneVector<Doubles> bones;
+    LaneVector<Floats> differences, sums, slopes;
+  };
+  /// density, damping: of each target set.
+  void evaluate(const EightMotion& motion, const Doubles* density, const Doubles* damping, EightInertia& out) const;
+
+  /// The bones that carry flesh which the modes move.
+  const std::vector<int>& used_bones() const { return used_; }
+
   /// Number of terms of all sets.
   int terms() const;
 
  private:
-  using Bones = std::pair<int, int>;  ///< (b, b) one bone, (b, c) a pair
+  using Bones = std::pair<int, int>;  ///< (b, b) one bone, (b, c) a pair; of used_
   /// Up to eight terms, side by side.
   struct Group {
-    bool pairs;
     std::vector<Bones> bones;
-    double influence;  ///< the largest part of the force that one of the terms can have
+    std::array<double, kLanes> signs;  ///< 1 of a bone, -1 of a pair
+    double influence;                  ///< the largest part of the force that one of them can have, if all are pairs
   };
   /// Of one target set.
   struct Tensors {
@@ -59,11 +81,12 @@ class ModalInertia {
     LaneVector<Floats> table;   ///< entries() of each group
   };
   Eigen::Index entries() const { return (12 + 6) * r_ + 9 * r_ * (r_ - 1) / 2; }
+  int used(int bone);  ///< its place in used_, where it is added
   void tabulate(const SoftBody& body, const MatrixXd& U, int set, Tensors& out) const;
 
   Eigen::Index r_;
-  Vector3d centre_;        ///< of the flesh: rest positions are relative to it
-  std::vector<int> used_;  ///< bones of any term
+  Vector3d centre_;  ///< of the flesh: rest positions are relative to it
+  std::vector<int> used_;
   std::vector<Tensors> sets_;
 };
 

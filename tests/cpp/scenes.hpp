@@ -2,6 +2,7 @@
 // Bodies for the C++ tests: a bar on two bones with sculpted targets.
 #pragma once
 
+#include <Eigen/Geometry>
 #include <cmath>
 #include <memory>
 
@@ -51,6 +52,16 @@ inline std::shared_ptr<const SoftBody> two_bone_bar(int sets = 1) {
   const VectorXd fill = VectorXd::LinSpaced(m, 0.3, 1.0);
   return std::make_shared<SoftBody>(mesh, fill, VectorXd::Ones(m), MatrixXd::Constant(m, sets, 1.0 / sets), pinned,
                                     weights);
+}
+
+/// The bar's bones when the second has turned.
+inline Transforms bent(double angle) {
+  Transforms bones(2, 12);
+  Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(bones.data()) << 1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0;
+  Eigen::Matrix<double, 3, 4> second;
+  second << Eigen::AngleAxisd(angle, Vector3d(0.2, 1, 0.3).normalized()).toRotationMatrix(), Vector3d(0.1, 0.2, -0.1);
+  Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(bones.data() + 12) = second;
+  return bones;
 }
 
 /// Neutral, a stiff bulge and a soft twist, in sets 0, 0 and `last_set`.

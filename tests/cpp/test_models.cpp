@@ -49,15 +49,6 @@ auto evaluator(const Model& model, const typename Model::Blend& blend) {
   };
 }
 
-Transforms bent(double angle) {
-  Transforms bones(2, 12);
-  Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(bones.data()) << 1, 0, 0, 0.1, 0, 1, 0, 0, 0, 0, 1, 0;
-  Eigen::Matrix<double, 3, 4> second;
-  second << Eigen::AngleAxisd(angle, Vector3d(0.2, 1, 0.3).normalized()).toRotationMatrix(), Vector3d(0.1, 0.2, -0.1);
-  Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>>(bones.data() + 12) = second;
-  return bones;
-}
-
 Motion still(const VectorXd& q, const Transforms& bones) {
   Motion motion{};
   motion.q.fill(&q);
@@ -220,7 +211,7 @@ TEST_CASE("basis: orthonormal in mass, holds the targets' shapes, zero rank defi
   const FullModel model(body, targets, Law::stvk, Blending::even);
   const Basis basis = make_basis(model, 14);
   const VectorXd zero = VectorXd::Zero(model.dofs());
-  const Transforms rest = bent(0);
+  const Transforms rest = scenes::bent(0);
   FullModel::Inertia inertia;
   model.inertia(still(zero, rest), {VectorXd::Ones(1), VectorXd::Zero(1)}, inertia);
   const SparseMatrix& M = inertia.mass;
@@ -253,7 +244,7 @@ TEST_CASE("modal inertia is U^T A^T M (...) over the nodes: mass, and the force 
       big.q[m] = &u[m];
     }
     for (int n = 0; n < Motion::kPoses; ++n) {
-      poses[n] = stretch * bent(1.2 - 0.2 * n);
+      poses[n] = stretch * scenes::bent(1.2 - 0.2 * n);
       small.bones[n] = big.bones[n] = &poses[n];
       for (int m = 0; m < Motion::kMoments; ++m) small.share(m, n) = big.share(m, n) = 0.3 * m - 0.2 * n;
     }
