@@ -6,15 +6,13 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
 #include <Eigen/SVD>
-#include <Eigen/SparseCholesky>
 
 #include "dynamorph/parallel.hpp"
+#include "dynamorph/sparse_cholesky.hpp"
 
 namespace dynamorph {
 
 namespace {
-
-using Cholesky = Eigen::SimplicialLLT<SparseMatrix>;
 
 /// Lumped mass of every degree of freedom for unit density, all sets together (3 free).
 VectorXd unit_mass(const SoftBody& body) {
@@ -37,8 +35,7 @@ struct Factored {
         values(K) += values(model.rest_stiffness(int(j)));
     shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
     K.diagonal() += shift * mass;
-    solver.compute(K);
-    if (solver.info() != Eigen::Success)
+    if (!solver.factorize(K))
       throw Error("target '" + model.targets()[target].name +
                   "' has a shape with degenerate elements: smooth its sculpt or raise the cage resolution");
   }
@@ -46,36 +43,19 @@ struct Factored {
     if (tick) tick();
     return solver.solve(load);
   }
-  /// All columns of `loads`, several at a time: reading the factor is most of the work.
-  MatrixXd solve_all(const MatrixXd& loads) const {
-    constexpr Eigen::Index kBlock = 8;
-    using Block = Eigen::Matrix<double, Eigen::Dynamic, kBlock, Eigen::RowMajor>;
-    const SparseMatrix& L = solver.matrixL().nestedExpression();
-    MatrixXd out(loads.rows(), loads.cols());
-    for (Eigen::Index first = 0; first < loads.cols(); first += kBlock) {
-      const Eigen::Index some = std::min(kBlock, loads.cols() - first);
-      Block X = Block::Zero(loads.rows(), kBlock);
-      X.leftCols(some) = solver.permutationP() * loads.middleCols(first, some);
-      for (int j = 0; j < L.cols(); ++j) {
-        SparseMatrix::InnerIterator it(L, j);
-        X.row(j) /= it.value();
-        for (++it; it; ++it) X.row(it.row()) -= it.value() * X.row(j);
-      }
-      for (int j = int(L.cols()) - 1; j >= 0; --j) {
-        SparseMatrix::InnerIterator it(L, j);
-        const double diagonal = it.value();
-        for (++it; it; ++it) X.row(j) -= it.value() * X.row(it.row());
-        X.row(j) /= diagonal;
-      }
-      out.middleCols(first, some) = solver.permutationPinv() * MatrixXd(X.leftCols(some));
+  MatrixXd solve_all(MatrixXd loads) const {
+    constexpr Eigen::Index kSome = 8;  // as many as the solver takes at a time
+    for (Eigen::Index first = 0; first < loads.cols(); first += kSome) {
+      const Eigen::Index some = std::min(kSome, loads.cols() - first);
+      solver.solve_in_place(loads.middleCols(first, some));
       for (Eigen::Index c = 0; tick && c < some; ++c) tick();
     }
-    return out;
+    return loads;
   }
   VectorXd mass;               ///< (3 free), kg
   double shift;                ///< 1/s^2
-  std::function<void()> tick;  ///< called before every solve: reports progress, may throw Cancelled
-  Cholesky solver;
+  std::function<void()> tick;  ///< called for every solve: reports progress, may throw Cancelled
+  BlockCholesky<double> solver;
 };
 
 /// (M^-1/2 (K + shift M) M^-1/2)^-1, the operator that Spectra iterates with.
