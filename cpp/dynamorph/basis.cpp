@@ -7,12 +7,15 @@
 #include <Eigen/QR>
 #include <Eigen/SVD>
 
+#include "dynamorph/gram_kernels.hpp"
 #include "dynamorph/parallel.hpp"
 #include "dynamorph/sparse_cholesky.hpp"
 
 namespace dynamorph {
 
 namespace {
+
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 /// Lumped mass of every degree of freedom for unit density, all sets together (3 free).
 VectorXd unit_mass(const SoftBody& body) {
@@ -164,20 +167,20 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   return out;
 }
 
-/// All targets' candidates as columns, in common units: the softest target's first mode moves by `amplitude` metres,
-/// the others' with about the same energy, and so far they would by a uniform acceleration: stiff targets move less,
-/// and so count less, but by the same loads they would hardly count.
-MatrixXd in_common_units(const std::vector<Candidates>& found, double amplitude) {
+/// All targets' candidates as columns, times `root` by rows, in common units: the softest target's first mode moves by
+/// `amplitude` metres, the others' with about the same energy, and so far they would by a uniform acceleration: stiff
+/// targets move less, and so count less, but by the same loads they would hardly count.
+RowMajor in_common_units(const std::vector<Candidates>& found, double amplitude, const VectorXd& root) {
   double softest = 0;
   Eigen::Index columns = 0;
   for (const Candidates& some : found) {
     softest = std::max(softest, largest(some.modes.col(0)));
     columns += some.modes.cols() + some.bending.cols() + some.responses.cols();
   }
-  MatrixXd all(found[0].modes.rows(), columns);
+  RowMajor all(root.size(), columns);
   Eigen::Index column = 0;
   const auto append = [&](const MatrixXd& some, double scale) {
-    all.middleCols(column, some.cols()) = scale * some;
+    all.middleCols(column, some.cols()) = (scale * root).asDiagonal() * some;
     column += some.cols();
   };
   for (const Candidates& some : found) {
@@ -188,6 +191,17 @@ MatrixXd in_common_units(const std::vector<Candidates>& found, double amplitude)
     append(some.responses, reach / some.response);
   }
   return all;
+}
+
+/// A^T A, the lower triangle.
+MatrixXd gram(const RowMajor& A) {
+  RowProducts products(A.cols());
+  for (Eigen::Index i = 0; i < A.rows(); ++i) products.add(A.row(i).data());
+  products.finish();
+  MatrixXd out(A.cols(), A.cols());
+  for (Eigen::Index j = 0; j < A.cols(); ++j)
+    for (Eigen::Index i = j; i < A.cols(); ++i) out(i, j) = products(j, i);
+  return out;
 }
 
 /// Orthonormal basis of the columns' span, relative rank tolerance 1e-9.
@@ -231,12 +245,12 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   std::vector<Candidates> found(distinct.size());
   in_parallel(int(found.size()), progress,
               [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
-  MatrixXd all = root.asDiagonal() * in_common_units(found, 0.1 * model.body().size);
+  RowMajor all = in_common_units(found, 0.1 * model.body().size, root);
 
   // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.
   const double total = all.squaredNorm();
-  all -= shapes * (shapes.transpose() * all);
-  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(all.transpose() * all);
+  all.noalias() -= shapes * (shapes.transpose() * all);
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(all));
   const int motions = r - int(shapes.cols());
   if (eigen.eigenvalues()(all.cols() - motions) <= 1e-14 * total)
     throw Error(std::to_string(r) + " modes are more than this cage can move in: ask for fewer");
