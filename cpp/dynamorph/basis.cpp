@@ -9,13 +9,12 @@
 
 #include "dynamorph/gram_kernels.hpp"
 #include "dynamorph/parallel.hpp"
+#include "dynamorph/polynomials.hpp"
 #include "dynamorph/sparse_cholesky.hpp"
 
 namespace dynamorph {
 
 namespace {
-
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 /// Lumped mass of every degree of freedom for unit density, all sets together (3 free).
 VectorXd unit_mass(const SoftBody& body) {
@@ -134,6 +133,30 @@ MatrixXd bone_loads(const SoftBody& body) {
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
+/// Second derivatives of target j's StVK force at its shape (3 free, pairs of modes).
+MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes) {
+  const SoftBody& body = model.body();
+  const Lame& lame = model.targets()[target].lame;
+  const Eigen::Index r = modes.cols(), pairs = r * (r + 1) / 2;
+  const RowMajor by_node = modes;
+  RowMajor G, stresses(6, r), forces(12, pairs), sum = RowMajor::Zero(modes.rows(), pairs);
+  for (Eigen::Index e = 0; e < body.mesh.tets.rows(); ++e) {
+    const Element& element = model.shape(target).elements[e];
+    if (element.volume == 0 || !mode_gradients(body, element, e, by_node, G)) continue;
+    for (int a = 0; a < 3; ++a) {
+      const int b = (a + 1) % 3;
+      stresses.row(a) = lame.lambda * (G.row(0) + G.row(4) + G.row(8)) + 2 * lame.mu * G.row(4 * a);
+      stresses.row(3 + a) = lame.mu * (G.row(3 * a + b) + G.row(3 * b + a));
+    }
+    curvatures_of_pairs(G.data(), stresses.data(), r, lame.lambda, lame.mu, element.gradients.data(), forces.data());
+    for (int a = 0; a < 4; ++a) {
+      const int i = body.free_of_node[body.mesh.tets(e, a)];
+      if (i >= 0) sum.middleRows<3>(3 * i) += element.volume * forces.middleRows<3>(3 * a);
+    }
+  }
+  return sum;
+}
+
 /// Candidate displacements about one target.
 struct Candidates {
   MatrixXd modes;      ///< as each answers a slow load: phi_i / omega_i^2 (by 1 / omega_i high modes crowd the
@@ -152,14 +175,10 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
   // Rigid modes of an unpinned body would swamp all others.
   const VectorXd frequencies = modes.frequencies.cwiseMax(1e-3 * modes.frequencies(k - 1));
-  Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), MatrixXd(model.dofs(), pairs),
-                 MatrixXd(), 0};
-  Eigen::Index column = 0;
-  for (int i = 0; i < bent; ++i)
-    for (int j = 0; j <= i; ++j)
-      out.bending.col(column++) =
-          (i == j ? -0.5 : -1.0) * model.force_curvature(target, out.modes.col(i), out.modes.col(j));
-  out.bending = factored.solve_all(out.bending);
+  Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), {}, {}, 0};
+  MatrixXd curvatures = -force_curvatures(model, target, out.modes.leftCols(bent));
+  for (int i = 0; i < bent; ++i) curvatures.col(pair_index(bent, i, i)) /= 2;
+  out.bending = factored.solve_all(std::move(curvatures));
   out.responses = factored.solve_all(loads);
   VectorXd uniform = VectorXd::Zero(factored.mass.size());
   for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i) / model.targets()[target].density;

@@ -145,14 +145,54 @@ void crosses_of_pairs(const double* __restrict G, Index r, double* __restrict cr
   for (Index k = 0; k < r; cross += r - k, ++k) {
     double own[9];
     for (int c = 0; c < 9; ++c) own[c] = G[c * r + k];
+#pragma GCC ivdep  // rows of the result do not overlap
     for (Index l = 0; l < r - k; ++l) {
       const double* other = G + k + l;
-      for (int i = 0; i < 3; ++i)
-        for (int c = 0; c < 3; ++c) {
-          const int j = 3 * ((i + 1) % 3), h = 3 * ((i + 2) % 3), a = (c + 1) % 3, b = (c + 2) % 3;
-          cross[(3 * i + c) * stride + l] = own[j + a] * other[(h + b) * r] - own[j + b] * other[(h + a) * r] +
-                                            other[(j + a) * r] * own[h + b] - other[(j + b) * r] * own[h + a];
-        }
+      const auto put = [&](int i, int c) {
+        const int j = 3 * ((i + 1) % 3), h = 3 * ((i + 2) % 3), a = (c + 1) % 3, b = (c + 2) % 3;
+        cross[(3 * i + c) * stride + l] = own[j + a] * other[(h + b) * r] - own[j + b] * other[(h + a) * r] +
+                                          other[(j + a) * r] * own[h + b] - other[(j + b) * r] * own[h + a];
+      };
+      put(0, 0), put(0, 1), put(0, 2);
+      put(1, 0), put(1, 1), put(1, 2);
+      put(2, 0), put(2, 1), put(2, 2);
+    }
+  }
+}
+
+DYNAMORPH_MULTIVERSION
+void curvatures_of_pairs(const double* __restrict G, const double* __restrict stresses, Index r, double lambda,
+                         double mu, const double* __restrict gradients, double* __restrict out) {
+  const Index stride = r * (r + 1) / 2;
+  constexpr int packed[3][3] = {{0, 3, 5}, {3, 1, 4}, {5, 4, 2}};
+  for (Index k = 0; k < r; out += r - k, ++k) {
+    double A[9], S[6];
+    for (int c = 0; c < 9; ++c) A[c] = G[c * r + k];
+    for (int c = 0; c < 6; ++c) S[c] = stresses[c * r + k];
+#pragma GCC ivdep  // rows of the result do not overlap
+    for (Index l = 0; l < r - k; ++l) {
+      const double *B = G + k + l, *T = stresses + k + l;
+      const auto product = [&](int a, int b) { return column_dot(A, a, B, r, b); };
+      const double xx = product(0, 0), yy = product(1, 1), zz = product(2, 2), pressure = lambda * (xx + yy + zz);
+      const double xy = mu * (product(0, 1) + product(1, 0)), yz = mu * (product(1, 2) + product(2, 1)),
+                   zx = mu * (product(2, 0) + product(0, 2));
+      const auto moved = [&](int i, int j) {  // A T + B S
+        const auto term = [&](int m) {
+          return A[3 * m + i] * T[packed[m][j] * r] + B[(3 * m + i) * r] * S[packed[m][j]];
+        };
+        return term(0) + term(1) + term(2);
+      };
+      const auto put = [&](int i, double x, double y, double z) {
+        x += moved(i, 0), y += moved(i, 1), z += moved(i, 2);
+        const auto node = [&](int a) {
+          const double* g = gradients + 3 * a;
+          out[(3 * a + i) * stride + l] = x * g[0] + y * g[1] + z * g[2];
+        };
+        node(0), node(1), node(2), node(3);
+      };
+      put(0, pressure + 2 * mu * xx, xy, zx);
+      put(1, xy, pressure + 2 * mu * yy, yz);
+      put(2, zx, yz, pressure + 2 * mu * zz);
     }
   }
 }

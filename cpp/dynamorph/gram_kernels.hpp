@@ -42,4 +42,10 @@ void deviator_rows(const double* G, Eigen::Index r, bool pairs, double scale, do
 /// The bilinear part of the cofactor: columns of cross (9, pairs) are G_k x G_l, tensor cross product.
 void crosses_of_pairs(const double* G, Eigen::Index r, double* cross);
 
+/// Second derivatives of StVK's force on a tetrahedron's nodes at rest: rows of out (12, pairs), node by node, are
+/// d2f[G_k, G_l] for a unit volume. stresses (6, r): xx, yy, zz, xy, yz, zx of Hooke's law for each sym(G_k); gradients
+/// (3, 4) column-major, of the nodes.
+void curvatures_of_pairs(const double* G, const double* stresses, Eigen::Index r, double lambda, double mu,
+                         const double* gradients, double* out);
+
 }  // namespace dynamorph

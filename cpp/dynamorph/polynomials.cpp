@@ -12,7 +12,6 @@ namespace dynamorph {
 namespace {
 
 using Eigen::Index;
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 /// Sums over the tetrahedra of one target that its tables are made of. Green's strain is quadratic in v,
 /// E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l), so with the monomials m = (v_k, v_k v_l) each tet adds
@@ -112,6 +111,18 @@ class TargetSums {
 
 }  // namespace
 
+bool mode_gradients(const SoftBody& body, const Element& element, Index e, const RowMajor& modes, RowMajor& G) {
+  G.setZero(9, modes.cols());
+  bool moves = false;
+  for (int a = 0; a < 4; ++a) {
+    const int i = body.free_of_node[body.mesh.tets(e, a)];
+    if (i < 0) continue;
+    moves = true;
+    for (int c = 0; c < 3; ++c) G.middleRows<3>(3 * c) += element.gradients(c, a) * modes.middleRows<3>(3 * i);
+  }
+  return moves;
+}
+
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress) {
   const SoftBody& body = model.body();
   if (U.rows() != model.dofs())
@@ -128,20 +139,12 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   tables.mu.resize(targets);
   in_parallel(targets, progress, [&](int j, const ProgressFn& done) {
     TargetSums sums(model.law(), U.cols());
-    RowMajor G(9, U.cols());
+    RowMajor G;
     for (Index e = 0; e < tets; ++e) {
       if (e % 512 == 0) report(done, double(e) / tets);
       const Element& element = model.shape(j).elements[e];
       if (element.volume == 0) continue;  // a tet outside this target's region
-      G.setZero();
-      bool moves = false;
-      for (int a = 0; a < 4; ++a) {
-        const int i = body.free_of_node[body.mesh.tets(e, a)];
-        if (i < 0) continue;
-        moves = true;
-        for (int c = 0; c < 3; ++c) G.middleRows<3>(3 * c) += element.gradients(c, a) * modes.middleRows<3>(3 * i);
-      }
-      if (moves) sums.add(element.volume, G);
+      if (mode_gradients(body, element, e, modes, G)) sums.add(element.volume, G);
     }
     sums.tables(tables.lambda[j], tables.mu[j]);
   });

@@ -41,6 +41,11 @@ struct ReducedTables {
   TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
 };
 
+/// G (9, r): column k is dF/dz_k of tet e for the modes (3 free, r), column-major 3 x 3. False if all its nodes are
+/// held.
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+bool mode_gradients(const SoftBody& body, const Element& element, Eigen::Index e, const RowMajor& modes, RowMajor& G);
+
 /// Tables of every target of `model` in the basis U (3 free, r), orthonormal in unit-density mass.
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {});
 
