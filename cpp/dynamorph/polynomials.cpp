@@ -13,6 +13,27 @@ namespace {
 
 using Eigen::Index;
 
+/// visit(k, l) for each k <= l < r, the last index fastest; likewise below.
+template <class Visit>
+void for_pairs(Index r, const Visit& visit) {
+  for (Index k = 0; k < r; ++k)
+    for (Index l = k; l < r; ++l) visit(k, l);
+}
+
+template <class Visit>
+void for_triples(Index r, const Visit& visit) {
+  for_pairs(r, [&](Index k, Index l) {
+    for (Index m = l; m < r; ++m) visit(k, l, m);
+  });
+}
+
+template <class Visit>
+void for_quadruples(Index r, const Visit& visit) {
+  for_triples(r, [&](Index k, Index l, Index m) {
+    for (Index n = m; n < r; ++n) visit(k, l, m, n);
+  });
+}
+
 /// Sums over the tetrahedra of one target that its tables are made of. Green's strain is quadratic in v,
 /// E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l), so with the monomials m = (v_k, v_k v_l) each tet adds
 /// B^T B to a Gram matrix, B the rows of its strain: the trace, and the deviator, E:E = dev:dev + 1/3 tr^2.
@@ -52,50 +73,29 @@ class TargetSums {
     // 1/2 mu tr(E)^2 + mu (tr E - det F + 1), which to second order is mu E:E.
     mu = stable() ? lambda : VectorXd(2.0 / 3 * lambda);
     const TableLayout summed{r_, law_ == Law::stvk};
-    mu.head(summed.size()) = table(deviator_, summed) + 2.0 / 3 * lambda.head(summed.size());
-    if (stable()) subtract_determinant(mu);
+    mu.head(summed.distinct()) = table(deviator_, summed) + 2.0 / 3 * lambda.head(summed.distinct());
+    Index at = pairs_;
+    if (stable())
+      for_triples(r_, [&](Index k, Index l, Index m) { mu(at++) -= determinant_(k, pair_index(r_, l, m)); });
   }
 
  private:
   bool stable() const { return law_ == Law::stable_stvk; }
 
-  /// visit(p, k, l) for each pair.
-  template <class Visit>
-  void for_pairs(const Visit& visit) const {
-    for (Index k = 0, p = 0; k < r_; ++k)
-      for (Index l = k; l < r_; ++l, ++p) visit(p, k, l);
-  }
-
-  void subtract_determinant(VectorXd& table) const {
-    for_pairs([&](Index p, Index k, Index l) {
-      for (Index m = 0; m < r_; ++m) {
-        Index sorted[] = {k, l, m};
-        std::sort(sorted, sorted + 3);
-        table(layout_.linear() + m * pairs_ + p) -= determinant_(sorted[0], pair_index(r_, sorted[1], sorted[2]));
-      }
-    });
-  }
-
   /// Differentiates E = m^T gram m twice, symmetrised over all indices.
   VectorXd table(const RowProducts& gram, const TableLayout& layout) const {
-    VectorXd out(layout.size());
-    const auto at_pair = [&](Index k, Index l) { return r_ + pair_index(r_, k, l); };
-    for_pairs([&](Index p, Index k, Index l) { out(p) = 2 * gram(k, l); });
+    VectorXd out(layout.distinct());
+    const auto pair = [&](Index k, Index l) { return r_ + pair_index(r_, k, l); };
+    const auto quartic = [&](Index p, Index q) { return gram(std::min(p, q), std::max(p, q)); };
+    Index at = 0;
+    for_pairs(r_, [&](Index k, Index l) { out(at++) = 2 * gram(k, l); });
     if (!layout.nonlinear) return out;
-    for_pairs([&](Index p, Index k, Index l) {
-      for (Index m = 0; m < r_; ++m)
-        out(layout.linear() + m * pairs_ + p) =
-            4 * (gram(k, at_pair(l, m)) + gram(l, at_pair(k, m)) + gram(m, at_pair(k, l)));
+    for_triples(r_, [&](Index k, Index l, Index m) {
+      out(at++) = 4 * (gram(k, pair(l, m)) + gram(l, pair(k, m)) + gram(m, pair(k, l)));
     });
-    const auto quartic = [&](Index k, Index l, Index m, Index n) {
-      const Index p = at_pair(k, l), q = at_pair(m, n);
-      return gram(std::min(p, q), std::max(p, q));
-    };
-    Index at = layout.quadratic();
-    for_pairs([&](Index q, Index m, Index n) {
-      for_pairs([&](Index p, Index k, Index l) {
-        if (p >= q) out(at++) = 4 * (quartic(k, l, m, n) + quartic(k, m, l, n) + quartic(k, n, l, m));
-      });
+    for_quadruples(r_, [&](Index k, Index l, Index m, Index n) {
+      out(at++) =
+          4 * (quartic(pair(k, l), pair(m, n)) + quartic(pair(k, m), pair(l, n)) + quartic(pair(k, n), pair(l, m)));
     });
     return out;
   }
@@ -121,6 +121,27 @@ bool mode_gradients(const SoftBody& body, const Element& element, Index e, const
     for (int c = 0; c < 3; ++c) G.middleRows<3>(3 * c) += element.gradients(c, a) * modes.middleRows<3>(3 * i);
   }
   return moves;
+}
+
+VectorXd unfolded(const VectorXd& distinct, const TableLayout& layout) {
+  const Index r = layout.r, pairs = layout.pairs();
+  VectorXd out(layout.size());
+  out.head(pairs) = distinct.head(pairs);
+  if (!layout.nonlinear) return out;
+  const double* next = distinct.data() + pairs;
+  const auto pair = [&](Index k, Index l) { return pair_index(r, k, l); };
+  for_triples(r, [&](Index k, Index l, Index m) {
+    double* K1 = out.data() + layout.linear();
+    K1[k * pairs + pair(l, m)] = K1[l * pairs + pair(k, m)] = K1[m * pairs + pair(k, l)] = *next++;
+  });
+  for_quadruples(r, [&](Index k, Index l, Index m, Index n) {
+    const auto K2 = [&](Index p, Index q) -> double& {
+      if (p < q) std::swap(p, q);
+      return out(layout.quadratic() + q * pairs - q * (q - 1) / 2 + (p - q));
+    };
+    K2(pair(k, l), pair(m, n)) = K2(pair(k, m), pair(l, n)) = K2(pair(k, n), pair(l, m)) = *next++;
+  });
+  return out;
 }
 
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress) {

@@ -28,14 +28,23 @@ struct TableLayout {
   Eigen::Index linear() const { return pairs(); }               ///< start of K1
   Eigen::Index quadratic() const { return pairs() * (1 + r); }  ///< start of K2
   Eigen::Index size() const { return nonlinear ? quadratic() + pairs() * (pairs() + 1) / 2 : pairs(); }
+  /// Coefficients that differ: K0, K1 and K2 are the same for any order of their modes.
+  Eigen::Index distinct() const {
+    const Eigen::Index triples = pairs() * (r + 2) / 3;
+    return nonlinear ? pairs() + triples + triples * (r + 3) / 4 : pairs();
+  }
 };
+
+/// A table laid out as `layout` from the distinct coefficients, which are K0(k, l), then K1(k, l, m), then
+/// K2(k, l, m, n), each for k <= l <= m <= n with the last index fastest.
+VectorXd unfolded(const VectorXd& distinct, const TableLayout& layout);
 
 /// What a built reduced model stores: geometry only. Each target's table for lambda = 1 Pa and mu = 1 Pa, so that
 /// changing a target's stiffness is a linear recombination and never a new precompute.
 struct ReducedTables {
   Law law = Law::linear;
   MatrixXd basis;                ///< U (3 free, r)
-  std::vector<VectorXd> lambda;  ///< per target, laid out as TableLayout
+  std::vector<VectorXd> lambda;  ///< per target, the distinct coefficients as `unfolded` takes them
   std::vector<VectorXd> mu;
 
   TableLayout layout() const { return {basis.cols(), law != Law::linear}; }

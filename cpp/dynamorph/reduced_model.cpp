@@ -61,12 +61,12 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
   VectorXd mass = body_->volumes.rowwise().sum();
   tables_.resize(layout_.size(), Eigen::Index(targets_.size()));
   for (size_t j = 0; j < targets_.size(); ++j) {
-    if (tables.lambda[j].size() != layout_.size() || tables.mu[j].size() != layout_.size())
+    if (tables.lambda[j].size() != layout_.distinct() || tables.mu[j].size() != layout_.distinct())
       throw std::invalid_argument("tables: of '" + targets_[j].name + "' do not fit " + std::to_string(r) + " modes");
     VectorXd momentum = body_->restrict_to_free(targets_[j].displacement);
     for (Eigen::Index i = 0; i < mass.size(); ++i) momentum.segment<3>(3 * i) *= mass(i);
     coordinates_.push_back(U_.transpose() * momentum);
-    tables_.col(j) = targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j];
+    tables_.col(j) = unfolded(targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j], layout_);
     rest_stiffness_.push_back(tables_.col(j).head(layout_.pairs()));
     forces_.push_back(VectorXd::Zero(r));
     energies_.push_back(0);
