@@ -5,12 +5,7 @@
 #include <algorithm>
 #include <numeric>
 
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
-#define DYNAMORPH_MULTIVERSION __attribute__((target_clones("arch=x86-64-v3", "default")))
-#else
-#define DYNAMORPH_MULTIVERSION
-#endif
-#define DYNAMORPH_INLINE inline __attribute__((always_inline))
+#include "dynamorph/multiversion.hpp"
 
 namespace dynamorph {
 
@@ -42,6 +37,7 @@ struct SymbolicCholesky {
   std::vector<Entry> entries;
   int most_rows = 0;
   size_t factor_size = 0, updates_size = 0;
+  double work = 0;  ///< multiplications of a factorisation
 
  private:
   using Structure = std::vector<std::vector<int>>;
@@ -197,6 +193,7 @@ void SymbolicCholesky::gather_supernodes(const Structure& below) {
     std::fill_n(supernode_of.begin() + s.first, s.columns, int(supernodes.size()));
     factor_size += size_t(9) * s.rows * s.columns;
     most_rows = std::max(most_rows, s.rows);
+    for (int k = 0; k < s.columns; ++k) work += 27 * 0.5 * (s.rows - k) * (s.rows - k);
     supernodes.push_back(s);
   }
   for (size_t k = 0; k < supernodes.size(); ++k) {
@@ -361,6 +358,11 @@ void add_update(Dense child, int size, const int* in_parent, int columns, Dense 
 }
 
 }  // namespace
+
+template <class Real>
+double BlockCholesky<Real>::factorization_work() const {
+  return symbolic_->work;
+}
 
 template <class Real>
 bool BlockCholesky<Real>::factorize(const SparseMatrix& A) {

@@ -30,8 +30,8 @@ class BlockCholesky {
   /// pattern changes. False when A is not positive definite, after which there is nothing to solve with.
   bool factorize(const SparseMatrix& A);
   const std::shared_ptr<const SymbolicCholesky>& symbolic() const { return symbolic_; }
-  /// Scalars read by a solve, twice.
-  size_t factor_size() const { return factor_.size(); }
+  size_t size() const { return factor_.size(); }  ///< of the factor, which a solve reads twice
+  double factorization_work() const;              ///< multiplications of a factorisation
 
   VectorXd solve(const VectorXd& b) const;
   /// x = A^-1 b with the caller's scratch, so that nothing is allocated from the second call on. b may be x.
