@@ -2,11 +2,14 @@
 #include "dynamorph/full_model.hpp"
 
 #include <Eigen/SparseCholesky>
-#include <array>
+
+#include "dynamorph/sparse_solver.hpp"
 
 namespace dynamorph {
 
 namespace {
+
+constexpr Eigen::Index kBlended = 2048;  // values blended at a time, so that the sums stay in the first cache
 
 void check_size(const char* name, Eigen::Index actual, Eigen::Index expected) {
   if (actual != expected)
@@ -76,9 +79,14 @@ void SetDensities::blend(const std::vector<MorphTarget>& targets, int sets, cons
 }
 
 FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending)
-    : body_(std::move(body)), targets_(std::move(targets)), law_(law), blending_(blending) {
+    : body_(std::move(body)),
+      targets_(std::move(targets)),
+      law_(law),
+      blending_(blending),
+      assembly_(body_->mesh, body_->free_of_node) {
   if (targets_.empty()) throw std::invalid_argument("targets: at least one is needed");
-  build_pattern();
+  VectorXd force;
+  Matrix K = zero();
   for (const MorphTarget& target : targets_) {
     if (target.set < 0 || target.set >= body_->sets())
       throw std::invalid_argument("targets: '" + target.name + "' is in set " + std::to_string(target.set) +
@@ -96,51 +104,14 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
     rest_displacements_.push_back(d);
     shapes_.push_back(rest_shape(body_->mesh, target.displacement,
                                  body_->stiffness_scale.cwiseProduct(body_->shares.col(target.set)), target.shifted));
-    Matrix K = zero();
-    ElementStiffness block;
-    for (Eigen::Index e = 0; e < body_->mesh.tets.rows(); ++e) {
-      element_stiffness(law_, target.lame, shapes_.back().elements[e], Matrix3d::Identity(), block);
-      scatter(e, block, 1, K);
-    }
+    elements_.push_back(assembly_.pack(shapes_.back(), false));
+    // The linear law's stiffness is StVK's at the rest shape.
+    const Law law = law_ == Law::linear ? Law::stvk : law_;
+    assembly_.linearize(law, {{1, target.lame, &elements_.back()}}, VectorXd::Zero(d.size()), force, K);
     rest_stiffness_.push_back(values(K));
+    rest_pull_.push_back(K * d);
+    if (blending_ == Blending::forces) elements_.back() = assembly_.pack(shapes_.back(), true);
   }
-}
-
-void FullModel::build_pattern() {
-  const Tets& tets = body_->mesh.tets;
-  const int free = int(body_->free_nodes.size());
-  std::vector<std::vector<int>> neighbours(free);
-  for (Eigen::Index e = 0; e < tets.rows(); ++e)
-    for (int a = 0; a < 4; ++a)
-      for (int b = 0; b < 4; ++b) {
-        const int i = body_->free_of_node[tets(e, a)], j = body_->free_of_node[tets(e, b)];
-        if (i >= 0 && j >= 0) neighbours[j].push_back(i);
-      }
-  pattern_.resize(3 * free, 3 * free);
-  std::vector<Eigen::Triplet<double>> entries;
-  for (int j = 0; j < free; ++j) {
-    std::vector<int>& rows = neighbours[j];
-    rows.push_back(j);
-    std::sort(rows.begin(), rows.end());
-    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
-    for (int i : rows)
-      for (int c = 0; c < 3; ++c)
-        for (int r = 0; r < 3; ++r) entries.emplace_back(3 * i + r, 3 * j + c, 0.0);
-  }
-  pattern_.setFromTriplets(entries.begin(), entries.end());
-  slots_.resize(tets.rows());
-  for (Eigen::Index e = 0; e < tets.rows(); ++e)
-    for (int b = 0; b < 4; ++b)
-      for (int a = 0; a < 4; ++a) {
-        const int i = body_->free_of_node[tets(e, a)], j = body_->free_of_node[tets(e, b)];
-        int slot = -1;
-        if (i >= 0 && j >= 0) {
-          const auto first = neighbours[j].begin();
-          const auto at = std::lower_bound(first, neighbours[j].end(), i);
-          slot = pattern_.outerIndexPtr()[3 * j] + 3 * int(at - first);
-        }
-        slots_[e][4 * b + a] = slot;
-      }
 }
 
 Eigen::Matrix<double, 3, 4> FullModel::gather(Eigen::Index e, const VectorXd& u) const {
@@ -162,20 +133,6 @@ void FullModel::scatter(Eigen::Index e, const ElementForce& f, VectorXd& force) 
   }
 }
 
-void FullModel::scatter(Eigen::Index e, const ElementStiffness& K, double scale, Matrix& out) const {
-  for (int b = 0; b < 4; ++b) {
-    const int j = body_->free_of_node[body_->mesh.tets(e, b)];
-    if (j < 0) continue;
-    const int stride = out.outerIndexPtr()[3 * j + 1] - out.outerIndexPtr()[3 * j];
-    for (int a = 0; a < 4; ++a) {
-      const int slot = slots_[e][4 * b + a];
-      if (slot < 0) continue;
-      for (int c = 0; c < 3; ++c)
-        for (int r = 0; r < 3; ++r) out.valuePtr()[slot + c * stride + r] += scale * K(3 * a + r, 3 * b + c);
-    }
-  }
-}
-
 FullModel::Matrix FullModel::rest_stiffness(int target) const {
   Matrix K = zero();
   values(K) = rest_stiffness_[target];
@@ -184,84 +141,74 @@ FullModel::Matrix FullModel::rest_stiffness(int target) const {
 
 void FullModel::blend(const VectorXd& w, Blend& out) const {
   check_size("weights", w.size(), Eigen::Index(targets_.size()));
+  if (out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);
-  if (out.damping.nonZeros() != pattern_.nonZeros()) out.damping = out.stiffness = pattern_;
-  values(out.damping).setZero();
-  if (blending_ == Blending::even) out.displacement.setZero(dofs());
-  for (size_t j = 0; j < targets_.size(); ++j) {
-    values(out.damping) += w(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
-    if (blending_ == Blending::even) out.displacement += w(j) * rest_displacements_[j];
+  const bool linear = law_ == Law::linear, even = blending_ == Blending::even;
+  if (out.damping.nonZeros() != assembly_.pattern().nonZeros()) out.damping = assembly_.pattern();
+  if (linear && out.stiffness.nonZeros() != assembly_.pattern().nonZeros()) out.stiffness = assembly_.pattern();
+  const Eigen::Index size = out.damping.nonZeros();
+  for (Eigen::Index first = 0; first < size; first += kBlended) {
+    const Eigen::Index some = std::min(kBlended, size - first);
+    auto damping = values(out.damping).segment(first, some);
+    damping.setZero();
+    if (linear) values(out.stiffness).segment(first, some).setZero();
+    for (Eigen::Index j = 0; j < w.size(); ++j) {
+      if (w(j) == 0) continue;
+      const auto rest = rest_stiffness_[j].segment(first, some);
+      damping += w(j) * targets_[j].stiffness_damping * rest;
+      if (linear) values(out.stiffness).segment(first, some) += w(j) * rest;
+    }
   }
-  if (law_ != Law::linear) return;
-  values(out.stiffness).setZero();
-  out.force.setZero(dofs());
+  if (even) {
+    out.displacement.setZero(dofs());
+    for (Eigen::Index j = 0; j < w.size(); ++j)
+      if (w(j) != 0) out.displacement += w(j) * rest_displacements_[j];
+  }
+  if (!linear) return;
   out.energy = 0;
-  Matrix K = zero();
-  for (size_t j = 0; j < targets_.size(); ++j) {
-    if (w(j) == 0) continue;
-    values(out.stiffness) += w(j) * rest_stiffness_[j];
-    if (blending_ == Blending::even) continue;
-    values(K) = rest_stiffness_[j];
-    const VectorXd pull = K * rest_displacements_[j];
-    out.force -= w(j) * pull;
-    out.energy += 0.5 * w(j) * rest_displacements_[j].dot(pull);
-  }
-  if (blending_ == Blending::even) {
-    out.force = -(out.stiffness * out.displacement);
+  if (even) {
+    multiply_symmetric(out.stiffness, out.displacement, out.force);
+    out.force = -out.force;
     out.energy = -0.5 * out.displacement.dot(out.force);
+    return;
+  }
+  out.force.setZero(dofs());
+  for (Eigen::Index j = 0; j < w.size(); ++j) {
+    if (w(j) == 0) continue;
+    out.force -= w(j) * rest_pull_[j];
+    out.energy += 0.5 * w(j) * rest_displacements_[j].dot(rest_pull_[j]);
   }
 }
 
-VectorXd FullModel::shifted(const Blend& blend, const VectorXd& q, int target) const {
-  return blending_ == Blending::even ? VectorXd(q - blend.displacement + rest_displacements_[target]) : q;
+std::vector<Assembly::Part> FullModel::parts(const Blend& blend) const {
+  std::vector<Assembly::Part> out;
+  for (size_t j = 0; j < targets_.size(); ++j)
+    if (blend.weights(j) != 0) out.push_back({blend.weights(j), targets_[j].lame, &elements_[j]});
+  return out;
+}
+
+VectorXd FullModel::given(const Blend& blend, const VectorXd& q) const {
+  // Even blending: target j's displacement q - d(q) + d_j, which from its own shape is the same for all.
+  return blending_ == Blending::even ? VectorXd(q - blend.displacement) : q;
 }
 
 double FullModel::energy(const Blend& blend, const VectorXd& q) const {
   if (law_ == Law::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
-  double sum = 0;
-  for (size_t j = 0; j < targets_.size(); ++j) {
-    if (blend.weights(j) == 0) continue;
-    const VectorXd u = shifted(blend, q, int(j));
-    for (Eigen::Index e = 0; e < body_->mesh.tets.rows(); ++e) {
-      const Element& element = shapes_[j].elements[e];
-      sum += blend.weights(j) * element.volume *
-             energy_density(law_, targets_[j].lame, deformation_gradient(element, gather(e, u)));
-    }
-  }
-  return sum;
+  return assembly_.energy(law_, parts(blend), given(blend, q));
 }
 
 double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const {
-  if (stiffness.nonZeros() != pattern_.nonZeros()) stiffness = pattern_;
-  if (law_ == Law::linear) {
-    values(stiffness) = values(blend.stiffness);
-    force = blend.stiffness * q + blend.force;
-    return blend.energy + 0.5 * q.dot(force + blend.force);
-  }
-  double sum = 0;
-  force.setZero(dofs());
-  values(stiffness).setZero();
-  ElementStiffness block;
-  for (size_t j = 0; j < targets_.size(); ++j) {
-    const double w = blend.weights(j);
-    if (w == 0) continue;
-    const Lame& lame = targets_[j].lame;
-    const VectorXd u = shifted(blend, q, int(j));
-    for (Eigen::Index e = 0; e < body_->mesh.tets.rows(); ++e) {
-      const Element& element = shapes_[j].elements[e];
-      const Matrix3d F = deformation_gradient(element, gather(e, u));
-      sum += w * element.volume * energy_density(law_, lame, F);
-      scatter(e, w * element.volume * stress(law_, lame, F) * element.gradients, force);
-      element_stiffness(law_, lame, element, F, block);
-      scatter(e, block, w, stiffness);
-    }
-  }
-  return sum;
+  if (stiffness.nonZeros() != assembly_.pattern().nonZeros()) stiffness = assembly_.pattern();
+  if (law_ != Law::linear) return assembly_.linearize(law_, parts(blend), given(blend, q), force, stiffness);
+  values(stiffness) = values(blend.stiffness);
+  multiply_symmetric(blend.stiffness, q, force);
+  force += blend.force;
+  return blend.energy + 0.5 * q.dot(force + blend.force);
 }
 
 void FullModel::inertia(const SkinFrame& frame, const VectorXd& density, Matrix& out) const {
-  if (out.nonZeros() != pattern_.nonZeros()) out = pattern_;
+  if (out.nonZeros() != assembly_.pattern().nonZeros()) out = assembly_.pattern();
   values(out).setZero();
   for (size_t i = 0; i < body_->free_nodes.size(); ++i) {
     const auto A = transform(frame.nodes, Eigen::Index(i)).leftCols<3>();

@@ -13,7 +13,7 @@
 #include <string>
 #include <vector>
 
-#include "dynamorph/elasticity.hpp"
+#include "dynamorph/assembly.hpp"
 #include "dynamorph/skinning.hpp"
 #include "dynamorph/types.hpp"
 
@@ -105,26 +105,27 @@ class FullModel {
   /// K_j at u = d_j over the free degrees of freedom.
   Matrix rest_stiffness(int target) const;
   /// A zero matrix with this model's pattern.
-  Matrix zero() const { return pattern_; }
+  Matrix zero() const { return assembly_.pattern(); }
   /// Directional second derivative of target j's StVK force at its shape: d2F[a, b], all over free nodes (3 free).
   VectorXd force_curvature(int target, const VectorXd& a, const VectorXd& b) const;
 
  private:
   Eigen::Matrix<double, 3, 4> gather(Eigen::Index e, const VectorXd& u) const;
   void scatter(Eigen::Index e, const ElementForce& f, VectorXd& force) const;
-  void scatter(Eigen::Index e, const ElementStiffness& K, double scale, Matrix& out) const;
-  void build_pattern();
-  VectorXd shifted(const Blend& blend, const VectorXd& q, int target) const;
+  /// The targets that count, and the displacements they are given.
+  std::vector<Assembly::Part> parts(const Blend& blend) const;
+  VectorXd given(const Blend& blend, const VectorXd& q) const;
 
   std::shared_ptr<const SoftBody> body_;
   std::vector<MorphTarget> targets_;
   Law law_;
   Blending blending_;
+  Assembly assembly_;
   std::vector<RestShape> shapes_;
+  std::vector<Assembly::Elements> elements_;  ///< of each target; of even blending about its shape
   std::vector<VectorXd> rest_displacements_;  ///< d_j over the free nodes
-  Matrix pattern_;
-  std::vector<std::array<int, 16>> slots_;  ///< per tet, first value of block (a, b), -1 where pinned
-  std::vector<VectorXd> rest_stiffness_;    ///< values of each K_j
+  std::vector<VectorXd> rest_stiffness_;      ///< values of each K_j
+  std::vector<VectorXd> rest_pull_;           ///< K_j d_j
 };
 
 /// Node displacement (3n) that follows `surface` (V, 3) where the mesh embeds it and is elastic in between: minimises
