@@ -18,12 +18,14 @@ import json
 import math
 import os
 import tempfile
+from itertools import combinations_with_replacement
 from pathlib import Path
 
 import numpy as np
 
 FORMAT = "dynamorph model"
-VERSION = 2  # 2: target sets
+VERSION = 3  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only
+OLDEST = 2  # that can be read
 MAX_HEADER = 16 * 2**20
 DTYPES = {
     "F64": "<f8", "F32": "<f4", "I64": "<i8", "I32": "<i4", "I16": "<i2", "I8": "|i1",
@@ -61,7 +63,10 @@ def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
 
 
 def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
-    """The inverse of `pack`: arrays of their own memory, and the description. Raises ModelFileError."""
+    """The inverse of `pack`: arrays of their own memory, and the description. Raises ModelFileError.
+
+    What an older version wrote comes out as this one would have written it.
+    """
     view = memoryview(buffer).cast("B")
     tensors, metadata, begin = _read_header(view)
     data = view[begin:]
@@ -79,6 +84,8 @@ def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
             raise ModelFileError(f"The model is damaged: array '{name}' has an impossible shape") from error
     if end != len(data):
         raise ModelFileError("The model is damaged: there are bytes after its end. Build it again")
+    if metadata["version"] == "2":
+        _keep_distinct(arrays)
     return arrays, _parse(metadata["meta"])
 
 
@@ -103,8 +110,37 @@ def content_id(packed: bytes) -> str:
     return hashlib.sha256(packed).hexdigest()[:32]
 
 
-def _header_bytes(tensors, meta_text, hashes_text) -> bytes:
-    metadata = {"format": FORMAT, "version": str(VERSION), "meta": meta_text, "hashes": hashes_text, "header_hash": ""}
+def _keep_distinct(arrays: dict[str, np.ndarray]):
+    """Of tables in version 2's layout, the coefficients that version 3 stores (polynomials.hpp), bit for bit.
+
+    Version 2 had K0 as pairs i <= j of modes, rows first, then K1 (modes, pairs), then the upper triangle of K2
+    (pairs, pairs), rows first.
+    """
+    modes = arrays["basis"].shape[1] if "basis" in arrays else 0
+    pairs = modes * (modes + 1) // 2
+
+    def pair(i, j):
+        return i * modes - i * (i - 1) // 2 + j - i
+
+    def chosen(count):
+        return np.array(list(combinations_with_replacement(range(modes), count)), int).reshape(-1, count).T
+
+    for name in {"table_lambda", "table_mu"} & set(arrays):
+        table = arrays[name]
+        if table.shape[-1] <= pairs:  # of the linear law, or none
+            continue
+        i, j, m = chosen(3)
+        cubic = pairs + m * pairs + pair(i, j)
+        i, j, m, n = chosen(4)
+        p, q = pair(i, j), pair(m, n)
+        quartic = pairs * (1 + modes) + p * pairs - p * (p - 1) // 2 + q - p
+        if table.shape[-1] != quartic[-1] + 1:
+            raise ModelFileError(f"The model is damaged: '{name}' does not fit its {modes} modes. Build it again")
+        arrays[name] = table[:, np.concatenate([np.arange(pairs), cubic, quartic])]
+
+
+def _header_bytes(tensors, meta_text, hashes_text, version: str = str(VERSION)) -> bytes:
+    metadata = {"format": FORMAT, "version": version, "meta": meta_text, "hashes": hashes_text, "header_hash": ""}
     header = {**tensors, "__metadata__": metadata}
     metadata["header_hash"] = hashlib.sha256(json.dumps(header).encode()).hexdigest()
     text = json.dumps(header).encode()
@@ -127,10 +163,10 @@ def _read_header(view):
     if not isinstance(metadata, dict) or metadata.get("format") != FORMAT:
         raise ModelFileError("This is not a Dynamorph model")
     version = metadata.get("version")
-    if version != str(VERSION):
+    if version not in map(str, range(OLDEST, VERSION + 1)):
         raise ModelFileError(f"The model has version {version}, this add-on reads {VERSION}: update, or build it again")
     try:
-        expected = _header_bytes(tensors, metadata["meta"], metadata["hashes"])
+        expected = _header_bytes(tensors, metadata["meta"], metadata["hashes"], version)
     except (KeyError, TypeError, ValueError, RecursionError):
         expected = None
     if expected != bytes(view[:8]) + raw:

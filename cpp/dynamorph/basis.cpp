@@ -6,15 +6,15 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
 #include <Eigen/SVD>
-#include <Eigen/SparseCholesky>
 
+#include "dynamorph/gram_kernels.hpp"
 #include "dynamorph/parallel.hpp"
+#include "dynamorph/polynomials.hpp"
+#include "dynamorph/sparse_cholesky.hpp"
 
 namespace dynamorph {
 
 namespace {
-
-using Cholesky = Eigen::SimplicialLLT<SparseMatrix>;
 
 /// Lumped mass of every degree of freedom for unit density, all sets together (3 free).
 VectorXd unit_mass(const SoftBody& body) {
@@ -37,8 +37,7 @@ struct Factored {
         values(K) += values(model.rest_stiffness(int(j)));
     shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
     K.diagonal() += shift * mass;
-    solver.compute(K);
-    if (solver.info() != Eigen::Success)
+    if (!solver.factorize(K))
       throw Error("target '" + model.targets()[target].name +
                   "' has a shape with degenerate elements: smooth its sculpt or raise the cage resolution");
   }
@@ -46,36 +45,19 @@ struct Factored {
     if (tick) tick();
     return solver.solve(load);
   }
-  /// All columns of `loads`, several at a time: reading the factor is most of the work.
-  MatrixXd solve_all(const MatrixXd& loads) const {
-    constexpr Eigen::Index kBlock = 8;
-    using Block = Eigen::Matrix<double, Eigen::Dynamic, kBlock, Eigen::RowMajor>;
-    const SparseMatrix& L = solver.matrixL().nestedExpression();
-    MatrixXd out(loads.rows(), loads.cols());
-    for (Eigen::Index first = 0; first < loads.cols(); first += kBlock) {
-      const Eigen::Index some = std::min(kBlock, loads.cols() - first);
-      Block X = Block::Zero(loads.rows(), kBlock);
-      X.leftCols(some) = solver.permutationP() * loads.middleCols(first, some);
-      for (int j = 0; j < L.cols(); ++j) {
-        SparseMatrix::InnerIterator it(L, j);
-        X.row(j) /= it.value();
-        for (++it; it; ++it) X.row(it.row()) -= it.value() * X.row(j);
-      }
-      for (int j = int(L.cols()) - 1; j >= 0; --j) {
-        SparseMatrix::InnerIterator it(L, j);
-        const double diagonal = it.value();
-        for (++it; it; ++it) X.row(j) -= it.value() * X.row(it.row());
-        X.row(j) /= diagonal;
-      }
-      out.middleCols(first, some) = solver.permutationPinv() * MatrixXd(X.leftCols(some));
+  MatrixXd solve_all(MatrixXd loads) const {
+    constexpr Eigen::Index kSome = 8;  // as many as the solver takes at a time
+    for (Eigen::Index first = 0; first < loads.cols(); first += kSome) {
+      const Eigen::Index some = std::min(kSome, loads.cols() - first);
+      solver.solve_in_place(loads.middleCols(first, some));
       for (Eigen::Index c = 0; tick && c < some; ++c) tick();
     }
-    return out;
+    return loads;
   }
   VectorXd mass;               ///< (3 free), kg
   double shift;                ///< 1/s^2
-  std::function<void()> tick;  ///< called before every solve: reports progress, may throw Cancelled
-  Cholesky solver;
+  std::function<void()> tick;  ///< called for every solve: reports progress, may throw Cancelled
+  BlockCholesky<double> solver;
 };
 
 /// (M^-1/2 (K + shift M) M^-1/2)^-1, the operator that Spectra iterates with.
@@ -151,6 +133,30 @@ MatrixXd bone_loads(const SoftBody& body) {
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
+/// Second derivatives of target j's StVK force at its shape (3 free, pairs of modes).
+MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes) {
+  const SoftBody& body = model.body();
+  const Lame& lame = model.targets()[target].lame;
+  const Eigen::Index r = modes.cols(), pairs = r * (r + 1) / 2;
+  const RowMajor by_node = modes;
+  RowMajor G, stresses(6, r), forces(12, pairs), sum = RowMajor::Zero(modes.rows(), pairs);
+  for (Eigen::Index e = 0; e < body.mesh.tets.rows(); ++e) {
+    const Element& element = model.shape(target).elements[e];
+    if (element.volume == 0 || !mode_gradients(body, element, e, by_node, G)) continue;
+    for (int a = 0; a < 3; ++a) {
+      const int b = (a + 1) % 3;
+      stresses.row(a) = lame.lambda * (G.row(0) + G.row(4) + G.row(8)) + 2 * lame.mu * G.row(4 * a);
+      stresses.row(3 + a) = lame.mu * (G.row(3 * a + b) + G.row(3 * b + a));
+    }
+    curvatures_of_pairs(G.data(), stresses.data(), r, lame.lambda, lame.mu, element.gradients.data(), forces.data());
+    for (int a = 0; a < 4; ++a) {
+      const int i = body.free_of_node[body.mesh.tets(e, a)];
+      if (i >= 0) sum.middleRows<3>(3 * i) += element.volume * forces.middleRows<3>(3 * a);
+    }
+  }
+  return sum;
+}
+
 /// Candidate displacements about one target.
 struct Candidates {
   MatrixXd modes;      ///< as each answers a slow load: phi_i / omega_i^2 (by 1 / omega_i high modes crowd the
@@ -169,14 +175,10 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
   // Rigid modes of an unpinned body would swamp all others.
   const VectorXd frequencies = modes.frequencies.cwiseMax(1e-3 * modes.frequencies(k - 1));
-  Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), MatrixXd(model.dofs(), pairs),
-                 MatrixXd(), 0};
-  Eigen::Index column = 0;
-  for (int i = 0; i < bent; ++i)
-    for (int j = 0; j <= i; ++j)
-      out.bending.col(column++) =
-          (i == j ? -0.5 : -1.0) * model.force_curvature(target, out.modes.col(i), out.modes.col(j));
-  out.bending = factored.solve_all(out.bending);
+  Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), {}, {}, 0};
+  MatrixXd curvatures = -force_curvatures(model, target, out.modes.leftCols(bent));
+  for (int i = 0; i < bent; ++i) curvatures.col(pair_index(bent, i, i)) /= 2;
+  out.bending = factored.solve_all(std::move(curvatures));
   out.responses = factored.solve_all(loads);
   VectorXd uniform = VectorXd::Zero(factored.mass.size());
   for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i) / model.targets()[target].density;
@@ -184,20 +186,20 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   return out;
 }
 
-/// All targets' candidates as columns, in common units: the softest target's first mode moves by `amplitude` metres,
-/// the others' with about the same energy, and so far they would by a uniform acceleration: stiff targets move less,
-/// and so count less, but by the same loads they would hardly count.
-MatrixXd in_common_units(const std::vector<Candidates>& found, double amplitude) {
+/// All targets' candidates as columns, times `root` by rows, in common units: the softest target's first mode moves by
+/// `amplitude` metres, the others' with about the same energy, and so far they would by a uniform acceleration: stiff
+/// targets move less, and so count less, but by the same loads they would hardly count.
+RowMajor in_common_units(const std::vector<Candidates>& found, double amplitude, const VectorXd& root) {
   double softest = 0;
   Eigen::Index columns = 0;
   for (const Candidates& some : found) {
     softest = std::max(softest, largest(some.modes.col(0)));
     columns += some.modes.cols() + some.bending.cols() + some.responses.cols();
   }
-  MatrixXd all(found[0].modes.rows(), columns);
+  RowMajor all(root.size(), columns);
   Eigen::Index column = 0;
   const auto append = [&](const MatrixXd& some, double scale) {
-    all.middleCols(column, some.cols()) = scale * some;
+    all.middleCols(column, some.cols()) = (scale * root).asDiagonal() * some;
     column += some.cols();
   };
   for (const Candidates& some : found) {
@@ -208,6 +210,17 @@ MatrixXd in_common_units(const std::vector<Candidates>& found, double amplitude)
     append(some.responses, reach / some.response);
   }
   return all;
+}
+
+/// A^T A, the lower triangle.
+MatrixXd gram(const RowMajor& A) {
+  RowProducts products(A.cols());
+  for (Eigen::Index i = 0; i < A.rows(); ++i) products.add(A.row(i).data());
+  products.finish();
+  MatrixXd out(A.cols(), A.cols());
+  for (Eigen::Index j = 0; j < A.cols(); ++j)
+    for (Eigen::Index i = j; i < A.cols(); ++i) out(i, j) = products(j, i);
+  return out;
 }
 
 /// Orthonormal basis of the columns' span, relative rank tolerance 1e-9.
@@ -251,12 +264,12 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   std::vector<Candidates> found(distinct.size());
   in_parallel(int(found.size()), progress,
               [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
-  MatrixXd all = root.asDiagonal() * in_common_units(found, 0.1 * model.body().size);
+  RowMajor all = in_common_units(found, 0.1 * model.body().size, root);
 
   // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.
   const double total = all.squaredNorm();
-  all -= shapes * (shapes.transpose() * all);
-  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(all.transpose() * all);
+  all.noalias() -= shapes * (shapes.transpose() * all);
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(all));
   const int motions = r - int(shapes.cols());
   if (eigen.eigenvalues()(all.cols() - motions) <= 1e-14 * total)
     throw Error(std::to_string(r) + " modes are more than this cage can move in: ask for fewer");

@@ -5,22 +5,13 @@
 #include <new>
 #include <vector>
 
+#include "dynamorph/multiversion.hpp"
 #include "dynamorph/types.hpp"
-
-// Functions marked so are compiled for several instruction sets and chosen when the library is loaded, so that a wheel
-// built for any x86-64 uses AVX2 or AVX-512 where the machine has them. What they call must be DYNAMORPH_INLINE, and no
-// lambda, to be compiled along with them.
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
-#define DYNAMORPH_MULTIVERSION __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
-#else
-#define DYNAMORPH_MULTIVERSION
-#endif
-#define DYNAMORPH_INLINE inline __attribute__((always_inline))
-
-namespace dynamorph {
 
 // Vectors wider than the baseline's registers are only passed between functions that are inlined.
 #pragma GCC diagnostic ignored "-Wpsabi"
+
+namespace dynamorph {
 
 constexpr int kLanes = 8;
 using Floats = float __attribute__((vector_size(32)));

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Loops compiled for several instruction sets and chosen when loaded, so that a wheel built for any x86-64 uses AVX2
-// where the machine has it. Only of functions that are no templates; what they call must be inlined into them.
+// Loops compiled for several instruction sets and chosen when loaded, so that a wheel built for any x86-64 uses AVX2 or
+// AVX-512 where the machine has it. Only of functions that are no templates; what they call must be inlined
+// into them, and so must not be a lambda.
 #pragma once
 
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
-#define DYNAMORPH_MULTIVERSION __attribute__((target_clones("arch=x86-64-v3", "default")))
+#define DYNAMORPH_MULTIVERSION __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
 #define DYNAMORPH_MULTIVERSION
 #endif

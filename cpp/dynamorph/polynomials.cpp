@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/polynomials.hpp"
 
+#include <algorithm>
+#include <cmath>
+
 #include "dynamorph/gram_kernels.hpp"
 #include "dynamorph/parallel.hpp"
 
@@ -8,130 +11,138 @@ namespace dynamorph {
 
 namespace {
 
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+using Eigen::Index;
+
+/// visit(k, l) for each k <= l < r, the last index fastest; likewise below.
+template <class Visit>
+void for_pairs(Index r, const Visit& visit) {
+  for (Index k = 0; k < r; ++k)
+    for (Index l = k; l < r; ++l) visit(k, l);
+}
+
+template <class Visit>
+void for_triples(Index r, const Visit& visit) {
+  for_pairs(r, [&](Index k, Index l) {
+    for (Index m = l; m < r; ++m) visit(k, l, m);
+  });
+}
+
+template <class Visit>
+void for_quadruples(Index r, const Visit& visit) {
+  for_triples(r, [&](Index k, Index l, Index m) {
+    for (Index n = m; n < r; ++n) visit(k, l, m, n);
+  });
+}
 
 /// Sums over the tetrahedra of one target that its tables are made of. Green's strain is quadratic in v,
 /// E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l), so with the monomials m = (v_k, v_k v_l) each tet adds
-/// B^T B to a Gram matrix, B the rows of its strain; columns of pairs hold the coefficient of the full double sum.
+/// B^T B to a Gram matrix, B the rows of its strain: the trace, and the deviator, E:E = dev:dev + 1/3 tr^2.
 class TargetSums {
  public:
-  TargetSums(Law law, Eigen::Index r) : law_(law), layout_{r, law != Law::linear}, r_(r), pairs_(layout_.pairs()) {
-    const Eigen::Index monomials = law == Law::linear ? r : r + pairs_;
-    trace_gram_.setZero(padded(monomials), padded(monomials));
-    trace_rows_.setZero(kBatch, monomials);
-    if (law != Law::stable_stvk) {
-      strain_gram_.setZero(padded(monomials), padded(monomials));
-      strain_rows_.setZero(6 * kBatch, monomials);
-    } else {
-      det_quadratic_.setZero(pairs_);
-      det_cubic_.setZero(padded(r), padded(pairs_));
-      crosses_.resize(9 * kBatch, pairs_);
-      gradients_.resize(9 * kBatch, r);
-    }
-  }
+  TargetSums(Law law, Index r)
+      : law_(law),
+        layout_{r, law != Law::linear},
+        r_(r),
+        pairs_(layout_.pairs()),
+        deviator_cols_(law == Law::stvk ? r + pairs_ : r),
+        trace_(layout_.nonlinear ? r + pairs_ : r),
+        deviator_(deviator_cols_),
+        determinant_(stable() ? r : 0, pairs_, [r](Index k) { return pair_index(r, k, k); }),
+        row_(std::max(5 * deviator_cols_, r + pairs_)),
+        crosses_(stable() ? 9 : 0, pairs_) {}
 
   /// G (9, r): column k is dF/dz_k, column-major 3 x 3.
   void add(double volume, const RowMajor& G) {
-    const double root = std::sqrt(volume);
-    trace_rows_.row(filled_).head(r_) = root / std::sqrt(2.0) * (G.row(0) + G.row(4) + G.row(8));
-    if (law_ != Law::stable_stvk) {
-      // sqrt(2) on the shear entries, so that the dot product of two rows of six is A:B of symmetric A and B.
-      const double shear = root * std::sqrt(0.5);
-      for (int a = 0; a < 3; ++a) {
-        const int b = (a + 1) % 3;
-        strain_rows_.row(6 * filled_ + a).head(r_) = root * G.row(4 * a);
-        strain_rows_.row(6 * filled_ + 3 + a).head(r_) = shear * (G.row(3 * a + b) + G.row(3 * b + a));
-      }
+    trace_row(G.data(), r_, layout_.nonlinear, std::sqrt(volume / 2), row_.data());
+    trace_.add(row_.data());
+    deviator_rows(G.data(), r_, law_ == Law::stvk, std::sqrt(volume), row_.data(), deviator_cols_);
+    for (int c = 0; c < 5; ++c) deviator_.add(row_.data() + c * deviator_cols_);
+    if (!stable()) return;
+    crosses_of_pairs(G.data(), r_, crosses_.data());
+    for (int c = 0; c < 9; ++c) {
+      row_.head(r_) = volume * G.row(c);
+      determinant_.add(row_.data(), crosses_.row(c).data());
     }
-    if (law_ != Law::linear) add_pairs(volume, G);
-    if (law_ == Law::stable_stvk) gradients_.middleRows(9 * filled_, 9) = G;
-    if (++filled_ == kBatch) flush();
   }
 
   void tables(VectorXd& lambda, VectorXd& mu) {
-    flush();
-    lambda = table(trace_gram_);
-    if (law_ != Law::stable_stvk) {
-      mu = table(strain_gram_);
-      return;
-    }
-    mu = lambda;  // 1/2 mu tr(E)^2, and mu (tr E - det F + 1)
-    mu.head(pairs_) += det_quadratic_;
-    Eigen::Map<RowMajor>(mu.data() + layout_.linear(), r_, pairs_) -= det_cubic_.topLeftCorner(r_, pairs_);
+    trace_.finish();
+    deviator_.finish();
+    determinant_.finish();
+    lambda = table(trace_, layout_);
+    // 1/2 mu tr(E)^2 + mu (tr E - det F + 1), which to second order is mu E:E.
+    mu = stable() ? lambda : VectorXd(2.0 / 3 * lambda);
+    const TableLayout summed{r_, law_ == Law::stvk};
+    mu.head(summed.distinct()) = table(deviator_, summed) + 2.0 / 3 * lambda.head(summed.distinct());
+    Index at = pairs_;
+    if (stable())
+      for_triples(r_, [&](Index k, Index l, Index m) { mu(at++) -= determinant_(k, pair_index(r_, l, m)); });
   }
 
  private:
-  static constexpr Eigen::Index kBatch = 32;
-
-  void add_pairs(double volume, const RowMajor& G) {
-    const double half = 0.5 * std::sqrt(volume);
-    const bool stable = law_ == Law::stable_stvk;
-    for (Eigen::Index k = 0, p = 0; k < r_; p += r_ - k, ++k) {
-      double* trace = trace_rows_.row(filled_).data() + r_ + p;
-      const Eigen::Index count = r_ - k;
-      double* strain = stable ? nullptr : strain_rows_.row(6 * filled_).data() + r_ + p;
-      strain_of_pairs(G.data(), r_, k, trace, strain, strain_rows_.cols());
-      Eigen::Map<Eigen::RowVectorXd> products(trace, count);
-      if (stable) {
-        crosses_of_pairs(G.data(), r_, k, crosses_.row(9 * filled_).data() + p, pairs_);
-        // tr E - det F + 1 to second order: 1/2 G:G - 1/2 ((tr G)^2 - G : G^T), and the latter is half the cross
-        // product's trace.
-        const auto cross = [&](int c) { return crosses_.row(9 * filled_ + c).segment(p, count); };
-        det_quadratic_.segment(p, count) += (volume * (products - cross(0) - cross(4) - cross(8))).transpose();
-        crosses_.block(9 * filled_, p, 9, count) *= volume;
-      } else {
-        strain_rows_.block(6 * filled_, r_ + p, 6, count) *= half;
-      }
-      products *= half / std::sqrt(2.0);
-    }
-  }
-
-  void flush() {
-    if (filled_ == 0) return;
-    const Eigen::Index monomials = trace_rows_.cols();
-    add_transposed_product(trace_rows_.data(), monomials, trace_rows_.data(), monomials, filled_, true,
-                           trace_gram_.data());
-    if (law_ != Law::stable_stvk)
-      add_transposed_product(strain_rows_.data(), monomials, strain_rows_.data(), monomials, 6 * filled_, true,
-                             strain_gram_.data());
-    else
-      add_transposed_product(gradients_.data(), r_, crosses_.data(), pairs_, 9 * filled_, false, det_cubic_.data());
-    filled_ = 0;
-  }
+  bool stable() const { return law_ == Law::stable_stvk; }
 
   /// Differentiates E = m^T gram m twice, symmetrised over all indices.
-  VectorXd table(const RowMajor& upper) const {
-    const MatrixXd g = MatrixXd(upper).selfadjointView<Eigen::Upper>();
-    VectorXd out(layout_.size());
-    const auto pair = [&](Eigen::Index k, Eigen::Index l) { return r_ + pair_index(r_, k, l); };
-    const auto for_pairs = [&](const auto& visit) {
-      for (Eigen::Index k = 0, p = 0; k < r_; ++k)
-        for (Eigen::Index l = k; l < r_; ++l, ++p) visit(p, k, l);
-    };
-    for_pairs([&](Eigen::Index p, Eigen::Index k, Eigen::Index l) { out(p) = 2 * g(k, l); });
-    if (law_ == Law::linear) return out;
-    for_pairs([&](Eigen::Index p, Eigen::Index k, Eigen::Index l) {
-      for (Eigen::Index m = 0; m < r_; ++m)
-        out(layout_.linear() + m * pairs_ + p) = 4 * (g(k, pair(l, m)) + g(l, pair(k, m)) + g(m, pair(k, l)));
+  VectorXd table(const RowProducts& gram, const TableLayout& layout) const {
+    VectorXd out(layout.distinct());
+    const auto pair = [&](Index k, Index l) { return r_ + pair_index(r_, k, l); };
+    const auto quartic = [&](Index p, Index q) { return gram(std::min(p, q), std::max(p, q)); };
+    Index at = 0;
+    for_pairs(r_, [&](Index k, Index l) { out(at++) = 2 * gram(k, l); });
+    if (!layout.nonlinear) return out;
+    for_triples(r_, [&](Index k, Index l, Index m) {
+      out(at++) = 4 * (gram(k, pair(l, m)) + gram(l, pair(k, m)) + gram(m, pair(k, l)));
     });
-    Eigen::Index at = layout_.quadratic();
-    for_pairs([&](Eigen::Index q, Eigen::Index m, Eigen::Index n) {
-      for_pairs([&](Eigen::Index p, Eigen::Index k, Eigen::Index l) {
-        if (p >= q) out(at++) = 4 * (g(pair(k, l), pair(m, n)) + g(pair(k, m), pair(l, n)) + g(pair(k, n), pair(l, m)));
-      });
+    for_quadruples(r_, [&](Index k, Index l, Index m, Index n) {
+      out(at++) =
+          4 * (quartic(pair(k, l), pair(m, n)) + quartic(pair(k, m), pair(l, n)) + quartic(pair(k, n), pair(l, m)));
     });
     return out;
   }
 
   Law law_;
   TableLayout layout_;
-  Eigen::Index r_, pairs_, filled_ = 0;
-  RowMajor trace_gram_, strain_gram_, trace_rows_, strain_rows_;
-  VectorXd det_quadratic_;                    ///< packed pairs
-  RowMajor det_cubic_, crosses_, gradients_;  ///< (r, pairs) padded, (9 batch, pairs), (9 batch, r)
+  Index r_, pairs_, deviator_cols_;
+  RowProducts trace_, deviator_;
+  RowProducts determinant_;  ///< the cubic part of det F: (k, (l, m)), k <= l <= m
+  VectorXd row_;
+  RowMajor crosses_;  ///< (9, pairs)
 };
 
 }  // namespace
+
+bool mode_gradients(const SoftBody& body, const Element& element, Index e, const RowMajor& modes, RowMajor& G) {
+  G.setZero(9, modes.cols());
+  bool moves = false;
+  for (int a = 0; a < 4; ++a) {
+    const int i = body.free_of_node[body.mesh.tets(e, a)];
+    if (i < 0) continue;
+    moves = true;
+    for (int c = 0; c < 3; ++c) G.middleRows<3>(3 * c) += element.gradients(c, a) * modes.middleRows<3>(3 * i);
+  }
+  return moves;
+}
+
+VectorXd unfolded(const VectorXd& distinct, const TableLayout& layout) {
+  const Index r = layout.r, pairs = layout.pairs();
+  VectorXd out(layout.size());
+  out.head(pairs) = distinct.head(pairs);
+  if (!layout.nonlinear) return out;
+  const double* next = distinct.data() + pairs;
+  const auto pair = [&](Index k, Index l) { return pair_index(r, k, l); };
+  for_triples(r, [&](Index k, Index l, Index m) {
+    double* K1 = out.data() + layout.linear();
+    K1[k * pairs + pair(l, m)] = K1[l * pairs + pair(k, m)] = K1[m * pairs + pair(k, l)] = *next++;
+  });
+  for_quadruples(r, [&](Index k, Index l, Index m, Index n) {
+    const auto K2 = [&](Index p, Index q) -> double& {
+      if (p < q) std::swap(p, q);
+      return out(layout.quadratic() + q * pairs - q * (q - 1) / 2 + (p - q));
+    };
+    K2(pair(k, l), pair(m, n)) = K2(pair(k, m), pair(l, n)) = K2(pair(k, n), pair(l, m)) = *next++;
+  });
+  return out;
+}
 
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress) {
   const SoftBody& body = model.body();
@@ -143,24 +154,18 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   tables.law = model.law();
   tables.basis = U;
   const int targets = int(model.targets().size());
-  const Eigen::Index tets = body.mesh.tets.rows();
+  const Index tets = body.mesh.tets.rows();
   const RowMajor modes = U;  // a node's rows in one piece
   tables.lambda.resize(targets);
   tables.mu.resize(targets);
   in_parallel(targets, progress, [&](int j, const ProgressFn& done) {
     TargetSums sums(model.law(), U.cols());
-    RowMajor G(9, U.cols());
-    for (Eigen::Index e = 0; e < tets; ++e) {
+    RowMajor G;
+    for (Index e = 0; e < tets; ++e) {
       if (e % 512 == 0) report(done, double(e) / tets);
       const Element& element = model.shape(j).elements[e];
       if (element.volume == 0) continue;  // a tet outside this target's region
-      G.setZero();
-      for (int a = 0; a < 4; ++a) {
-        const int i = body.free_of_node[body.mesh.tets(e, a)];
-        for (int c = 0; i >= 0 && c < 3; ++c)
-          G.middleRows<3>(3 * c) += element.gradients(c, a) * modes.middleRows<3>(3 * i);
-      }
-      sums.add(element.volume, G);
+      if (mode_gradients(body, element, e, modes, G)) sums.add(element.volume, G);
     }
     sums.tables(tables.lambda[j], tables.mu[j]);
   });

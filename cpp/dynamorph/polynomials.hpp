@@ -32,18 +32,32 @@ struct TableLayout {
     return quadratic() + q * pairs() - q * (q - 1) / 2 + (p - q);
   }
   Eigen::Index size() const { return nonlinear ? quadratic() + pairs() * (pairs() + 1) / 2 : pairs(); }
+  /// Coefficients that differ: K0, K1 and K2 are the same for any order of their modes.
+  Eigen::Index distinct() const {
+    const Eigen::Index triples = pairs() * (r + 2) / 3;
+    return nonlinear ? pairs() + triples + triples * (r + 3) / 4 : pairs();
+  }
 };
+
+/// A table laid out as `layout` from the distinct coefficients, which are K0(k, l), then K1(k, l, m), then
+/// K2(k, l, m, n), each for k <= l <= m <= n with the last index fastest.
+VectorXd unfolded(const VectorXd& distinct, const TableLayout& layout);
 
 /// What a built reduced model stores: geometry only. Each target's table for lambda = 1 Pa and mu = 1 Pa, so that
 /// changing a target's stiffness is a linear recombination and never a new precompute.
 struct ReducedTables {
   Law law = Law::linear;
   MatrixXd basis;                ///< U (3 free, r)
-  std::vector<VectorXd> lambda;  ///< per target, laid out as TableLayout
+  std::vector<VectorXd> lambda;  ///< per target, the distinct coefficients as `unfolded` takes them
   std::vector<VectorXd> mu;
 
   TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
 };
+
+/// G (9, r): column k is dF/dz_k of tet e for the modes (3 free, r), column-major 3 x 3. False if all its nodes are
+/// held.
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+bool mode_gradients(const SoftBody& body, const Element& element, Eigen::Index e, const RowMajor& modes, RowMajor& G);
 
 /// Tables of every target of `model` in the basis U (3 free, r), orthonormal in unit-density mass.
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {});

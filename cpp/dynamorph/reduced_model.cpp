@@ -117,12 +117,12 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
     throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
   const VectorXd mass = body_->volumes.rowwise().sum();
   for (size_t j = 0; j < targets_.size(); ++j) {
-    if (tables.lambda[j].size() != layout_.size() || tables.mu[j].size() != layout_.size())
+    if (tables.lambda[j].size() != layout_.distinct() || tables.mu[j].size() != layout_.distinct())
       throw std::invalid_argument("tables: of '" + targets_[j].name + "' do not fit " + std::to_string(r) + " modes");
     VectorXd momentum = body_->restrict_to_free(targets_[j].displacement);
     for (Eigen::Index i = 0; i < mass.size(); ++i) momentum.segment<3>(3 * i) *= mass(i);
     coordinates_.push_back(U_.transpose() * momentum);
-    VectorXd table = targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j];
+    VectorXd table = unfolded(targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j], layout_);
     rest_stiffness_.push_back(table.head(layout_.pairs()));
     forces_.push_back(VectorXd::Zero(r));
     energies_.push_back(0);

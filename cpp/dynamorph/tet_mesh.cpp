@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "dynamorph/parallel.hpp"
 #include "dynamorph/surface.hpp"
 
 namespace dynamorph {
@@ -117,6 +118,21 @@ SparseMatrix graph_laplacian(const TetMesh& mesh) {
   return laplacian;
 }
 
+/// Part of the samples of a tet that the surface contains.
+double filled(const Tet& tet, const Surface& surface, const std::vector<Vector4d>& samples) {
+  const Vector3d center = tet.point(Vector4d::Constant(0.25));
+  double radius = 0;
+  for (const Vector3d& corner : tet.corners) radius = std::max(radius, (corner - center).norm());
+  const double clearance = surface.distance(center);
+  const bool center_inside = surface.contains(center);
+  if (clearance > radius) return center_inside;  // the skin does not pass through it
+  const auto inside = [&](const Vector4d& weights) {
+    const Vector3d p = tet.point(weights);
+    return (p - center).norm() < clearance ? center_inside : surface.contains(p);
+  };
+  return double(std::count_if(samples.begin(), samples.end(), inside)) / double(samples.size());
+}
+
 }  // namespace
 
 TetMesh make_tet_mesh(Points nodes, Tets tets) {
@@ -179,25 +195,16 @@ SparseMatrix Embedding::matrix(Eigen::Index node_count) const {
 
 VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Triangles& triangles,
                         const ProgressFn& progress) {
+  constexpr Eigen::Index kBlock = 256;  // of tets
   const Surface surface(vertices, triangles);
   const std::vector<Vector4d> samples = sample_weights();
-  VectorXd fractions(mesh.tets.rows());
-  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
-    if (t % 256 == 0) report(progress, double(t) / mesh.tets.rows());
-    const Tet tet(mesh, t);
-    const Vector3d center = tet.point(Vector4d::Constant(0.25));
-    double radius = 0;
-    for (const Vector3d& corner : tet.corners) radius = std::max(radius, (corner - center).norm());
-    const double clearance = surface.distance(center);
-    const bool center_inside = surface.contains(center);
-    const auto inside = [&](const Vector4d& weights) {
-      const Vector3d p = tet.point(weights);
-      return (p - center).norm() < clearance ? center_inside : surface.contains(p);
-    };
-    const double count = clearance > radius ? center_inside * samples.size()  // the skin does not pass through it
-                                            : std::count_if(samples.begin(), samples.end(), inside);
-    fractions[t] = std::max(fill_floor, count / samples.size());
-  }
+  const Eigen::Index tets = mesh.tets.rows();
+  VectorXd fractions(tets);
+  in_parallel(int((tets + kBlock - 1) / kBlock), progress, [&](int block, const ProgressFn& done) {
+    for (Eigen::Index t = block * kBlock; t < std::min(tets, (block + 1) * kBlock); ++t)
+      fractions[t] = std::max(fill_floor, filled(Tet(mesh, t), surface, samples));
+    report(done, 1);
+  });
   return fractions;
 }
 

@@ -159,17 +159,19 @@ TEST_CASE("reduced = U^T F(U z), energy and tangent too, to 1e-12 of the largest
   const auto targets = scenes::targets(*body);
   for (Law law : kLaws) {
     const FullModel full(body, targets, law, Blending::forces);
-    const MatrixXd U = make_basis(full, 12).U;
+    const int r = law == Law::stvk ? 27 : 12;  // more and fewer pairs than a tile of the sums holds
+    const MatrixXd U = make_basis(full, r).U;
     const ReducedTables tables = reduce(full, U);
     for (int j = 0; j < 3; ++j) {
-      const VectorXd v = random_vector(12, 1e-3, 6);
+      const VectorXd v = random_vector(r, 1e-3, 6);
       FullModel::Blend alone;
       full.blend(VectorXd::Unit(3, j), alone);
       VectorXd F, f;
       SparseMatrix K = full.zero();
       MatrixXd k;
       const double E = full.linearize(alone, full.target(j) + U * v, F, K);
-      const VectorXd table = targets[j].lame.lambda * tables.lambda[j] + targets[j].lame.mu * tables.mu[j];
+      const VectorXd table =
+          unfolded(targets[j].lame.lambda * tables.lambda[j] + targets[j].lame.mu * tables.mu[j], tables.layout());
       const double e = linearize(table, tables.layout(), v, f, k);
       CHECK((f - U.transpose() * F).cwiseAbs().maxCoeff() <= 1e-12 * f.cwiseAbs().maxCoeff());
       CHECK(std::abs(e - E) <= 1e-11 * E);
@@ -198,8 +200,7 @@ TEST_CASE("blended and in single precision, as it is stepped: to 1e-6 of the lar
       MatrixXd k;
       const double E = full.linearize(big, U * z, F, K), e = reduced.linearize(small, z, f, k);
       const double largest = f.cwiseAbs().maxCoeff();
-      MESSAGE(std::to_string((f - U.transpose() * F).cwiseAbs().maxCoeff() / largest * 1e9));
-      CHECK((f - U.transpose() * F).cwiseAbs().maxCoeff() <= 1e-6 * largest);
+      CHECK((f - U.transpose() * F).cwiseAbs().maxCoeff() <= 1e-6 * largest);  // 1.4e-7 measured
       CHECK(std::abs(e - E) <= 1e-6 * E);
       CHECK((k - U.transpose() * (K * U)).norm() <= 1e-6 * k.norm());
     }

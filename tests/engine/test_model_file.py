@@ -132,6 +132,50 @@ def test_newer_version_says_so():
         unpack(forged({}, version="9"))
 
 
+@pytest.mark.parametrize("modes", [1, 2, 5])
+@pytest.mark.parametrize("linear", [False, True])
+def test_tables_of_version_2_are_those_of_version_3(modes, linear):
+    """Symmetric tensors in both layouts, each written down as its definition says."""
+    rng = np.random.default_rng(modes)
+
+    def symmetric(order):
+        values = {}
+        return lambda *index: values.setdefault(tuple(sorted(index)), rng.standard_normal(2))
+
+    K0, K1, K2 = symmetric(2), symmetric(3), symmetric(4)
+    order = range(modes)
+    pairs = [(i, j) for i in order for j in range(i, modes)]
+    new, old = [K0(*pair) for pair in pairs], [K0(*pair) for pair in pairs]
+    if not linear:
+        old += [K1(*pair, m) for m in order for pair in pairs]
+        old += [K2(*pair, *other) for i, pair in enumerate(pairs) for other in pairs[i:]]
+        new += [K1(i, j, m) for i, j in pairs for m in range(j, modes)]
+        new += [K2(i, j, m, n) for i, j in pairs for m in range(j, modes) for n in range(m, modes)]
+    table = np.array(old).T
+    tensors = {
+        "basis": {"dtype": "F64", "shape": [1, modes], "data_offsets": [0, 8 * modes]},
+        "table_mu": {
+            "dtype": "F64",
+            "shape": list(table.shape),
+            "data_offsets": [8 * modes, 8 * (modes + table.size)],
+        },
+    }
+    data = bytes(8 * modes), table.astype("<f8").tobytes()
+    hashes = {name: hashlib.sha256(part).hexdigest() for name, part in zip(tensors, data, strict=True)}
+    arrays, _ = unpack(forged(tensors, b"".join(data), version="2", hashes=json.dumps(hashes)))
+    np.testing.assert_array_equal(arrays["table_mu"], np.array(new).T)
+
+
+def test_tables_of_version_2_that_do_not_fit_are_refused():
+    tensors = {
+        "basis": {"dtype": "F64", "shape": [0, 2], "data_offsets": [0, 0]},
+        "table_mu": {"dtype": "F64", "shape": [1, 5], "data_offsets": [0, 40]},
+    }
+    hashes = {"basis": hashlib.sha256(b"").hexdigest(), "table_mu": hashlib.sha256(bytes(40)).hexdigest()}
+    with pytest.raises(ModelFileError, match="does not fit its 2 modes"):
+        unpack(forged(tensors, bytes(40), version="2", hashes=json.dumps(hashes)))
+
+
 def test_other_format_says_so():
     with pytest.raises(ModelFileError, match="not a Dynamorph model"):
         unpack(forged({}, format="pt"))
