@@ -12,17 +12,6 @@ namespace {
 
 constexpr int kStaticIterations = 200;  // paid once, and gravity on a soft body is far to go
 
-struct Coefficients {
-  std::array<double, 4> past;      ///< of x^
-  double c;                        ///< inertia is 1/(h c)^2
-  std::array<double, 3> velocity;  ///< h u' = sum velocity[m] u(n+1-m)
-};
-
-Coefficients coefficients(Scheme scheme) {
-  if (scheme == Scheme::euler) return {{2, -1, 0, 0}, 1, {1, -1, 0}};
-  return {{24 / 9., -22 / 9., 8 / 9., -1 / 9.}, 2 / 3., {1.5, -2, 0.5}};
-}
-
 /// Solves H x = b; false when H is not positive definite.
 class DenseSolver {
  public:
@@ -60,6 +49,22 @@ template <class Matrix>
 using TangentSolver = std::conditional_t<std::is_same_v<Matrix, MatrixXd>, DenseSolver, SparseSolver>;
 
 }  // namespace
+
+StepRule::StepRule(const StepOptions& options) {
+  const bool euler = options.scheme == Scheme::euler;
+  past = euler ? std::array<double, 4>{2, -1, 0, 0} : std::array<double, 4>{24 / 9., -22 / 9., 8 / 9., -1 / 9.};
+  velocity = euler ? std::array<double, 3>{1, -1, 0} : std::array<double, 3>{1.5, -2, 0.5};
+  square = options.h * options.h * (euler ? 1 : 4 / 9.);
+}
+
+Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> StepRule::share() const {
+  Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> share;
+  share.setZero();
+  share(0, 0) = 2;
+  share(1, 0) = -1;
+  for (int m = 0; m < Motion::kMoments; ++m) share(m, m + 1) = -past[m];
+  return share;
+}
 
 template <class Model>
 class Simulation<Model>::Solver : public TangentSolver<typename Model::Matrix> {};
@@ -233,30 +238,27 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   pose(bones, weights);
   const bool teleported = carry_past(bones);
 
-  const Coefficients c = coefficients(options_.scheme);
-  const double h = options_.h, square = h * h * c.c * c.c;
-  // Inertia about constant bind-pose velocity: next_ = 2 q(n) - q(n-1), posed, less x^ of the posed past.
+  const StepRule rule(options_);
+  const double h = options_.h;
   next_ = 2 * state_.q[0] - state_.q[1];
   Motion motion{};
   motion.bones[0] = &bones;
-  motion.share(0, 0) = 2;
-  motion.share(1, 0) = -1;
   for (int m = 0; m < Motion::kMoments; ++m) {
     motion.q[m] = &state_.q[m];
     motion.bones[m + 1] = &state_.bones[m];
-    motion.share(m, m + 1) = -c.past[m];
   }
-  motion.lift = square * options_.gravity;
-  pull(motion, square, external);
+  motion.share = rule.share();
+  motion.lift = rule.square * options_.gravity;
+  pull(motion, rule.square, external);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
-  values(quadratic_.H) = values(inertia_.mass) / square + (c.velocity[0] / h) * values(damped_);
-  velocity_ = (c.velocity[0] * next_ + c.velocity[1] * state_.q[0] + c.velocity[2] * state_.q[1]) / h;
+  values(quadratic_.H) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
+  velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
   quadratic_.g.noalias() += damped_ * velocity_;
   quadratic_.origin = next_;
   // Far from the world's origin posed positions lose digits, and inertia multiplies the loss.
-  quadratic_.round_off = 1e-14 / square * farthest(bones) *
+  quadratic_.round_off = 1e-14 / rule.square * farthest(bones) *
                          std::sqrt(model_->body().volumes.sum() * blend_.mass.density.maxCoeff() *
                                    values(inertia_.mass).cwiseAbs().maxCoeff());
 

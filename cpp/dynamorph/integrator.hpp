@@ -35,6 +35,16 @@ struct StepOptions {
   std::function<bool()> keep_going = {};
 };
 
+/// The numbers of a scheme at one step size.
+struct StepRule {
+  explicit StepRule(const StepOptions& options);
+  std::array<double, Motion::kMoments> past;  ///< of x^
+  double square;                              ///< h^2 c^2, s^2
+  std::array<double, 3> velocity;             ///< h u' = sum velocity[m] u(n+1-m)
+  /// Of the motion that inertia acts on: 2 q(n) - q(n-1), as the bones pose it at the end of the step, less x^.
+  Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> share() const;
+};
+
 /// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps. Copy it to undo,
 /// resume or fork a simulation.
 struct State {
@@ -75,6 +85,7 @@ class Simulation {
   const std::shared_ptr<const Model>& shared_model() const { return model_; }
   const StepOptions& options() const { return options_; }
   const State& state() const { return state_; }
+  const MatrixXd& held() const { return held_; }  ///< what holds the targets (dofs, J), or empty
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
   double kinetic_energy() const;

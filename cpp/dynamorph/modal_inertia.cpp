@@ -316,6 +316,9 @@ ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols(
   for (Tensors& set : sets_)
     for (Group& group : set.groups)
       for (Bones& bones : group.bones) bones = {used(bones.first), used(bones.second)};
+  in_terms_ = used_.size();
+  for (Index b = 0; b < body.skin.cols(); ++b)
+    if (body.moments[b](3, 3) > 0) used(int(b));
 }
 
 int ModalInertia::used(int bone) {
@@ -354,9 +357,9 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
 void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities, Result& out) const {
   const Index pairs = r_ * (r_ + 1) / 2;
   take_differences(motion, out.differences);
-  out.bones.resize(used_.size());
+  out.bones.resize(in_terms_);
   const Shares shares = shares_of_differences(motion.share);
-  for (size_t b = 0; b < used_.size(); ++b) {
+  for (size_t b = 0; b < in_terms_; ++b) {
     const double* poses[Motion::kPoses];
     for (int n = 0; n < Motion::kPoses; ++n) poses[n] = motion.bones[n]->data() + 12 * used_[b];
     combine_one(poses, shares.data(), centre_, motion.lift, out.bones[b].values);
@@ -399,12 +402,12 @@ void ModalInertia::evaluate(const EightMotion& motion, const Doubles* density, c
   const Index pairs = r_ * (r_ + 1) / 2;
   out.differences.resize(Motion::kMoments * r_);
   differences_of_eight(motion, r_, out.differences.data());
-  out.bones.resize((1 + Motion::kMoments) * 12 * used_.size());
+  out.bones.resize((1 + Motion::kMoments) * 12 * in_terms_);
   const auto bone = [&](int b) {
     return reinterpret_cast<Doubles(*)[12]>(&out.bones[(1 + Motion::kMoments) * 12 * b]);
   };
   const Shares shares = shares_of_differences(motion.share);
-  for (size_t b = 0; b < used_.size(); ++b) {
+  for (size_t b = 0; b < in_terms_; ++b) {
     const Doubles* poses[Motion::kPoses];
     for (int n = 0; n < Motion::kPoses; ++n) poses[n] = motion.bones[n] + 12 * b;
     combine_eight(poses, shares.data(), centre_, motion.lift, bone(int(b)));

@@ -60,7 +60,7 @@ class ModalInertia {
   /// density, damping: of each target set.
   void evaluate(const EightMotion& motion, const Doubles* density, const Doubles* damping, EightInertia& out) const;
 
-  /// The bones that carry flesh which the modes move.
+  /// The bones that carry flesh.
   const std::vector<int>& used_bones() const { return used_; }
 
   /// Number of terms of all sets.
@@ -85,8 +85,9 @@ class ModalInertia {
   void tabulate(const SoftBody& body, const MatrixXd& U, int set, Tensors& out) const;
 
   Eigen::Index r_;
-  Vector3d centre_;  ///< of the flesh: rest positions are relative to it
-  std::vector<int> used_;
+  Vector3d centre_;        ///< of the flesh: rest positions are relative to it
+  std::vector<int> used_;  ///< first those of the terms
+  size_t in_terms_;        ///< how many those are
   std::vector<Tensors> sets_;
 };
 

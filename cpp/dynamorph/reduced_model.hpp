@@ -50,12 +50,15 @@ class ReducedModel {
   void inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const {
     inertia_.evaluate(motion, densities, out);
   }
+  const ModalInertia& modal_inertia() const { return inertia_; }
   void displacement(const VectorXd& z, VectorXd& u) const;
   void project(const VectorXd& f, VectorXd& out) const;
   VectorXd target(int j) const { return coordinates_[j]; }
   Matrix zero() const { return Matrix::Zero(dofs(), dofs()); }
 
  private:
+  friend class Crowd;  // evaluates the same tables for eight characters at once
+
   /// The orders of the tangent at v (in the scratch), packed.
   void expand(const Blend& blend, const VectorXd& z) const;
 

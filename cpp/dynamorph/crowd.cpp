@@ -1,0 +1,465 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/crowd.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "dynamorph/kernels.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+using Eigen::Index;
+constexpr unsigned kAll = (1U << kLanes) - 1;
+
+/// y += a x.
+DYNAMORPH_MULTIVERSION
+void add_scaled(const Doubles& a, const double* x, Index size, Doubles* y) {
+  for (Index i = 0; i < size; ++i) y[i] += a * x[i];
+}
+
+/// y = S x, S packed.
+DYNAMORPH_MULTIVERSION
+void packed_product(const Doubles* __restrict S, const Doubles* __restrict x, Index r, Doubles* __restrict y) {
+  for (Index k = 0; k < r; ++k) y[k] = Doubles{};
+  for (Index k = 0; k < r; ++k) {
+    Doubles sum = *S++ * x[k];
+    for (Index l = k + 1; l < r; ++l, ++S) {
+      sum += *S * x[l];
+      y[l] += *S * x[k];
+    }
+    y[k] += sum;
+  }
+}
+
+DYNAMORPH_MULTIVERSION
+void dot(const Doubles* a, const Doubles* b, Index size, Doubles& out) {
+  Doubles sum = {};
+  for (Index i = 0; i < size; ++i) sum += a[i] * b[i];
+  out = sum;
+}
+
+/// v in single precision and its pairs, both orders of a pair together.
+DYNAMORPH_MULTIVERSION
+void expand(const Doubles* q, const Doubles* centre, Index r, Floats* v, Floats* pairs) {
+  for (Index k = 0; k < r; ++k) to_single(q[k] - centre[k], v[k]);
+  for (Index k = 0; k < r; ++k) {
+    const Floats twice = v[k] + v[k];
+    *pairs++ = v[k] * v[k];
+    for (Index l = k + 1; l < r; ++l) *pairs++ = twice * v[l];
+  }
+}
+
+/// linear += w K1 v and quadratic += w K2 (v v) of one target's table, as kernels.hpp orders it.
+DYNAMORPH_MULTIVERSION
+void add_orders(const float* __restrict table, Index rows, Index r, const Floats& w, const Floats* __restrict v,
+                const Floats* __restrict pairs, Floats* __restrict product, Floats* __restrict linear,
+                Floats* __restrict quadratic) {
+  for (Index p = 0; p < rows; ++p) {
+    Floats sum = {};
+    for (Index m = 0; m < r; ++m) sum += table[m * rows + p] * v[m];
+    linear[p] += w * sum;
+    product[p] = Floats{};
+  }
+  table += rows * r;
+  const Index chunks = rows / kChunk;
+  for (Index panel = 0; panel < 2 * chunks; ++panel) {  // of four columns
+    const Index diagonal = panel / 2;
+    const Floats* own = pairs + 4 * panel;
+    Floats sums[4] = {};
+    for (Index row = kChunk * diagonal; row < rows; ++row) {
+      const float* entries = table + 4 * kChunk * (row / kChunk - diagonal) + row % kChunk;
+      Floats sum = product[row];
+      for (int c = 0; c < 4; ++c) sum += entries[kChunk * c] * own[c];
+      product[row] = sum;
+      if (row < kChunk * (diagonal + 1)) continue;  // stored whole
+      for (int c = 0; c < 4; ++c) sums[c] += entries[kChunk * c] * pairs[row];
+    }
+    for (int c = 0; c < 4; ++c) product[4 * panel + c] += sums[c];
+    table += 4 * kChunk * (chunks - diagonal);
+  }
+  for (Index p = 0; p < rows; ++p) quadratic[p] += w * product[p];
+}
+
+/// As contract_orders of kernels.hpp; the tangent packed.
+DYNAMORPH_MULTIVERSION
+void contract(const Doubles* constant, const Floats* linear, const Floats* quadratic, const Doubles* q,
+              const Doubles* centre, const Doubles* rest_force, Index r, Doubles* force, Doubles* tangent,
+              Doubles& energy) {
+  energy = Doubles{};
+  for (Index k = 0; k < r; ++k) {
+    force[k] = rest_force[k];
+    energy += rest_force[k] * (q[k] - centre[k]);
+  }
+  for (Index k = 0; k < r; ++k) {
+    const Doubles own = q[k] - centre[k];
+    for (Index l = k; l < r; ++l, ++constant, ++linear, ++quadratic, ++tangent) {
+      const Doubles a = __builtin_convertvector(*linear, Doubles), b = __builtin_convertvector(*quadratic, Doubles);
+      const Doubles other = q[l] - centre[l], f = *constant + 1 / 2. * a + 1 / 3. * b;
+      *tangent = *constant + a + b;
+      force[k] += f * other;
+      if (l > k) force[l] += f * own;
+      energy += (l > k ? 1 : 0.5) * (*constant + 1 / 3. * a + 1 / 6. * b) * own * other;
+    }
+  }
+}
+
+/// Columns L D of L D L^T in place of the packed matrix, and D^-1; a lane whose matrix is not positive definite gets a
+/// zero or negative entry there.
+DYNAMORPH_MULTIVERSION
+void factorize(Doubles* V, Index r, Doubles* inverse) {
+  for (Index j = 0; j < r; ++j) {
+    Doubles* own = V + j * r - j * (j - 1) / 2 - j;  // entry i of column j is own[i]
+    const Doubles* earlier = V;
+    for (Index k = 0; k < j; earlier += r - k, ++k) {
+      const Doubles* column = earlier - k;
+      const Doubles x = column[j] * inverse[k];
+      for (Index i = j; i < r; ++i) own[i] -= column[i] * x;
+    }
+    inverse[j] = 1 / own[j];
+  }
+}
+
+DYNAMORPH_MULTIVERSION
+void substitute(const Doubles* V, const Doubles* inverse, Index r, Doubles* x) {
+  for (Index j = 0; j < r; ++j) {
+    const Doubles* column = V + j * r - j * (j - 1) / 2 - j;
+    const Doubles own = x[j] * inverse[j];
+    for (Index i = j + 1; i < r; ++i) x[i] -= column[i] * own;
+  }
+  for (Index j = r - 1; j >= 0; --j) {
+    const Doubles* column = V + j * r - j * (j - 1) / 2 - j;
+    Doubles sum = x[j];
+    for (Index i = j + 1; i < r; ++i) sum -= column[i] * x[i];
+    x[j] = sum * inverse[j];
+  }
+}
+
+/// jump += of one bone's flesh by its moments, of an affine motion off its course (12 entries).
+DYNAMORPH_MULTIVERSION
+void add_jump(const Doubles* now, const Doubles* last, const Doubles* before, const double* moments,
+              const Vector3d& centre, Doubles& jump) {
+  for (int i = 0; i < 3; ++i) {
+    Doubles off[4];
+    for (int j = 0; j < 4; ++j) off[j] = now[4 * i + j] - 2 * last[4 * i + j] + before[4 * i + j];
+    off[3] += off[0] * centre[0] + off[1] * centre[1] + off[2] * centre[2];
+    for (int j = 0; j < 4; ++j)
+      for (int k = 0; k < 4; ++k) jump += moments[4 * j + k] * off[j] * off[k];
+  }
+}
+
+DYNAMORPH_INLINE bool all_zero(const Doubles& v) {
+  for (int lane = 0; lane < kLanes; ++lane)
+    if (v[lane] != 0) return false;
+  return true;
+}
+
+DYNAMORPH_INLINE Doubles root_of(const Doubles& v) {
+  Doubles out;
+  for (int lane = 0; lane < kLanes; ++lane) out[lane] = std::sqrt(v[lane]);
+  return out;
+}
+
+DYNAMORPH_INLINE Doubles norm(const LaneVector<Doubles>& v) {
+  Doubles square;
+  dot(v.data(), v.data(), Index(v.size()), square);
+  return root_of(square);
+}
+
+DYNAMORPH_INLINE void widen(Doubles& most, const Doubles& v) {
+  for (int lane = 0; lane < kLanes; ++lane) most[lane] = std::max(most[lane], std::abs(v[lane]));
+}
+
+DYNAMORPH_INLINE Doubles largest(const LaneVector<Doubles>& values) {
+  Doubles most = {};
+  for (const Doubles& v : values) widen(most, v);
+  return most;
+}
+
+}  // namespace
+
+Crowd::Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int size)
+    : size_(size), alone_(std::move(model), std::move(options)) {
+  if (size < 1) throw std::invalid_argument("size: expected at least one character, got " + std::to_string(size));
+}
+
+void Crowd::hold_targets(const std::vector<Transforms>& bones) { alone_.hold_targets(bones); }
+
+void Crowd::start(const double* now, const double* next, const double* weights) {
+  const Index bones = model().body().skin.cols(), targets = Index(model().targets().size());
+  const Index r = model().dofs(), used = Index(model().modal_inertia().used_bones().size());
+  Eight empty;
+  for (int m = 0; m < Motion::kMoments; ++m) {
+    empty.q[m].assign(r, Doubles{});
+    empty.bones[m].assign(12 * used, Doubles{});
+  }
+  eights_.assign((size_ + kLanes - 1) / kLanes, empty);
+  for (int i = 0; i < size_; ++i) {
+    alone_.start(Eigen::Map<const Transforms>(now + i * bones * 12, bones, 12),
+                 Eigen::Map<const Transforms>(next + i * bones * 12, bones, 12),
+                 Eigen::Map<const VectorXd>(weights + i * targets, targets));
+    set_state(i, alone_.state());
+  }
+  // Lanes without a character repeat the last one, or they would divide by zero.
+  for (int i = size_; i < int(eights_.size()) * kLanes; ++i) set_state(i, alone_.state());
+}
+
+State Crowd::state(int character) const {
+  const Eight& eight = eights_[character / kLanes];
+  const int lane = character % kLanes;
+  const std::vector<int>& used = model().modal_inertia().used_bones();
+  State state;
+  for (int m = 0; m < Motion::kMoments; ++m) {
+    state.q[m].resize(model().dofs());
+    for (Index k = 0; k < state.q[m].size(); ++k) state.q[m](k) = eight.q[m][k][lane];
+    state.bones[m].setZero(model().body().skin.cols(), 12);  // those that carry no flesh do not count
+    for (size_t b = 0; b < used.size(); ++b)
+      for (int e = 0; e < 12; ++e) state.bones[m](used[b], e) = eight.bones[m][12 * b + e][lane];
+  }
+  return state;
+}
+
+void Crowd::set_state(int character, const State& state) {
+  Eight& eight = eights_[character / kLanes];
+  const int lane = character % kLanes;
+  const std::vector<int>& used = model().modal_inertia().used_bones();
+  for (int m = 0; m < Motion::kMoments; ++m) {
+    for (Index k = 0; k < state.q[m].size(); ++k) eight.q[m][k][lane] = state.q[m](k);
+    for (size_t b = 0; b < used.size(); ++b)
+      for (int e = 0; e < 12; ++e) eight.bones[m][12 * b + e][lane] = state.bones[m](used[b], e);
+  }
+}
+
+VectorXd Crowd::coordinates(int character) const {
+  if (eights_.empty()) throw std::invalid_argument("coordinates: start() comes first");
+  if (character < 0 || character >= size_)
+    throw std::invalid_argument("character: expected 0 to " + std::to_string(size_ - 1) + ", got " +
+                                std::to_string(character));
+  return state(character).q[0];
+}
+
+CrowdReport Crowd::step(const double* bones, const double* weights) {
+  if (eights_.empty()) throw std::invalid_argument("step: start() comes first");
+  if (options().keep_going && !options().keep_going()) throw Cancelled();
+  CrowdReport report;
+  for (int eight = 0; eight < int(eights_.size()); ++eight) step_eight(eight, bones, weights, report);
+  return report;
+}
+
+void Crowd::step_eight(int index, const double* bones, const double* weights, CrowdReport& report) {
+  Eight& eight = eights_[index];
+  gather(index, bones, weights);
+  blend();
+  pull(eight);
+  const unsigned need = jumps(eight) | minimize(report);
+  std::array<State, kLanes> before;
+  for (int lane = 0; need && lane < kLanes; ++lane)
+    if (need >> lane & 1) before[lane] = state(index * kLanes + lane);
+
+  std::rotate(eight.q.rbegin(), eight.q.rbegin() + 1, eight.q.rend());
+  std::rotate(eight.bones.rbegin(), eight.bones.rbegin() + 1, eight.bones.rend());
+  eight.q[0].swap(scratch_.q);
+  eight.bones[0].swap(scratch_.bones);
+
+  const Index count = model().body().skin.cols(), targets = Index(model().targets().size());
+  for (int lane = 0; need && lane < kLanes; ++lane) {
+    const int character = index * kLanes + lane;
+    if (!(need >> lane & 1) || character >= size_) continue;
+    alone_.set_state(before[lane]);
+    try {
+      const StepReport own = alone_.step(Eigen::Map<const Transforms>(bones + character * count * 12, count, 12),
+                                         Eigen::Map<const VectorXd>(weights + character * targets, targets));
+      report.iterations += own.iterations;
+      report.converged &= own.converged;
+    } catch (const Error& error) {
+      throw Error("character " + std::to_string(character) + ": " + error.what());
+    }
+    ++report.alone;
+    set_state(character, alone_.state());
+  }
+}
+
+void Crowd::gather(int index, const double* bones, const double* weights) {
+  const std::vector<int>& used = model().modal_inertia().used_bones();
+  const Index count = model().body().skin.cols(), targets = Index(model().targets().size());
+  Scratch& s = scratch_;
+  s.weights.resize(targets);
+  s.bones.resize(12 * used.size());
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const Index character = std::min(index * kLanes + lane, size_ - 1);
+    for (Index j = 0; j < targets; ++j) s.weights[j][lane] = weights[character * targets + j];
+    for (size_t b = 0; b < used.size(); ++b)
+      for (int e = 0; e < 12; ++e) s.bones[12 * b + e][lane] = bones[(character * count + used[b]) * 12 + e];
+  }
+}
+
+unsigned Crowd::jumps(const Eight& eight) const {
+  if (options().teleport <= 0) return 0;
+  const SoftBody& body = model().body();
+  const std::vector<int>& used = model().modal_inertia().used_bones();
+  Doubles jump = {};
+  double volume = 0;
+  for (size_t b = 0; b < used.size(); ++b) {
+    const Eigen::Matrix4d& moments = body.moments[used[b]];
+    add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(), body.centre,
+             jump);
+    volume += moments(3, 3);
+  }
+  unsigned out = 0;
+  for (int lane = 0; lane < kLanes; ++lane)
+    if (!(jump[lane] < options().teleport * options().teleport * volume)) out |= 1U << lane;
+  return out;
+}
+
+void Crowd::blend() {
+  const ReducedModel& m = model();
+  const Index r = m.dofs(), pairs = r * (r + 1) / 2;
+  Scratch& s = scratch_;
+  s.density.assign(m.body().sets(), Doubles{});
+  s.density_damping.assign(m.body().sets(), Doubles{});
+  s.centre.assign(r, Doubles{});
+  s.rest_force.assign(r, Doubles{});
+  s.stiffness.assign(pairs, Doubles{});
+  s.damping.assign(pairs, Doubles{});
+  s.rest_energy = Doubles{};
+  for (size_t j = 0; j < m.targets().size(); ++j) {
+    const Doubles w = s.weights[j];
+    if (all_zero(w)) continue;
+    const MorphTarget& target = m.targets()[j];
+    s.density[target.set] += w * target.density;
+    s.density_damping[target.set] += w * target.density * target.mass_damping;
+    add_scaled(w, m.stiffness_[j].data(), pairs, s.stiffness.data());
+    add_scaled(w * target.stiffness_damping, m.rest_stiffness_[j].data(), pairs, s.damping.data());
+    if (m.blending_ == Blending::even) {
+      add_scaled(w, m.coordinates_[j].data(), r, s.centre.data());
+    } else {
+      add_scaled(w, m.forces_[j].data(), r, s.rest_force.data());
+      s.rest_energy += w * m.energies_[j];
+    }
+  }
+}
+
+void Crowd::pull(const Eight& eight) {
+  const Index r = model().dofs(), pairs = r * (r + 1) / 2;
+  Scratch& s = scratch_;
+  const StepRule rule(options());
+  ModalInertia::EightMotion motion;
+  for (int m = 0; m < Motion::kMoments; ++m) motion.q[m] = eight.q[m].data();
+  motion.bones[0] = s.bones.data();
+  for (int m = 0; m < Motion::kMoments; ++m) motion.bones[m + 1] = eight.bones[m].data();
+  motion.share = rule.share();
+  motion.lift = rule.square * options().gravity;
+  model().modal_inertia().evaluate(motion, s.density.data(), s.density_damping.data(), s.inertia);
+
+  s.H.resize(pairs);
+  for (LaneVector<Doubles>* v : {&s.g, &s.q, &s.origin, &s.velocity, &s.force, &s.gradient, &s.trial, &s.image})
+    v->resize(r);
+  const double rate = rule.velocity[0] / options().h;
+  for (Index p = 0; p < pairs; ++p) {
+    s.damping[p] += s.inertia.damped[p];
+    s.H[p] = s.inertia.mass[p] / rule.square + rate * s.damping[p];
+  }
+  for (Index k = 0; k < r; ++k) {
+    const Doubles &q0 = eight.q[0][k], &q1 = eight.q[1][k];
+    s.q[k] = s.origin[k] = 2 * q0 - q1;
+    s.velocity[k] = (rule.velocity[0] * s.q[k] + rule.velocity[1] * q0 + rule.velocity[2] * q1) / options().h;
+  }
+  packed_product(s.damping.data(), s.velocity.data(), r, s.g.data());
+  for (Index k = 0; k < r; ++k) s.g[k] += s.inertia.force[k] / rule.square;
+  for (Index j = 0; j < alone_.held().cols(); ++j) add_scaled(s.weights[j], alone_.held().col(j).data(), r, s.g.data());
+
+  Doubles farthest = {}, density = {};
+  for (size_t e = 3; e < s.bones.size(); e += 4) widen(farthest, s.bones[e]);
+  for (const Doubles& d : s.density) widen(density, d);
+  const SoftBody& body = model().body();
+  s.round_off = 1e-14 / rule.square * (farthest + (body.centre.norm() + body.size)) *
+                root_of(body.volumes.sum() * density * largest(s.inertia.mass));
+}
+
+void Crowd::linearize() {
+  const ReducedModel& m = model();
+  const Index r = m.dofs(), rows = m.padded_pairs_;
+  Scratch& s = scratch_;
+  s.v.resize(r);
+  s.pairs.assign(rows, Floats{});
+  s.linear.assign(rows, Floats{});
+  s.quadratic.assign(rows, Floats{});
+  s.product.resize(rows);
+  s.tangent.resize(r * (r + 1) / 2);
+  expand(s.q.data(), s.centre.data(), r, s.v.data(), s.pairs.data());
+  for (size_t j = 0; j < m.targets().size() && m.layout_.nonlinear; ++j) {
+    if (all_zero(s.weights[j])) continue;
+    Floats w;
+    to_single(s.weights[j], w);
+    add_orders(m.tables_[j].data(), rows, r, w, s.v.data(), s.pairs.data(), s.product.data(), s.linear.data(),
+               s.quadratic.data());
+  }
+  contract(s.stiffness.data(), s.linear.data(), s.quadratic.data(), s.q.data(), s.centre.data(), s.rest_force.data(), r,
+           s.force.data(), s.tangent.data(), s.energy);
+  s.energy += s.rest_energy;
+  for (Index k = 0; k < r; ++k) s.trial[k] = s.q[k] - s.origin[k];
+  packed_product(s.H.data(), s.trial.data(), r, s.image.data());
+  Doubles half, linear;
+  dot(s.trial.data(), s.image.data(), r, half);
+  dot(s.trial.data(), s.g.data(), r, linear);
+  s.potential = 0.5 * half + linear + s.energy;
+  for (Index k = 0; k < r; ++k) s.gradient[k] = s.image[k] + s.g[k] + s.force[k];
+}
+
+unsigned Crowd::minimize(CrowdReport& report) {
+  Scratch& s = scratch_;
+  const Index r = model().dofs();
+  const double tolerance = options().tolerance;
+  linearize();
+  Doubles gradient = norm(s.gradient);
+  unsigned moving = kAll, alone = 0;
+  for (int iteration = 0;; ++iteration) {
+    const Doubles scale = norm(s.image) + norm(s.g) + norm(s.force);
+    const Doubles displacement = norm(s.q) + norm(s.origin) + 0.1 * model().body().size;
+    const Doubles round_off = s.round_off + 1e-14 * largest(s.tangent) * displacement;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const bool done = gradient[lane] <= tolerance * (scale[lane] + round_off[lane] / tolerance);
+      if (done) moving &= ~(1U << lane);
+    }
+    if (!moving || iteration == options().max_iterations) return alone | moving;
+
+    s.factor = s.tangent;
+    for (size_t p = 0; p < s.factor.size(); ++p) s.factor[p] += s.H[p];
+    s.inverse.resize(r);
+    factorize(s.factor.data(), r, s.inverse.data());
+    s.direction = s.gradient;
+    substitute(s.factor.data(), s.inverse.data(), r, s.direction.data());
+    Doubles step = {};
+    for (int lane = 0; lane < kLanes; ++lane) {
+      bool descent = true;
+      for (const Doubles& d : s.inverse) descent &= d[lane] > 0 && std::isfinite(d[lane]);
+      if (!descent) alone |= 1U << lane;
+      if (!descent) moving &= ~(1U << lane);
+      step[lane] = moving >> lane & 1;
+    }
+    Doubles slope;
+    dot(s.gradient.data(), s.direction.data(), r, slope);
+    const Doubles start = s.potential, elastic = s.energy, before = gradient;
+    for (Index k = 0; k < r; ++k)
+      for (int lane = 0; lane < kLanes; ++lane)
+        if (step[lane] != 0) s.q[k][lane] -= s.direction[k][lane];
+    linearize();
+    gradient = norm(s.gradient);
+    // The whole step, or else the character goes on alone, with a line search.
+    for (int lane = 0; lane < kLanes; ++lane) {
+      if (!(moving >> lane & 1)) continue;
+      ++report.iterations;
+      const double terms = std::abs(elastic[lane]) + std::abs(start[lane] - elastic[lane]);
+      const double slack = 1e-12 * terms + round_off[lane] * displacement[lane];
+      const bool descends = s.potential[lane] <= start[lane] - 1e-4 * slope[lane] + slack;
+      const bool calmer =
+          gradient[lane] < 0.5 * before[lane] && s.potential[lane] <= start[lane] + 1e-6 * terms + slack;
+      if (descends || calmer) continue;
+      alone |= 1U << lane;
+      moving &= ~(1U << lane);
+    }
+  }
+}
+
+}  // namespace dynamorph
