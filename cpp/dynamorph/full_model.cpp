@@ -3,6 +3,7 @@
 
 #include <Eigen/SparseCholesky>
 
+#include "dynamorph/parallel.hpp"
 #include "dynamorph/sparse_solver.hpp"
 
 namespace dynamorph {
@@ -156,8 +157,8 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
   if (out.damping.nonZeros() != assembly_.pattern().nonZeros()) out.damping = assembly_.pattern();
   if (linear && out.stiffness.nonZeros() != assembly_.pattern().nonZeros()) out.stiffness = assembly_.pattern();
   const Eigen::Index size = out.damping.nonZeros();
-  for (Eigen::Index first = 0; first < size; first += kBlended) {
-    const Eigen::Index some = std::min(kBlended, size - first);
+  for_chunks(int((size + kBlended - 1) / kBlended), [&](int chunk) {
+    const Eigen::Index first = chunk * kBlended, some = std::min(kBlended, size - first);
     auto damping = values(out.damping).segment(first, some);
     damping.setZero();
     if (linear) values(out.stiffness).segment(first, some).setZero();
@@ -167,7 +168,7 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
       damping += w(j) * targets_[j].stiffness_damping * rest;
       if (linear) values(out.stiffness).segment(first, some) += w(j) * rest;
     }
-  }
+  });
   if (even) {
     out.displacement.setZero(dofs());
     for (Eigen::Index j = 0; j < w.size(); ++j)

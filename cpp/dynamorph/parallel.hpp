@@ -7,6 +7,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <exception>
+#include <functional>
 #include <mutex>
 #include <numeric>
 #include <thread>
@@ -64,18 +65,8 @@ void in_parallel(int count, const ProgressFn& progress, const Work& work) {
     if (error) std::rethrow_exception(error);
 }
 
-/// work(i) for i = 0..count-1, for work of a millisecond: the calling thread takes part, nothing is reported and
-/// nothing may be thrown.
-template <class Work>
-void for_chunks(int count, const Work& work) {
-  std::atomic<int> next{0};
-  const auto run = [&] {
-    for (int i; (i = next++) < count;) work(i);
-  };
-  std::vector<std::thread> others(std::max(0, std::min(int(std::thread::hardware_concurrency()), count) - 1));
-  for (std::thread& thread : others) thread = std::thread(run);
-  run();
-  for (std::thread& thread : others) thread.join();
-}
+/// work(i) for i = 0..count-1 in loops that take a millisecond: by the calling thread, and by threads kept for this as
+/// far as they come in time. Nothing is reported and nothing may be thrown.
+void for_chunks(int count, const std::function<void(int)>& work);
 
 }  // namespace dynamorph

@@ -54,8 +54,9 @@ bool SparseSolver::solve(const SparseMatrix& H, const VectorXd& b, VectorXd& x) 
 
 bool SparseSolver::iterate(const SparseMatrix& H, const VectorXd& b, VectorXd& x, int most) {
   x.setZero(b.size());
-  residual_ = b;
-  const double enough = kAccuracy * kAccuracy * b.squaredNorm();
+  const double size = b.norm();
+  if (size == 0) return true;
+  residual_ = b / size;  // in the range of single precision
   double product = 0;
   for (int i = 1; i <= most; ++i) {
     factor_.solve(residual_, preconditioned_, scratch_);
@@ -68,9 +69,9 @@ bool SparseSolver::iterate(const SparseMatrix& H, const VectorXd& b, VectorXd& x
     multiply_symmetric(H, direction_, image_);
     const double curvature = direction_.dot(image_);
     if (!(curvature > 0)) return false;
-    x += product / curvature * direction_;
+    x += size * product / curvature * direction_;
     residual_ -= product / curvature * image_;
-    if (residual_.squaredNorm() > enough) continue;
+    if (residual_.norm() > kAccuracy) continue;
     ++solves_;
     iterations_ += i;
     fit_ = i * solves_ <= factoring_ + iterations_;

@@ -33,3 +33,19 @@ TEST_CASE("false from progress stops the work, and its exceptions pass") {
   CHECK_THROWS_AS(in_parallel(3, [](double) { return false; }, endless), Cancelled);
   CHECK_THROWS_AS(in_parallel(3, [](double) -> bool { throw Error("no"); }, endless), Error);
 }
+
+TEST_CASE("chunks are all done once, from several threads at a time and one loop after another") {
+  const auto many = [] {
+    for (int loop = 0; loop < 200; ++loop) {
+      std::vector<int> done(loop % 50);
+      for_chunks(int(done.size()), [&](int i) { ++done[i]; });
+      if (done != std::vector<int>(done.size(), 1)) return false;
+    }
+    return true;
+  };
+  bool other = false;
+  std::thread thread([&] { other = many(); });
+  CHECK(many());
+  thread.join();
+  CHECK(other);
+}

@@ -5,7 +5,7 @@
 #include <Eigen/SparseCholesky>
 #include <random>
 
-#include "dynamorph/sparse_cholesky.hpp"
+#include "dynamorph/sparse_solver.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;
@@ -83,4 +83,20 @@ TEST_CASE("block Cholesky: says when a matrix is not positive definite, and take
   REQUIRE(factor.factorize(other));
   const VectorXd b = VectorXd::LinSpaced(rows, -1, 2);
   CHECK((other * factor.solve(b) - b).norm() < 1e-9 * b.norm());
+}
+
+TEST_CASE("sparse solver: the same accuracy with a fresh factor and with a stale one, and no indefinite matrix") {
+  const SparseMatrix A = jittered_stiffness(9, 3, true, 11);
+  SparseSolver solver;
+  for (int k = 0; k < 40; ++k) {
+    SparseMatrix H = (1 + 0.05 * k) * A;
+    for (Eigen::Index i = 0; i < H.rows() / 2; ++i) H.coeffRef(i, i) *= 1 + 0.02 * k;
+    const VectorXd b = VectorXd::LinSpaced(A.rows(), -1, 2 + k);
+    VectorXd x;
+    REQUIRE(solver.solve(H, b, x));
+    CHECK((H * x - b).norm() < 1e-3 * b.norm());
+  }
+  VectorXd x;
+  CHECK(!solver.solve(-A, VectorXd::Ones(A.rows()), x));
+  CHECK(solver.solve(A, VectorXd::Ones(A.rows()), x));
 }

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/parallel.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+/// Threads that sleep between loops. Starting new ones takes longer, and on a busy machine one would have to wait for
+/// all of them even after the calling thread has done their work.
+class Helpers {
+ public:
+  explicit Helpers(int count) {
+    for (int i = 0; i < count; ++i) std::thread([this] { help(); }).detach();
+  }
+
+  void run(int count, const std::function<void(int)>& work) {
+    std::unique_lock lock(mutex_);
+    if (work_) {  // they help another thread
+      lock.unlock();
+      for (int i = 0; i < count; ++i) work(i);
+      return;
+    }
+    work_ = &work;
+    count_ = count;
+    next_ = 0;
+    ++loop_;
+    lock.unlock();
+    begun_.notify_all();
+    take(work);
+    lock.lock();
+    ended_.wait(lock, [&] { return busy_ == 0; });
+    work_ = nullptr;
+  }
+
+ private:
+  void take(const std::function<void(int)>& work) {
+    for (int i; (i = next_++) < count_;) work(i);
+  }
+
+  void help() {
+    std::unique_lock lock(mutex_);
+    for (long last = 0;; last = loop_) {
+      begun_.wait(lock, [&] { return work_ && loop_ != last; });
+      ++busy_;
+      const std::function<void(int)>& work = *work_;
+      lock.unlock();
+      take(work);
+      lock.lock();
+      if (--busy_ == 0) ended_.notify_one();
+    }
+  }
+
+  std::mutex mutex_;
+  std::condition_variable begun_, ended_;
+  const std::function<void(int)>* work_ = nullptr;  ///< of the present loop
+  int count_ = 0, busy_ = 0;
+  long loop_ = 0;
+  std::atomic<int> next_{0};
+};
+
+}  // namespace
+
+void for_chunks(int count, const std::function<void(int)>& work) {
+  // Never destroyed: a process may end while the threads sleep, but not while they outlive what they wait for.
+  static Helpers& helpers = *new Helpers(std::max(0, int(std::thread::hardware_concurrency()) - 1));
+  helpers.run(count, work);
+}
+
+}  // namespace dynamorph
