@@ -152,8 +152,8 @@ def build(
     mesh = dynamorph.TetMesh(previous.nodes, previous.tets) if fits and len(previous.tets) else None
     model, embedding = _volume(character, authored, mesh, stages)
     body = model.soft_body()
-    with stages("Target shapes", 0.10) as report:
-        _shape_targets(model, body, embedding, character.targets, report)
+    with stages("Target shapes", 0.10):
+        _shape_targets(model, body, embedding, character.targets)
     targets = _morph_targets(character, model.displacements)
     law = dynamorph.Law.__members__[character.settings.law]
     full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
@@ -286,13 +286,13 @@ def _volume(character: Character, authored, mesh, stages: _Stages) -> tuple[Mode
     return model, embedding
 
 
-def _shape_targets(model: Model, body, embedding, targets: list[Target], report):
+def _shape_targets(model: Model, body, embedding, targets: list[Target]):
     """Carries each sculpted shape into the nodes; what the cage cannot carry stays as detail."""
-    for j, target in enumerate(targets):
-        report(j / len(targets))
-        if target.shape.any():
-            model.displacements[j] = body.extend_shape(embedding, target.shape @ model.to_bind.T)
-            model.details[j] = target.shape - model.surface(model.displacements[j])
+    sculpted = [j for j, target in enumerate(targets) if target.shape.any()]
+    if sculpted:
+        shapes = np.array([targets[j].shape for j in sculpted])
+        model.displacements[sculpted] = body.extend_shapes(embedding, shapes @ model.to_bind.T)
+        model.details[sculpted] = shapes - model.surface(model.displacements[sculpted])
 
 
 def _fallback_warnings(full, targets: list[Target], tets: int) -> list[str]:

@@ -320,15 +320,22 @@ void bind_models(py::module_& m) {
       .def_readonly("free_nodes", &SoftBody::free_nodes)
       .def_readonly("volumes", &SoftBody::volumes, "Lumped volume of the free nodes by target set, m^3.")
       .def(
-          "extend_shape",
-          [](const SoftBody& body, const Embedding& embedding, const Array& surface) {
-            check_embedding(embedding, body.mesh.nodes.rows());
-            const VectorXd flat = flat_points("surface", surface, embedding.nodes.rows());
+          "extend_shapes",
+          [](const SoftBody& body, const Embedding& embedding, const Array& surfaces) {
+            const py::ssize_t nodes = body.mesh.nodes.rows();
+            check_embedding(embedding, nodes);
+            check_shape("surfaces", surfaces, {-1, embedding.nodes.rows(), 3});
+            const py::ssize_t count = surfaces.shape(0);
+            const Eigen::Map<const MatrixXd> columns(surfaces.data(), 3 * embedding.nodes.rows(), count);
+            Array out({count, nodes, py::ssize_t(3)});
+            Eigen::Map<MatrixXd> displacements(out.mutable_data(), 3 * nodes, count);
             py::gil_scoped_release release;
-            return Points(as_points(extend_shape(body, embedding, as_points(flat))));
+            displacements = extend_shapes(body, embedding, columns);
+            return out;
           },
-          "embedding"_a, "surface"_a,
-          "Node displacement (n, 3) that follows the surface displacement (V, 3): elastic in between, zero at pins.");
+          "embedding"_a, "surfaces"_a,
+          "Node displacements (k, n, 3) that follow the surface displacements (k, V, 3): elastic in between, zero at "
+          "pins.");
 
   py::class_<FullModel, std::shared_ptr<FullModel>> full(m, "FullModel", "The unreduced soft skin.");
   full.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, Law, Blending>(), "body"_a, "targets"_a,

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/full_model.hpp"
 
-#include <Eigen/SparseCholesky>
-
 #include "dynamorph/parallel.hpp"
+#include "dynamorph/sparse_cholesky.hpp"
 #include "dynamorph/sparse_solver.hpp"
 
 namespace dynamorph {
@@ -261,7 +260,7 @@ VectorXd FullModel::force_curvature(int target, const VectorXd& a, const VectorX
   return out;
 }
 
-VectorXd extend_shape(const SoftBody& body, const Embedding& embedding, const Points& surface) {
+MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces) {
   // Unit material: the shape of the fill-in does not depend on the stiffness. The pull is 1e4 times the mean nodal
   // stiffness per vertex, so the surface is met to about 1e-4 where the cage can carry it.
   MorphTarget neutral;
@@ -273,8 +272,8 @@ VectorXd extend_shape(const SoftBody& body, const Embedding& embedding, const Po
   SparseMatrix A = model.rest_stiffness(0);
   const double pull = 1e4 * A.diagonal().mean();
 
-  check_size("surface", surface.rows(), embedding.nodes.rows());
-  if (!surface.allFinite()) throw Error("a target's shape is not finite: repair its shape key");
+  check_size("surfaces", surfaces.rows(), 3 * embedding.nodes.rows());
+  if (!surfaces.allFinite()) throw Error("a target's shape is not finite: repair its shape key");
   const SparseMatrix E = embedding.matrix(body.mesh.nodes.rows());
   std::vector<Eigen::Triplet<double>> entries;
   for (int node = 0; node < E.outerSize(); ++node)
@@ -282,12 +281,16 @@ VectorXd extend_shape(const SoftBody& body, const Embedding& embedding, const Po
       if (body.free_of_node[node] >= 0)
         for (int c = 0; c < 3; ++c)
           entries.emplace_back(3 * int(it.row()) + c, 3 * body.free_of_node[node] + c, it.value());
-  SparseMatrix B(3 * surface.rows(), model.dofs());
+  SparseMatrix B(surfaces.rows(), model.dofs());
   B.setFromTriplets(entries.begin(), entries.end());
   A += pull * SparseMatrix(B.transpose() * B);
-  const Eigen::SimplicialLDLT<SparseMatrix> solver(A);
-  if (solver.info() != Eigen::Success) throw Error("a target's shape could not be carried into the cage: rebuild it");
-  return body.expand(solver.solve(pull * (B.transpose() * flat(surface))));
+  BlockCholesky<double> solver;
+  if (!solver.factorize(A)) throw Error("a target's shape could not be carried into the cage: rebuild it");
+  MatrixXd solution = pull * (B.transpose() * surfaces);
+  solver.solve_in_place(solution);
+  MatrixXd out(3 * body.mesh.nodes.rows(), surfaces.cols());
+  for (Eigen::Index j = 0; j < out.cols(); ++j) out.col(j) = body.expand(solution.col(j));
+  return out;
 }
 
 }  // namespace dynamorph

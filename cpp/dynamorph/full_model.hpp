@@ -140,8 +140,9 @@ class FullModel {
   std::vector<VectorXd> rest_pull_;           ///< K_j d_j
 };
 
-/// Node displacement (3n) that follows `surface` (V, 3) where the mesh embeds it and is elastic in between: minimises
-/// the neutral material's energy plus a stiff pull to the surface; zero at pins. Bind space, metres.
-VectorXd extend_shape(const SoftBody& body, const Embedding& embedding, const Points& surface);
+/// Node displacements (3n, k) that follow the columns of `surfaces` (3V, k) where the mesh embeds them and are elastic
+/// in between: minimise the neutral material's energy plus a stiff pull to the surface; zero at pins. Bind space,
+/// metres.
+MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces);
 
 }  // namespace dynamorph

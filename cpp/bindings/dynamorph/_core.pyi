@@ -286,9 +286,9 @@ class SoftBody:
         """
         fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale.
         """
-    def extend_shape(self, embedding: Embedding, surface: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+    def extend_shapes(self, embedding: Embedding, surfaces: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> numpy.typing.NDArray[numpy.float64]:
         """
-        Node displacement (n, 3) that follows the surface displacement (V, 3): elastic in between, zero at pins.
+        Node displacements (k, n, 3) that follow the surface displacements (k, V, 3): elastic in between, zero at pins.
         """
     @property
     def free_nodes(self) -> list[int]:
