@@ -98,16 +98,15 @@ Solid solid(int nodes) {
   return solid_file ? read_solid(solid_file) : bar(kSolidNodes);
 }
 
-/// Each node hangs on the two bones of the chain that it lies between.
+/// Each node hangs on the three bones of the chain that are nearest, smoothly. Real bodies have fewer pairs of bones.
 std::shared_ptr<const SoftBody> skinned(const Solid& solid, int bones) {
   const Points& X = solid.mesh.nodes;
   const double begin = X.col(0).minCoeff(), length = X.col(0).maxCoeff() - begin;
   MatrixXd weights = MatrixXd::Zero(X.rows(), bones);
   for (Eigen::Index i = 0; i < X.rows(); ++i) {
-    const double along = (X(i, 0) - begin) / length * (bones - 1);
-    const int first = std::min(int(along), bones - 1), next = std::min(first + 1, bones - 1);
-    weights(i, first) += 1 - (along - first);
-    weights(i, next) += along - first;
+    const double along = (X(i, 0) - begin) / length * (bones - 1), off = along - std::round(along);
+    const double spline[3] = {0.5 * (0.5 - off) * (0.5 - off), 0.75 - off * off, 0.5 * (0.5 + off) * (0.5 + off)};
+    for (int k = 0; k < 3; ++k) weights(i, std::clamp(int(std::round(along)) + k - 1, 0, bones - 1)) += spline[k];
   }
   const VectorXd ones = VectorXd::Ones(solid.mesh.tets.rows());
   return std::make_shared<SoftBody>(solid.mesh, ones, ones, ones, solid.pinned, weights);

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import table
@@ -14,7 +14,6 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "sample_blends"))
 
 import plots  # noqa: E402
-from results_page import grid  # noqa: E402
 
 REPORT = ROOT / "build" / "reports" / "bench.json"
 PAGE = ROOT / "docs" / "performance.md"
@@ -37,10 +36,10 @@ What the engine and the pipeline cost, measured by `make bench`; `make bench-doc
 `build/reports/bench.json`. Nothing here is written by hand but the goals and the reference's times, which are in
 `tests/benchmarks/table.py`.
 
-The solid has {dofs:,} degrees of freedom, 4 bones and materials of 100 to 300 kPa; a step is one Newton iteration of
-1/60 s with the bones moving. *Reference*: a mature C++ library for reduced StVK, with its own BLAS, on the same solid
-and the same kind of machine, one thread, nothing posed. What runs on one core counts processor time; of repeated
-runs the fastest counts.
+The solid has {dofs:,.0f} degrees of freedom, 4 bones and materials of 100 to 300 kPa; a step is one Newton iteration of
+1/60 s with the bones moving. *Reference*: a mature C++ library for reduced StVK, with its own BLAS, in steps of the
+same kind on a solid of as many degrees of freedom, one thread. What runs on one core counts processor time; of
+repeated runs the fastest counts.
 
 Machine: {machine}.
 """
@@ -76,8 +75,8 @@ of the moving bones. {nodes}
 
 PIPELINE = """## Pipeline
 
-The MakeHuman body with {bones}, {targets} targets and {modes} modes of StVK, {substeps} substeps a frame. Milliseconds
-of the fastest of several bakes; what Blender takes to pose the rig is its own.
+The MakeHuman body with {bones} bones, {targets} targets and {modes} modes of StVK, {substeps} substeps a frame.
+Milliseconds of the fastest of several bakes; what Blender takes to pose the rig is its own.
 """
 
 
@@ -98,6 +97,12 @@ def main() -> int:
     PAGE.write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
+
+
+def grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 # The machine ----------------------------------------------------------------------------------------------------------
@@ -182,7 +187,7 @@ def draw_step(engine: dict) -> None:
     plots.draw(axes[2], "Precompute", curves, "modes", "s", marker="o", ms=4)
     for panel in (axes[0], axes[2]):
         plots.logarithmic(panel)
-    axes[1].set_ylim(bottom=0)
+    from_zero(axes[1])
     plots.save(drawing, ROOT / "docs" / IMAGES / "step.svg")
 
 
@@ -215,7 +220,7 @@ def draw_rig(engine: dict) -> None:
     plots.draw(axes[0], "Bones, 2,000 nodes", {"linear step": by_bones}, "bones", "µs", marker="o", ms=4)
     plots.draw(axes[1], "Nodes, 53 bones", {"linear step": by_nodes}, "nodes", "µs", marker="o", ms=4)
     for panel in axes:
-        panel.set_ylim(bottom=0)
+        from_zero(panel)
     plots.save(drawing, ROOT / "docs" / IMAGES / "rig.svg")
 
 
@@ -243,8 +248,13 @@ def draw_bake(pipeline: dict) -> None:
     frames = [bake["frames"] for bake in made]
     curves = {label: (frames, [1000 * bake["stages"][stage] for bake in made]) for stage, label in STAGES.items()}
     plots.draw(axes[0], "Bake, 4 substeps", curves, "frames", "ms", marker="o", ms=4)
-    axes[0].set_ylim(bottom=0)
+    from_zero(axes[0])
     plots.save(drawing, ROOT / "docs" / IMAGES / "bake.svg")
+
+
+def from_zero(panel) -> None:
+    """With room for the legend above the curves."""
+    panel.set_ylim(0, 1.4 * panel.dataLim.ymax)
 
 
 def us(seconds: float) -> str:
