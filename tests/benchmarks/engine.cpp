@@ -359,7 +359,7 @@ void linearize(State& state) {
   VectorXd force;
   MatrixXd tangent;
   for (auto _ : state) benchmark::DoNotOptimize(model->linearize(blended, z, force, tangent));
-  const double bytes = double(blended.table.size()) * sizeof blended.table(0);
+  const double bytes = double(blended.table.size()) * sizeof blended.table[0];
   state.counters["bytes"] = bytes;
   state.counters["coefficients"] = double(TableLayout{model->dofs(), true}.size());
 }
