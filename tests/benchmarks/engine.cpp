@@ -22,10 +22,13 @@
 #include <sched.h>
 #endif
 
-#if defined(__x86_64__) && defined(__linux__)
+// The engine's own instruction sets.
+#ifndef DYNAMORPH_MULTIVERSION
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
 #define DYNAMORPH_MULTIVERSION __attribute__((target_clones("arch=x86-64-v3", "default")))
 #else
 #define DYNAMORPH_MULTIVERSION
+#endif
 #endif
 
 namespace {
@@ -256,19 +259,19 @@ inline __attribute__((always_inline)) double multiply_and_add(int rounds) {
   return total;
 }
 
-using Floats = float __attribute__((vector_size(32)));
-using Doubles = double __attribute__((vector_size(32)));
+using EightFloats = float __attribute__((vector_size(32)));
+using FourDoubles = double __attribute__((vector_size(32)));
 
-DYNAMORPH_MULTIVERSION double operate_on_floats(int rounds) { return multiply_and_add<Floats>(rounds); }
-DYNAMORPH_MULTIVERSION double operate_on_doubles(int rounds) { return multiply_and_add<Doubles>(rounds); }
+DYNAMORPH_MULTIVERSION double operate_on_floats(int rounds) { return multiply_and_add<EightFloats>(rounds); }
+DYNAMORPH_MULTIVERSION double operate_on_doubles(int rounds) { return multiply_and_add<FourDoubles>(rounds); }
 
 DYNAMORPH_MULTIVERSION
 double read_through(const double* data, size_t size) {
-  Doubles sums[8] = {};
+  FourDoubles sums[8] = {};
   for (size_t i = 0; i + 32 <= size; i += 32)
-    for (int k = 0; k < 8; ++k) sums[k] += *reinterpret_cast<const Doubles*>(data + i + 4 * k);
+    for (int k = 0; k < 8; ++k) sums[k] += *reinterpret_cast<const FourDoubles*>(data + i + 4 * k);
   double total = 0;
-  for (const Doubles& sum : sums) total += sum[0] + sum[1] + sum[2] + sum[3];
+  for (const FourDoubles& sum : sums) total += sum[0] + sum[1] + sum[2] + sum[3];
   return total;
 }
 
