@@ -136,17 +136,17 @@ std::vector<MorphTarget> targets(const SoftBody& body, int count) {
 }
 
 /// A swinging chain of bones and what its targets weigh meanwhile.
-struct Motion {
+struct Swing {
   std::vector<Transforms> bones;
   std::vector<Rotations> pose;
   std::vector<VectorXd> weights;  ///< all of them active
 };
 
-Motion motion(const SoftBody& body, int targets) {
+Swing swing(const SoftBody& body, int targets) {
   const Eigen::Index bones = body.skin.cols();
   const Points& X = body.mesh.nodes;
   const double begin = X.col(0).minCoeff(), spacing = (X.col(0).maxCoeff() - begin) / double(std::max<int>(bones, 2));
-  Motion out;
+  Swing out;
   for (int k = 0; k < kFrames; ++k) {
     const double phase = 2 * M_PI * k / kFrames;
     Transforms frame(bones, 12);
@@ -231,7 +231,7 @@ StepOptions one_iteration() {
 
 template <class Model>
 void measure_steps(State& state, const std::shared_ptr<const Model>& model, const StepOptions& options) {
-  const Motion moving = motion(model->body(), int(model->targets().size()));
+  const Swing moving = swing(model->body(), int(model->targets().size()));
   Simulation<Model> simulation(model, options);
   simulation.start(moving.bones[0], moving.bones[1], moving.weights[0]);
   int k = 0, iterations = 0;
@@ -345,7 +345,7 @@ BENCHMARK(converged_step)->Apply(sizes);
 void blend(State& state) {
   const OneCore pinned;
   const auto model = reduced_model(sized(state));
-  const Motion moving = motion(model->body(), int(state.range(0)));
+  const Swing moving = swing(model->body(), int(state.range(0)));
   ReducedModel::Blend blended;
   int k = 0;
   for (auto _ : state) model->blend(moving.weights[k++ % kFrames], blended);
@@ -358,7 +358,7 @@ void linearize(State& state) {
   const auto model = reduced_model(sized(state));
   const VectorXd z = 0.1 * model->target(int(state.range(0)) - 1) + VectorXd::Constant(model->dofs(), 1e-3);
   ReducedModel::Blend blended;
-  model->blend(motion(model->body(), int(state.range(0))).weights[0], blended);
+  model->blend(swing(model->body(), int(state.range(0))).weights[0], blended);
   VectorXd force;
   MatrixXd tangent;
   for (auto _ : state) benchmark::DoNotOptimize(model->linearize(blended, z, force, tangent));
@@ -393,7 +393,7 @@ void pose_weights(State& state) {
   const OneCore pinned;
   const int bones = int(state.range(0)), count = int(state.range(1));
   const PoseSpace space = pose_space(bones, count);
-  const Motion moving = motion(*skinned(bar(500), bones), count);
+  const Swing moving = swing(*skinned(bar(500), bones), count);
   VectorXd weights(count);
   int k = 0;
   for (auto _ : state) space.weights(moving.pose[k++ % kFrames], weights);
@@ -406,7 +406,7 @@ void rig_step(State& state) {
   const int bones = int(state.range(0));
   const auto model = reduced_model({3, 20, Law::linear, bones, int(state.range(1))});
   const PoseSpace space = pose_space(bones, 3);
-  const Motion moving = motion(model->body(), 3);
+  const Swing moving = swing(model->body(), 3);
   Simulation<ReducedModel> simulation(model, one_iteration());
   simulation.start(moving.bones[0], moving.bones[1], moving.weights[0]);
   VectorXd weights(3);
@@ -452,7 +452,7 @@ void one_by_one(State& state) {
   constexpr int kBones = 53;
   const auto model = reduced_model({3, 12, Law::stvk, kBones, 2000});
   const PoseSpace space = pose_space(kBones, 3);
-  const Motion moving = motion(model->body(), 3);
+  const Swing moving = swing(model->body(), 3);
   std::vector<Simulation<ReducedModel>> crowd;
   for (size_t i = 0; i < size_t(state.range(0)); ++i) {
     crowd.emplace_back(model, one_iteration());
