@@ -442,6 +442,11 @@ def _ordered(columns: np.ndarray, order) -> np.ndarray:
     return columns.swapaxes(-1, -2)[..., order, :, :].astype(np.float64)
 
 
+def _rows(matrix) -> tuple[tuple[float, ...], ...]:
+    """A Blender matrix for NumPy, which asks Blender for each number when it gets the matrix itself."""
+    return tuple(map(tuple, matrix))
+
+
 def _invertible(matrices: np.ndarray) -> np.ndarray:
     return np.abs(determinant(matrices[..., :3, :3])) > 1e-12
 
@@ -476,11 +481,11 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
             depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
             evaluated = rig.evaluated_get(depsgraph)
             _read_pose(evaluated, columns[s])
-            samples.rig_world[s] = evaluated.matrix_world
-            samples.object_world[s] = obj.evaluated_get(depsgraph).matrix_world
+            samples.rig_world[s] = _rows(evaluated.matrix_world)
+            samples.object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
             for source, field in zip(sources, samples.fields, strict=True):
                 moved = source.evaluated_get(depsgraph)
-                field.world[s] = moved.matrix_world
+                field.world[s] = _rows(moved.matrix_world)
                 field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
             if progress and not progress(s / count, f"Sampling frame {start + frame}"):
                 raise Cancelled
