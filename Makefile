@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test demo docs figures bench stubs format lint wheel extension clean
+.PHONY: setup build test demo docs figures bench bench-docs stubs format lint wheel extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -8,7 +8,7 @@ tools = $(CURDIR)/$(dir $(python))
 pythons = $(shell ls -d $(CURDIR)/.venv/3.*/bin/python | paste -sd';')
 jobs ?= $(shell nproc)
 build = build/cmake
-c_sources = $(shell find cpp tests/cpp -name '*.[ch]pp')
+c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
 # numpy.bool: the same stub with NumPy 1, which has no such name.
 stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
 	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool'
@@ -36,8 +36,16 @@ docs: build
 figures: build
 	@$(python) sample_blends/figures.py
 
+# What the engine and the pipeline take, against their goals; takes about 5 minutes.
 bench: build
+	@tools/setup.sh bench
+	@$(tools)cmake $(build) -DDYNAMORPH_BENCHMARKS=ON --log-level=WARNING >build/configure.log || { cat build/configure.log; exit 1; }
+	@$(tools)cmake --build $(build) -j$(jobs) --target engine_benchmarks -- --quiet
 	@$(python) tests/benchmarks/run.py
+
+# docs/performance.md from the last `make bench`.
+bench-docs: build
+	@$(python) tests/benchmarks/performance_page.py
 
 stubs: build
 	@$(stubgen) -o cpp/bindings

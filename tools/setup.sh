@@ -1,13 +1,14 @@
 #!/bin/bash
 # SPDX-License-Identifier: GPL-3.0-or-later
 # System packages where they are missing, and one virtual environment for each supported Python that is found.
-# Costs nothing when there is nothing to do.
+# Costs nothing when there is nothing to do. `setup.sh bench` adds what only the benchmarks need.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 supported=(3.11 3.13) # Blender 4.5 LTS, Blender 5.2 LTS
 packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev doctest-dev
           libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
+[[ ${1:-} != bench ]] || packages+=(libbenchmark-dev)
 
 install_packages() {
   if ! command -v dpkg-query >/dev/null; then

@@ -60,7 +60,8 @@ def character(obj) -> Character:
     reconcile(obj)
     _check(obj, modifier)
     skeleton = rest_skeleton(modifier.object.data)
-    target_sets = _target_sets(obj, skeleton)
+    groups = VertexGroups(obj)
+    target_sets = _target_sets(obj, skeleton, groups)
     for target_set in target_sets:
         _check_poses(obj, target_set.targets, skeleton)
     basis = obj.data.shape_keys.reference_key
@@ -72,8 +73,8 @@ def character(obj) -> Character:
         vertices=key_points(basis).astype(np.float64),
         triangles=_triangles(obj.data),
         to_bind=to_bind,
-        weights=_skin_weights(obj, modifier, skeleton),
-        softness=_softness(obj),
+        weights=_skin_weights(obj, modifier, skeleton, groups),
+        softness=_softness(obj, groups),
         bone_segments=_bone_segments(obj, modifier.object, inverse(world) @ rig_world, to_bind),
         skeleton=skeleton,
         target_sets=target_sets,
@@ -202,7 +203,7 @@ def _active_targets(obj):
     return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
 
 
-def _target_sets(obj, skeleton: Skeleton) -> tuple[TargetSet, ...]:
+def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
     """The targets of the whole body, then those of each region, each set with the neutral target first.
 
     Regions share out the flesh: where their groups add up to less than one the body has the rest.
@@ -215,22 +216,22 @@ def _target_sets(obj, skeleton: Skeleton) -> tuple[TargetSet, ...]:
         raise SceneError(
             f"'{obj.name}': the vertex group '{gone[0]}' of target '{name}' is gone: choose another Region"
         )
-    shares = group_weights(obj, groups).clip(0.0, 1.0)
+    shares = vertex_groups.weights(groups).clip(0.0, 1.0)
     empty = [group for group, share in zip(groups, shares.T, strict=True) if not share.any()]
     if empty:
         raise SceneError(f"'{obj.name}': the vertex group '{empty[0]}' of a target's Region is empty: paint it")
     shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1.0)
     sets = []
     for group, share in zip(["", *groups], [(1.0 - shares.sum(axis=1)).clip(0.0), *shares.T], strict=True):
-        targets = [_target(obj, target, skeleton) for target in others if target.region == group]
-        at_rest = _target(obj, neutral, skeleton)
+        targets = [_target(obj, target, skeleton, vertex_groups) for target in others if target.region == group]
+        at_rest = _target(obj, neutral, skeleton, vertex_groups)
         if group:
             at_rest = replace(at_rest, name=f"{at_rest.name} {group}")
         sets.append(TargetSet(group or obj.name, (at_rest, *targets), share))
     return tuple(sets)
 
 
-def _target(obj, target, skeleton: Skeleton) -> Target:
+def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     missing = [name for name in target.bone_names() if name not in skeleton.names]
     if missing:
         raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
@@ -239,7 +240,7 @@ def _target(obj, target, skeleton: Skeleton) -> Target:
         if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
-    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name)
+    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else _shape(obj, target.name, groups)
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
@@ -267,47 +268,69 @@ def _check_poses(obj, targets, skeleton: Skeleton):
 
 def target_shape(obj, key_name: str) -> np.ndarray:
     """What the shape key adds at value 1: (V, 3), local space."""
+    return _shape(obj, key_name, VertexGroups(obj))
+
+
+def _shape(obj, key_name: str, groups: VertexGroups) -> np.ndarray:
     block = obj.data.shape_keys.key_blocks[key_name]
     shape = key_points(block).astype(np.float64) - key_points(block.relative_key)
     if block.vertex_group in obj.vertex_groups:  # Blender ignores the name of a group that is gone
-        shape *= group_weights(obj, [block.vertex_group])
+        shape *= groups.weights([block.vertex_group])
     return shape
 
 
 def group_weights(obj, names) -> np.ndarray:
     """Weights (V, len(names)) of the vertex groups; 0 for vertices and groups that are not there."""
-    column = {obj.vertex_groups[name].index: i for i, name in enumerate(names) if name in obj.vertex_groups}
-    weights = np.zeros((len(obj.data.vertices), len(names)))
-    for vertex in obj.data.vertices:
-        for element in vertex.groups:
-            if element.group in column:
-                weights[vertex.index, column[element.group]] = element.weight
-    bad = np.flatnonzero(~np.isfinite(weights).all(axis=0))
-    if len(bad):
-        raise SceneError(f"'{obj.name}': vertex group '{names[bad[0]]}' has weights that are not numbers")
-    return weights
+    return VertexGroups(obj).weights(names)
 
 
-def _skin_weights(obj, modifier, skeleton: Skeleton) -> np.ndarray:
+class VertexGroups:
+    """The vertex groups of an object, read once: Blender hands them out vertex by vertex."""
+
+    def __init__(self, obj):
+        self._obj = obj
+        flat = [
+            part
+            for vertex, of_vertex in enumerate(obj.data.vertices)
+            for element in of_vertex.groups
+            for part in (vertex, element.group, element.weight)
+        ]
+        self._vertices, self._groups, self._weights = np.array(flat, np.float64).reshape(-1, 3).T
+
+    def weights(self, names) -> np.ndarray:
+        """As `group_weights`. Raises SceneError."""
+        obj = self._obj
+        weights = np.zeros((len(obj.data.vertices), len(names)))
+        for column, name in enumerate(names):
+            if name in obj.vertex_groups:
+                members = self._groups == obj.vertex_groups[name].index
+                weights[self._vertices[members].astype(np.int64), column] = self._weights[members]
+        bad = np.flatnonzero(~np.isfinite(weights).all(axis=0))
+        if len(bad):
+            raise SceneError(f"'{obj.name}': vertex group '{names[bad[0]]}' has weights that are not numbers")
+        return weights
+
+
+def _skin_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:
     bones = modifier.object.data.bones
-    weights = group_weights(obj, skeleton.names)
+    weights = groups.weights(skeleton.names)
     weights[:, [not bones[name].use_deform for name in skeleton.names]] = 0.0
     total = weights.sum(axis=1, keepdims=True)
     moved = total > NO_WEIGHT
     weights = np.where(moved, weights / np.where(moved, total, 1.0), 0.0)
     if modifier.vertex_group in obj.vertex_groups:  # the modifier's own mask blends with the unskinned position
-        mask = group_weights(obj, [modifier.vertex_group])
+        mask = groups.weights([modifier.vertex_group])
         weights *= 1.0 - mask if modifier.invert_vertex_group else mask
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
 
 
-def _softness(obj) -> np.ndarray:
+def _softness(obj, groups: VertexGroups) -> np.ndarray:
     name = obj.dynamorph.soft_group
     if not name:
         return np.ones(len(obj.data.vertices))
     if name not in obj.vertex_groups:
         raise SceneError(f"'{obj.name}': the vertex group '{name}' for Soft is gone: choose another")
-    return group_weights(obj, [name])[:, 0]
+    return groups.weights([name])[:, 0]
 
 
 def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
@@ -403,10 +426,25 @@ def _pose_order(rig, skeleton: Skeleton) -> list[int]:
 
 
 def _pose_matrices(evaluated_rig, order) -> np.ndarray:
-    """Pose matrices (B, 4, 4), armature space. foreach_get delivers them column after column."""
+    """Pose matrices (B, 4, 4), armature space."""
     columns = np.empty((len(order), 4, 4), np.float32)
+    _read_pose(evaluated_rig, columns)
+    return _ordered(columns, order)
+
+
+def _read_pose(evaluated_rig, columns: np.ndarray):
+    """Pose matrices as Blender has them: (B, 4, 4) float32, column after column, bones in the armature's order."""
     evaluated_rig.pose.bones.foreach_get("matrix", columns.ravel())
-    return columns.transpose(0, 2, 1)[order].astype(np.float64)
+
+
+def _ordered(columns: np.ndarray, order) -> np.ndarray:
+    """Pose matrices (..., B, 4, 4), row after row, bones in the skeleton's order, from what `_read_pose` reads."""
+    return columns.swapaxes(-1, -2)[..., order, :, :].astype(np.float64)
+
+
+def _rows(matrix) -> tuple[tuple[float, ...], ...]:
+    """A Blender matrix for NumPy, which asks Blender for each number when it gets the matrix itself."""
+    return tuple(map(tuple, matrix))
 
 
 def _invertible(matrices: np.ndarray) -> np.ndarray:
@@ -426,6 +464,7 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     order = _pose_order(rig, skeleton)
     count = 1 + (end - start) * substeps
     sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
+    columns = np.empty((count, len(order), 4, 4), np.float32)
     samples = RigSamples(
         np.empty((count, len(order), 4, 4)),
         np.empty((count, 4, 4)),
@@ -441,15 +480,16 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
             scene.frame_set(start + frame, subframe=substep / substeps)
             depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
             evaluated = rig.evaluated_get(depsgraph)
-            samples.pose[s] = _pose_matrices(evaluated, order)
-            samples.rig_world[s] = evaluated.matrix_world
-            samples.object_world[s] = obj.evaluated_get(depsgraph).matrix_world
+            _read_pose(evaluated, columns[s])
+            samples.rig_world[s] = _rows(evaluated.matrix_world)
+            samples.object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
             for source, field in zip(sources, samples.fields, strict=True):
                 moved = source.evaluated_get(depsgraph)
-                field.world[s] = moved.matrix_world
+                field.world[s] = _rows(moved.matrix_world)
                 field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
             if progress and not progress(s / count, f"Sampling frame {start + frame}"):
                 raise Cancelled
+    samples.pose[:] = _ordered(columns, order)
     moving = (rig.name, obj.name, *skeleton.names)
     transforms = np.concatenate([samples.rig_world[:, None], samples.object_world[:, None], samples.pose], axis=1)
     bad = np.argwhere(~np.isfinite(transforms).all(axis=(2, 3)))

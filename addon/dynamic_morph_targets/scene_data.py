@@ -10,6 +10,7 @@ applied, so lengths are metres there, *world* is Blender's world space.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,9 +27,11 @@ def determinant(matrices: np.ndarray) -> np.ndarray:
 def inverse(transforms: np.ndarray) -> np.ndarray:
     """Inverses of linear (..., 3, 3) or affine (..., 4, 4) transforms, which must not be singular."""
     linear = transforms[..., :3, :3]
-    rows = linear[..., 0, :], linear[..., 1, :], linear[..., 2, :]
-    adjugate = np.stack([np.cross(rows[1], rows[2]), np.cross(rows[2], rows[0]), np.cross(rows[0], rows[1])], axis=-1)
-    back = adjugate / determinant(linear)[..., None, None]
+    next_rows, last_rows = linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :]
+    cofactors = next_rows[..., [1, 2, 0]] * last_rows[..., [2, 0, 1]]
+    cofactors -= next_rows[..., [2, 0, 1]] * last_rows[..., [1, 2, 0]]
+    determinants = np.einsum("...i,...i", linear[..., 0, :], cofactors[..., 0, :])
+    back = cofactors.swapaxes(-1, -2) / determinants[..., None, None]
     if transforms.shape[-1] == 3:
         return back
     out = np.zeros_like(transforms)
@@ -49,25 +52,32 @@ class Skeleton:
     parents: np.ndarray
     rest: np.ndarray
 
-    def local_transforms(self, pose: np.ndarray) -> np.ndarray:
+    @cached_property
+    def rest_inverse(self) -> np.ndarray:
+        """(B, 4, 4)."""
+        return inverse(self.rest)
+
+    def local_transforms(self, pose: np.ndarray, bones: np.ndarray | None = None) -> np.ndarray:
         """Each bone's transform relative to its evaluated parent, rest removed: identity in the rest pose.
 
-        pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. Returns (..., B, 4, 4).
+        pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. bones: indices of those that are asked for, all
+        by default; the others get the identity. Returns (..., B, 4, 4).
         Uses the evaluated matrices, so constraints and IK count.
         """
-        rest_inverse = inverse(self.rest)
-        unposed = np.broadcast_to(self.rest, pose.shape).copy()
-        child = self.parents >= 0
-        parent = self.parents[child]
-        unposed[..., child, :, :] = pose[..., parent, :, :] @ rest_inverse[parent] @ self.rest[child]
-        return inverse(unposed) @ pose
+        asked = np.arange(len(self.rest)) if bones is None else np.array(bones, int)
+        unposed = np.broadcast_to(self.rest[asked], (*pose.shape[:-3], len(asked), 4, 4)).copy()
+        child = self.parents[asked] >= 0
+        parent = self.parents[asked[child]]
+        unposed[..., child, :, :] = pose[..., parent, :, :] @ (self.rest_inverse[parent] @ self.rest[asked[child]])
+        local = np.broadcast_to(np.eye(4), pose.shape).copy()
+        local[..., asked, :, :] = inverse(unposed) @ pose[..., asked, :, :]
+        return local
 
     def pose(self, local: np.ndarray) -> np.ndarray:
         """The inverse of `local_transforms`: armature-space pose matrices (..., B, 4, 4) of local transforms."""
-        rest_inverse = inverse(self.rest)
         pose = np.empty_like(local)
         for b, parent in enumerate(self.parents):
-            unposed = self.rest[b] if parent < 0 else pose[..., parent, :, :] @ rest_inverse[parent] @ self.rest[b]
+            unposed = self.rest[b] if parent < 0 else pose[..., parent, :, :] @ self.rest_inverse[parent] @ self.rest[b]
             pose[..., b, :, :] = unposed @ local[..., b, :, :]
         return pose
 
@@ -134,8 +144,10 @@ class RigSamples:
         from_bind[:3, :3] = inverse(to_bind)
         object_from_bind = self.object_world @ from_bind
         rig_from_bind = inverse(self.rig_world) @ object_from_bind
-        bones = (self.rig_world[:, None] @ self.pose @ inverse(skeleton.rest)) @ rig_from_bind[:, None]
-        return np.ascontiguousarray(np.concatenate([bones, object_from_bind[:, None]], axis=1)[:, :, :3, :])
+        out = np.empty((len(self), len(skeleton.rest) + 1, 3, 4))
+        out[:, :-1] = (self.rig_world[:, None, :3] @ self.pose @ skeleton.rest_inverse) @ rig_from_bind[:, None]
+        out[:, -1] = object_from_bind[:, :3]
+        return out
 
 
 @dataclass(frozen=True)

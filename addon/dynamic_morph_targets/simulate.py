@@ -28,6 +28,13 @@ class Frame:
     steps: dict
 
 
+def placing_bones(character: Character) -> list[int]:
+    """Indices of the bones whose rotations place targets in pose space; those that are missing left out."""
+    names = character.skeleton.names
+    placing = {bone for target in character.targets for bone in target.bones}
+    return [index for index, name in enumerate(names) if name in placing]
+
+
 def pose_space(character: Character) -> dynamorph.PoseSpace:
     """Raises dynamorph.Error, naming both, when two targets have the same pose; ValueError on a missing bone."""
     names = character.skeleton.names
@@ -81,7 +88,7 @@ def simulate(
         """What the force fields do to the nodes, from where the flesh is now; None without any."""
         return skin and skin.push(rig.fields, sample, bones, engine.displacement(simulation.coordinates))
 
-    bones, weights = _samples(model, space, rig[:2])
+    bones, weights = _samples(model, character, space, rig[:2])
     held = settings.preroll > 0
     begun = simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
     for _ in range(settings.preroll):
@@ -90,7 +97,7 @@ def simulate(
     yield Frame(int(frames[0]), simulation.coordinates, weights[0], begun)
     for first in range(1, len(frames), CHUNK):
         last = min(first + CHUNK, len(frames))
-        bones, weights = _samples(model, space, rig[1 + (first - 1) * substeps : 1 + (last - 1) * substeps])
+        bones, weights = _samples(model, character, space, rig[1 + (first - 1) * substeps : 1 + (last - 1) * substeps])
         for done in range(first, last):
             if not keep_going():
                 raise dynamorph.Cancelled("cancelled")
@@ -148,7 +155,7 @@ def bake(
 def _static_bake(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings):
     """Geometric morph targets follow their weights and nothing else."""
     began = time.perf_counter()
-    _, weights = _samples(model, pose_space(character), rig[:: settings.substeps])
+    _, weights = _samples(model, character, pose_space(character), rig[:: settings.substeps])
     modes = np.zeros((0, *character.vertices.shape))
     names = tuple(target.name for target in character.targets)
     report = _report([]) | {"smallest_det": 1.0, "inverted": 0, "seconds": time.perf_counter() - began}
@@ -205,10 +212,11 @@ def _target_frames(model: Model, character: Character, rig: RigSamples) -> np.nd
     return RigSamples(pose, rig_world, object_world).skin_matrices(model.skeleton, model.to_bind)
 
 
-def _samples(model: Model, space, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
+def _samples(model: Model, character: Character, space, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
     """Skin matrices (S, B + 1, 3, 4) and target weights (S, J)."""
     skeleton = model.skeleton
-    return rig.skin_matrices(skeleton, model.to_bind), space.weights(skeleton.local_transforms(rig.pose))
+    local = skeleton.local_transforms(rig.pose, placing_bones(character))
+    return rig.skin_matrices(skeleton, model.to_bind), space.weights(local)
 
 
 def _report(frames: list[Frame]) -> dict:
@@ -240,21 +248,21 @@ def _worst_elements(model: Model, engine, coordinates: np.ndarray, weights: np.n
     """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames."""
     targets = model.target_coordinates(engine)
     strength = np.abs(coordinates - weights @ targets).max(axis=1)
-    rest = inverse(_edges(model, model.nodes))
+    rest = _volumes(model.nodes, model.tets)
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
-        sculpted, moved = (
-            determinant(_edges(model, model.nodes + engine.displacement(q)) @ rest)
-            for q in (weights[k] @ targets, coordinates[k])
-        )
+        moved = _volumes(model.nodes + engine.displacement(coordinates[k]), model.tets) / rest
         smallest = min(smallest, moved.min())
-        inverted = max(inverted, int(((moved <= 0) & (sculpted > 0)).sum()))  # not what the sculpt itself inverts
+        inside_out = model.tets[moved <= 0]
+        sculpted = _volumes(model.nodes + engine.displacement(weights[k] @ targets), inside_out)
+        inverted = max(inverted, int((sculpted > 0).sum()))  # not what the sculpt itself inverts
     return {"smallest_det": float(smallest), "inverted": inverted}
 
 
-def _edges(model: Model, nodes: np.ndarray) -> np.ndarray:
-    corners = nodes[model.tets]
-    return (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Six times the signed volume of each tetrahedron."""
+    corners = nodes[tets]
+    return determinant(corners[:, 1:] - corners[:, :1])
 
 
 def _node_modes(model: Model, free: np.ndarray) -> np.ndarray:

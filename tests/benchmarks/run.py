@@ -1,84 +1,110 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`make bench`: where the time of a real build and bake goes, and how it grows.
+"""`make bench`: measures the engine and the pipeline, prints both against their goals, writes build/reports/bench.json.
 
-The MakeHuman body, 53 bones, 4 substeps, 20 modes, StVK: 250 frames, half of them, and a mesh of four times the
-vertices. Prints medians of a few bakes; writes build/reports/bench.json.
+Of repeated runs the fastest counts: other work on the machine only ever adds.
 """
+
+from __future__ import annotations
 
 import json
 import os
 import platform
-import statistics
+import re
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+import table
+
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT / "tests" / "addon")]
-os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_bench_")  # before bpy is imported
-
-import bpy  # noqa: E402
-import dynamic_morph_targets  # noqa: E402
-import real_character  # noqa: E402
-from dynamic_morph_targets import jobs  # noqa: E402
-
-RUNS = 5
-FRAMES = 250
-STAGES = ("sample rig", "simulate", "write keys")
-
-
-def open_body(subdivided: bool):
-    body = real_character.open_character("cmu_131_03_hop")
-    body.dynamorph.model.law = "STVK"
-    if subdivided:
-        bpy.ops.object.mode_set(mode="EDIT")
-        bpy.ops.mesh.select_all(action="SELECT")
-        bpy.ops.mesh.subdivide()
-        bpy.ops.object.mode_set(mode="OBJECT")
-    return body
-
-
-def measure(body, frames: int) -> dict[str, float]:
-    """Seconds of each stage, medians of RUNS bakes; of the build, which is made once."""
-    build = jobs.Job(body, bake=False, rebuild=True)
-    jobs.run(build)
-    made = build.model.summary
-    runs = []
-    for _ in range(RUNS):
-        job = jobs.Job(body, bake=True, frames=(1, frames), substeps=4)
-        jobs.run(job)
-        engine = 1000 * job.report["engine_seconds"] / (frames - 1)
-        runs.append({**{stage: job.seconds[stage] for stage in STAGES}, "engine, ms a frame": engine})
-    return {
-        "vertices": len(build.character.vertices),
-        "frames": frames,
-        **{name: made[name] for name in ("nodes", "dofs", "modes", "targets")},
-        **{f"build: {stage}": seconds for stage, seconds in made["seconds"].items()},
-        **{name: statistics.median(run[name] for run in runs) for name in runs[0]},
-    }
+REPORT = ROOT / "build" / "reports" / "bench.json"
+ENGINE = ROOT / "build" / "cmake" / "engine_benchmarks"
+SOLID = ROOT.parent / "shared" / "meshes" / "shoulder.npz"
+REPETITIONS = 5
+COUNTERS = ("per_second", "bytes", "coefficients", "iterations", "dofs", "nodes", "characters")
 
 
 def main() -> int:
-    if not real_character.CHARACTER.exists():
-        print("bench: skipped, ../shared/assets is not here")
-        return 0
-    dynamic_morph_targets.register()
-    try:
-        columns = [measure(open_body(False), FRAMES // 2), measure(open_body(False), FRAMES)]
-        columns.append(measure(open_body(True), FRAMES))
-    finally:
-        dynamic_morph_targets.unregister()
-
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    print(f"{machine}; seconds, medians of {RUNS} bakes")
-    for name in columns[0]:
-        form = "14.3f" if isinstance(columns[0][name], float) else "14"
-        print(f"  {name:<21}" + "".join(f"{column[name]:{form}}" for column in columns))
-    report = ROOT / "build" / "reports" / "bench.json"
-    report.parent.mkdir(parents=True, exist_ok=True)
-    report.write_text(json.dumps({"machine": machine, "columns": columns}, indent=1))
-    print(f"written to {report.relative_to(ROOT)}")
+    measured = {"machine": machine(), "engine": measure_engine(), "pipeline": measure_pipeline()}
+    REPORT.parent.mkdir(parents=True, exist_ok=True)
+    REPORT.write_text(json.dumps(measured, indent=1))
+    print(table.as_text(measured))
+    print(f"written to {REPORT.relative_to(ROOT)}")
     return 0
+
+
+def machine() -> str:
+    model = platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        models = [line.split(":")[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        model = f"{models[0]}, {model}" if models else model
+    return f"{model}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def measure_engine() -> dict[str, dict]:
+    """Benchmark -> its fastest repetition: {"seconds", counters}."""
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "engine.json"
+        arguments = [
+            f"--benchmark_repetitions={REPETITIONS}",
+            "--benchmark_min_time=0.1",
+            f"--benchmark_out={report}",
+            "--benchmark_out_format=json",
+        ]
+        if SOLID.exists():
+            arguments.insert(0, write_solid(Path(folder) / "solid"))
+        subprocess.run([ENGINE, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True)
+        return fastest(json.loads(report.read_text())["benchmarks"])
+
+
+def write_solid(path: Path) -> Path:
+    """The shoulder's mesh as engine.cpp reads it."""
+    with np.load(SOLID) as stored:
+        nodes, tets, pins = stored["V"], stored["T"].astype(np.int32), stored["fixed"].astype(np.int32)
+    counts = np.array([len(nodes), len(tets), len(pins)], np.int32)
+    path.write_bytes(b"".join(np.ascontiguousarray(array).tobytes() for array in (counts, nodes, tets, pins)))
+    return path
+
+
+def fastest(runs: list[dict]) -> dict[str, dict]:
+    units = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+    found: dict[str, dict] = {}
+    for run in runs:
+        if run["run_type"] != "iteration":
+            continue
+        name = re.sub("/(iterations:.*|process_time|real_time)", "", run["run_name"])
+        clock = "real_time" if run["run_name"].endswith("real_time") else "cpu_time"
+        seconds = run[clock] * units[run["time_unit"]]
+        if name not in found or seconds < found[name]["seconds"]:
+            found[name] = {"seconds": seconds, **{key: run[key] for key in COUNTERS if key in run}}
+    return found
+
+
+def measure_pipeline() -> dict[str, dict]:
+    """Test -> {"seconds", what it noted besides}; empty without the character."""
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "pipeline.json"
+        tests = Path(__file__).with_name("test_pipeline.py")
+        command = [sys.executable, "-m", "pytest", "-q", f"--benchmark-json={report}", "--benchmark-quiet", tests]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        if done.returncode:
+            print(done.stdout, done.stderr)
+            raise SystemExit(done.returncode)
+        if not report.exists() or not report.stat().st_size:
+            print("bench: no pipeline, ../shared/assets is not here")
+            return {}
+        runs = json.loads(report.read_text())["benchmarks"]
+    return {
+        run["name"].removeprefix("test_"): {
+            "seconds": run["stats"]["min"],
+            "median": run["stats"]["median"],
+            **run["extra_info"],
+        }
+        for run in runs
+    }
 
 
 if __name__ == "__main__":

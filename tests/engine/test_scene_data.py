@@ -26,3 +26,14 @@ def test_local_transforms_are_the_identity_at_rest_and_invert_pose(affine):
     np.testing.assert_allclose(skeleton.local_transforms(rest), np.tile(np.eye(4), (3, 1, 1)), atol=1e-9)
     local = affine[1:, :3]
     np.testing.assert_allclose(skeleton.local_transforms(skeleton.pose(local)), local, atol=1e-8)
+
+
+def test_only_the_local_transforms_that_are_asked_for():
+    rng = np.random.default_rng(3)
+    rest, pose = np.tile(np.eye(4), (3, 1, 1)), np.tile(np.eye(4), (2, 3, 1, 1))
+    rest[:, :3] += 0.3 * rng.normal(size=(3, 3, 4))
+    pose[:, :, :3] += 0.3 * rng.normal(size=(2, 3, 3, 4))
+    skeleton = Skeleton(("root", "upper", "lower"), np.array([-1, 0, 1]), rest)
+    some, every = skeleton.local_transforms(pose, [0, 2]), skeleton.local_transforms(pose)
+    np.testing.assert_allclose(some[:, [0, 2]], every[:, [0, 2]], atol=1e-12)
+    np.testing.assert_array_equal(some[:, 1], [np.eye(4)] * 2)

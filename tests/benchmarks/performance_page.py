@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make bench-docs`: docs/performance.md and its plots from what `make bench` measured. No number is typed here."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import table
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "sample_blends"))
+
+import plots  # noqa: E402
+
+REPORT = ROOT / "build" / "reports" / "bench.json"
+PAGE = ROOT / "docs" / "performance.md"
+IMAGES = "images/performance"
+CACHES = {16: "first cache", 256: "second cache", 3072: "third cache", 24576: "most of the third", 262144: "memory"}
+MODES = (8, 12, 19, 30, 40, 60)
+BAKES = ("bake[63-False]", "bake[125-False]", "bake[250-False]", "bake[500-False]", "bake[250-True]")
+STAGES = {
+    "pose evaluation": "Blender poses the rig",
+    "read the rig": "read the rig",
+    "engine": "engine",
+    "simulate, but for the engine": "prepare, skin matrices, report",
+    "write keys": "write keys",
+    "extract": "read the mesh",
+}
+
+OPENING = """# Performance
+
+What the engine and the pipeline cost, measured by `make bench`; `make bench-docs` writes this page and its plots from
+`build/reports/bench.json`. Nothing here is written by hand but the goals and the reference's times, which are in
+`tests/benchmarks/table.py`.
+
+The solid has {dofs:,.0f} degrees of freedom, 4 bones and materials of 100 to 300 kPa; a step is one Newton iteration of
+1/60 s with the bones moving. *Reference*: a mature C++ library for reduced StVK, with its own BLAS, in steps of the
+same kind on a solid of as many degrees of freedom, one thread. What runs on one core counts processor time; of
+repeated runs the fastest counts.
+
+Machine: {machine}.
+"""
+
+PEAKS = """## The machine
+
+Measured in the same run, one core. *Operations*: multiplications and additions a second, vectorised and fused where
+the machine can. *Read*: a plain sum over data of that size.
+"""
+
+COST = """## What a reduced StVK step costs
+
+Energy, force and tangent are polynomials of the r coordinates (docs/theory.md). With p = r (r + 1) / 2 pairs of modes
+a blended table holds p + p r + p (p + 1) / 2 coefficients: r⁴ / 8 for large r. One evaluation of force and tangent
+
+- reads each coefficient once: *bytes*, as the engine stores them;
+- multiplies and adds for 2 p r + 2 p² *operations*, since a coefficient of the symmetric quartic part serves two
+  rows.
+
+Whichever takes longer at the machine's peak is the *bound*: bytes at the bandwidth of the cache that they fit in, or
+operations in double precision. A solve adds r³ / 3 operations, blending reads and adds one table a target that acts.
+"""
+
+STEP = """*Rest* is the step but for one evaluation and the blend: skin frame, inertia, solve and update, and a second
+evaluation where the step makes one.
+"""
+
+RIG = """## Rig: bones and nodes
+
+A step of the linear law with 20 modes, the weights of three targets at the rig's pose, the skin frame and the inertia
+of the moving bones. {nodes}
+"""
+
+PIPELINE = """## Pipeline
+
+The MakeHuman body with {bones} bones, {targets} targets and {modes} modes of StVK, {substeps} substeps a frame.
+Milliseconds of the fastest of several bakes; what Blender takes to pose the rig is its own.
+"""
+
+
+def main() -> int:
+    if not REPORT.exists():
+        sys.exit("bench-docs: run make bench first")
+    measured = json.loads(REPORT.read_text())
+    engine, pipeline = measured["engine"], measured["pipeline"]
+    page = [OPENING.format(dofs=engine["full_step/linear"]["dofs"], machine=measured["machine"])]
+    page += [grid(table.HEAD, table.rows(measured)), PEAKS, peaks(engine)]
+    page += [COST, costs(engine), STEP, parts(engine), f"![Growth with modes and targets]({IMAGES}/step.svg)\n"]
+    page += [RIG.format(nodes=growth_with_nodes(engine)), f"![Growth with bones and nodes]({IMAGES}/rig.svg)\n"]
+    draw_step(engine)
+    draw_rig(engine)
+    if pipeline:
+        page += [about_pipeline(pipeline), bakes(pipeline), f"![Growth with frames]({IMAGES}/bake.svg)\n"]
+        draw_bake(pipeline)
+    PAGE.write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
+    print(f"written to {PAGE.relative_to(ROOT)}")
+    return 0
+
+
+def grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+# The machine ----------------------------------------------------------------------------------------------------------
+
+
+def peaks(engine: dict) -> str:
+    rates = [(f"operations, {name}", f"{engine[f'operations/bytes:{size}']['per_second'] / 1e9:.0f} G/s")
+             for name, size in (("single precision", 4), ("double precision", 8))]  # fmt: skip
+    for size, cache in CACHES.items():
+        rate = engine[f"bandwidth/kB:{size}"]["per_second"]
+        rates.append((f"read, {size:,} kB ({cache})", f"{rate / 1e9:.0f} GB/s"))
+    return grid(("", "peak"), rates)
+
+
+def bandwidth(engine: dict, size: float) -> float:
+    """Bytes a second of a read of `size` bytes again and again."""
+    measured = next((kb for kb in CACHES if 1024 * kb >= size), max(CACHES))
+    return engine[f"bandwidth/kB:{measured}"]["per_second"]
+
+
+# Reduced steps --------------------------------------------------------------------------------------------------------
+
+
+def sized(work: str, r: int, targets: int = 1) -> str:
+    return f"{work}/targets:{targets}/r:{r}"
+
+
+def bound(engine: dict, r: int) -> tuple[float, float]:
+    """Seconds that one evaluation's bytes and operations take at the machine's peak."""
+    pairs = r * (r + 1) / 2
+    size = engine[sized("linearize", r)]["bytes"]
+    operations = 2 * pairs * r + 2 * pairs**2
+    return size / bandwidth(engine, size), operations / engine["operations/bytes:8"]["per_second"]
+
+
+def costs(engine: dict) -> str:
+    rows = []
+    for r in MODES:
+        found, limits = engine[sized("linearize", r)], bound(engine, r)
+        size, seconds = found["bytes"], found["seconds"]
+        rows.append((str(r), f"{found['coefficients']:,.0f}", f"{size / 1024:,.0f} kB",
+                     *(us(limit) for limit in limits), us(seconds), f"{100 * max(limits) / seconds:.0f} %",
+                     f"{size / seconds / 1e9:.0f} GB/s"))  # fmt: skip
+    head = ("r", "coefficients", "bytes", "bytes at peak", "operations at peak", "measured", "of the bound", "read at")
+    return grid(head, rows)
+
+
+def parts(engine: dict) -> str:
+    rows = []
+    for targets, r in ((1, 12), (1, 19), (1, 30), (1, 60), (6, 12), (6, 19), (6, 30), (6, 60)):
+        step, blend, force = (engine[sized(work, r, targets)]["seconds"] for work in ("step", "blend", "linearize"))
+        converged = engine[sized("converged_step", r, targets)]
+        cells = (us(step), us(blend), us(force), us(step - blend - force))
+        rows.append((f"{targets}, r = {r}", *cells, us(converged["seconds"]), f"{converged['iterations']:.1f}"))
+    head = ("targets", "step", "blend", "force and tangent", "rest", "step to convergence", "iterations")
+    return grid(head, rows)
+
+
+def draw_step(engine: dict) -> None:
+    drawing, axes = plots.figure(3)
+    steps = [row for row in table.ROWS if row.work.startswith("reduced StVK step, one")]
+    compared = {int(row.work.split()[-1]): row.reference for row in steps}
+    limits = {r: 1e6 * max(bound(engine, r)) for r in MODES}
+    curves = {
+        "step": (MODES, [1e6 * engine[sized("step", r)]["seconds"] for r in MODES]),
+        "force and tangent": (MODES, [1e6 * engine[sized("linearize", r)]["seconds"] for r in MODES]),
+        "their bound": (MODES, list(limits.values())),
+        "reference's step": (list(compared), list(compared.values())),
+    }
+    plots.draw(axes[0], "Reduced StVK, one target", curves, "modes", "µs", marker="o", ms=4)
+    counts = (1, 2, 3, 6, 12)
+    curves = {
+        name: (counts, [1e6 * engine[sized(work, 19, j)]["seconds"] for j in counts])
+        for name, work in (("step", "step"), ("blend", "blend"))
+    }
+    plots.draw(axes[1], "Targets, all active, r = 19", curves, "targets", "µs", marker="o", ms=4)
+    compared = {int(row.work.split()[-1]): row.reference for row in table.ROWS if row.work.startswith("polynomials")}
+    curves = {
+        "polynomials of a target": (MODES, [engine[f"polynomials/r:{r}"]["seconds"] for r in MODES]),
+        "reference's polynomials": (list(compared), list(compared.values())),
+    }
+    plots.draw(axes[2], "Precompute", curves, "modes", "s", marker="o", ms=4)
+    for panel in (axes[0], axes[2]):
+        plots.logarithmic(panel)
+    from_zero(axes[1])
+    plots.save(drawing, ROOT / "docs" / IMAGES / "step.svg")
+
+
+# The rig --------------------------------------------------------------------------------------------------------------
+
+
+def rig_steps(engine: dict, fixed: str, changing: Callable[[dict, int, int], float]) -> tuple[list[float], list[float]]:
+    """x and microseconds of the rig's steps whose name holds `fixed`; changing(result, bones, nodes) is x."""
+    points = []
+    for name, found in engine.items():
+        if name.startswith("rig_step/") and fixed in name:
+            bones, nodes = (int(part.split(":")[1]) for part in name.split("/")[1:])
+            points.append((changing(found, bones, nodes), 1e6 * found["seconds"]))
+    xs, ys = zip(*sorted(points), strict=True)
+    return list(xs), list(ys)
+
+
+def growth_with_nodes(engine: dict) -> str:
+    nodes, times = rig_steps(engine, "bones:53", lambda found, *_: found["nodes"])
+    return (
+        f"With 53 bones {nodes[-1] / nodes[0]:.0f} times the nodes take {times[-1] / times[0]:.1f} times as long "
+        f"({us(1e-6 * times[0])} and {us(1e-6 * times[-1])})."
+    )
+
+
+def draw_rig(engine: dict) -> None:
+    drawing, axes = plots.figure(2)
+    by_bones = rig_steps(engine, "nodes:2000", lambda _, bones, __: bones)
+    by_nodes = rig_steps(engine, "bones:53", lambda found, *_: found["nodes"])
+    plots.draw(axes[0], "Bones, 2,000 nodes", {"linear step": by_bones}, "bones", "µs", marker="o", ms=4)
+    plots.draw(axes[1], "Nodes, 53 bones", {"linear step": by_nodes}, "nodes", "µs", marker="o", ms=4)
+    for panel in axes:
+        from_zero(panel)
+    plots.save(drawing, ROOT / "docs" / IMAGES / "rig.svg")
+
+
+# The pipeline ---------------------------------------------------------------------------------------------------------
+
+
+def about_pipeline(pipeline: dict) -> str:
+    return PIPELINE.format(**pipeline[table.BAKE])
+
+
+def bakes(pipeline: dict) -> str:
+    rows = []
+    for name in BAKES:
+        bake = pipeline[name]
+        stages = bake["stages"]
+        ours = stages["total"] - stages["pose evaluation"]
+        rows.append((f"{bake['frames']} frames, {bake['vertices']:,} vertices",
+                     *(f"{1000 * stages[stage]:.0f}" for stage in STAGES), f"{1000 * ours:.0f}"))  # fmt: skip
+    return grid(("", *STAGES.values(), "all but Blender's"), rows)
+
+
+def draw_bake(pipeline: dict) -> None:
+    drawing, axes = plots.figure(1)
+    made = [pipeline[name] for name in BAKES if pipeline[name]["vertices"] == pipeline[table.BAKE]["vertices"]]
+    frames = [bake["frames"] for bake in made]
+    curves = {label: (frames, [1000 * bake["stages"][stage] for bake in made]) for stage, label in STAGES.items()}
+    plots.draw(axes[0], "Bake, 4 substeps", curves, "frames", "ms", marker="o", ms=4)
+    from_zero(axes[0])
+    plots.save(drawing, ROOT / "docs" / IMAGES / "bake.svg")
+
+
+def from_zero(panel) -> None:
+    """With room for the legend above the curves."""
+    panel.set_ylim(0, 1.4 * panel.dataLim.ymax)
+
+
+def us(seconds: float) -> str:
+    return f"{table.number(1e6 * seconds)} µs"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a real character costs from mesh to shape keys, by stage: `make bench`. Not part of `make test`.
+
+The MakeHuman body: 13k vertices, 53 bones, 5 targets; 20 modes of StVK, 4 substeps.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_bench_")  # before bpy is imported
+sys.path.append(str(Path(__file__).parents[1] / "addon"))
+
+import bpy
+import dynamic_morph_targets
+import dynamorph
+import numpy as np
+import pytest
+import real_character
+from dynamic_morph_targets import extract, jobs, simulate, sinks
+from dynamic_morph_targets.scene_data import RigSamples
+
+SUBSTEPS = 4
+ROUNDS = 7
+
+pytestmark = pytest.mark.skipif(not real_character.CHARACTER.exists(), reason="../shared/assets is not here")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered():
+    dynamic_morph_targets.register()
+    yield
+    dynamic_morph_targets.unregister()
+
+
+def open_body(subdivided: bool = False):
+    body = real_character.open_character("cmu_131_03_hop")
+    body.dynamorph.model.law = "STVK"
+    if subdivided:
+        bpy.ops.object.mode_set(mode="EDIT")
+        bpy.ops.mesh.select_all(action="SELECT")
+        bpy.ops.mesh.subdivide()
+        bpy.ops.object.mode_set(mode="OBJECT")
+    return body
+
+
+class TimedScene:
+    """A scene that knows how long Blender evaluated it."""
+
+    def __init__(self, scene, seconds: list[float]):
+        self._scene, self._seconds = scene, seconds
+
+    def __getattr__(self, name):
+        return getattr(self._scene, name)
+
+    def frame_set(self, *frame, **subframe):
+        began = time.perf_counter()
+        self._scene.frame_set(*frame, **subframe)
+        self._seconds.append(time.perf_counter() - began)
+
+
+@pytest.fixture
+def pose_evaluation(monkeypatch) -> list[float]:
+    """Seconds of every frame_set of the scenes that `extract` samples the rig in."""
+    seconds: list[float] = []
+    rig_scene = extract._rig_scene
+
+    @contextmanager
+    def timed(*moving):
+        with rig_scene(*moving) as scene:
+            yield TimedScene(scene, seconds)
+
+    monkeypatch.setattr(extract, "_rig_scene", timed)
+    return seconds
+
+
+def test_meshing(benchmark):
+    """Cage, tetrahedra and embedding."""
+    character = extract.character(open_body())
+    surface = character.vertices @ character.to_bind.T
+    settings = character.settings
+
+    def mesh():
+        made = dynamorph.mesh_body(
+            surface,
+            character.triangles,
+            settings.cage_nodes,
+            bones=character.bone_segments,
+            held=settings.pin_radius,
+        )[2]
+        return made, dynamorph.embed(made, surface)
+
+    mesh, _ = benchmark.pedantic(mesh, rounds=3)
+    benchmark.extra_info.update(vertices=len(surface), nodes=len(mesh.nodes))
+
+
+@pytest.mark.parametrize(("frames", "subdivided"), [(63, False), (125, False), (250, False), (500, False), (250, True)])
+def test_bake(benchmark, pose_evaluation, frames, subdivided):
+    """A bake whose model is up to date."""
+    body = open_body(subdivided)
+    build = jobs.Job(body, bake=False, rebuild=True)
+    jobs.run(build)
+    runs = []
+
+    def bake():
+        pose_evaluation.clear()
+        began = time.perf_counter()
+        job = jobs.Job(body, bake=True, frames=(1, frames), substeps=SUBSTEPS)
+        jobs.run(job)
+        total = time.perf_counter() - began
+        evaluated, engine = sum(pose_evaluation), job.report["engine_seconds"]
+        stages = {
+            "pose evaluation": evaluated,
+            "read the rig": job.seconds["sample rig"] - sum(pose_evaluation[1:]),  # one places the character
+            "engine": engine,
+            "simulate, but for the engine": job.seconds["simulate"] - engine,
+            "write keys": job.seconds["write keys"],
+        }
+        runs.append({"total": total, **stages, "extract": total - sum(stages.values())})
+
+    benchmark.pedantic(bake, rounds=ROUNDS, warmup_rounds=1)
+    made = build.model.summary
+    benchmark.extra_info.update(
+        frames=frames,
+        substeps=SUBSTEPS,
+        bones=len(build.character.skeleton.names),
+        vertices=len(build.character.vertices),
+        **{name: made[name] for name in ("nodes", "dofs", "modes", "targets")},
+        build=made["seconds"],
+        stages=min(runs, key=lambda run: run["total"] - run["pose evaluation"]),
+    )
+
+
+def test_live(benchmark):
+    """Our share of a frame that is simulated while it plays: from the evaluated pose to the values of shape keys."""
+    body = open_body()
+    job = jobs.Job(body, bake=True, frames=(1, 2), substeps=SUBSTEPS, rebuild=True)
+    jobs.run(job)
+    keys = body.data.shape_keys
+    keys.animation_data.nla_tracks[sinks.TRACK].mute = True
+    values = np.zeros(len(keys.key_blocks), np.float32)
+    modes = [keys.key_blocks.find(key.name) for key in body.dynamorph.bake.keys if "Mode" in key.name]
+    model, character = job.model, job.character
+    space = simulate.pose_space(character)
+    engine = model.engine(character)
+    simulation = simulate._simulation(engine, model, character, job.rig, job.settings, None)
+    bones, weights = simulate._samples(model, character, space, job.rig[:2])
+    simulation.start(bones[0], bones[1], weights[0])
+    rig = extract.armature_modifier(body).object
+    order = extract._pose_order(rig, character.skeleton)
+    between = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
+    before = job.rig.pose[0]
+    scene = bpy.context.scene
+
+    def evaluate():
+        scene.frame_set(scene.frame_current + 1)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        return (rig.evaluated_get(depsgraph), body.evaluated_get(depsgraph)), {}
+
+    def share(evaluated_rig, evaluated_body):
+        nonlocal before
+        pose = extract._pose_matrices(evaluated_rig, order)
+        steps = before + between[:, None, None, None] * (pose - before)
+        worlds = [
+            np.repeat(np.array(moving.matrix_world)[None], SUBSTEPS, 0) for moving in (evaluated_rig, evaluated_body)
+        ]
+        bones, weights = simulate._samples(model, character, space, RigSamples(steps, *worlds))
+        simulation.advance(bones, weights)
+        values[modes] = simulation.coordinates
+        keys.key_blocks.foreach_set("value", values)
+        before = pose
+
+    scene.frame_set(1)
+    benchmark.pedantic(share, setup=evaluate, rounds=200)
