@@ -4,6 +4,7 @@
 
 #include "bindings.hpp"
 #include "dynamorph/basis.hpp"
+#include "dynamorph/crowd.hpp"
 #include "dynamorph/integrator.hpp"
 #include "dynamorph/pose_space.hpp"
 
@@ -122,6 +123,15 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
       .def("displacement", &node_displacement<Model>, "q"_a, "Bind-space node displacement (n, 3), metres.");
 }
 
+/// Of a Simulation or a Crowd, bones (J, B, 3, 4).
+template <class Stepper>
+void held_in(Stepper& stepper, const Array& bones) {
+  check_shape("bones", bones, {-1, -1, 3, 4});
+  std::vector<Transforms> frames;
+  for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data(j, 0, 0, 0), bones.shape(1)));
+  stepper.hold_targets(frames);
+}
+
 py::dict summary(const StepReport& worst, int steps, double seconds) {
   return py::dict("steps"_a = steps, "iterations"_a = worst.iterations, "converged"_a = worst.converged,
                   "residual"_a = worst.residual, "energy"_a = worst.energy, "teleported"_a = worst.teleported,
@@ -149,17 +159,8 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, "
           "False "
           "raises Cancelled.")
-      .def(
-          "hold_targets",
-          [](Sim& s, const Array& bones) {
-            check_shape("bones", bones, {-1, -1, 3, 4});
-            std::vector<Transforms> frames;
-            for (py::ssize_t j = 0; j < bones.shape(0); ++j)
-              frames.push_back(transforms(bones.data(j, 0, 0, 0), bones.shape(1)));
-            s.hold_targets(frames);
-          },
-          "bones"_a,
-          "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
+      .def("hold_targets", &held_in<Sim>, "bones"_a,
+           "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
       .def(
           "start",
           [](Sim& s, const Array& now, const Array& next, const VectorXd& weights) {
@@ -237,6 +238,73 @@ void bind_simulation_of(py::module_& m, const char* name) {
             s.set_state({state.first, state.second});
           },
           "(coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.");
+}
+
+void bind_crowd(py::module_& m) {
+  const auto poses = [](const Crowd& crowd, const char* name, const Array& bones, py::ssize_t axes) {
+    std::vector<py::ssize_t> shape(axes - 4, -1);
+    shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().body().skin.cols()), 3, 4});
+    check_shape(name, bones, shape);
+  };
+  const auto shares = [](const Crowd& crowd, const Array& weights, std::vector<py::ssize_t> shape) {
+    shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().targets().size())});
+    check_shape("weights", weights, shape);
+  };
+  py::class_<Crowd>(m, "Crowd", "Many characters of one reduced model, stepped together. World space, SI.")
+      .def(py::init([](std::shared_ptr<ReducedModel> model, double h, int size, Scheme scheme, const Vector3d& gravity,
+                       double tolerance, int max_iterations, double teleport) {
+             return Crowd(model, {h, scheme, gravity, tolerance, max_iterations, teleport, {}}, size);
+           }),
+           "model"_a, "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
+           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "As ReducedSimulation; size: characters.")
+      .def("hold_targets", &held_in<Crowd>, "bones"_a,
+           "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
+      .def(
+          "start",
+          [poses, shares](Crowd& crowd, const Array& now, const Array& next, const Array& weights) {
+            poses(crowd, "now", now, 4);
+            poses(crowd, "next", next, 4);
+            shares(crowd, weights, {});
+            py::gil_scoped_release release;
+            crowd.start(now.data(), next.data(), weights.data());
+          },
+          "now"_a, "next"_a, "weights"_a,
+          "Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past "
+          "follows "
+          "their rigs backward from their motion to `next`.")
+      .def(
+          "advance",
+          [poses, shares](Crowd& crowd, const Array& bones, const Array& weights) {
+            poses(crowd, "bones", bones, 5);
+            shares(crowd, weights, {bones.shape(0)});
+            const py::ssize_t steps = bones.shape(0);
+            CrowdReport all;
+            const auto begin = std::chrono::steady_clock::now();
+            {
+              py::gil_scoped_release release;
+              for (py::ssize_t i = 0; i < steps; ++i) {
+                const CrowdReport report =
+                    crowd.step(bones.data() + i * bones.size() / steps, weights.data() + i * weights.size() / steps);
+                all.iterations += report.iterations;
+                all.alone += report.alone;
+                all.converged &= report.converged;
+              }
+            }
+            const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+            return py::dict("steps"_a = steps, "iterations"_a = all.iterations, "alone"_a = all.alone,
+                            "converged"_a = all.converged, "seconds"_a = elapsed.count());
+          },
+          "bones"_a, "weights"_a,
+          "One step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns what "
+          "the steps did: iterations in all, steps of characters that had to be taken alone, converged, seconds.")
+      .def_property_readonly(
+          "coordinates",
+          [](const Crowd& crowd) {
+            MatrixXd out(crowd.size(), crowd.model().dofs());
+            for (int i = 0; i < crowd.size(); ++i) out.row(i) = crowd.coordinates(i);
+            return out;
+          },
+          "(N, r) of the last step, a copy.");
 }
 
 void bind_pose_space(py::module_& m) {
@@ -399,4 +467,5 @@ void bind_simulation(py::module_& m) {
   bind_models(m);
   bind_simulation_of<FullModel>(m, "FullSimulation");
   bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
+  bind_crowd(m);
 }
