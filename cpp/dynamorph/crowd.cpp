@@ -407,59 +407,81 @@ void Crowd::linearize() {
   for (Index k = 0; k < r; ++k) s.gradient[k] = s.image[k] + s.g[k] + s.force[k];
 }
 
+unsigned Crowd::converged(const Doubles& gradient, Doubles& round_off) {
+  Scratch& s = scratch_;
+  const double tolerance = options().tolerance;
+  const Doubles scale = norm(s.image) + norm(s.g) + norm(s.force);
+  const Doubles displacement = norm(s.q) + norm(s.origin) + 0.1 * model().body().size;
+  const Doubles forces = s.round_off + 1e-14 * largest(s.tangent) * displacement;
+  round_off = forces * displacement;
+  unsigned out = 0;
+  for (int lane = 0; lane < kLanes; ++lane)
+    if (gradient[lane] <= tolerance * scale[lane] + forces[lane]) out |= 1U << lane;
+  return out;
+}
+
+void Crowd::descend(unsigned moving) {
+  Scratch& s = scratch_;
+  const Index r = model().dofs();
+  const Doubles unit = 1e-4 * (largest(s.tangent) + largest(s.H));
+  Doubles shift = {};
+  s.inverse.resize(r);
+  for (int attempt = 0; attempt < 20; ++attempt) {
+    s.factor = s.tangent;
+    for (size_t p = 0; p < s.factor.size(); ++p) s.factor[p] += s.H[p];
+    for (Index k = 0, p = 0; k < r; p += r - k, ++k) s.factor[p] += shift;
+    factorize(s.factor.data(), r, s.inverse.data());
+    unsigned indefinite = 0;
+    for (const Doubles& d : s.inverse)
+      for (int lane = 0; lane < kLanes; ++lane)
+        if (!(d[lane] > 0)) indefinite |= 1U << lane;
+    if (!(indefinite & moving)) break;
+    for (int lane = 0; lane < kLanes; ++lane)
+      if (indefinite >> lane & 1) shift[lane] = shift[lane] == 0 ? unit[lane] : 4 * shift[lane];
+  }
+  s.direction = s.gradient;
+  substitute(s.factor.data(), s.inverse.data(), r, s.direction.data());
+}
+
 unsigned Crowd::minimize(CrowdReport& report) {
   Scratch& s = scratch_;
   const Index r = model().dofs();
-  const double tolerance = options().tolerance;
   linearize();
-  Doubles gradient = norm(s.gradient);
-  unsigned moving = kAll, alone = 0;
-  for (int iteration = 0;; ++iteration) {
-    const Doubles scale = norm(s.image) + norm(s.g) + norm(s.force);
-    const Doubles displacement = norm(s.q) + norm(s.origin) + 0.1 * model().body().size;
-    const Doubles round_off = s.round_off + 1e-14 * largest(s.tangent) * displacement;
-    for (int lane = 0; lane < kLanes; ++lane) {
-      const bool done = gradient[lane] <= tolerance * (scale[lane] + round_off[lane] / tolerance);
-      if (done) moving &= ~(1U << lane);
-    }
-    if (!moving || iteration == options().max_iterations) return alone | moving;
-
-    s.factor = s.tangent;
-    for (size_t p = 0; p < s.factor.size(); ++p) s.factor[p] += s.H[p];
-    s.inverse.resize(r);
-    factorize(s.factor.data(), r, s.inverse.data());
-    s.direction = s.gradient;
-    substitute(s.factor.data(), s.inverse.data(), r, s.direction.data());
-    Doubles step = {};
-    for (int lane = 0; lane < kLanes; ++lane) {
-      bool descent = true;
-      for (const Doubles& d : s.inverse) descent &= d[lane] > 0 && std::isfinite(d[lane]);
-      if (!descent) alone |= 1U << lane;
-      if (!descent) moving &= ~(1U << lane);
-      step[lane] = moving >> lane & 1;
-    }
+  Doubles gradient = norm(s.gradient), round_off;
+  unsigned moving = kAll;
+  for (int iteration = 0; iteration < options().max_iterations; ++iteration) {
+    moving &= ~converged(gradient, round_off);
+    if (!moving) return 0;
+    descend(moving);
     Doubles slope;
     dot(s.gradient.data(), s.direction.data(), r, slope);
     const Doubles start = s.potential, elastic = s.energy, before = gradient;
-    for (Index k = 0; k < r; ++k)
-      for (int lane = 0; lane < kLanes; ++lane)
-        if (step[lane] != 0) s.q[k][lane] -= s.direction[k][lane];
-    linearize();
-    gradient = norm(s.gradient);
-    // The whole step, or else the character goes on alone, with a line search.
-    for (int lane = 0; lane < kLanes; ++lane) {
-      if (!(moving >> lane & 1)) continue;
-      ++report.iterations;
-      const double terms = std::abs(elastic[lane]) + std::abs(start[lane] - elastic[lane]);
-      const double slack = 1e-12 * terms + round_off[lane] * displacement[lane];
-      const bool descends = s.potential[lane] <= start[lane] - 1e-4 * slope[lane] + slack;
-      const bool calmer =
-          gradient[lane] < 0.5 * before[lane] && s.potential[lane] <= start[lane] + 1e-6 * terms + slack;
-      if (descends || calmer) continue;
-      alone |= 1U << lane;
-      moving &= ~(1U << lane);
+    s.from = s.q;
+    // The whole step is nearly always taken; who would not descend by it halves it.
+    unsigned trying = moving;
+    Doubles length = {};
+    for (int lane = 0; lane < kLanes; ++lane) length[lane] = moving >> lane & 1;
+    for (int halving = 0; trying && halving < 20; ++halving) {
+      for (Index k = 0; k < r; ++k) s.q[k] = s.from[k] - length * s.direction[k];
+      linearize();
+      gradient = norm(s.gradient);
+      for (int lane = 0; lane < kLanes; ++lane) {
+        if (!(trying >> lane & 1)) continue;
+        const double terms = std::abs(elastic[lane]) + std::abs(start[lane] - elastic[lane]);
+        const double slack = 1e-12 * terms + round_off[lane];
+        const bool descends = s.potential[lane] <= start[lane] - 1e-4 * length[lane] * slope[lane] + slack;
+        const bool calmer =
+            gradient[lane] < 0.5 * before[lane] && s.potential[lane] <= start[lane] + 1e-6 * terms + slack;
+        if (descends || calmer)
+          trying &= ~(1U << lane);
+        else
+          length[lane] *= 0.5;
+      }
     }
+    for (int lane = 0; lane < kLanes; ++lane) report.iterations += moving >> lane & 1;
+    if (trying) return moving;
   }
+  return moving;
 }
 
 }  // namespace dynamorph

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Many characters of one reduced model, stepped together: eight at a time, one a lane of every instruction, so that the
-// model's tables are read once for eight. The step is Simulation's. Where a character needs more than its usual course
-// (a cut in the rig, a tangent that is not positive definite, a line search) it is stepped alone, by Simulation.
+// model's tables are read once for eight. The step is Simulation's; where the rig is cut, or no step descends, a
+// character is stepped alone, by Simulation.
 #pragma once
 
 #include <memory>
@@ -46,7 +46,8 @@ class Crowd {
   struct Scratch {
     LaneVector<Doubles> weights, bones;  ///< at the end of the step: (J), (12 used)
     LaneVector<Doubles> density, density_damping, centre, rest_force, stiffness, damping;
-    LaneVector<Doubles> H, g, q, origin, velocity, force, tangent, gradient, direction, trial, image, factor, inverse;
+    LaneVector<Doubles> H, g, q, from, origin, velocity, force, tangent, gradient, direction, trial, image, factor,
+        inverse;
     LaneVector<Floats> v, pairs, product, linear, quadratic;
     ModalInertia::EightInertia inertia;
     Doubles rest_energy, energy, potential, round_off;
@@ -60,6 +61,9 @@ class Crowd {
   void blend();
   void pull(const Eight& eight);
   void linearize();
+  /// Lanes whose gradient is small enough; round_off: of their potential.
+  unsigned converged(const Doubles& gradient, Doubles& round_off);
+  void descend(unsigned moving);           ///< `direction` of the moving lanes, their tangents made positive definite
   unsigned minimize(CrowdReport& report);  ///< lanes that need to be stepped alone
 
   int size_;

@@ -84,18 +84,8 @@ DYNAMORPH_INLINE float largest(const Coefficients& c) {
   return std::sqrt(out);
 }
 
-/// One lane of a table: the tensor of one term.
-struct Term {
-  const float* entries;
-  DYNAMORPH_INLINE float operator[](Index e) const { return entries[kLanes * e]; }
-  DYNAMORPH_INLINE Term& operator+=(Index count) {
-    entries += kLanes * count;
-    return *this;
-  }
-};
-
 /// force += tensors : coefficients, and with kHeavy the mass, packed: of eight terms (Table: const Floats*) or of one
-/// term for eight characters (Term). slopes: 9 coefficients of each mode.
+/// term for eight characters (const float*). slopes: 9 coefficients of each mode.
 template <bool kHeavy, class Table>
 DYNAMORPH_INLINE void add_terms(Table table, Index r, const Floats* __restrict slopes, const Coefficients& c,
                                 Floats* __restrict force, Floats* __restrict mass) {
@@ -164,7 +154,7 @@ void add_term_of_eight(const Doubles (*first)[12], const Doubles (*second)[12], 
   for (int m = 0; m <= Motion::kMoments; ++m)
     for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
   sign += second ? -1 : 1;
-  add_contribution(motion, sign, second ? influence : HUGE_VAL, y, r, Term{table}, slopes, force, mass);
+  add_contribution(motion, sign, second ? influence : HUGE_VAL, y, r, table, slopes, force, mass);
 }
 
 using Order = std::int32_t __attribute__((vector_size(32)));
@@ -348,10 +338,12 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
       for (Index i = 0; i < body.volumes.rows(); ++i)
         set.mass(p) += body.volumes(i, s) * U.col(k).segment<3>(3 * i).dot(U.col(l).segment<3>(3 * i));
   set.table.assign(set.groups.size() * entries(), Floats{});
+  set.terms.resize(column.size() * entries());
   Index next = 0;
   for (size_t g = 0; g < set.groups.size(); ++g)
     for (size_t lane = 0; lane < set.groups[g].bones.size(); ++lane, ++next)
-      for (Index e = 0; e < entries(); ++e) set.table[g * entries() + e][lane] = float(sums(e, next));
+      for (Index e = 0; e < entries(); ++e)
+        set.table[g * entries() + e][lane] = set.terms[next * entries() + e] = float(sums(e, next));
 }
 
 void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities, Result& out) const {
@@ -423,7 +415,7 @@ void ModalInertia::evaluate(const EightMotion& motion, const Doubles* density, c
     for (size_t g = 0; g < set.groups.size(); ++g)
       for (size_t t = 0; t < set.groups[g].bones.size(); ++t) {
         const Bones& bones = set.groups[g].bones[t];
-        const float* table = reinterpret_cast<const float*>(set.table.data() + g * entries()) + t;
+        const float* table = set.terms.data() + (g * kLanes + t) * entries();
         add_term_of_eight(bone(bones.first), set.groups[g].signs[t] < 0 ? bone(bones.second) : nullptr,
                           set.groups[g].influence, out.differences.data(), r_, table, out.slopes.data(),
                           out.sums.data(), out.sums.data() + r_);
