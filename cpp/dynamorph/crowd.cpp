@@ -167,6 +167,13 @@ DYNAMORPH_INLINE Doubles norm(const LaneVector<Doubles>& v) {
   return root_of(square);
 }
 
+DYNAMORPH_INLINE unsigned lanes_below(const Doubles& v, double limit) {
+  unsigned out = 0;
+  for (int lane = 0; lane < kLanes; ++lane)
+    if (v[lane] <= limit) out |= 1U << lane;
+  return out;
+}
+
 DYNAMORPH_INLINE void widen(Doubles& most, const Doubles& v) {
   for (int lane = 0; lane < kLanes; ++lane) most[lane] = std::max(most[lane], std::abs(v[lane]));
 }
@@ -407,17 +414,12 @@ void Crowd::linearize() {
   for (Index k = 0; k < r; ++k) s.gradient[k] = s.image[k] + s.g[k] + s.force[k];
 }
 
-unsigned Crowd::converged(const Doubles& gradient, Doubles& round_off) {
+void Crowd::residual(Doubles& out) {
   Scratch& s = scratch_;
-  const double tolerance = options().tolerance;
   const Doubles scale = norm(s.image) + norm(s.g) + norm(s.force);
   const Doubles displacement = norm(s.q) + norm(s.origin) + 0.1 * model().body().size;
-  const Doubles forces = s.round_off + 1e-14 * largest(s.tangent) * displacement;
-  round_off = forces * displacement;
-  unsigned out = 0;
-  for (int lane = 0; lane < kLanes; ++lane)
-    if (gradient[lane] <= tolerance * scale[lane] + forces[lane]) out |= 1U << lane;
-  return out;
+  const Doubles round_off = s.round_off + 1e-14 * largest(s.tangent) * displacement;
+  out = norm(s.gradient) / (scale + round_off / options().tolerance + 1e-300);
 }
 
 void Crowd::descend(unsigned moving) {
@@ -444,44 +446,46 @@ void Crowd::descend(unsigned moving) {
 }
 
 unsigned Crowd::minimize(CrowdReport& report) {
+  linearize();
+  unsigned moving = kAll, alone = 0;
+  for (int iteration = 0; iteration < options().max_iterations; ++iteration) {
+    Doubles reached;
+    residual(reached);
+    moving &= ~lanes_below(reached, options().tolerance);
+    if (!moving) return alone;
+    for (int lane = 0; lane < kLanes; ++lane) report.iterations += moving >> lane & 1;
+    descend(moving);
+    const unsigned stuck = search(moving);
+    // As close as single precision comes, or else in need of Simulation's care.
+    alone |= stuck & ~lanes_below(reached, 100 * options().tolerance);
+    moving &= ~stuck;
+  }
+  return alone | moving;
+}
+
+unsigned Crowd::search(unsigned moving) {
   Scratch& s = scratch_;
   const Index r = model().dofs();
-  linearize();
-  Doubles gradient = norm(s.gradient), round_off;
-  unsigned moving = kAll;
-  for (int iteration = 0; iteration < options().max_iterations; ++iteration) {
-    moving &= ~converged(gradient, round_off);
-    if (!moving) return 0;
-    descend(moving);
-    Doubles slope;
-    dot(s.gradient.data(), s.direction.data(), r, slope);
-    const Doubles start = s.potential, elastic = s.energy, before = gradient;
-    s.from = s.q;
-    // The whole step is nearly always taken; who would not descend by it halves it.
-    unsigned trying = moving;
-    Doubles length = {};
-    for (int lane = 0; lane < kLanes; ++lane) length[lane] = moving >> lane & 1;
-    for (int halving = 0; trying && halving < 20; ++halving) {
-      for (Index k = 0; k < r; ++k) s.q[k] = s.from[k] - length * s.direction[k];
-      linearize();
-      gradient = norm(s.gradient);
-      for (int lane = 0; lane < kLanes; ++lane) {
-        if (!(trying >> lane & 1)) continue;
-        const double terms = std::abs(elastic[lane]) + std::abs(start[lane] - elastic[lane]);
-        const double slack = 1e-12 * terms + round_off[lane];
-        const bool descends = s.potential[lane] <= start[lane] - 1e-4 * length[lane] * slope[lane] + slack;
-        const bool calmer =
-            gradient[lane] < 0.5 * before[lane] && s.potential[lane] <= start[lane] + 1e-6 * terms + slack;
-        if (descends || calmer)
-          trying &= ~(1U << lane);
-        else
-          length[lane] *= 0.5;
-      }
+  Doubles slope, length = {};
+  dot(s.gradient.data(), s.direction.data(), r, slope);
+  const Doubles start = s.potential, elastic = s.energy;
+  s.from = s.q;
+  for (int lane = 0; lane < kLanes; ++lane) length[lane] = moving >> lane & 1;
+  // The whole step is nearly always taken; who would not descend by it halves it, and gives up in the end.
+  constexpr int kHalvings = 4;
+  for (int halving = 0;; ++halving) {
+    for (Index k = 0; k < r; ++k) s.q[k] = s.from[k] - length * s.direction[k];
+    linearize();
+    unsigned rising = 0;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const double noise = 1e-6 * (std::abs(elastic[lane]) + std::abs(start[lane] - elastic[lane]));
+      if (!(s.potential[lane] <= start[lane] - 1e-4 * length[lane] * slope[lane] + noise)) rising |= 1U << lane;
     }
-    for (int lane = 0; lane < kLanes; ++lane) report.iterations += moving >> lane & 1;
-    if (trying) return moving;
+    rising &= moving;
+    if (!rising || halving > kHalvings) return rising;
+    for (int lane = 0; lane < kLanes; ++lane)
+      if (rising >> lane & 1) length[lane] = halving < kHalvings ? 0.5 * length[lane] : 0;
   }
-  return moving;
 }
 
 }  // namespace dynamorph

@@ -61,10 +61,10 @@ class Crowd {
   void blend();
   void pull(const Eight& eight);
   void linearize();
-  /// Lanes whose gradient is small enough; round_off: of their potential.
-  unsigned converged(const Doubles& gradient, Doubles& round_off);
-  void descend(unsigned moving);           ///< `direction` of the moving lanes, their tangents made positive definite
   unsigned minimize(CrowdReport& report);  ///< lanes that need to be stepped alone
+  void residual(Doubles& out);             ///< as StepReport's
+  void descend(unsigned moving);           ///< `direction` of the moving lanes, their tangents made positive definite
+  unsigned search(unsigned moving);        ///< moves them; lanes that did not descend, and stay where they were
 
   int size_;
   Simulation<ReducedModel> alone_;
