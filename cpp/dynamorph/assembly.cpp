@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <numeric>
+#include <tuple>
 
 #include "dynamorph/multiversion.hpp"
 #include "dynamorph/parallel.hpp"
@@ -157,7 +158,7 @@ Assembly::Elements Assembly::pack(const RestShape& shape, bool absolute) const {
       for (int a = 0; a < 3; ++a)
         for (int c = 0; c < 3; ++c) {
           out.groups[g].gradients[a][c][l] = element.gradients(c, groups_[g].order[a + 1][l]);
-          if (absolute) out.origins[g].gradients[a][c][l] = element.origin(a, c) - (a == c);
+          if (absolute) out.origins[g].values[a][c][l] = element.origin(a, c) - (a == c);
         }
     }
   return out;
@@ -322,7 +323,7 @@ DYNAMORPH_INLINE double add_groups(const Assembly::Group* groups, int first, int
       for (int i = 0; i < 3; ++i)
         for (int c = 0; c < 3; ++c) {
           G[i][c] = edges[0][i] * g[0][c] + edges[1][i] * g[1][c] + edges[2][i] * g[2][c];
-          if (part.origins) G[i][c] += reinterpret_cast<const Lane&>(part.origins[k].gradients[i][c]);
+          if (part.origins) G[i][c] += reinterpret_cast<const Lane&>(part.origins[k].values[i][c]);
         }
       add_part<kStable, kTangent>(G, g, part.lambda * volume, part.mu * volume, part.kappa * volume, sums);
     }

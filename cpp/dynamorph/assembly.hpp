@@ -25,7 +25,7 @@ class Assembly {
       double volumes[kLanes];
     };
     struct alignas(32) Origins {
-      double gradients[3][3][kLanes];  ///< F0 - I, row, column
+      double values[3][3][kLanes];  ///< F0 - I, row, column
     };
     std::vector<Group> groups;
     std::vector<Origins> origins;  ///< empty where displacements are given from the target's shape, about which F = I
@@ -57,7 +57,7 @@ class Assembly {
     int tets[kLanes];        ///< -1 in the lanes that the last group leaves empty
     int order[4][kLanes];    ///< the tetrahedron's own number of each node
     int nodes[4][kLanes];    ///< its first degree of freedom; that of held nodes reads zeros
-    int blocks[10][kLanes];  ///< where blocks (a, a), then (a, b) for a < b, are summed in the chunk's store
+    int blocks[10][kLanes];  ///< where in the chunk's store blocks (a, a), then (a, b) for a < b, are summed
   };
 
  private:

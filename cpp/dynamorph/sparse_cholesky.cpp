@@ -3,7 +3,7 @@
 
 #include <Eigen/OrderingMethods>
 #include <algorithm>
-#include <numeric>
+#include <cmath>
 
 #include "dynamorph/multiversion.hpp"
 
@@ -43,6 +43,8 @@ struct SymbolicCholesky {
   using Structure = std::vector<std::vector<int>>;
   Structure eliminate(const Structure& neighbours);
   void gather_supernodes(const Structure& below);
+  int local_row(const Supernode& s, int row) const;
+  std::vector<int> link_supernodes();
   void place_entries(const SparseMatrix& A);
   void place_updates(const std::vector<int>& parents);
 
@@ -112,6 +114,38 @@ bool worth_merging(int columns, double zeros, double size) {
   return columns <= 2 || zeros < (columns <= 6 ? 0.5 : columns <= 16 ? 0.15 : 0.05) * size;
 }
 
+/// Columns that are eliminated together.
+struct Group {
+  int first, columns, rows;
+  double zeros;
+  double size() const { return columns * (rows - 0.5 * (columns - 1)); }  ///< blocks of the lower triangle
+};
+
+/// Runs of columns with the same rows below; a child and its parent in one where their rows are nearly the same.
+std::vector<Group> group_columns(const std::vector<std::vector<int>>& below) {
+  std::vector<Group> groups, merged;
+  for (int j = 0; j < int(below.size()); ++j) {
+    const int rows = int(below[j].size());
+    if (j > 0 && !below[j - 1].empty() && below[j - 1][0] == j && int(below[j - 1].size()) == rows + 1)
+      ++groups.back().columns;
+    else
+      groups.push_back({j, 1, rows + 1, 0});
+  }
+  for (Group group : groups) {
+    for (; !merged.empty(); merged.pop_back()) {
+      const Group& child = merged.back();
+      const std::vector<int>& rows = below[group.first - 1];
+      if (rows.empty() || rows[0] >= group.first + group.columns) break;
+      Group both{child.first, child.columns + group.columns, child.columns + group.rows, 0};
+      both.zeros = child.zeros + group.zeros + both.size() - child.size() - group.size();
+      if (!worth_merging(both.columns, both.zeros, both.size())) break;
+      group = both;
+    }
+    merged.push_back(group);
+  }
+  return merged;
+}
+
 }  // namespace
 
 SymbolicCholesky::SymbolicCholesky(const SparseMatrix& A)
@@ -120,6 +154,7 @@ SymbolicCholesky::SymbolicCholesky(const SparseMatrix& A)
   const Structure neighbours = neighbours_of(A);
   order = minimum_degree(neighbours);
   gather_supernodes(eliminate(neighbours));
+  place_updates(link_supernodes());
   place_entries(A);
 }
 
@@ -155,63 +190,37 @@ SymbolicCholesky::Structure SymbolicCholesky::eliminate(const Structure& neighbo
 }
 
 void SymbolicCholesky::gather_supernodes(const Structure& below) {
-  const int n = int(below.size());
-  struct Group {
-    int first, columns, rows;
-    double zeros;
-    double size() const { return columns * (rows - 0.5 * (columns - 1)); }
-  };
-  std::vector<Group> groups;
-  for (int j = 0; j < n; ++j) {
-    const int rows = int(below[j].size());
-    const bool same = j > 0 && !below[j - 1].empty() && below[j - 1][0] == j && int(below[j - 1].size()) == rows + 1;
-    if (same)
-      ++groups.back().columns;
-    else
-      groups.push_back({j, 1, rows + 1, 0});
-  }
-  std::vector<Group> merged;
-  for (Group group : groups) {
-    while (!merged.empty()) {
-      const Group& child = merged.back();
-      const std::vector<int>& rows = below[group.first - 1];
-      if (rows.empty() || rows[0] >= group.first + group.columns) break;
-      Group both{child.first, child.columns + group.columns, child.columns + group.rows, 0};
-      both.zeros = child.zeros + group.zeros + both.size() - child.size() - group.size();
-      if (!worth_merging(both.columns, both.zeros, both.size())) break;
-      group = both;
-      merged.pop_back();
-    }
-    merged.push_back(group);
-  }
-
-  std::vector<int> supernode_of(n), parents;
-  for (const Group& group : merged) {
-    Supernode s{group.first, group.columns, group.rows, rows_below.size(), factor_size, 0, 0, {}};
+  for (const Group& group : group_columns(below)) {
+    supernodes.push_back({group.first, group.columns, group.rows, rows_below.size(), factor_size, 0, 0, {}});
     const std::vector<int>& rows = below[group.first + group.columns - 1];
     rows_below.insert(rows_below.end(), rows.begin(), rows.end());
-    std::fill_n(supernode_of.begin() + s.first, s.columns, int(supernodes.size()));
-    factor_size += size_t(9) * s.rows * s.columns;
-    most_rows = std::max(most_rows, s.rows);
-    for (int k = 0; k < s.columns; ++k) work += 27 * 0.5 * (s.rows - k) * (s.rows - k);
-    supernodes.push_back(s);
+    factor_size += size_t(9) * group.rows * group.columns;
+    most_rows = std::max(most_rows, group.rows);
+    for (int k = 0; k < group.columns; ++k) work += 27 * 0.5 * (group.rows - k) * (group.rows - k);
   }
+}
+
+/// Where a row is among a supernode's own.
+int SymbolicCholesky::local_row(const Supernode& s, int row) const {
+  if (row < s.first + s.columns) return row - s.first;
+  const auto first = rows_below.begin() + s.below, last = first + (s.rows - s.columns);
+  return s.columns + int(std::lower_bound(first, last, row) - first);
+}
+
+/// Children and where their rows are in their parents'. Returns the parents, -1 at roots.
+std::vector<int> SymbolicCholesky::link_supernodes() {
+  std::vector<int> supernode_of(order.size()), parents(supernodes.size(), -1);
+  for (size_t k = 0; k < supernodes.size(); ++k)
+    std::fill_n(supernode_of.begin() + supernodes[k].first, supernodes[k].columns, int(k));
   for (size_t k = 0; k < supernodes.size(); ++k) {
     const Supernode& s = supernodes[k];
-    const int below_count = s.rows - s.columns;
-    parents.push_back(below_count > 0 ? supernode_of[rows_below[s.below]] : -1);
-    if (parents[k] < 0) continue;
-    Supernode& parent = supernodes[parents[k]];
-    parent.children.push_back(int(k));
-    const auto first = rows_below.begin() + parent.below, last = first + (parent.rows - parent.columns);
-    for (int i = 0; i < below_count; ++i) {
-      const int row = rows_below[s.below + i];
-      in_parent.push_back(row < parent.first + parent.columns
-                              ? row - parent.first
-                              : parent.columns + int(std::lower_bound(first, last, row) - first));
-    }
+    if (s.rows == s.columns) continue;
+    parents[k] = supernode_of[rows_below[s.below]];
+    supernodes[parents[k]].children.push_back(int(k));
+    for (int i = 0; i < s.rows - s.columns; ++i)
+      in_parent.push_back(local_row(supernodes[parents[k]], rows_below[s.below + i]));
   }
-  place_updates(parents);
+  return parents;
 }
 
 /// Two stacks, one for the even and one for the odd levels of the tree: when a supernode pushes its update matrix,
@@ -237,16 +246,13 @@ void SymbolicCholesky::place_entries(const SparseMatrix& A) {
   const std::vector<int> position = inverse(order);
   for (Supernode& s : supernodes) {
     s.entries = entries.size();
-    const auto first = rows_below.begin() + s.below, last = first + (s.rows - s.columns);
     for (int j = 0; j < s.columns; ++j)
       for (int c = 0; c < 3; ++c) {
         const int column = 3 * order[s.first + j] + c;
         for (int at = A.outerIndexPtr()[column]; at < A.outerIndexPtr()[column + 1]; ++at) {
           const int row = position[A.innerIndexPtr()[at] / 3], r = A.innerIndexPtr()[at] % 3;
           if (row < s.first + j) continue;  // the other triangle
-          const int local =
-              row < s.first + s.columns ? row - s.first : s.columns + int(std::lower_bound(first, last, row) - first);
-          entries.push_back({at, 3 * local + r, 3 * j + c});
+          entries.push_back({at, 3 * local_row(s, row) + r, 3 * j + c});
         }
       }
   }
