@@ -447,17 +447,21 @@ void Crowd::descend(unsigned moving) {
 
 unsigned Crowd::minimize(CrowdReport& report) {
   linearize();
+  Scratch& s = scratch_;
   unsigned moving = kAll, alone = 0;
   for (int iteration = 0; iteration < options().max_iterations; ++iteration) {
     Doubles reached;
     residual(reached);
     moving &= ~lanes_below(reached, options().tolerance);
     if (!moving) return alone;
-    for (int lane = 0; lane < kLanes; ++lane) report.iterations += moving >> lane & 1;
     descend(moving);
+    // Displacements in single precision have no more digits.
+    for (size_t k = 0; k < s.q.size(); ++k) s.trial[k] = s.q[k] - s.centre[k];
+    moving &= ~lanes_below(norm(s.direction) - 1e-6 * norm(s.trial), 0);
+    for (int lane = 0; lane < kLanes; ++lane) report.iterations += moving >> lane & 1;
+    if (!moving) return alone;
     const unsigned stuck = search(moving);
-    // As close as single precision comes, or else in need of Simulation's care.
-    alone |= stuck & ~lanes_below(reached, 100 * options().tolerance);
+    alone |= stuck & ~lanes_below(reached, 100 * options().tolerance);  // as Simulation counts convergence
     moving &= ~stuck;
   }
   return alone | moving;
@@ -471,21 +475,22 @@ unsigned Crowd::search(unsigned moving) {
   const Doubles start = s.potential, elastic = s.energy;
   s.from = s.q;
   for (int lane = 0; lane < kLanes; ++lane) length[lane] = moving >> lane & 1;
-  // The whole step is nearly always taken; who would not descend by it halves it, and gives up in the end.
+  // The whole step is nearly always taken; who would not descend by it halves it, and stays in the end.
   constexpr int kHalvings = 4;
-  for (int halving = 0;; ++halving) {
+  unsigned rising = moving, stuck = 0;
+  for (int halving = 0; rising; ++halving) {
     for (Index k = 0; k < r; ++k) s.q[k] = s.from[k] - length * s.direction[k];
     linearize();
-    unsigned rising = 0;
+    rising &= ~stuck;
     for (int lane = 0; lane < kLanes; ++lane) {
       const double noise = 1e-6 * (std::abs(elastic[lane]) + std::abs(start[lane] - elastic[lane]));
-      if (!(s.potential[lane] <= start[lane] - 1e-4 * length[lane] * slope[lane] + noise)) rising |= 1U << lane;
+      if (s.potential[lane] <= start[lane] - 1e-4 * length[lane] * slope[lane] + noise) rising &= ~(1U << lane);
     }
-    rising &= moving;
-    if (!rising || halving > kHalvings) return rising;
+    if (halving == kHalvings) stuck = rising;
     for (int lane = 0; lane < kLanes; ++lane)
-      if (rising >> lane & 1) length[lane] = halving < kHalvings ? 0.5 * length[lane] : 0;
+      if (rising >> lane & 1) length[lane] = stuck ? 0 : 0.5 * length[lane];
   }
+  return stuck;
 }
 
 }  // namespace dynamorph
