@@ -56,11 +56,12 @@ DYNAMORPH_MULTIVERSION
 void add_orders(const float* __restrict table, Index rows, Index r, const Floats& w, const Floats* __restrict v,
                 const Floats* __restrict pairs, Floats* __restrict product, Floats* __restrict linear,
                 Floats* __restrict quadratic) {
-  for (Index p = 0; p < rows; ++p) {
-    Floats sum = {};
-    for (Index m = 0; m < r; ++m) sum += table[m * rows + p] * v[m];
-    linear[p] += w * sum;
-    product[p] = Floats{};
+  for (Index p = 0; p < rows; p += 4) {  // four sums at a time, or each addition would wait for the one before
+    Floats sums[4] = {};
+    for (Index m = 0; m < r; ++m)
+      for (int i = 0; i < 4; ++i) sums[i] += table[m * rows + p + i] * v[m];
+    for (int i = 0; i < 4; ++i) linear[p + i] += w * sums[i];
+    for (int i = 0; i < 4; ++i) product[p + i] = Floats{};
   }
   table += rows * r;
   const Index chunks = rows / kChunk;

@@ -32,6 +32,7 @@ struct CacheAligned {
 template <class T>
 using LaneVector = std::vector<T, CacheAligned<T>>;
 
+DYNAMORPH_INLINE void to_single(const double& from, float& to) { to = float(from); }
 DYNAMORPH_INLINE void to_single(const Doubles& from, Floats& to) { to = __builtin_convertvector(from, Floats); }
 
 }  // namespace dynamorph

@@ -43,35 +43,35 @@ void take_differences(const Motion& motion, std::vector<float>& y) {
 }
 
 /// Symmetric and skew parts that the tensors are stored by: xx yy zz, xy yz zx; xy yz zx.
-DYNAMORPH_INLINE void split(const Doubles G[3][4], Floats* parts) {
+DYNAMORPH_INLINE void split(const Floats G[3][4], Floats* parts) {
   for (int i = 0; i < 3; ++i) {
     const int j = (i + 1) % 3;
-    to_single(G[i][i], parts[i]);
-    to_single(G[i][j] + G[j][i], parts[3 + i]);
-    to_single(G[i][j] - G[j][i], parts[6 + i]);
+    parts[i] = G[i][i];
+    parts[3 + i] = G[i][j] + G[j][i];
+    parts[6 + i] = G[i][j] - G[j][i];
   }
 }
 
 /// From eight terms' own motions, entry after entry. sign: 1 of a bone, whose mass counts by how far it is from rigid;
 /// -1 of a pair.
-DYNAMORPH_INLINE void contract_bones(const Doubles (*motion)[12], const Doubles& sign, Coefficients& out) {
-  Doubles R[3][3], G[3][4];
+DYNAMORPH_INLINE void contract_bones(const Floats (*motion)[12], const Floats& sign, Coefficients& out) {
+  Floats R[3][3], G[3][4];
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) R[i][j] = sign * motion[0][4 * i + j];
   for (int m = 0; m <= Motion::kMoments; ++m) {
-    const Doubles* D = motion[m];
+    const Floats* D = motion[m];
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < (m == 1 ? 4 : 3); ++j) G[i][j] = R[0][i] * D[j] + R[1][i] * D[4 + j] + R[2][i] * D[8 + j];
     if (m == 0)
       for (int i = 0; i < 3; ++i) {
-        to_single(G[i][i] - (0.5 + 0.5 * sign), out.mass[i]);
-        to_single(2 * G[i][(i + 1) % 3], out.mass[3 + i]);
+        out.mass[i] = G[i][i] - (0.5F + 0.5F * sign);
+        out.mass[3 + i] = 2 * G[i][(i + 1) % 3];
       }
     else
       split(G, out.differences[m - 1]);
     if (m == 1)
       for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 4; ++j) to_single(G[i][j], out.rigid[4 * i + j]);
+        for (int j = 0; j < 4; ++j) out.rigid[4 * i + j] = G[i][j];
   }
 }
 
@@ -124,7 +124,7 @@ DYNAMORPH_INLINE void add_terms(Table table, Index r, const Floats* __restrict s
 /// Lane by lane, to force (r) and packed mass. y: each mode's backward differences, numbers or lanes. influence: the
 /// largest part of the force that a term can have, where all are pairs.
 template <class Table, class Y>
-DYNAMORPH_INLINE void add_contribution(const Doubles (*motion)[12], const Doubles& sign, double influence, const Y* y,
+DYNAMORPH_INLINE void add_contribution(const Floats (*motion)[12], const Floats& sign, double influence, const Y* y,
                                        Index r, Table table, Floats* slopes, Floats* force, Floats* mass) {
   Coefficients c;
   contract_bones(motion, sign, c);
@@ -134,26 +134,26 @@ DYNAMORPH_INLINE void add_contribution(const Doubles (*motion)[12], const Double
     for (int e = 0; e < kSymmetric + kSkew; ++e)
       slopes[9 * l + e] = (y[0] * c.differences[0][e] + y[1] * c.differences[1][e]) +
                           (y[2] * c.differences[2][e] + y[3] * c.differences[3][e]);
-  if (change > 1e-6f)  // bones are rigid to Blender's single precision
+  if (change > 1e-6F && change * influence > kNegligible)  // rigid to single precision, or a pair that weighs little
     add_terms<true>(table, r, slopes, c, force, mass);
   else
     add_terms<false>(table, r, slopes, c, force, mass);
 }
 
 DYNAMORPH_MULTIVERSION
-void add_eight_terms(const Doubles (*motion)[12], const Doubles& sign, double influence, const float* y, Index r,
+void add_eight_terms(const Floats (*motion)[12], const Floats& sign, double influence, const float* y, Index r,
                      const Floats* table, Floats* slopes, Floats* force, Floats* mass) {
   add_contribution(motion, sign, influence, y, r, table, slopes, force, mass);
 }
 
 /// One term of eight characters; second: null of a single bone.
 DYNAMORPH_MULTIVERSION
-void add_term_of_eight(const Doubles (*first)[12], const Doubles (*second)[12], double influence, const Floats* y,
+void add_term_of_eight(const Floats (*first)[12], const Floats (*second)[12], double influence, const Floats* y,
                        Index r, const float* table, Floats* slopes, Floats* force, Floats* mass) {
-  Doubles motion[1 + Motion::kMoments][12], sign = {};
+  Floats motion[1 + Motion::kMoments][12], sign = {};
   for (int m = 0; m <= Motion::kMoments; ++m)
     for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
-  sign += second ? -1 : 1;
+  sign += second ? -1.0F : 1.0F;
   add_contribution(motion, sign, second ? influence : HUGE_VAL, y, r, table, slopes, force, mass);
 }
 
@@ -182,33 +182,35 @@ void add_lanes(const Floats* sums, Index count, float* totals) {
 }
 
 /// What one bone contributes to the terms (BoneMotion), of one character or of eight. bones: its twelve entries in each
-/// pose; shares (kMoments, kPoses), row-major.
-template <class Value>
+/// pose; shares (kMoments, kPoses), row-major. Only the sums are rounded: each has the size of what it adds to the
+/// force.
+template <class Value, class Single>
 DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, const Vector3d& centre,
-                              const Vector3d& lift, Value (*out)[12]) {
-  for (int e = 0; e < 12; ++e) {
-    out[0][e] = bones[0][e];
-    for (int m = 0; m < Motion::kMoments; ++m) {
-      Value sum = shares[m * Motion::kPoses] * bones[0][e];
-      for (int n = 1; n < Motion::kPoses; ++n) sum += shares[m * Motion::kPoses + n] * bones[n][e];
-      out[m + 1][e] = sum;
+                              const Vector3d& lift, Single (*out)[12]) {
+  for (int e = 0; e < 12; ++e) to_single(bones[0][e], out[0][e]);
+  for (int m = 0; m < Motion::kMoments; ++m) {
+    Value sums[12];
+    for (int e = 0; e < 12; ++e) {
+      sums[e] = shares[m * Motion::kPoses] * bones[0][e];
+      for (int n = 1; n < Motion::kPoses; ++n) sums[e] += shares[m * Motion::kPoses + n] * bones[n][e];
     }
-  }
-  for (int i = 0; i < 3; ++i) {
-    Value* row = out[1] + 4 * i;
-    row[3] += row[0] * centre[0] + row[1] * centre[1] + row[2] * centre[2] - lift[i];
+    for (int i = 0; i < 3 && m == 0; ++i) {
+      Value* row = sums + 4 * i;
+      row[3] += row[0] * centre[0] + row[1] * centre[1] + row[2] * centre[2] - lift[i];
+    }
+    for (int e = 0; e < 12; ++e) to_single(sums[e], out[m + 1][e]);
   }
 }
 
 DYNAMORPH_MULTIVERSION
 void combine_one(const double* const* bones, const double* shares, const Vector3d& centre, const Vector3d& lift,
-                 double (*out)[12]) {
+                 float (*out)[12]) {
   combine(bones, shares, centre, lift, out);
 }
 
 DYNAMORPH_MULTIVERSION
 void combine_eight(const Doubles* const* bones, const double* shares, const Vector3d& centre, const Vector3d& lift,
-                   Doubles (*out)[12]) {
+                   Floats (*out)[12]) {
   combine(bones, shares, centre, lift, out);
 }
 
@@ -237,10 +239,10 @@ void differences_of_eight(const EightMotion& motion, Index r, Floats* y) {
 
 /// lanes[m][e][t] = entry e of matrix m of term t: its bone's, less that of the second bone of a pair.
 void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<int, int>>& terms,
-            const std::array<double, kLanes>& signs, Doubles lanes[][12]) {
+            const std::array<float, kLanes>& signs, Floats lanes[][12]) {
   for (size_t t = 0; t < terms.size(); ++t) {
     const auto &a = bones[terms[t].first].values, &b = bones[terms[t].second].values;
-    const double less = signs[t] < 0;
+    const float less = signs[t] < 0;
     for (int m = 0; m <= Motion::kMoments; ++m)
       for (int e = 0; e < 12; ++e) lanes[m][e][t] = a[m][e] - less * b[m][e];
   }
@@ -367,10 +369,10 @@ void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities,
     const Tensors& set = sets_[s];
     std::fill(out.sums.begin(), out.sums.end(), Floats{});
     for (size_t g = 0; g < set.groups.size(); ++g) {
-      alignas(64) Doubles lanes[1 + Motion::kMoments][12] = {};
+      alignas(64) Floats lanes[1 + Motion::kMoments][12] = {};
       gather(out.bones, set.groups[g].bones, set.groups[g].signs, lanes);
-      alignas(64) Doubles sign;
-      std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<double*>(&sign));
+      alignas(64) Floats sign;
+      std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<float*>(&sign));
       add_eight_terms(lanes, sign, set.groups[g].influence, out.differences.data(), r_,
                       set.table.data() + g * entries(), out.slopes.data(), out.sums.data(), out.sums.data() + r_);
     }
@@ -395,9 +397,7 @@ void ModalInertia::evaluate(const EightMotion& motion, const Doubles* density, c
   out.differences.resize(Motion::kMoments * r_);
   differences_of_eight(motion, r_, out.differences.data());
   out.bones.resize((1 + Motion::kMoments) * 12 * in_terms_);
-  const auto bone = [&](int b) {
-    return reinterpret_cast<Doubles(*)[12]>(&out.bones[(1 + Motion::kMoments) * 12 * b]);
-  };
+  const auto bone = [&](int b) { return reinterpret_cast<Floats(*)[12]>(&out.bones[(1 + Motion::kMoments) * 12 * b]); };
   const Shares shares = shares_of_differences(motion.share);
   for (size_t b = 0; b < in_terms_; ++b) {
     const Doubles* poses[Motion::kPoses];

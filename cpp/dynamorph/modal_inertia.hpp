@@ -27,7 +27,7 @@ class ModalInertia {
   /// each backward difference m of the coordinates; t of the first of those, at the flesh's centre and less the lift,
   /// counts.
   struct BoneMotion {
-    double values[1 + Motion::kMoments][12];
+    float values[1 + Motion::kMoments][12];
   };
 
   /// What `evaluate` makes, and its scratch: nothing is allocated after the first time.
@@ -54,8 +54,7 @@ class ModalInertia {
   struct EightInertia {
     LaneVector<Doubles> mass, damped;  ///< packed upper triangles
     LaneVector<Doubles> force;
-    LaneVector<Doubles> bones;
-    LaneVector<Floats> differences, sums, slopes;
+    LaneVector<Floats> bones, differences, sums, slopes;
   };
   /// density, damping: of each target set.
   void evaluate(const EightMotion& motion, const Doubles* density, const Doubles* damping, EightInertia& out) const;
@@ -71,8 +70,8 @@ class ModalInertia {
   /// Up to eight terms, side by side.
   struct Group {
     std::vector<Bones> bones;
-    std::array<double, kLanes> signs;  ///< 1 of a bone, -1 of a pair
-    double influence;                  ///< the largest part of the force that one of them can have, if all are pairs
+    std::array<float, kLanes> signs;  ///< 1 of a bone, -1 of a pair
+    double influence;                 ///< the largest part of the force that one of them can have, if all are pairs
   };
   /// Of one target set.
   struct Tensors {
