@@ -70,7 +70,8 @@ evaluation where the step makes one.
 RIG = """## Rig: bones and nodes
 
 A step of the linear law with 20 modes, the weights of three targets at the rig's pose, the skin frame and the inertia
-of the moving bones. As in a real body about half of them carry flesh, three a node. {nodes}
+of the moving bones. As in a real body about half of them carry flesh, three a node.
+{nodes}
 """
 
 PIPELINE = """## Pipeline
