@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import table
@@ -70,7 +70,8 @@ evaluation where the step makes one.
 RIG = """## Rig: bones and nodes
 
 A step of the linear law with 20 modes, the weights of three targets at the rig's pose, the skin frame and the inertia
-of the moving bones. {nodes}
+of the moving bones. As in a real body about half of them carry flesh, three a node.
+{nodes}
 """
 
 PIPELINE = """## Pipeline
@@ -194,31 +195,29 @@ def draw_step(engine: dict) -> None:
 # The rig --------------------------------------------------------------------------------------------------------------
 
 
-def rig_steps(engine: dict, fixed: str, changing: Callable[[dict, int, int], float]) -> tuple[list[float], list[float]]:
-    """x and microseconds of the rig's steps whose name holds `fixed`; changing(result, bones, nodes) is x."""
-    points = []
-    for name, found in engine.items():
-        if name.startswith("rig_step/") and fixed in name:
-            bones, nodes = (int(part.split(":")[1]) for part in name.split("/")[1:])
-            points.append((changing(found, bones, nodes), 1e6 * found["seconds"]))
-    xs, ys = zip(*sorted(points), strict=True)
-    return list(xs), list(ys)
+def rig_steps(engine: dict, fixed: str, x: str) -> tuple[list[float], list[float]]:
+    """Counter `x` and microseconds of the rig's steps whose name holds `fixed`."""
+    found = [result for name, result in engine.items() if name.startswith("rig_step/") and fixed in name]
+    points = sorted((result[x], 1e6 * result["seconds"]) for result in found)
+    return [at for at, _ in points], [time for _, time in points]
 
 
 def growth_with_nodes(engine: dict) -> str:
-    nodes, times = rig_steps(engine, "bones:53", lambda found, *_: found["nodes"])
+    nodes, times = rig_steps(engine, "chain:29/", "nodes")
+    bones = engine["rig_step/chain:29/nodes:2000"]["bones"]
     return (
-        f"With 53 bones {nodes[-1] / nodes[0]:.0f} times the nodes take {times[-1] / times[0]:.1f} times as long "
-        f"({us(1e-6 * times[0])} and {us(1e-6 * times[-1])})."
+        f"With {bones:.0f} bones {nodes[-1] / nodes[0]:.0f} times the nodes take {times[-1] / times[0]:.1f} times as "
+        f"long ({us(1e-6 * times[0])} and {us(1e-6 * times[-1])})."
     )
 
 
 def draw_rig(engine: dict) -> None:
     drawing, axes = plots.figure(2)
-    by_bones = rig_steps(engine, "nodes:2000", lambda _, bones, __: bones)
-    by_nodes = rig_steps(engine, "bones:53", lambda found, *_: found["nodes"])
+    by_bones = rig_steps(engine, "nodes:2000", "bones")
+    by_nodes = rig_steps(engine, "chain:29/", "nodes")
     plots.draw(axes[0], "Bones, 2,000 nodes", {"linear step": by_bones}, "bones", "µs", marker="o", ms=4)
-    plots.draw(axes[1], "Nodes, 53 bones", {"linear step": by_nodes}, "nodes", "µs", marker="o", ms=4)
+    bones = engine["rig_step/chain:29/nodes:2000"]["bones"]
+    plots.draw(axes[1], f"Nodes, {bones:.0f} bones", {"linear step": by_nodes}, "nodes", "µs", marker="o", ms=4)
     for panel in axes:
         from_zero(panel)
     plots.save(drawing, ROOT / "docs" / IMAGES / "rig.svg")
