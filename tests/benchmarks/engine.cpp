@@ -15,6 +15,7 @@
 
 #include "../cpp/scenes.hpp"
 #include "dynamorph/basis.hpp"
+#include "dynamorph/crowd.hpp"
 #include "dynamorph/integrator.hpp"
 #include "dynamorph/kernels.hpp"
 #include "dynamorph/pose_space.hpp"
@@ -235,6 +236,12 @@ StepOptions one_iteration() {
   return options;
 }
 
+StepOptions to_convergence() {
+  StepOptions options;
+  options.h = kStep;
+  return options;
+}
+
 template <class Model>
 void measure_steps(State& state, const std::shared_ptr<const Model>& model, const StepOptions& options) {
   const Swing moving = swing(model->body(), int(model->targets().size()));
@@ -342,9 +349,7 @@ BENCHMARK(step)->Apply(sizes);
 /// As many iterations as it takes.
 void converged_step(State& state) {
   const OneCore pinned;
-  StepOptions options;
-  options.h = kStep;
-  measure_steps(state, reduced_model(sized(state)), options);
+  measure_steps(state, reduced_model(sized(state)), to_convergence());
 }
 BENCHMARK(converged_step)->Apply(sizes);
 
@@ -453,29 +458,78 @@ BENCHMARK(surface)->ArgNames({"vertices", "r"})->Args({13000, 20});
 
 // --- Crowds ----------------------------------------------------------------------------------------------------------
 
-/// Seconds of one character's step: StVK, r = 12, three targets, a pose of its own, weights and inertia included.
-void one_by_one(State& state) {
-  const OneCore pinned;
-  const auto model = reduced_model({3, 12, Law::stvk, 29, 2000});
-  const PoseSpace space = pose_space(model->body().skin.cols(), 3);
-  const Swing moving = swing(model->body(), 3);
-  std::vector<Simulation<ReducedModel>> crowd;
-  for (size_t i = 0; i < size_t(state.range(0)); ++i) {
-    crowd.emplace_back(model, one_iteration());
-    crowd[i].start(moving.bones[i % kFrames], moving.bones[(i + 1) % kFrames], moving.weights[i % kFrames]);
-  }
-  VectorXd weights(3);
-  size_t k = 0;
-  for (auto _ : state) {
-    ++k;
-    for (size_t i = 0; i < crowd.size(); ++i) {
-      space.weights(moving.pose[(i + k) % kFrames], weights);
-      crowd[i].step(moving.bones[(i + k) % kFrames], weights);
+/// Characters of one model, StVK with r = 12 and three targets, each in a pose of its own: what they are at a step, as
+/// a window of the endless swing that moves on by a frame a step.
+struct Crowded {
+  static constexpr int kTargets = 3;
+  int size;
+  std::shared_ptr<const ReducedModel> model = reduced_model({kTargets, 12, Law::stvk, 29, 2000});
+  PoseSpace space = pose_space(model->body().skin.cols(), kTargets);
+  Swing moving = swing(model->body(), kTargets);
+  std::vector<double> bones, weights = std::vector<double>(size_t(size * kTargets));
+
+  explicit Crowded(int size) : size(size) {
+    for (int i = 0; i < size + kFrames; ++i) {
+      const Transforms& frame = moving.bones[size_t(i % kFrames)];
+      bones.insert(bones.end(), frame.data(), frame.data() + frame.size());
     }
   }
-  state.counters["characters"] = double(crowd.size());
+
+  const double* bones_at(int step) const { return bones.data() + (step % kFrames) * moving.bones[0].size(); }
+
+  /// Weights (size, J) at the poses of a step.
+  const double* weights_at(int step) {
+    VectorXd w(kTargets);
+    for (int i = 0; i < size; ++i) {
+      space.weights(moving.pose[size_t((i + step) % kFrames)], w);
+      std::copy_n(w.data(), kTargets, weights.data() + i * kTargets);
+    }
+    return weights.data();
+  }
+};
+
+void crowd(State& state) {
+  const OneCore pinned;
+  Crowded crowded(int(state.range(0)));
+  Crowd crowd(crowded.model, to_convergence(), crowded.size);
+  crowd.start(crowded.bones_at(0), crowded.bones_at(1), crowded.weights_at(0));
+  int step = 0, alone = 0, iterations = 0;
+  for (auto _ : state) {
+    ++step;
+    const CrowdReport report = crowd.step(crowded.bones_at(step), crowded.weights_at(step));
+    alone += report.alone;
+    iterations += report.iterations;
+  }
+  state.counters["iterations"] =
+      benchmark::Counter(double(iterations) / crowded.size, benchmark::Counter::kAvgIterations);
+  state.counters["characters"] = double(crowded.size);
+  state.counters["alone"] = benchmark::Counter(alone, benchmark::Counter::kAvgIterations);
 }
-BENCHMARK(one_by_one)->ArgName("characters")->Arg(256);
+BENCHMARK(crowd)->ArgName("characters")->Arg(256)->Arg(5120);
+
+void one_by_one(State& state) {
+  const OneCore pinned;
+  Crowded crowded(int(state.range(0)));
+  const auto bones_of = [&](int character, int step) -> const Transforms& {
+    return crowded.moving.bones[size_t((character + step) % kFrames)];
+  };
+  const auto weights_of = [](const double* weights, int character) {
+    return VectorXd(Eigen::Map<const VectorXd>(weights + character * Crowded::kTargets, Crowded::kTargets));
+  };
+  const double* first = crowded.weights_at(0);
+  std::vector<Simulation<ReducedModel>> simulations;
+  for (int i = 0; i < crowded.size; ++i) {
+    simulations.emplace_back(crowded.model, to_convergence());
+    simulations.back().start(bones_of(i, 0), bones_of(i, 1), weights_of(first, i));
+  }
+  int step = 0;
+  for (auto _ : state) {
+    const double* weights = crowded.weights_at(++step);
+    for (int i = 0; i < crowded.size; ++i) simulations[size_t(i)].step(bones_of(i, step), weights_of(weights, i));
+  }
+  state.counters["characters"] = double(crowded.size);
+}
+BENCHMARK(one_by_one)->ArgName("characters")->Arg(256)->Arg(5120);
 
 }  // namespace
 
