@@ -35,9 +35,12 @@ void packed_product(const Doubles* __restrict S, const Doubles* __restrict x, In
 
 DYNAMORPH_MULTIVERSION
 void dot(const Doubles* a, const Doubles* b, Index size, Doubles& out) {
-  Doubles sum = {};
-  for (Index i = 0; i < size; ++i) sum += a[i] * b[i];
-  out = sum;
+  Doubles sums[4] = {};  // independent, or each addition would wait for the one before
+  Index i = 0;
+  for (; i + 4 <= size; i += 4)
+    for (int k = 0; k < 4; ++k) sums[k] += a[i + k] * b[i + k];
+  for (; i < size; ++i) sums[0] += a[i] * b[i];
+  out = (sums[0] + sums[1]) + (sums[2] + sums[3]);
 }
 
 /// v in single precision and its pairs, both orders of a pair together.

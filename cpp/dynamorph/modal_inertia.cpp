@@ -89,33 +89,35 @@ DYNAMORPH_INLINE float largest(const Coefficients& c) {
 template <bool kHeavy, class Table>
 DYNAMORPH_INLINE void add_terms(Table table, Index r, const Floats* __restrict slopes, const Coefficients& c,
                                 Floats* __restrict force, Floats* __restrict mass) {
+  constexpr int kEntries = kSymmetric + kSkew;
   for (Index k = 0; k < r; ++k) {
-    const Floats* own = slopes + 9 * k;
+    const Floats* own = slopes + kEntries * k;
     Floats sums[3] = {};  // independent, or each addition would wait for the one before
     for (int e = 0; e < kRigid; ++e) sums[e % 3] += table[e] * c.rigid[e];
     table += kRigid;
-    Floats heavy = {};
-    for (int e = 0; e < kSymmetric; ++e) {
-      sums[e % 3] += table[e] * own[e];
-      if (kHeavy) heavy += table[e] * c.mass[e];
+    for (int e = 0; e < kSymmetric; ++e) sums[e % 3] += table[e] * own[e];
+    // Two loops, each of which keeps its coefficients in registers.
+    if (kHeavy) {
+      Table row = table;
+      for (Index l = k; l < r; row += l == k ? kSymmetric : kEntries, ++l) {
+        Floats heavy[2] = {};
+        for (int e = 0; e < kSymmetric; ++e) heavy[e % 2] += row[e] * c.mass[e];
+        *mass++ += heavy[0] + heavy[1];
+      }
     }
     table += kSymmetric;
-    if (kHeavy) *mass++ += heavy;
-    for (Index l = k + 1; l < r; ++l, table += kSymmetric + kSkew) {
-      const Floats* other = slopes + 9 * l;
-      Floats theirs[3] = {};
-      heavy = Floats{};
+    for (Index l = k + 1; l < r; ++l, table += kEntries) {
+      const Floats* other = slopes + kEntries * l;
+      Floats theirs[2] = {};
       for (int e = 0; e < kSymmetric; ++e) {
         sums[e % 3] += table[e] * other[e];
-        theirs[e % 3] += table[e] * own[e];
-        if (kHeavy) heavy += table[e] * c.mass[e];
+        theirs[e % 2] += table[e] * own[e];
       }
-      for (int e = kSymmetric; e < kSymmetric + kSkew; ++e) {
+      for (int e = kSymmetric; e < kEntries; ++e) {
         sums[e % 3] += table[e] * other[e];
-        theirs[e % 3] -= table[e] * own[e];
+        theirs[e % 2] -= table[e] * own[e];
       }
-      force[l] += (theirs[0] + theirs[1]) + theirs[2];
-      if (kHeavy) *mass++ += heavy;
+      force[l] += theirs[0] + theirs[1];
     }
     force[k] += (sums[0] + sums[1]) + sums[2];
   }
@@ -130,10 +132,13 @@ DYNAMORPH_INLINE void add_contribution(const Floats (*motion)[12], const Floats&
   contract_bones(motion, sign, c);
   const float change = largest(c);
   if (change * influence < 0.01 * kNegligible) return;  // the bones hardly turned against each other
-  for (Index l = 0; l < r; ++l, y += Motion::kMoments)
-    for (int e = 0; e < kSymmetric + kSkew; ++e)
-      slopes[9 * l + e] = (y[0] * c.differences[0][e] + y[1] * c.differences[1][e]) +
-                          (y[2] * c.differences[2][e] + y[3] * c.differences[3][e]);
+  for (int e = 0; e < kSymmetric + kSkew; ++e) {
+    const Floats c0 = c.differences[0][e], c1 = c.differences[1][e], c2 = c.differences[2][e], c3 = c.differences[3][e];
+    for (Index l = 0; l < r; ++l) {
+      const Y* own = y + Motion::kMoments * l;
+      slopes[9 * l + e] = (own[0] * c0 + own[1] * c1) + (own[2] * c2 + own[3] * c3);
+    }
+  }
   if (change > 1e-6F && change * influence > kNegligible)  // rigid to single precision, or a pair that weighs little
     add_terms<true>(table, r, slopes, c, force, mass);
   else
@@ -187,18 +192,20 @@ void add_lanes(const Floats* sums, Index count, float* totals) {
 template <class Value, class Single>
 DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, const Vector3d& centre,
                               const Vector3d& lift, Single (*out)[12]) {
-  for (int e = 0; e < 12; ++e) to_single(bones[0][e], out[0][e]);
-  for (int m = 0; m < Motion::kMoments; ++m) {
-    Value sums[12];
-    for (int e = 0; e < 12; ++e) {
-      sums[e] = shares[m * Motion::kPoses] * bones[0][e];
-      for (int n = 1; n < Motion::kPoses; ++n) sums[e] += shares[m * Motion::kPoses + n] * bones[n][e];
+  for (int i = 0; i < 3; ++i) {
+    Value first[4];  // the row of the first difference, whose translation is moved to the centre
+    for (int j = 0; j < 4; ++j) {
+      const int e = 4 * i + j;
+      const Value b0 = bones[0][e], b1 = bones[1][e], b2 = bones[2][e], b3 = bones[3][e], b4 = bones[4][e];
+      to_single(b0, out[0][e]);
+      first[j] = shares[0] * b0 + shares[1] * b1 + shares[2] * b2 + shares[3] * b3 + shares[4] * b4;
+      for (int m = 1; m < Motion::kMoments; ++m) {
+        const double* share = shares + m * Motion::kPoses;
+        to_single(share[0] * b0 + share[1] * b1 + share[2] * b2 + share[3] * b3 + share[4] * b4, out[m + 1][e]);
+      }
     }
-    for (int i = 0; i < 3 && m == 0; ++i) {
-      Value* row = sums + 4 * i;
-      row[3] += row[0] * centre[0] + row[1] * centre[1] + row[2] * centre[2] - lift[i];
-    }
-    for (int e = 0; e < 12; ++e) to_single(sums[e], out[m + 1][e]);
+    first[3] += first[0] * centre[0] + first[1] * centre[1] + first[2] * centre[2] - lift[i];
+    for (int j = 0; j < 4; ++j) to_single(first[j], out[1][4 * i + j]);
   }
 }
 
