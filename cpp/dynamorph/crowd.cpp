@@ -310,16 +310,14 @@ unsigned Crowd::jumps(const Eight& eight) const {
   const SoftBody& body = model().body();
   const std::vector<int>& used = model().modal_inertia().used_bones();
   Doubles jump = {};
-  double volume = 0;
   for (size_t b = 0; b < used.size(); ++b) {
     const Eigen::Matrix4d& moments = body.moments[used[b]];
     add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(), body.centre,
              jump);
-    volume += moments(3, 3);
   }
   unsigned out = 0;
   for (int lane = 0; lane < kLanes; ++lane)
-    if (!(jump[lane] < options().teleport * options().teleport * volume)) out |= 1U << lane;
+    if (!(jump[lane] < options().teleport * options().teleport * body.volume)) out |= 1U << lane;
   return out;
 }
 
@@ -385,7 +383,7 @@ void Crowd::pull(const Eight& eight) {
   for (const Doubles& d : s.density) widen(density, d);
   const SoftBody& body = model().body();
   s.round_off = 1e-14 / rule.square * (farthest + (body.centre.norm() + body.size)) *
-                root_of(body.volumes.sum() * density * largest(s.inertia.mass));
+                root_of(body.volume * density * largest(s.inertia.mass));
 }
 
 void Crowd::linearize() {

@@ -54,8 +54,9 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
     const VectorXd all = lumped_volumes(mesh, fill.cwiseProduct(shares.col(s)));
     for (Eigen::Index i = 0; i < f; ++i) volumes(i, s) = all(free_nodes[i]);
   }
+  volume = volumes.sum();
   centre.setZero();
-  for (Eigen::Index i = 0; i < f; ++i) centre += volumes.row(i).sum() / volumes.sum() * rest.segment<3>(3 * i);
+  for (Eigen::Index i = 0; i < f; ++i) centre += volumes.row(i).sum() / volume * rest.segment<3>(3 * i);
   moments.assign(skin.cols(), Eigen::Matrix4d::Zero());
   for (Eigen::Index i = 0; i < f; ++i) {
     const Eigen::Vector4d p = (rest.segment<3>(3 * i) - centre).homogeneous();

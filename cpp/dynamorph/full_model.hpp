@@ -52,7 +52,8 @@ struct SoftBody {
   VectorXd rest;                  ///< X of the free nodes (3 free)
   MatrixXd volumes;               ///< (free nodes, S) lumped, m^3
   double size;                    ///< bounding-box diagonal, m
-  Vector3d centre;                ///< of the free nodes' volume, m
+  double volume;                  ///< of the free nodes, m^3
+  Vector3d centre;                ///< of that volume, m
   /// Of each bone's flesh: sum of volume times weight times p p^T, p = (X - centre, 1).
   std::vector<Eigen::Matrix4d> moments;
 

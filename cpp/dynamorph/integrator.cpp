@@ -192,19 +192,19 @@ bool Simulation<Model>::carry_past(const Transforms& bones) {
   const auto course = [&](Eigen::Index b) {
     return about(body.centre, 2 * state_.bones[0].row(b) - state_.bones[1].row(b));
   };
-  double jump = 0, volume = 0;
+  double jump = 0;
   for (Eigen::Index b = 0; b < bones.rows(); ++b) {
+    if (body.moments[b](3, 3) == 0) continue;
     const Affine off = about(body.centre, bones.row(b)) - course(b);
     jump += (off * body.moments[b]).cwiseProduct(off).sum();
-    volume += body.moments[b](3, 3);
   }
-  if (jump < options_.teleport * options_.teleport * volume) return false;
+  if (jump < options_.teleport * options_.teleport * body.volume) return false;
   // The rigid motion that fits the jump best (Kabsch).
   Eigen::Matrix3d across = Eigen::Matrix3d::Zero();
   Vector3d from = Vector3d::Zero(), to = from;
   for (Eigen::Index b = 0; b < bones.rows(); ++b) {
-    from += course(b) * body.moments[b].col(3) / volume;
-    to += about(body.centre, bones.row(b)) * body.moments[b].col(3) / volume;
+    from += course(b) * body.moments[b].col(3) / body.volume;
+    to += about(body.centre, bones.row(b)) * body.moments[b].col(3) / body.volume;
   }
   for (Eigen::Index b = 0; b < bones.rows(); ++b) {
     Affine a = course(b), c = about(body.centre, bones.row(b));
@@ -258,9 +258,9 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   quadratic_.g.noalias() += damped_ * velocity_;
   quadratic_.origin = next_;
   // Far from the world's origin posed positions lose digits, and inertia multiplies the loss.
-  quadratic_.round_off = 1e-14 / rule.square * farthest(bones) *
-                         std::sqrt(model_->body().volumes.sum() * blend_.mass.density.maxCoeff() *
-                                   values(inertia_.mass).cwiseAbs().maxCoeff());
+  quadratic_.round_off =
+      1e-14 / rule.square * farthest(bones) *
+      std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
 
   StepReport report = minimize(next_, options_.max_iterations);
   report.teleported = teleported;

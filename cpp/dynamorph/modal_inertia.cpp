@@ -285,14 +285,13 @@ void node_tensor(const Eigen::Ref<const Eigen::Matrix3Xd>& U, const Vector3d& X,
 
 ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols()), centre_(body.centre) {
   const Index nodes = body.skin.rows();
-  const double volume = body.volumes.sum();
   VectorXd motion(nodes);  // of each node in the modes
   for (Index i = 0; i < nodes; ++i) motion(i) = U.middleRows<3>(3 * i).squaredNorm();
   const double all_motion = body.volumes.rowwise().sum().dot(motion);
   for (int s = 0; s < body.sets(); ++s) {
     std::map<Bones, double> volumes, motions;
     for_each_term(body, s, [&](Index i, const Bones& bones, double part) {
-      volumes[bones] += part / volume;
+      volumes[bones] += part / body.volume;
       motions[bones] += part * motion(i) / all_motion;
     });
     std::vector<std::pair<double, Bones>> terms,

@@ -41,10 +41,18 @@ void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotatio
   if (!m.allFinite())
     throw Error("bone " + std::to_string(bone) +
                 " has a transform that is not a number: check its drivers and constraints");
-  const Eigen::JacobiSVD<Matrix3d> svd(m.topLeftCorner<3, 3>(), Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Matrix3d U = svd.matrixU();
-  if (U.determinant() * svd.matrixV().determinant() < 0) U.col(2) *= -1;  // a mirrored bone: nearest proper rotation
-  const Eigen::Quaterniond q(Matrix3d(U * svd.matrixV().transpose()));
+  const Matrix3d A = m.topLeftCorner<3, 3>();
+  const Matrix3d square = A.transpose() * A;
+  const double scale = square.trace() / 3;
+  Eigen::Quaterniond q;
+  if ((square - scale * Matrix3d::Identity()).cwiseAbs().maxCoeff() < 1e-6 * scale && A.determinant() > 0) {
+    q = Eigen::Quaterniond(Matrix3d(A / std::sqrt(scale)));  // as nearly every bone: rotated and no more
+  } else {
+    const Eigen::JacobiSVD<Matrix3d> svd(A, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    Matrix3d U = svd.matrixU();
+    if (U.determinant() * svd.matrixV().determinant() < 0) U.col(2) *= -1;  // a mirrored bone: nearest proper rotation
+    q = Eigen::Quaterniond(Matrix3d(U * svd.matrixV().transpose()));
+  }
   rotations.row(bone) << q.w(), q.x(), q.y(), q.z();
 }
 

@@ -173,6 +173,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
 void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
   const Eigen::Index r = dofs(), rows = padded_pairs_;
   blend.v = z - blend.centre;
+  if (!layout_.nonlinear && blend.linear.size() == rows) return;  // zero for good
   blend.linear.setZero(rows);
   blend.quadratic.setZero(rows);
   if (!layout_.nonlinear) return;

@@ -7,7 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'tetrahedralize']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'tetrahedralize']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -455,12 +455,12 @@ class FullSimulation:
     def model(self) -> FullModel:
         ...
     @property
-    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(2)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"]]:
+    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]]:
         """
-        (coordinates of the last two steps, posed positions of the last four): set it to resume.
+        (coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.
         """
     @state.setter
-    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(2)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"]]) -> None:
+    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"]]) -> None:
         ...
 class ReducedSimulation:
     """
@@ -505,13 +505,38 @@ class ReducedSimulation:
     def model(self) -> ReducedModel:
         ...
     @property
-    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(2)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"]]:
+    def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]]:
         """
-        (coordinates of the last two steps, posed positions of the last four): set it to resume.
+        (coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.
         """
     @state.setter
-    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(2)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"]]) -> None:
+    def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"]]) -> None:
         ...
+class Crowd:
+    """
+    Many characters of one reduced model, stepped together. World space, SI.
+    """
+    def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, size: typing.SupportsInt | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
+        """
+        As ReducedSimulation; size: characters.
+        """
+    def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> dict:
+        """
+        One step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns what the steps did: iterations in all, steps of characters that had to be taken alone, converged, seconds.
+        """
+    def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+        """
+        Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
+        """
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+        """
+        Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past follows their rigs backward from their motion to `next`.
+        """
+    @property
+    def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        (N, r) of the last step, a copy.
+        """
 def embed(mesh: TetMesh, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> Embedding:
     """
     Embeds surface points (V, 3), metres, by barycentric weights.
