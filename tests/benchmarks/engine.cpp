@@ -18,19 +18,11 @@
 #include "dynamorph/crowd.hpp"
 #include "dynamorph/integrator.hpp"
 #include "dynamorph/kernels.hpp"
+#include "dynamorph/multiversion.hpp"
 #include "dynamorph/pose_space.hpp"
 #include "dynamorph/reduced_model.hpp"
 #ifdef __linux__
 #include <sched.h>
-#endif
-
-// The engine's own instruction sets.
-#ifndef DYNAMORPH_MULTIVERSION
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
-#define DYNAMORPH_MULTIVERSION __attribute__((target_clones("arch=x86-64-v3", "default")))
-#else
-#define DYNAMORPH_MULTIVERSION
-#endif
 #endif
 
 namespace {
@@ -103,11 +95,12 @@ Solid solid(int nodes) {
   return solid_file ? read_solid(solid_file) : bar(kSolidNodes);
 }
 
-/// Bones of a rig of which `chain` carry flesh, in the proportion of the MakeHuman body.
-int rig_bones(int chain) { return chain * 53 / 29; }
+/// Bones of a rig of which `chain` carry flesh that moves, in the proportion of the MakeHuman body.
+constexpr int kBody = 21;
+int rig_bones(int chain) { return chain * 53 / kBody; }
 
-/// Each node hangs on the three bones of the chain that are nearest, smoothly: 55 pairs of 29 bones. The MakeHuman body
-/// has 84 pairs, of which 38 share a ten-thousandth of its nodes; 2.6 bones move a node.
+/// Each node hangs on the three bones of the chain that are nearest, smoothly: 21 bones and 39 pairs of them. Of the
+/// MakeHuman body's, 20 bones and 43 pairs count for the inertia.
 std::shared_ptr<const SoftBody> skinned(const Solid& solid, int chain) {
   const Points& X = solid.mesh.nodes;
   const double begin = X.col(0).minCoeff(), length = X.col(0).maxCoeff() - begin;
@@ -261,7 +254,7 @@ void measure_steps(State& state, const std::shared_ptr<const Model>& model, cons
 constexpr int kChains = 12;  // of dependent operations: enough to fill the latency of two units
 
 template <class Lane>
-inline __attribute__((always_inline)) double multiply_and_add(int rounds) {
+DYNAMORPH_INLINE double multiply_and_add(int rounds) {
   Lane sums[kChains] = {}, factor, term;
   for (size_t i = 0; i < sizeof(Lane) / sizeof factor[0]; ++i) factor[i] = 0.5, term[i] = 1;
   for (int k = 0; k < kChains; ++k) sums[k][0] = k;  // or the compiler would find that they are all the same
@@ -379,6 +372,34 @@ void linearize(State& state) {
 }
 BENCHMARK(linearize)->Apply(sizes);
 
+/// What the figures that we compare with call a step: force, tangent, solve and update at a constant mass, and of
+/// several targets the blend for a new pose.
+void iteration(State& state) {
+  const OneCore pinned;
+  const auto model = reduced_model(sized(state));
+  const Swing moving = swing(model->body(), int(state.range(0)));
+  VectorXd z, force, direction;
+  std::vector<VectorXd> rest;  // the blended targets, frame by frame
+  for (const VectorXd& w : moving.weights) {
+    rest.push_back(VectorXd::Constant(model->dofs(), 1e-3));
+    for (Eigen::Index j = 0; j < w.size(); ++j) rest.back() += w(j) * model->target(int(j));
+  }
+  MatrixXd tangent;
+  ReducedModel::Blend blended;
+  DenseFactor factor;
+  int k = 0;
+  for (auto _ : state) {
+    k = (k + 1) % kFrames;
+    model->blend(moving.weights[k], blended);
+    benchmark::DoNotOptimize(model->linearize(blended, rest[k], force, tangent));
+    tangent.diagonal().array() += 1000 / (kStep * kStep);
+    if (!factor.compute(tangent)) state.SkipWithError("the tangent is not positive definite");
+    factor.solve(force, direction);
+    z = rest[k] - direction;
+  }
+}
+BENCHMARK(iteration)->Apply(sizes);
+
 void linear_step(State& state) {
   const OneCore pinned;
   measure_steps(state, reduced_model({int(state.range(0)), 19, Law::linear}), one_iteration());
@@ -410,30 +431,37 @@ void pose_weights(State& state) {
   int k = 0;
   for (auto _ : state) space.weights(moving.pose[k++ % kFrames], weights);
 }
-BENCHMARK(pose_weights)->ArgNames({"chain", "targets"})->Args({29, 3})->Args({29, 6});
+BENCHMARK(pose_weights)->ArgNames({"chain", "targets"})->Args({kBody, 3})->Args({kBody, 6});
 
-/// A linear step with three targets and their weights: what it does besides is a product and a solve of r = 20.
-void rig_step(State& state) {
+/// What a moving rig costs a step of r = 20, whatever the law: the targets' weights at its pose, and the inertia.
+void rig(State& state) {
   const OneCore pinned;
   const auto model = reduced_model({3, 20, Law::linear, int(state.range(0)), int(state.range(1))});
   const PoseSpace space = pose_space(model->body().skin.cols(), 3);
   const Swing moving = swing(model->body(), 3);
-  Simulation<ReducedModel> simulation(model, one_iteration());
-  simulation.start(moving.bones[0], moving.bones[1], moving.weights[0]);
+  const VectorXd z = VectorXd::Constant(20, 1e-3);
+  Motion motion{};
+  motion.q.fill(&z);
+  motion.share = StepRule(one_iteration()).share();
+  ReducedModel::Blend blended;
+  ReducedModel::Inertia inertia;
   VectorXd weights(3);
   int k = 0;
   for (auto _ : state) {
     k = (k + 1) % kFrames;
+    for (int n = 0; n < Motion::kPoses; ++n) motion.bones[n] = &moving.bones[(k + kFrames - n) % kFrames];
     space.weights(moving.pose[k], weights);
-    simulation.step(moving.bones[k], weights);
+    blended.mass.blend(model->targets(), 1, weights);
+    model->inertia(motion, blended.mass, inertia);
   }
   state.counters["nodes"] = double(model->body().mesh.nodes.rows());
   state.counters["bones"] = double(model->body().skin.cols());
+  state.counters["terms"] = double(model->modal_inertia().terms());
 }
-BENCHMARK(rig_step)
+BENCHMARK(rig)
     ->ArgNames({"chain", "nodes"})
-    ->ArgsProduct({{29}, {500, 2000, 8000}})
-    ->ArgsProduct({{2, 8, 15, 58}, {2000}});
+    ->ArgsProduct({{kBody}, {500, 2000, 8000}})
+    ->ArgsProduct({{2, 8, 14, 42}, {2000}});
 
 // --- Surface ---------------------------------------------------------------------------------------------------------
 
@@ -461,9 +489,9 @@ BENCHMARK(surface)->ArgNames({"vertices", "r"})->Args({13000, 20});
 /// Characters of one model, StVK with r = 12 and three targets, each in a pose of its own: what they are at a step, as
 /// a window of the endless swing that moves on by a frame a step.
 struct Crowded {
-  static constexpr int kTargets = 3;
+  static constexpr int kTargets = 3, kChain = 16;  // as Herbert, of the sample scenes
   int size;
-  std::shared_ptr<const ReducedModel> model = reduced_model({kTargets, 12, Law::stvk, 29, 2000});
+  std::shared_ptr<const ReducedModel> model = reduced_model({kTargets, 12, Law::stvk, kChain, 2000});
   PoseSpace space = pose_space(model->body().skin.cols(), kTargets);
   Swing moving = swing(model->body(), kTargets);
   std::vector<double> bones, weights = std::vector<double>(size_t(size * kTargets));

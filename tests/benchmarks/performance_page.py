@@ -69,8 +69,9 @@ evaluation where the step makes one.
 
 RIG = """## Rig: bones and nodes
 
-A step of the linear law with 20 modes, the weights of three targets at the rig's pose, the skin frame and the inertia
-of the moving bones. As in a real body about half of them carry flesh, three a node.
+The weights of three targets at the rig's pose, the skin frame and the inertia of the moving bones in 20 modes: what a
+step costs beside the elastic forces, whatever the law. As in the MakeHuman body two fifths of the bones carry flesh
+that the modes move, three a node.
 {nodes}
 """
 
@@ -164,13 +165,14 @@ def parts(engine: dict) -> str:
 
 def draw_step(engine: dict) -> None:
     drawing, axes = plots.figure(3)
-    steps = [row for row in table.ROWS if row.work.startswith("reduced StVK step, one")]
+    steps = [row for row in table.ROWS if row.work.startswith("force, tangent, solve")]
     compared = {int(row.work.split()[-1]): row.reference for row in steps}
     limits = {r: 1e6 * max(bound(engine, r)) for r in MODES}
     curves = {
         "step": (MODES, [1e6 * engine[sized("step", r)]["seconds"] for r in MODES]),
         "force and tangent": (MODES, [1e6 * engine[sized("linearize", r)]["seconds"] for r in MODES]),
         "their bound": (MODES, list(limits.values())),
+        "with solve and update": (MODES, [1e6 * engine[sized("iteration", r)]["seconds"] for r in MODES]),
         "reference's step": (list(compared), list(compared.values())),
     }
     plots.draw(axes[0], "Reduced StVK, one target", curves, "modes", "µs", marker="o", ms=4)
@@ -197,14 +199,14 @@ def draw_step(engine: dict) -> None:
 
 def rig_steps(engine: dict, fixed: str, x: str) -> tuple[list[float], list[float]]:
     """Counter `x` and microseconds of the rig's steps whose name holds `fixed`."""
-    found = [result for name, result in engine.items() if name.startswith("rig_step/") and fixed in name]
+    found = [result for name, result in engine.items() if name.startswith("rig/") and fixed in name]
     points = sorted((result[x], 1e6 * result["seconds"]) for result in found)
     return [at for at, _ in points], [time for _, time in points]
 
 
 def growth_with_nodes(engine: dict) -> str:
-    nodes, times = rig_steps(engine, "chain:29/", "nodes")
-    bones = engine["rig_step/chain:29/nodes:2000"]["bones"]
+    nodes, times = rig_steps(engine, "chain:21/", "nodes")
+    bones = engine["rig/chain:21/nodes:2000"]["bones"]
     return (
         f"With {bones:.0f} bones {nodes[-1] / nodes[0]:.0f} times the nodes take {times[-1] / times[0]:.1f} times as "
         f"long ({us(1e-6 * times[0])} and {us(1e-6 * times[-1])})."
@@ -214,10 +216,10 @@ def growth_with_nodes(engine: dict) -> str:
 def draw_rig(engine: dict) -> None:
     drawing, axes = plots.figure(2)
     by_bones = rig_steps(engine, "nodes:2000", "bones")
-    by_nodes = rig_steps(engine, "chain:29/", "nodes")
-    plots.draw(axes[0], "Bones, 2,000 nodes", {"linear step": by_bones}, "bones", "µs", marker="o", ms=4)
-    bones = engine["rig_step/chain:29/nodes:2000"]["bones"]
-    plots.draw(axes[1], f"Nodes, {bones:.0f} bones", {"linear step": by_nodes}, "nodes", "µs", marker="o", ms=4)
+    by_nodes = rig_steps(engine, "chain:21/", "nodes")
+    plots.draw(axes[0], "Bones, 2,000 nodes", {"inertia and weights": by_bones}, "bones", "µs", marker="o", ms=4)
+    bones = engine["rig/chain:21/nodes:2000"]["bones"]
+    plots.draw(axes[1], f"Nodes, {bones:.0f} bones", {"inertia and weights": by_nodes}, "nodes", "µs", marker="o", ms=4)
     for panel in axes:
         from_zero(panel)
     plots.save(drawing, ROOT / "docs" / IMAGES / "rig.svg")
