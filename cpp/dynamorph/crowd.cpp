@@ -99,7 +99,7 @@ void contract(const Doubles* constant, const Floats* linear, const Floats* quadr
   for (Index k = 0; k < r; ++k) {
     const Doubles own = q[k] - centre[k];
     for (Index l = k; l < r; ++l, ++constant, ++linear, ++quadratic, ++tangent) {
-      const Doubles a = __builtin_convertvector(*linear, Doubles), b = __builtin_convertvector(*quadratic, Doubles);
+      const Doubles a = to_double(*linear), b = to_double(*quadratic);
       const Doubles other = q[l] - centre[l], f = *constant + 1 / 2. * a + 1 / 3. * b;
       *tangent = *constant + a + b;
       force[k] += f * other;

@@ -52,17 +52,16 @@ double dot(const double* __restrict a, const double* __restrict b, Eigen::Index 
 }
 
 using Chunk = double __attribute__((vector_size(32), aligned(8), may_alias));
-using SingleChunk = float __attribute__((vector_size(32), aligned(4), may_alias));
+using SingleChunk = float __attribute__((vector_size(32), may_alias));
 using Order = std::int64_t __attribute__((vector_size(32)));
 
 DYNAMORPH_INLINE Chunk& at(double* x) { return *reinterpret_cast<Chunk*>(x); }
 DYNAMORPH_INLINE const Chunk& at(const double* x) { return *reinterpret_cast<const Chunk*>(x); }
 
-/// Eight entries of a column, converted from single precision in two instructions.
-DYNAMORPH_INLINE void column(const float* A, int c, Chunk& low, Chunk& high) {
-  const Doubles all = __builtin_convertvector(*reinterpret_cast<const SingleChunk*>(A + kChunk * c), Doubles);
-  low = __builtin_shufflevector(all, all, 0, 1, 2, 3);
-  high = __builtin_shufflevector(all, all, 4, 5, 6, 7);
+/// Eight entries of a column.
+DYNAMORPH_INLINE Doubles column(const float* A, int c) {
+  const Floats entries = *reinterpret_cast<const SingleChunk*>(A + kChunk * c);
+  return to_double(entries);
 }
 
 /// The sum of each of four vectors.
@@ -79,16 +78,16 @@ void symmetric(const float* __restrict A, Eigen::Index chunks, const double* __r
   Chunk* Y = reinterpret_cast<Chunk*>(y);
   for (Eigen::Index panel = 0; panel < 2 * chunks; ++panel) {  // of four columns
     const Eigen::Index diagonal = panel / 2;
-    Chunk sums[4] = {}, low, high;
+    Chunk sums[4] = {};
     for (Eigen::Index i = diagonal; i < chunks; ++i, A += 4 * kChunk) {
       Chunk below = Y[2 * i], above = Y[2 * i + 1];
       for (int c = 0; c < 4; ++c) {
-        column(A, c, low, high);
-        below += low * x[4 * panel + c];
-        above += high * x[4 * panel + c];
+        const Doubles entries = column(A, c);
+        below += entries.low * x[4 * panel + c];
+        above += entries.high * x[4 * panel + c];
         if (i == diagonal) continue;  // stored whole
-        sums[c] += low * X[2 * i];
-        sums[c] += high * X[2 * i + 1];
+        sums[c] += entries.low * X[2 * i];
+        sums[c] += entries.high * X[2 * i + 1];
       }
       Y[2 * i] = below;
       Y[2 * i + 1] = above;

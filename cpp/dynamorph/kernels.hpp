@@ -27,7 +27,7 @@ inline Eigen::Index symmetric_index(Eigen::Index size, Eigen::Index row, Eigen::
 void add_product(const double* A, Eigen::Index rows, const double* x, Eigen::Index columns, double* y);
 void add_product(const float* A, Eigen::Index rows, const double* x, Eigen::Index columns, double* y);
 
-/// y += A x, A symmetric, stored by symmetric_index, summed in double.
+/// y += A x, A symmetric, stored by symmetric_index in an array aligned to 32 bytes, summed in double.
 void add_symmetric_product(const float* A, Eigen::Index size, const double* x, double* y);
 
 /// y = A^T x.

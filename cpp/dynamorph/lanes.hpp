@@ -15,7 +15,36 @@ namespace dynamorph {
 
 constexpr int kLanes = 8;
 using Floats = float __attribute__((vector_size(32)));
-using Doubles = double __attribute__((vector_size(64)));
+
+/// Eight doubles, as two vectors: GCC 12 keeps one of 64 bytes in memory where the registers have 32.
+struct Doubles {
+  using Half = double __attribute__((vector_size(32), may_alias));
+  Half low, high;
+
+  DYNAMORPH_INLINE double operator[](int lane) const { return lane < 4 ? low[lane] : high[lane - 4]; }
+  DYNAMORPH_INLINE double& operator[](int lane) { return reinterpret_cast<double*>(this)[lane]; }
+  DYNAMORPH_INLINE Doubles& operator+=(const Doubles& b) {
+    low += b.low;
+    high += b.high;
+    return *this;
+  }
+  DYNAMORPH_INLINE Doubles& operator-=(const Doubles& b) {
+    low -= b.low;
+    high -= b.high;
+    return *this;
+  }
+};
+DYNAMORPH_INLINE Doubles operator+(const Doubles& a, const Doubles& b) { return {a.low + b.low, a.high + b.high}; }
+DYNAMORPH_INLINE Doubles operator-(const Doubles& a, const Doubles& b) { return {a.low - b.low, a.high - b.high}; }
+DYNAMORPH_INLINE Doubles operator*(const Doubles& a, const Doubles& b) { return {a.low * b.low, a.high * b.high}; }
+DYNAMORPH_INLINE Doubles operator/(const Doubles& a, const Doubles& b) { return {a.low / b.low, a.high / b.high}; }
+DYNAMORPH_INLINE Doubles operator+(const Doubles& a, double b) { return {a.low + b, a.high + b}; }
+DYNAMORPH_INLINE Doubles operator-(const Doubles& a, double b) { return {a.low - b, a.high - b}; }
+DYNAMORPH_INLINE Doubles operator*(const Doubles& a, double b) { return {a.low * b, a.high * b}; }
+DYNAMORPH_INLINE Doubles operator/(const Doubles& a, double b) { return {a.low / b, a.high / b}; }
+DYNAMORPH_INLINE Doubles operator+(double a, const Doubles& b) { return b + a; }
+DYNAMORPH_INLINE Doubles operator*(double a, const Doubles& b) { return b * a; }
+DYNAMORPH_INLINE Doubles operator/(double a, const Doubles& b) { return {a / b.low, a / b.high}; }
 
 /// Of lanes, aligned as every instruction set wants it: the baseline alone would ask for less.
 template <class T>
@@ -33,6 +62,15 @@ template <class T>
 using LaneVector = std::vector<T, CacheAligned<T>>;
 
 DYNAMORPH_INLINE void to_single(const double& from, float& to) { to = float(from); }
-DYNAMORPH_INLINE void to_single(const Doubles& from, Floats& to) { to = __builtin_convertvector(from, Floats); }
+DYNAMORPH_INLINE void to_single(const Doubles& from, Floats& to) {
+  using Half = float __attribute__((vector_size(16)));
+  const Half low = __builtin_convertvector(from.low, Half), high = __builtin_convertvector(from.high, Half);
+  to = __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+}
+DYNAMORPH_INLINE Doubles to_double(const Floats& from) {
+  using Whole = double __attribute__((vector_size(64)));
+  const Whole all = __builtin_convertvector(from, Whole);
+  return {__builtin_shufflevector(all, all, 0, 1, 2, 3), __builtin_shufflevector(all, all, 4, 5, 6, 7)};
+}
 
 }  // namespace dynamorph

@@ -241,9 +241,9 @@ void combine_eight(const Doubles* const* bones, const double* shares, const Vect
 DYNAMORPH_MULTIVERSION
 void add_set_of_eight(const Doubles& density, const Doubles& damping, const double* constant, Index r,
                       const Floats* force_sums, const Floats* mass_sums, EightInertia& out) {
-  for (Index k = 0; k < r; ++k) out.force[k] += density * __builtin_convertvector(force_sums[k], Doubles);
+  for (Index k = 0; k < r; ++k) out.force[k] += density * to_double(force_sums[k]);
   for (Index p = 0; p < r * (r + 1) / 2; ++p) {
-    const Doubles mass = constant[p] + __builtin_convertvector(mass_sums[p], Doubles);
+    const Doubles mass = constant[p] + to_double(mass_sums[p]);
     out.mass[p] += density * mass;
     out.damped[p] += damping * mass;
   }

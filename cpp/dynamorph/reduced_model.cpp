@@ -70,10 +70,10 @@ double recentre(const TableLayout& layout, const VectorXd& coordinates, VectorXd
 }
 
 /// [K1 | K2] in the order of kernels.hpp.
-std::vector<float> in_single_precision(const TableLayout& layout, const VectorXd& table) {
+LaneVector<float> in_single_precision(const TableLayout& layout, const VectorXd& table) {
   if (!layout.nonlinear) return {};
   const Eigen::Index pairs = layout.pairs(), rows = whole_chunks(pairs);
-  std::vector<float> out(rows * layout.r + symmetric_size(rows), 0.0F);
+  LaneVector<float> out(rows * layout.r + symmetric_size(rows), 0.0F);
   for (Eigen::Index m = 0; m < layout.r; ++m)
     for (Eigen::Index p = 0; p < pairs; ++p) out[m * rows + p] = float(table(layout.linear() + m * pairs + p));
   float* quadratic = out.data() + rows * layout.r;

@@ -20,13 +20,13 @@ class ReducedModel {
   struct Blend {
     VectorXd weights;
     SetDensities mass;
-    Matrix damping;            ///< sum_j w_j beta_j K_j (r, r)
-    VectorXd stiffness;        ///< K0, packed
-    std::vector<float> table;  ///< sum_j w_j table_j, unless one target alone counts
-    int only = -1;             ///< that target
-    VectorXd force;            ///< f at v = 0
-    double energy = 0;         ///< E at v = 0
-    VectorXd centre;           ///< v = z - centre
+    Matrix damping;           ///< sum_j w_j beta_j K_j (r, r)
+    VectorXd stiffness;       ///< K0, packed
+    LaneVector<float> table;  ///< sum_j w_j table_j, unless one target alone counts
+    int only = -1;            ///< that target
+    VectorXd force;           ///< f at v = 0
+    double energy = 0;        ///< E at v = 0
+    VectorXd centre;          ///< v = z - centre
     /// Scratch: v, its pairs, the packed tangent's orders, what the energy alone does not need, the tables that count.
     mutable VectorXd v, pairs, linear, quadratic, unused_force;
     mutable Matrix unused_stiffness;
@@ -72,7 +72,7 @@ class ReducedModel {
   /// Per target with its material, about z_j (even) or 0 (forces). K0 in double; [K1 | K2] in single precision, in the
   /// order in which a step reads them: half the bytes, and forces to 1e-7 of the largest.
   std::vector<VectorXd> stiffness_;
-  std::vector<std::vector<float>> tables_;
+  std::vector<LaneVector<float>> tables_;
   std::vector<VectorXd> rest_stiffness_;  ///< packed K_j at z_j
   std::vector<VectorXd> forces_;          ///< of forces blending, at z = 0
   std::vector<double> energies_;
