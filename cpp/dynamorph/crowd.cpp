@@ -19,6 +19,16 @@ void add_scaled(const Doubles& a, const double* x, Index size, Doubles* y) {
   for (Index i = 0; i < size; ++i) y[i] += a * x[i];
 }
 
+/// damping += damped; H = inertial mass + rate damping.
+DYNAMORPH_MULTIVERSION
+void add_up(const Doubles* mass, const Doubles* damped, double inertial, double rate, Index size, Doubles* damping,
+            Doubles* H) {
+  for (Index p = 0; p < size; ++p) {
+    damping[p] += damped[p];
+    H[p] = inertial * mass[p] + rate * damping[p];
+  }
+}
+
 /// y = S x, S packed.
 DYNAMORPH_MULTIVERSION
 void packed_product(const Doubles* __restrict S, const Doubles* __restrict x, Index r, Doubles* __restrict y) {
@@ -69,19 +79,26 @@ void add_orders(const float* __restrict table, Index rows, Index r, const Floats
   table += rows * r;
   const Index chunks = rows / kChunk;
   for (Index panel = 0; panel < 2 * chunks; ++panel) {  // of four columns
+    const Floats x0 = pairs[4 * panel], x1 = pairs[4 * panel + 1], x2 = pairs[4 * panel + 2], x3 = pairs[4 * panel + 3];
+    Floats s0 = {}, s1 = {}, s2 = {}, s3 = {};
     const Index diagonal = panel / 2;
-    const Floats* own = pairs + 4 * panel;
-    Floats sums[4] = {};
-    for (Index row = kChunk * diagonal; row < rows; ++row) {
-      const float* entries = table + 4 * kChunk * (row / kChunk - diagonal) + row % kChunk;
-      Floats sum = product[row];
-      for (int c = 0; c < 4; ++c) sum += entries[kChunk * c] * own[c];
-      product[row] = sum;
-      if (row < kChunk * (diagonal + 1)) continue;  // stored whole
-      for (int c = 0; c < 4; ++c) sums[c] += entries[kChunk * c] * pairs[row];
+    for (Index chunk = diagonal; chunk < chunks; ++chunk, table += 4 * kChunk) {
+      const bool whole = chunk == diagonal;  // stored whole, and so counted once
+      for (Index i = 0; i < kChunk; ++i) {
+        const float a0 = table[i], a1 = table[kChunk + i], a2 = table[2 * kChunk + i], a3 = table[3 * kChunk + i];
+        product[kChunk * chunk + i] += (a0 * x0 + a1 * x1) + (a2 * x2 + a3 * x3);
+        if (whole) continue;
+        const Floats x = pairs[kChunk * chunk + i];
+        s0 += a0 * x;
+        s1 += a1 * x;
+        s2 += a2 * x;
+        s3 += a3 * x;
+      }
     }
-    for (int c = 0; c < 4; ++c) product[4 * panel + c] += sums[c];
-    table += 4 * kChunk * (chunks - diagonal);
+    product[4 * panel] += s0;
+    product[4 * panel + 1] += s1;
+    product[4 * panel + 2] += s2;
+    product[4 * panel + 3] += s3;
   }
   for (Index p = 0; p < rows; ++p) quadratic[p] += w * product[p];
 }
@@ -364,11 +381,8 @@ void Crowd::pull(const Eight& eight) {
   s.H.resize(pairs);
   for (LaneVector<Doubles>* v : {&s.g, &s.q, &s.origin, &s.velocity, &s.force, &s.gradient, &s.trial, &s.image})
     v->resize(r);
-  const double rate = rule.velocity[0] / options().h;
-  for (Index p = 0; p < pairs; ++p) {
-    s.damping[p] += s.inertia.damped[p];
-    s.H[p] = s.inertia.mass[p] / rule.square + rate * s.damping[p];
-  }
+  add_up(s.inertia.mass.data(), s.inertia.damped.data(), 1 / rule.square, rule.velocity[0] / options().h, pairs,
+         s.damping.data(), s.H.data());
   for (Index k = 0; k < r; ++k) {
     const Doubles &q0 = eight.q[0][k], &q1 = eight.q[1][k];
     s.q[k] = s.origin[k] = 2 * q0 - q1;
