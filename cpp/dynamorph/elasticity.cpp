@@ -116,11 +116,6 @@ void element_stiffness(Law law, const Lame& lame, const Element& element, const 
   }
 }
 
-Matrix3d stress_curvature(const Lame& lame, const Matrix3d& A, const Matrix3d& B) {
-  const auto symmetric = [](const Matrix3d& m) { return Matrix3d(0.5 * (m + m.transpose())); };
-  return A * hooke(lame, symmetric(B)) + B * hooke(lame, symmetric(A)) + hooke(lame, symmetric(A.transpose() * B));
-}
-
 VectorXd lumped_volumes(const TetMesh& mesh, const VectorXd& fill) {
   VectorXd volumes = VectorXd::Zero(mesh.nodes.rows());
   for (Eigen::Index e = 0; e < mesh.tets.rows(); ++e) {

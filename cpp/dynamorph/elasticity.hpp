@@ -61,9 +61,6 @@ Matrix3d stress(Law law, const Lame& lame, const Matrix3d& F);
 /// d(force)/du of one element, force = +dE/du, node-major 12 x 12.
 void element_stiffness(Law law, const Lame& lame, const Element& element, const Matrix3d& F, ElementStiffness& K);
 
-/// Second derivative of StVK's stress at F = I in the directions A and B: what bends a mode (Barbic & James 2005).
-Matrix3d stress_curvature(const Lame& lame, const Matrix3d& A, const Matrix3d& B);
-
 /// Lumped node volumes (n), m^3: the mass of each node for unit density. `fill` (m) is the filled fraction of a tet.
 VectorXd lumped_volumes(const TetMesh& mesh, const VectorXd& fill);
 

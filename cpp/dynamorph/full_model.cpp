@@ -123,25 +123,6 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
   }
 }
 
-Eigen::Matrix<double, 3, 4> FullModel::gather(Eigen::Index e, const VectorXd& u) const {
-  Eigen::Matrix<double, 3, 4> out;
-  for (int a = 0; a < 4; ++a) {
-    const int i = body_->free_of_node[body_->mesh.tets(e, a)];
-    if (i >= 0)
-      out.col(a) = u.segment<3>(3 * i);
-    else
-      out.col(a).setZero();
-  }
-  return out;
-}
-
-void FullModel::scatter(Eigen::Index e, const ElementForce& f, VectorXd& force) const {
-  for (int a = 0; a < 4; ++a) {
-    const int i = body_->free_of_node[body_->mesh.tets(e, a)];
-    if (i >= 0) force.segment<3>(3 * i) += f.col(a);
-  }
-}
-
 FullModel::Matrix FullModel::rest_stiffness(int target) const {
   Matrix K = zero();
   values(K) = rest_stiffness_[target];
@@ -249,16 +230,6 @@ void FullModel::inertia(const Motion& motion, const SetDensities& densities, Ine
     out.force.segment<3>(3 * i) = mass * (out.force.segment<3>(3 * i) - motion.lift);
   }
   pull_back(out.frame, out.force);
-}
-
-VectorXd FullModel::force_curvature(int target, const VectorXd& a, const VectorXd& b) const {
-  VectorXd out = VectorXd::Zero(dofs());
-  for (Eigen::Index e = 0; e < body_->mesh.tets.rows(); ++e) {
-    const Element& element = shapes_[target].elements[e];
-    const Matrix3d A = gather(e, a) * element.gradients.transpose(), B = gather(e, b) * element.gradients.transpose();
-    scatter(e, element.volume * stress_curvature(targets_[target].lame, A, B) * element.gradients, out);
-  }
-  return out;
 }
 
 MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces) {

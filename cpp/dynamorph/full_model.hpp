@@ -119,12 +119,8 @@ class FullModel {
   Matrix rest_stiffness(int target) const;
   /// A zero matrix with this model's pattern.
   Matrix zero() const { return assembly_.pattern(); }
-  /// Directional second derivative of target j's StVK force at its shape: d2F[a, b], all over free nodes (3 free).
-  VectorXd force_curvature(int target, const VectorXd& a, const VectorXd& b) const;
 
  private:
-  Eigen::Matrix<double, 3, 4> gather(Eigen::Index e, const VectorXd& u) const;
-  void scatter(Eigen::Index e, const ElementForce& f, VectorXd& force) const;
   /// The targets that count, and the displacements they are given.
   std::vector<Assembly::Part> parts(const Blend& blend) const;
   VectorXd given(const Blend& blend, const VectorXd& q) const;
