@@ -188,17 +188,18 @@ template <class Model>
 bool Simulation<Model>::carry_past(const Transforms& bones) {
   if (options_.teleport <= 0) return false;
   const SoftBody& body = model_->body();
-  // Where the bones would be had nothing jumped, and how far off their flesh is, all by its moments.
+  // How far the bones' flesh is from where it would be had nothing jumped, by its moments.
+  double jump = 0;
+  for (Eigen::Index b = 0; b < bones.rows(); ++b) {
+    const Eigen::Matrix4d& moments = body.moments[b];
+    if (moments(3, 3) == 0) continue;
+    const Affine off = about(body.centre, bones.row(b) - 2 * state_.bones[0].row(b) + state_.bones[1].row(b));
+    for (int i = 0; i < 3; ++i) jump += off.row(i) * moments * off.row(i).transpose();
+  }
+  if (jump < options_.teleport * options_.teleport * body.volume) return false;
   const auto course = [&](Eigen::Index b) {
     return about(body.centre, 2 * state_.bones[0].row(b) - state_.bones[1].row(b));
   };
-  double jump = 0;
-  for (Eigen::Index b = 0; b < bones.rows(); ++b) {
-    if (body.moments[b](3, 3) == 0) continue;
-    const Affine off = about(body.centre, bones.row(b)) - course(b);
-    jump += (off * body.moments[b]).cwiseProduct(off).sum();
-  }
-  if (jump < options_.teleport * options_.teleport * body.volume) return false;
   // The rigid motion that fits the jump best (Kabsch).
   Eigen::Matrix3d across = Eigen::Matrix3d::Zero();
   Vector3d from = Vector3d::Zero(), to = from;

@@ -374,9 +374,9 @@ BENCHMARK(linearize)->Apply(sizes);
 
 /// What the figures that we compare with call a step: force, tangent, solve and update at a constant mass, and of
 /// several targets the blend for a new pose.
-void iteration(State& state) {
+void iterate(State& state, const Case& c) {
   const OneCore pinned;
-  const auto model = reduced_model(sized(state));
+  const auto model = reduced_model(c);
   const Swing moving = swing(model->body(), int(state.range(0)));
   VectorXd z, force, direction;
   std::vector<VectorXd> rest;  // the blended targets, frame by frame
@@ -398,7 +398,11 @@ void iteration(State& state) {
     z = rest[k] - direction;
   }
 }
+void iteration(State& state) { iterate(state, sized(state)); }
 BENCHMARK(iteration)->Apply(sizes);
+
+void linear_iteration(State& state) { iterate(state, {int(state.range(0)), 19, Law::linear}); }
+BENCHMARK(linear_iteration)->ArgName("targets")->Arg(1)->Arg(6);
 
 void linear_step(State& state) {
   const OneCore pinned;
