@@ -129,13 +129,13 @@ def _keep_distinct(arrays: dict[str, np.ndarray]):
         table = arrays[name]
         if table.shape[-1] <= pairs:  # of the linear law, or none
             continue
+        if table.shape[-1] != pairs * (1 + modes) + pairs * (pairs + 1) // 2:
+            raise ModelFileError(f"The model is damaged: '{name}' does not fit its {modes} modes. Build it again")
         i, j, m = chosen(3)
         cubic = pairs + m * pairs + pair(i, j)
         i, j, m, n = chosen(4)
         p, q = pair(i, j), pair(m, n)
         quartic = pairs * (1 + modes) + p * pairs - p * (p - 1) // 2 + q - p
-        if table.shape[-1] != quartic[-1] + 1:
-            raise ModelFileError(f"The model is damaged: '{name}' does not fit its {modes} modes. Build it again")
         arrays[name] = table[:, np.concatenate([np.arange(pairs), cubic, quartic])]
 
 
@@ -164,7 +164,9 @@ def _read_header(view):
         raise ModelFileError("This is not a Dynamorph model")
     version = metadata.get("version")
     if version not in map(str, range(OLDEST, VERSION + 1)):
-        raise ModelFileError(f"The model has version {version}, this add-on reads {VERSION}: update, or build it again")
+        raise ModelFileError(
+            f"The model has version {version}, this add-on reads {OLDEST} to {VERSION}: update, or build it again"
+        )
     try:
         expected = _header_bytes(tensors, metadata["meta"], metadata["hashes"], version)
     except (KeyError, TypeError, ValueError, RecursionError):

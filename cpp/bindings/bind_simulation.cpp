@@ -109,7 +109,7 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
             check_shape("bones", bones, {py::ssize_t(m.body().skin.cols()), 3, 4});
             const Transforms pose = transforms("bones", bones);
             const VectorXd rest = VectorXd::Zero(m.dofs());
-            Motion still{};
+            Motion still;
             still.q.fill(&rest);
             still.bones.fill(&pose);
             typename Model::Inertia out;
@@ -266,12 +266,12 @@ void bind_crowd(py::module_& m) {
             poses(crowd, "next", next, 4);
             shares(crowd, weights, {});
             py::gil_scoped_release release;
-            crowd.start(now.data(), next.data(), weights.data());
+            return crowd.start(now.data(), next.data(), weights.data()).converged;
           },
           "now"_a, "next"_a, "weights"_a,
           "Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past "
           "follows "
-          "their rigs backward from their motion to `next`.")
+          "their rigs backward from their motion to `next`. False where one did not converge.")
       .def(
           "advance",
           [poses, shares](Crowd& crowd, const Array& bones, const Array& weights) {

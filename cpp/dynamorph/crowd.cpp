@@ -11,7 +11,6 @@ namespace dynamorph {
 namespace {
 
 using Eigen::Index;
-constexpr unsigned kAll = (1U << kLanes) - 1;
 
 /// y += a x.
 DYNAMORPH_MULTIVERSION
@@ -157,6 +156,15 @@ void substitute(const Doubles* V, const Doubles* inverse, Index r, Doubles* x) {
   }
 }
 
+/// Of the given bones' transforms (B, 12).
+DYNAMORPH_MULTIVERSION
+bool all_finite(const double* transforms, const int* bones, Index count) {
+  double nothing[4] = {};
+  for (Index b = 0; b < count; ++b)
+    for (int e = 0; e < 12; ++e) nothing[e % 4] += 0 * transforms[12 * bones[b] + e];  // not a number if that is not
+  return nothing[0] + nothing[1] + nothing[2] + nothing[3] == 0;
+}
+
 /// jump += of one bone's flesh by its moments, of an affine motion off its course (12 entries).
 DYNAMORPH_MULTIVERSION
 void add_jump(const Doubles* now, const Doubles* last, const Doubles* before, const double* moments,
@@ -214,7 +222,7 @@ Crowd::Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int
 
 void Crowd::hold_targets(const std::vector<Transforms>& bones) { alone_.hold_targets(bones); }
 
-void Crowd::start(const double* now, const double* next, const double* weights) {
+CrowdReport Crowd::start(const double* now, const double* next, const double* weights) {
   const Index bones = model().body().skin.cols(), targets = Index(model().targets().size());
   const Index r = model().dofs(), used = Index(model().modal_inertia().used_bones().size());
   Eight empty;
@@ -222,20 +230,36 @@ void Crowd::start(const double* now, const double* next, const double* weights) 
     empty.q[m].assign(r, Doubles{});
     empty.bones[m].assign(12 * used, Doubles{});
   }
-  eights_.assign((size_ + kLanes - 1) / kLanes, empty);
-  for (int i = 0; i < size_; ++i) {
-    alone_.start(Eigen::Map<const Transforms>(now + i * bones * 12, bones, 12),
-                 Eigen::Map<const Transforms>(next + i * bones * 12, bones, 12),
-                 Eigen::Map<const VectorXd>(weights + i * targets, targets));
-    set_state(i, alone_.state());
+  CrowdReport report;
+  std::vector<Eight> eights((size_ + kLanes - 1) / kLanes, empty);
+  for (int i = 0; i < int(eights.size()) * kLanes; ++i) {
+    if (i < size_) {
+      add(report, i, [&] {
+        return alone_.start(Eigen::Map<const Transforms>(now + i * bones * 12, bones, 12),
+                            Eigen::Map<const Transforms>(next + i * bones * 12, bones, 12),
+                            Eigen::Map<const VectorXd>(weights + i * targets, targets));
+      });
+    }
+    set_lane(eights[i / kLanes], i % kLanes, alone_.state());  // lanes without a character repeat the last one
   }
-  // Lanes without a character repeat the last one, or they would divide by zero.
-  for (int i = size_; i < int(eights_.size()) * kLanes; ++i) set_state(i, alone_.state());
+  eights_.swap(eights);
+  return report;
 }
 
-State Crowd::state(int character) const {
-  const Eight& eight = eights_[character / kLanes];
-  const int lane = character % kLanes;
+template <class Step>
+void Crowd::add(CrowdReport& report, int character, const Step& step) {
+  try {
+    const StepReport own = step();
+    report.iterations += own.iterations;
+    report.converged &= own.converged;
+  } catch (const Error& error) {
+    throw Error("character " + std::to_string(character) + ": " + error.what());
+  } catch (const std::invalid_argument& error) {
+    throw std::invalid_argument("character " + std::to_string(character) + ": " + error.what());
+  }
+}
+
+State Crowd::lane(const Eight& eight, int lane) const {
   const std::vector<int>& used = model().modal_inertia().used_bones();
   State state;
   for (int m = 0; m < Motion::kMoments; ++m) {
@@ -248,9 +272,7 @@ State Crowd::state(int character) const {
   return state;
 }
 
-void Crowd::set_state(int character, const State& state) {
-  Eight& eight = eights_[character / kLanes];
-  const int lane = character % kLanes;
+void Crowd::set_lane(Eight& eight, int lane, const State& state) const {
   const std::vector<int>& used = model().modal_inertia().used_bones();
   for (int m = 0; m < Motion::kMoments; ++m) {
     for (Index k = 0; k < state.q[m].size(); ++k) eight.q[m][k][lane] = state.q[m](k);
@@ -264,15 +286,32 @@ VectorXd Crowd::coordinates(int character) const {
   if (character < 0 || character >= size_)
     throw std::invalid_argument("character: expected 0 to " + std::to_string(size_ - 1) + ", got " +
                                 std::to_string(character));
-  return state(character).q[0];
+  return lane(eights_[character / kLanes], character % kLanes).q[0];
 }
 
 CrowdReport Crowd::step(const double* bones, const double* weights) {
   if (eights_.empty()) throw std::invalid_argument("step: start() comes first");
   if (options().keep_going && !options().keep_going()) throw Cancelled();
+  check(bones, weights);
   CrowdReport report;
-  for (int eight = 0; eight < int(eights_.size()); ++eight) step_eight(eight, bones, weights, report);
+  try {
+    for (int eight = 0; eight < int(eights_.size()); ++eight) step_eight(eight, bones, weights, report);
+  } catch (...) {
+    eights_.clear();  // half of them have moved on
+    throw;
+  }
   return report;
+}
+
+void Crowd::check(const double* bones, const double* weights) const {
+  const Index count = model().body().skin.cols(), targets = Index(model().targets().size());
+  const std::vector<int>& used = model().modal_inertia().used_bones();
+  for (int i = 0; i < size_; ++i) {
+    check_weights(model().targets(), model().body().sets(), Eigen::Map<const VectorXd>(weights + i * targets, targets));
+    if (!all_finite(bones + i * count * 12, used.data(), Index(used.size())))
+      throw Error("character " + std::to_string(i) +
+                  ": the rig has a transform that is not a number: check its drivers and constraints");
+  }
 }
 
 void Crowd::step_eight(int index, const double* bones, const double* weights, CrowdReport& report) {
@@ -280,32 +319,32 @@ void Crowd::step_eight(int index, const double* bones, const double* weights, Cr
   gather(index, bones, weights);
   blend();
   pull(eight);
-  const unsigned need = jumps(eight) | minimize(report);
+  const int count = std::min(kLanes, size_ - index * kLanes);
+  const unsigned present = (1U << count) - 1, cut = jumps(eight) & present;
+  const unsigned need = cut | minimize(present & ~cut, report);
   std::array<State, kLanes> before;
-  for (int lane = 0; need && lane < kLanes; ++lane)
-    if (need >> lane & 1) before[lane] = state(index * kLanes + lane);
+  for (int i = 0; i < count; ++i)
+    if (need >> i & 1) before[i] = lane(eight, i);
 
   std::rotate(eight.q.rbegin(), eight.q.rbegin() + 1, eight.q.rend());
   std::rotate(eight.bones.rbegin(), eight.bones.rbegin() + 1, eight.bones.rend());
   eight.q[0].swap(scratch_.q);
   eight.bones[0].swap(scratch_.bones);
 
-  const Index count = model().body().skin.cols(), targets = Index(model().targets().size());
-  for (int lane = 0; need && lane < kLanes; ++lane) {
-    const int character = index * kLanes + lane;
-    if (!(need >> lane & 1) || character >= size_) continue;
-    alone_.set_state(before[lane]);
-    try {
-      const StepReport own = alone_.step(Eigen::Map<const Transforms>(bones + character * count * 12, count, 12),
-                                         Eigen::Map<const VectorXd>(weights + character * targets, targets));
-      report.iterations += own.iterations;
-      report.converged &= own.converged;
-    } catch (const Error& error) {
-      throw Error("character " + std::to_string(character) + ": " + error.what());
-    }
+  const Index transforms = model().body().skin.cols(), targets = Index(model().targets().size());
+  for (int i = 0; i < count; ++i) {
+    if (!(need >> i & 1)) continue;
+    const int character = index * kLanes + i;
+    alone_.set_state(before[i]);
+    add(report, character, [&] {
+      return alone_.step(Eigen::Map<const Transforms>(bones + character * transforms * 12, transforms, 12),
+                         Eigen::Map<const VectorXd>(weights + character * targets, targets));
+    });
     ++report.alone;
-    set_state(character, alone_.state());
+    set_lane(eight, i, alone_.state());
   }
+  for (int i = count; i < kLanes; ++i)
+    for (Doubles& q : eight.q[0]) q[i] = q[count - 1];
 }
 
 void Crowd::gather(int index, const double* bones, const double* weights) {
@@ -413,7 +452,7 @@ void Crowd::linearize() {
   expand(s.q.data(), s.centre.data(), r, s.v.data(), s.pairs.data());
   for (size_t j = 0; j < m.targets().size() && m.layout_.nonlinear; ++j) {
     if (all_zero(s.weights[j])) continue;
-    Floats w;
+    alignas(64) Floats w;
     to_single(s.weights[j], w);
     add_orders(m.tables_[j].data(), rows, r, w, s.v.data(), s.pairs.data(), s.product.data(), s.linear.data(),
                s.quadratic.data());
@@ -461,26 +500,28 @@ void Crowd::descend(unsigned moving) {
   substitute(s.factor.data(), s.inverse.data(), r, s.direction.data());
 }
 
-unsigned Crowd::minimize(CrowdReport& report) {
-  linearize();
+unsigned Crowd::minimize(unsigned moving, CrowdReport& report) {
   Scratch& s = scratch_;
-  unsigned moving = kAll, alone = 0;
-  for (int iteration = 0; iteration < options().max_iterations; ++iteration) {
+  const double tolerance = options().tolerance;
+  linearize();
+  unsigned alone = 0;
+  for (int iteration = 0; moving; ++iteration) {
     Doubles reached;
     residual(reached);
-    moving &= ~lanes_below(reached, options().tolerance);
-    if (!moving) return alone;
+    const unsigned close = lanes_below(reached, 100 * tolerance);  // as Simulation counts convergence
+    moving &= ~lanes_below(reached, tolerance);
+    if (iteration == options().max_iterations) return alone | (moving & ~close);
     descend(moving);
     // Displacements in single precision have no more digits.
     for (size_t k = 0; k < s.q.size(); ++k) s.trial[k] = s.q[k] - s.centre[k];
-    moving &= ~lanes_below(norm(s.direction) - 1e-6 * norm(s.trial), 0);
-    for (int lane = 0; lane < kLanes; ++lane) report.iterations += moving >> lane & 1;
-    if (!moving) return alone;
+    moving &= ~(close & lanes_below(norm(s.direction) - 1e-6 * norm(s.trial), 0));
+    if (!moving) break;
+    for (int i = 0; i < kLanes; ++i) report.iterations += moving >> i & 1;
     const unsigned stuck = search(moving);
-    alone |= stuck & ~lanes_below(reached, 100 * options().tolerance);  // as Simulation counts convergence
+    alone |= stuck & ~close;
     moving &= ~stuck;
   }
-  return alone | moving;
+  return alone;
 }
 
 unsigned Crowd::search(unsigned moving) {

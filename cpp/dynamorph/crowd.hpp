@@ -20,16 +20,18 @@ struct CrowdReport {
 
 class Crowd {
  public:
-  /// `size` characters. options.keep_going is asked before every step.
+  /// `size` characters. options.keep_going is asked before every step, and as Simulation does of who is stepped alone.
   Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int size);
 
   /// As Simulation's: of all characters.
   void hold_targets(const std::vector<Transforms>& bones);
 
   /// As Simulation's, for one character after another: now, next (size, B, 12) and weights (size, J), row-major.
-  void start(const double* now, const double* next, const double* weights);
+  CrowdReport start(const double* now, const double* next, const double* weights);
 
-  /// One step of every character to bones (size, B, 12) and weights (size, J), row-major.
+  /// One step of every character to bones (size, B, 12) and weights (size, J), row-major. Nobody has moved when those
+  /// are refused; after any other exception start() must come first again. What a character does depends on its seven
+  /// neighbours in the last digits: small terms of the inertia are left out for eight or for none.
   CrowdReport step(const double* bones, const double* weights);
 
   int size() const { return size_; }
@@ -53,18 +55,21 @@ class Crowd {
     Doubles rest_energy, energy, potential, round_off;
   };
 
-  State state(int character) const;
-  void set_state(int character, const State& state);
+  State lane(const Eight& eight, int lane) const;
+  void set_lane(Eight& eight, int lane, const State& state) const;
+  void check(const double* bones, const double* weights) const;
+  template <class Step>
+  void add(CrowdReport& report, int character, const Step& step);  ///< one that is started or stepped alone
   void step_eight(int eight, const double* bones, const double* weights, CrowdReport& report);
   void gather(int eight, const double* bones, const double* weights);
   unsigned jumps(const Eight& eight) const;  ///< lanes whose rig jumps off its course further than options.teleport
   void blend();
   void pull(const Eight& eight);
   void linearize();
-  unsigned minimize(CrowdReport& report);  ///< lanes that need to be stepped alone
-  void residual(Doubles& out);             ///< as StepReport's
-  void descend(unsigned moving);           ///< `direction` of the moving lanes, their tangents made positive definite
-  unsigned search(unsigned moving);        ///< moves them; lanes that did not descend, and stay where they were
+  unsigned minimize(unsigned moving, CrowdReport& report);  ///< of these, the lanes that need to be stepped alone
+  void residual(Doubles& out);                              ///< as StepReport's
+  void descend(unsigned moving);     ///< `direction` of the moving lanes, their tangents made positive definite
+  unsigned search(unsigned moving);  ///< moves them; lanes that did not descend, and stay where they were
 
   int size_;
   Simulation<ReducedModel> alone_;

@@ -18,8 +18,8 @@ constexpr Index kDepth = 128;  // rows of a batch; a panel has 12 kB, so that tw
 Index tiles_for(Index size) { return (size + kTile - 1) / kTile; }
 
 /// C (4, kTile) += A^T B for `depth` rows of two panels; A from the first of its four columns.
-inline __attribute__((always_inline)) void quarter_tile(const double* __restrict A, const double* __restrict B,
-                                                        Index depth, double* __restrict C) {
+DYNAMORPH_INLINE void quarter_tile(const double* __restrict A, const double* __restrict B, Index depth,
+                                   double* __restrict C) {
   Vector4 sums[4][3] = {};
   for (Index d = 0; d < depth; ++d, A += kTile, B += kTile) {
     const Vector4* b = reinterpret_cast<const Vector4*>(B);
@@ -45,7 +45,7 @@ void pack(const double* row, Index size, Index at, double* panels) {
   std::copy_n(row + i, size - i, panels);
 }
 
-inline __attribute__((always_inline)) double column_dot(const double* own, int a, const double* other, Index r, int b) {
+DYNAMORPH_INLINE double column_dot(const double* own, int a, const double* other, Index r, int b) {
   return own[3 * a] * other[3 * b * r] + own[3 * a + 1] * other[(3 * b + 1) * r] +
          own[3 * a + 2] * other[(3 * b + 2) * r];
 }

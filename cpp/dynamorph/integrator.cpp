@@ -27,7 +27,7 @@ class DenseSolver {
 
 /// Gravity (m/s^2, world) on the flesh at the bones, and nothing of the past.
 Motion at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
-  Motion motion{};
+  Motion motion;
   motion.q.fill(&q);
   motion.bones.fill(&bones);
   motion.lift = gravity;
@@ -66,6 +66,19 @@ Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> StepRule::share() const 
   return share;
 }
 
+void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights) {
+  if (weights.size() != Eigen::Index(targets.size()))
+    throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
+                                std::to_string(weights.size()));
+  for (int set = 0; set < sets; ++set) {
+    double sum = 0;
+    for (Eigen::Index j = 0; j < weights.size(); ++j)
+      if (targets[j].set == set) sum += weights(j);
+    if (!((weights.array() >= 0).all() && std::abs(sum - 1) < 1e-6))
+      throw std::invalid_argument("weights: every target set's must be >= 0 and sum to one");
+  }
+}
+
 template <class Model>
 class Simulation<Model>::Solver : public TangentSolver<typename Model::Matrix> {};
 
@@ -86,21 +99,6 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
   if (!bones.allFinite() || !weights.allFinite())
     throw Error("the rig has a transform that is not a number: check its drivers and constraints at this frame");
   model_->blend(weights, blend_);
-}
-
-template <class Model>
-void Simulation<Model>::check_weights(const VectorXd& weights) const {
-  const auto& targets = model_->targets();
-  if (weights.size() != Eigen::Index(targets.size()))
-    throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
-                                std::to_string(weights.size()));
-  for (int set = 0; set < model_->body().sets(); ++set) {
-    double sum = 0;
-    for (Eigen::Index j = 0; j < weights.size(); ++j)
-      if (targets[j].set == set) sum += weights(j);
-    if (!((weights.array() >= 0).all() && std::abs(sum - 1) < 1e-6))
-      throw std::invalid_argument("weights: every target set's must be >= 0 and sum to one");
-  }
 }
 
 template <class Model>
@@ -128,16 +126,20 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
   if (bones.size() != targets.size())
     throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
                                 " targets, got " + std::to_string(bones.size()));
-  MatrixXd held(model_->dofs(), targets.size());
-  held_.resize(0, 0);
+  MatrixXd held(model_->dofs(), targets.size()), before;
+  before.swap(held_);  // does not count, and is back where a rig is refused
   const VectorXd rest = VectorXd::Zero(model_->dofs());
-  for (size_t j = 0; j < targets.size(); ++j) {
-    // The target alone, not even with the other sets': f_g^(j) = rho_j (A^(j))^T M1 g.
-    VectorXd alone = VectorXd::Zero(targets.size());
-    alone(j) = 1;
-    pose(bones[j], alone);
-    pull(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
-    held.col(j) = -quadratic_.g;
+  try {
+    for (size_t j = 0; j < targets.size(); ++j) {
+      // The target alone, not even with the other sets': f_g^(j) = rho_j (A^(j))^T M1 g.
+      const VectorXd alone = VectorXd::Unit(targets.size(), j);
+      pose(bones[j], alone);
+      pull(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
+      held.col(j) = -quadratic_.g;
+    }
+  } catch (...) {
+    held_.swap(before);
+    throw;
   }
   held_ = held;
 }
@@ -145,7 +147,7 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
 template <class Model>
 StepReport Simulation<Model>::solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
                                            const VectorXd& external) {
-  check_weights(weights);
+  check_weights(model_->targets(), model_->body().sets(), weights);
   pose(bones, weights);
   if (q.size() != model_->dofs()) {
     // The blended targets are close to the answer, and often are it.
@@ -235,14 +237,14 @@ double Simulation<Model>::farthest(const Transforms& bones) const {
 template <class Model>
 StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
-  check_weights(weights);
+  check_weights(model_->targets(), model_->body().sets(), weights);
   pose(bones, weights);
   const bool teleported = carry_past(bones);
 
   const StepRule rule(options_);
   const double h = options_.h;
   next_ = 2 * state_.q[0] - state_.q[1];
-  Motion motion{};
+  Motion motion;
   motion.bones[0] = &bones;
   for (int m = 0; m < Motion::kMoments; ++m) {
     motion.q[m] = &state_.q[m];

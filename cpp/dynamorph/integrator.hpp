@@ -52,6 +52,9 @@ struct State {
   std::array<Transforms, Motion::kMoments> bones;
 };
 
+/// Throws std::invalid_argument unless every target set's weights are >= 0 and sum to one.
+void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights);
+
 struct StepReport {
   int iterations = 0;     ///< of Newton's method
   bool converged = true;  ///< when false the state is the best found, and finite
@@ -115,7 +118,6 @@ class Simulation {
   double potential(const VectorXd& q, double elastic);  ///< Phi, with trial_ and image_ there
   void descend(Matrix& H);  ///< direction_ by the tangent, which is shifted until it is positive definite
   void require_pose() const;
-  void check_weights(const VectorXd& weights) const;
   bool carry_past(const Transforms& bones);  ///< when they jump off the course of the past
   double farthest(const Transforms& bones) const;
 

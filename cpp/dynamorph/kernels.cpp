@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/kernels.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "dynamorph/lanes.hpp"
@@ -207,6 +208,10 @@ double contract_orders(const double* constant, const double* linear, const doubl
 }
 
 void blend_tables(const float* const* tables, const double* weights, int count, Eigen::Index size, float* out) {
+  if (count == 0) {
+    std::fill_n(out, size, 0.0F);
+    return;
+  }
   blend(tables, weights, count, size, out);
 }
 

@@ -8,7 +8,8 @@
 #include "dynamorph/multiversion.hpp"
 #include "dynamorph/types.hpp"
 
-// Vectors wider than the baseline's registers are only passed between functions that are inlined.
+// Vectors wider than the baseline's registers are passed by value only between functions that are inlined; by reference
+// they must be aligned by hand, as the baseline's alignof is 16: LaneVector, alignas(64).
 #pragma GCC diagnostic ignored "-Wpsabi"
 
 namespace dynamorph {
@@ -17,7 +18,7 @@ constexpr int kLanes = 8;
 using Floats = float __attribute__((vector_size(32)));
 
 /// Eight doubles, as two vectors: GCC 12 keeps one of 64 bytes in memory where the registers have 32.
-struct Doubles {
+struct alignas(64) Doubles {
   using Half = double __attribute__((vector_size(32), may_alias));
   Half low, high;
 
@@ -34,6 +35,7 @@ struct Doubles {
     return *this;
   }
 };
+static_assert(alignof(Doubles) == 64, "the clones of a function load whole vectors, whatever the baseline asks for");
 DYNAMORPH_INLINE Doubles operator+(const Doubles& a, const Doubles& b) { return {a.low + b.low, a.high + b.high}; }
 DYNAMORPH_INLINE Doubles operator-(const Doubles& a, const Doubles& b) { return {a.low - b.low, a.high - b.high}; }
 DYNAMORPH_INLINE Doubles operator*(const Doubles& a, const Doubles& b) { return {a.low * b.low, a.high * b.high}; }

@@ -146,8 +146,9 @@ DYNAMORPH_INLINE void add_contribution(const Floats (*motion)[12], const Floats&
   Coefficients c;
   contract_bones(motion, sign, c);
   const float change = largest(c);
-  if (change * influence < kUnnoticed) return;
-  if (change * influence < kSlight) return add_rigid(table, r, c, force);
+  const bool pairs = influence < HUGE_VAL;
+  if (pairs && change * influence < kUnnoticed) return;
+  if (pairs && change * influence < kSlight) return add_rigid(table, r, c, force);
   for (int e = 0; e < kSymmetric + kSkew; ++e) {
     const Floats c0 = c.differences[0][e], c1 = c.differences[1][e], c2 = c.differences[2][e], c3 = c.differences[3][e];
     for (Index l = 0; l < r; ++l) {
@@ -321,7 +322,10 @@ ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols(
     const size_t bones = terms.size();
     terms.insert(terms.end(), pairs.begin(), pairs.end());
     for (size_t t = 0; t < terms.size(); ++t) {
-      if (t % kLanes == 0) set.groups.push_back({{}, {}, t < bones ? HUGE_VAL : terms[t].first});
+      if (t % kLanes == 0) {
+        set.groups.push_back({{}, {}, t < bones ? HUGE_VAL : terms[t].first});
+        set.groups.back().signs.fill(-1);  // a lane without a term looks like two bones that move together
+      }
       set.groups.back().bones.push_back(terms[t].second);
       set.groups.back().signs[t % kLanes] = t < bones ? 1 : -1;
     }

@@ -40,8 +40,9 @@ class ModalInertia {
     LaneVector<Floats> sums, slopes;
   };
 
-  /// Mass and force of `motion` in the pose of its first bones. Tensors are in single precision: force and the mass's
-  /// change with the pose have relative errors of 1e-7. Differences in time are taken in double.
+  /// Mass and force of `motion` in the pose of its first bones. Tensors are in single precision, differences in time in
+  /// double. Pairs of bones that matter little are simplified: with 20 bones and 33 pairs bent by half a radian the
+  /// mass is within 4e-4 and the force within 7e-6 of the nodes' own, with few bones both within 1e-7.
   void evaluate(const Motion& motion, const SetDensities& densities, Result& out) const;
 
   /// The same of eight characters, one a lane: coordinates (r); the entries of used_bones(), twelve each.

@@ -135,10 +135,7 @@ VectorXd unfolded(const VectorXd& distinct, const TableLayout& layout) {
     K1[k * pairs + pair(l, m)] = K1[l * pairs + pair(k, m)] = K1[m * pairs + pair(k, l)] = *next++;
   });
   for_quadruples(r, [&](Index k, Index l, Index m, Index n) {
-    const auto K2 = [&](Index p, Index q) -> double& {
-      if (p < q) std::swap(p, q);
-      return out(layout.quadratic() + q * pairs - q * (q - 1) / 2 + (p - q));
-    };
+    const auto K2 = [&](Index p, Index q) -> double& { return out(layout.quadratic(p, q)); };
     K2(pair(k, l), pair(m, n)) = K2(pair(k, m), pair(l, n)) = K2(pair(k, n), pair(l, m)) = *next++;
   });
   return out;

@@ -2,8 +2,9 @@
 // Every law's energy is a polynomial of degree <= 4 in the modal coordinates (thesis eq. 5.7). About a target's own
 // coordinates z_j, with v = z - z_j, its tangent is, as packed pairs (k <= l),
 //
-//   H(v) = K0 + K1 v + K2 (v v),   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,   E = v . (1/2 K0 + 1/6 K1 v + 1/12 K2 (v v))
-//   v
+//   H(v) = K0 + K1 v + K2 (v v),
+//   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,
+//   E = v . (1/2 K0 + 1/6 K1 v + 1/12 K2 (v v)) v
 //
 // so one table [K0 | K1 | K2] gives energy, force and tangent from one product.
 #pragma once

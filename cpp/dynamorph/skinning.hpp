@@ -42,10 +42,11 @@ void pull_back(const SkinFrame& frame, VectorXd& f);
 /// bones[0]. Nothing is owned.
 struct Motion {
   static constexpr int kMoments = 4, kPoses = 5;
-  std::array<const VectorXd*, kMoments> q;        ///< coordinates, one step after another, newest first
-  std::array<const Transforms*, kPoses> bones;    ///< (B), the first at the end of the step
-  Eigen::Matrix<double, kMoments, kPoses> share;  ///< of each pair
-  Vector3d lift;                                  ///< metres, of every node
+  std::array<const VectorXd*, kMoments> q{};      ///< coordinates, one step after another, newest first
+  std::array<const Transforms*, kPoses> bones{};  ///< (B), the first at the end of the step
+  /// Of each pair.
+  Eigen::Matrix<double, kMoments, kPoses> share = Eigen::Matrix<double, kMoments, kPoses>::Zero();
+  Vector3d lift = Vector3d::Zero();  ///< metres, of every node
 };
 
 /// Transforms k steps before `now`, when each bone goes on as it does from `now` to `next` (constant spatial velocity).

@@ -444,7 +444,7 @@ void rig(State& state) {
   const PoseSpace space = pose_space(model->body().skin.cols(), 3);
   const Swing moving = swing(model->body(), 3);
   const VectorXd z = VectorXd::Constant(20, 1e-3);
-  Motion motion{};
+  Motion motion;
   motion.q.fill(&z);
   motion.share = StepRule(one_iteration()).share();
   ReducedModel::Blend blended;

@@ -80,4 +80,18 @@ inline std::vector<MorphTarget> targets(const SoftBody& body, int last_set = 0) 
           target("twist", twist, 4e3, 6e3, 900, last_set)};
 }
 
+/// A bar of 0.8 m on `count` bones along it, each of which moves what is near; held at x = 0.
+inline std::shared_ptr<const SoftBody> chain_bar(int count) {
+  const TetMesh mesh = bar(16, 2, 2, 0.05);
+  const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
+  MatrixXd weights(n, count);
+  std::vector<bool> pinned(n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const double along = mesh.nodes(i, 0) / 0.8 * (count - 1);
+    for (int b = 0; b < count; ++b) weights(i, b) = std::exp(-2 * (along - b) * (along - b));
+    pinned[i] = mesh.nodes(i, 0) < 1e-9;
+  }
+  return std::make_shared<SoftBody>(mesh, VectorXd::Ones(m), VectorXd::Ones(m), MatrixXd::Ones(m, 1), pinned, weights);
+}
+
 }  // namespace scenes

@@ -2,6 +2,8 @@
 // Characters stepped together move as each would alone.
 #include <doctest/doctest.h>
 
+#include <cmath>
+
 #include "dynamorph/basis.hpp"
 #include "dynamorph/crowd.hpp"
 #include "scenes.hpp"
@@ -75,6 +77,78 @@ TEST_CASE("a crowd moves as its characters do alone") {
         CHECK((crowd.coordinates(i) - expected).norm() < 1e-4 * expected.norm());
       }
     }
+}
+
+namespace {
+
+std::shared_ptr<const ReducedModel> linear_model() {
+  const auto body = scenes::two_bone_bar(2);
+  const auto targets = scenes::targets(*body, 1);
+  const FullModel full(body, targets, Law::linear, Blending::even);
+  return std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, 8).U), Blending::even);
+}
+
+}  // namespace
+
+TEST_CASE("a crowd of any size takes the iterations of its characters, and one is enough where one is") {
+  const auto model = linear_model();
+  for (int size : {1, 8, 9}) {
+    StepOptions options{1 / 120.};
+    options.teleport = 2;
+    options.max_iterations = 1;
+    Crowd crowd(model, options, size);
+    const auto at = [&](int character, int step) {
+      Transforms bones = rig(character, step);
+      if (character == size - 1 && step >= 6) bones.col(7).array() += 50;  // the last one jumps
+      return bones;
+    };
+    const auto poses = [&](int step, std::vector<double>& bones, std::vector<double>& w) {
+      bones.clear();
+      w.clear();
+      for (int i = 0; i < size; ++i) {
+        const Transforms frame = at(i, step);
+        const VectorXd own = weights(i, step);
+        bones.insert(bones.end(), frame.data(), frame.data() + frame.size());
+        w.insert(w.end(), own.data(), own.data() + own.size());
+      }
+    };
+    std::vector<double> now, next, w, ignored;
+    poses(1, next, ignored);
+    poses(0, now, w);
+    CHECK(crowd.start(now.data(), next.data(), w.data()).converged);
+    int iterations = 0, alone = 0, expected = 0;
+    for (int step = 1; step <= 11; ++step) {
+      poses(step, now, w);
+      const CrowdReport report = crowd.step(now.data(), w.data());
+      CHECK(report.converged);
+      iterations += report.iterations;
+      alone += report.alone;
+    }
+    for (int i = 0; i < size; ++i) {
+      Simulation<ReducedModel> simulation(model, options);
+      simulation.start(at(i, 0), at(i, 1), weights(i, 0));
+      for (int step = 1; step <= 11; ++step) expected += simulation.step(at(i, step), weights(i, step)).iterations;
+      CHECK((crowd.coordinates(i) - simulation.coordinates()).norm() < 1e-4 * simulation.coordinates().norm());
+    }
+    CHECK(alone == 1);
+    CHECK(iterations == expected);
+  }
+}
+
+TEST_CASE("bad input is refused before anyone moves, and a crowd that could not start has not started") {
+  Crowd crowd(linear_model(), {}, kCharacters);
+  Poses good(0), bad(0);
+  bad.bones[24 * 7 + 5] = NAN;
+  CHECK_THROWS_AS(crowd.start(bad.bones.data(), bad.next.data(), bad.weights.data()), Error);
+  CHECK_THROWS_AS(crowd.step(good.bones.data(), good.weights.data()), std::invalid_argument);
+  crowd.start(good.bones.data(), good.next.data(), good.weights.data());
+  const VectorXd before = crowd.coordinates(0);
+  CHECK_THROWS_AS(crowd.step(bad.bones.data(), bad.weights.data()), Error);
+  bad = good;
+  bad.weights[3 * 7] += 0.5;
+  CHECK_THROWS_AS(crowd.step(bad.bones.data(), bad.weights.data()), std::invalid_argument);
+  CHECK(crowd.coordinates(0) == before);
+  CHECK(crowd.step(good.bones.data(), good.weights.data()).converged);
 }
 
 TEST_CASE("a crowd that was not started, or has no one in it, says so") {

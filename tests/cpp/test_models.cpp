@@ -50,7 +50,7 @@ auto evaluator(const Model& model, const typename Model::Blend& blend) {
 }
 
 Motion still(const VectorXd& q, const Transforms& bones) {
-  Motion motion{};
+  Motion motion;
   motion.q.fill(&q);
   motion.bones.fill(&bones);
   return motion;
@@ -237,7 +237,7 @@ TEST_CASE("modal inertia is U^T A^T M (...) over the nodes: mass, and the force 
   for (double stretch : {1.0, 1.3}) {
     std::array<VectorXd, Motion::kMoments> z, u;
     std::array<Transforms, Motion::kPoses> poses;
-    Motion small{}, big{};
+    Motion small, big;
     for (int m = 0; m < Motion::kMoments; ++m) {
       z[m] = random_vector(10, 1e-3, 40 + m);
       u[m] = U * z[m];
@@ -260,6 +260,63 @@ TEST_CASE("modal inertia is U^T A^T M (...) over the nodes: mass, and the force 
     CHECK((less - found.damped).norm() < 1e-7 * less.norm());
     CHECK((force - found.force).norm() < 1e-6 * force.norm());
   }
+}
+
+TEST_CASE("modal inertia of many bones: the pairs that are simplified stay within the bounds that it states") {
+  for (int count : {1, 2, 4, 5, 20}) {
+    const auto body = scenes::chain_bar(count);
+    MorphTarget target;
+    target.displacement = VectorXd::Zero(3 * body->mesh.nodes.rows());
+    target.lame = {2e4, 1e4};
+    const FullModel full(body, {target}, Law::linear, Blending::even);
+    const MatrixXd U = make_basis(full, 10).U;
+    const ReducedModel reduced(body, {target}, reduce(full, U), Blending::even);
+    for (double bend : {0.0, 1e-3, 0.05, 0.5}) {
+      std::array<VectorXd, Motion::kMoments> z, u;
+      std::array<Transforms, Motion::kPoses> poses;
+      Motion small, big;
+      small.share = big.share = StepRule(StepOptions{1 / 120.}).share();
+      for (int m = 0; m < Motion::kMoments; ++m) {
+        z[m] = VectorXd::LinSpaced(10, -1, 1) * 1e-3 * (m + 1);
+        u[m] = U * z[m];
+        small.q[m] = &z[m];
+        big.q[m] = &u[m];
+      }
+      for (int n = 0; n < Motion::kPoses; ++n) {
+        poses[n].resize(count, 12);
+        for (int b = 0; b < count; ++b) {
+          Eigen::Matrix<double, 3, 4, Eigen::RowMajor> T;
+          const double angle = bend * (0.3 * b + 1) * (1 - 0.01 * n * n);
+          T.leftCols<3>() = Eigen::AngleAxisd(angle, Vector3d(0.2, 1, 0.3).normalized()).toRotationMatrix();
+          T.col(3) = Vector3d(0, 0, 0.01 * n * n * bend);
+          poses[n].row(b) = Eigen::Map<Eigen::Matrix<double, 1, 12>>(T.data());
+        }
+        small.bones[n] = big.bones[n] = &poses[n];
+      }
+      const SetDensities densities{VectorXd::Constant(1, 1000), VectorXd::Ones(1)};
+      FullModel::Inertia expected;
+      ReducedModel::Inertia found;
+      full.inertia(big, densities, expected);
+      reduced.inertia(small, densities, found);
+      const MatrixXd mass = U.transpose() * (expected.mass * U);
+      const VectorXd force = U.transpose() * expected.force;
+      CHECK((mass - found.mass).norm() <= (count < 3 ? 1e-6 : 1e-3) * mass.norm());
+      CHECK((force - found.force).norm() <= (count < 3 ? 1e-6 : 3e-5) * force.norm() + 1e-12);
+    }
+  }
+}
+
+TEST_CASE("no target at all: no force and no energy") {
+  const auto body = scenes::two_bone_bar();
+  const auto targets = scenes::targets(*body);
+  const FullModel full(body, targets, Law::stvk, Blending::forces);
+  const ReducedModel reduced(body, targets, reduce(full, make_basis(full, 10).U), Blending::forces);
+  ReducedModel::Blend blend;
+  reduced.blend(VectorXd::Zero(3), blend);
+  VectorXd force;
+  MatrixXd stiffness;
+  CHECK(reduced.linearize(blend, VectorXd::Ones(10), force, stiffness) == 0);
+  CHECK(force.norm() == 0);
 }
 
 TEST_CASE("between targets the stiffness at rest is positive definite for random weights") {

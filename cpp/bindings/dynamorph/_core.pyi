@@ -528,9 +528,9 @@ class Crowd:
         """
         Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
         """
-    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+    def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> bool:
         """
-        Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past follows their rigs backward from their motion to `next`.
+        Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past follows their rigs backward from their motion to `next`. False where one did not converge.
         """
     @property
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
