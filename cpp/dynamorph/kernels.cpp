@@ -131,9 +131,9 @@ double contract(const double* __restrict constant, const double* __restrict line
 DYNAMORPH_MULTIVERSION
 void blend(const float* const* __restrict tables, const double* __restrict weights, int count, Eigen::Index size,
            float* __restrict out) {
-  int k = 0;
   for (Eigen::Index i = 0; i < size; ++i) out[i] = float(weights[0]) * tables[0][i];
-  for (k = 1; k + 2 <= count; k += 2) {
+  int k = 1;
+  for (; k + 2 <= count; k += 2) {
     const float *a = tables[k], *b = tables[k + 1];
     const float wa = float(weights[k]), wb = float(weights[k + 1]);
     for (Eigen::Index i = 0; i < size; ++i) out[i] += wa * a[i] + wb * b[i];

@@ -6,7 +6,8 @@
 #include <cmath>
 #include <memory>
 
-#include "dynamorph/full_model.hpp"
+#include "dynamorph/basis.hpp"
+#include "dynamorph/reduced_model.hpp"
 
 namespace scenes {
 
@@ -78,6 +79,14 @@ inline std::vector<MorphTarget> targets(const SoftBody& body, int last_set = 0) 
   };
   return {target("neutral", Points::Zero(X.rows(), 3), 2e4, 1e4, 1000, 0), target("bulge", bulge, 1.5e5, 9e4, 1100, 0),
           target("twist", twist, 4e3, 6e3, 900, last_set)};
+}
+
+/// A body's targets in r modes.
+inline std::shared_ptr<const ReducedModel> reduced_model(std::shared_ptr<const SoftBody> body,
+                                                         std::vector<MorphTarget> targets, Law law, Blending blending,
+                                                         int r) {
+  const FullModel full(body, targets, law, blending);
+  return std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, r).U), blending);
 }
 
 /// A bar of 0.8 m on `count` bones along it, each of which moves what is near; held at x = 0.

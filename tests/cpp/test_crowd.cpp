@@ -4,7 +4,6 @@
 
 #include <cmath>
 
-#include "dynamorph/basis.hpp"
 #include "dynamorph/crowd.hpp"
 #include "scenes.hpp"
 
@@ -50,8 +49,7 @@ TEST_CASE("a crowd moves as its characters do alone") {
   const auto targets = scenes::targets(*body, 1);
   for (Law law : {Law::linear, Law::stvk, Law::stable_stvk})
     for (Blending blending : {Blending::forces, Blending::even}) {
-      const FullModel full(body, targets, law, blending);
-      const auto model = std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, 12).U), blending);
+      const auto model = scenes::reduced_model(body, targets, law, blending, 12);
       StepOptions options{1 / 120., Scheme::bdf2, Vector3d(0, 0, -9.81)};
       options.teleport = 2;
       Crowd crowd(model, options, kCharacters);
@@ -83,9 +81,7 @@ namespace {
 
 std::shared_ptr<const ReducedModel> linear_model() {
   const auto body = scenes::two_bone_bar(2);
-  const auto targets = scenes::targets(*body, 1);
-  const FullModel full(body, targets, Law::linear, Blending::even);
-  return std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, 8).U), Blending::even);
+  return scenes::reduced_model(body, scenes::targets(*body, 1), Law::linear, Blending::even, 8);
 }
 
 }  // namespace
@@ -151,11 +147,61 @@ TEST_CASE("bad input is refused before anyone moves, and a crowd that could not 
   CHECK(crowd.step(good.bones.data(), good.weights.data()).converged);
 }
 
+TEST_CASE("inertia of eight characters is that of each") {
+  const auto body = scenes::chain_bar(6);  // more terms than lanes
+  MorphTarget target;
+  target.displacement = VectorXd::Zero(3 * body->mesh.nodes.rows());
+  target.lame = {2e4, 1e4};
+  const auto model = scenes::reduced_model(body, {target}, Law::linear, Blending::even, 9);
+  const ModalInertia& inertia = model->modal_inertia();
+  const Eigen::Index r = model->dofs(), used = Eigen::Index(inertia.used_bones().size());
+  std::array<Motion, kLanes> single;
+  std::array<std::array<VectorXd, Motion::kMoments>, kLanes> q;
+  std::array<std::array<Transforms, Motion::kPoses>, kLanes> bones;
+  std::array<LaneVector<Doubles>, Motion::kMoments> q_lanes;
+  std::array<LaneVector<Doubles>, Motion::kPoses> bone_lanes;
+  ModalInertia::EightMotion eight;
+  eight.share = StepRule(StepOptions{1 / 120.}).share();
+  eight.lift = Vector3d(0, 0, 1e-4);
+  for (int m = 0; m < Motion::kMoments; ++m) q_lanes[m].resize(r);
+  for (int n = 0; n < Motion::kPoses; ++n) bone_lanes[n].resize(12 * used);
+  for (int lane = 0; lane < kLanes; ++lane) {
+    single[lane].share = eight.share;
+    single[lane].lift = eight.lift;
+    for (int m = 0; m < Motion::kMoments; ++m) {
+      q[lane][m] = VectorXd::LinSpaced(r, -1, 1 + lane) * 1e-3 * (m + 1);
+      single[lane].q[m] = &q[lane][m];
+      for (Eigen::Index k = 0; k < r; ++k) q_lanes[m][k][lane] = q[lane][m](k);
+    }
+    for (int n = 0; n < Motion::kPoses; ++n) {
+      bones[lane][n].resize(6, 12);
+      for (int b = 0; b < 6; ++b)  // bent well apart, so that no term is left out for one and not for another
+        bones[lane][n].row(b) = scenes::bent(0.2 * (b + 1) * (lane + 1) - 0.01 * n).row(1);
+      single[lane].bones[n] = &bones[lane][n];
+      for (Eigen::Index b = 0; b < used; ++b)
+        for (int e = 0; e < 12; ++e) bone_lanes[n][12 * b + e][lane] = bones[lane][n](inertia.used_bones()[b], e);
+    }
+  }
+  for (int m = 0; m < Motion::kMoments; ++m) eight.q[m] = q_lanes[m].data();
+  for (int n = 0; n < Motion::kPoses; ++n) eight.bones[n] = bone_lanes[n].data();
+  const Doubles density = Doubles{} + 1000, damping = Doubles{} + 30;
+  ModalInertia::EightInertia found;
+  inertia.evaluate(eight, &density, &damping, found);
+  for (int lane = 0; lane < kLanes; ++lane) {
+    ModalInertia::Result expected;
+    inertia.evaluate(single[lane], {VectorXd::Constant(1, 1000), VectorXd::Constant(1, 30)}, expected);
+    for (Eigen::Index k = 0, p = 0; k < r; ++k) {
+      CHECK(std::abs(found.force[k][lane] - expected.force(k)) <= 3e-6 * expected.force.norm());
+      for (Eigen::Index l = k; l < r; ++l, ++p) {
+        CHECK(std::abs(found.mass[p][lane] - expected.mass(l, k)) <= 3e-6 * expected.mass.norm());
+        CHECK(std::abs(found.damped[p][lane] - expected.damped(l, k)) <= 3e-6 * expected.damped.norm());
+      }
+    }
+  }
+}
+
 TEST_CASE("a crowd that was not started, or has no one in it, says so") {
-  const auto body = scenes::two_bone_bar();
-  const auto targets = scenes::targets(*body);
-  const FullModel full(body, targets, Law::linear, Blending::even);
-  const auto model = std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, 8).U), Blending::even);
+  const auto model = linear_model();
   CHECK_THROWS_AS(Crowd(model, {}, 0), std::invalid_argument);
   Crowd crowd(model, {}, 2);
   CHECK_THROWS_AS(crowd.step(nullptr, nullptr), std::invalid_argument);

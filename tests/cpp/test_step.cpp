@@ -5,7 +5,7 @@
 #include <Eigen/Geometry>
 #include <cstdlib>
 
-#include "dynamorph/basis.hpp"
+#include "dynamorph/crowd.hpp"
 #include "dynamorph/integrator.hpp"
 #include "scenes.hpp"
 
@@ -27,8 +27,7 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
   const auto targets = scenes::targets(*body, 1);
   for (Law law : {Law::linear, Law::stvk, Law::stable_stvk})
     for (Blending blending : {Blending::forces, Blending::even}) {
-      const FullModel full(body, targets, law, blending);
-      const auto model = std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, 12).U), blending);
+      const auto model = scenes::reduced_model(body, targets, law, blending, 12);
       StepOptions options{1 / 240., Scheme::bdf2, Vector3d(0, 0, -9.81)};
       options.teleport = 10;
       Simulation<ReducedModel> simulation(model, options);
@@ -49,6 +48,32 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
         if (i > 6) CHECK(allocations == 0);  // once it has seen what there is to allocate for
       }
     }
+}
+
+TEST_CASE("a step of a crowd allocates nothing") {
+  const auto body = scenes::two_bone_bar(2);
+  const auto model = scenes::reduced_model(body, scenes::targets(*body, 1), Law::stvk, Blending::even, 12);
+  constexpr int kCharacters = 11;
+  Crowd crowd(model, {1 / 240., Scheme::bdf2, Vector3d(0, 0, -9.81)}, kCharacters);
+  std::vector<double> bones, weights;
+  const auto pose = [&](int step) {
+    bones.clear();
+    weights.clear();
+    for (int i = 0; i < kCharacters; ++i) {
+      const Transforms rig = scenes::bent(0.01 * step + 0.05 * i);
+      bones.insert(bones.end(), rig.data(), rig.data() + rig.size());
+      for (double w : {1 - 0.02 * (step + i), 0.02 * (step + i), 1.0}) weights.push_back(w);
+    }
+  };
+  pose(0);
+  crowd.start(bones.data(), bones.data(), weights.data());
+  for (int step = 1; step <= 12; ++step) {
+    pose(step);
+    allocations = 0;
+    const CrowdReport report = crowd.step(bones.data(), weights.data());
+    CHECK(report.alone == 0);
+    if (step > 2) CHECK(allocations == 0);
+  }
 }
 
 #endif

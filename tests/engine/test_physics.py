@@ -257,9 +257,9 @@ def test_a_sudden_stop_is_a_finite_impulse():
 # Targets -----------------------------------------------------------------------------------------------------------
 
 
-def sculpted(law, blending, reduced, damping=0.5, modes=12):
+def sculpted(law, blending, reduced, damping=0.5, modes=12, cells=(8, 2, 2)):
     """Neutral, a stiff bulge and a soft bend of a bar on two bones; (model, displacements, size)."""
-    nodes, tets = bar((8, 2, 2), (0.4, 0.1, 0.1))
+    nodes, tets = bar(cells, (0.4, 0.1, 0.1))
     count = np.ones(len(tets))
     s = nodes[:, 0] / 0.4
     weights = np.stack([1 - s, s], axis=1)

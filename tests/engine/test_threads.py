@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine makes the same bytes whatever the number of threads."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import dynamorph
+import numpy as np
+import pytest
+import test_physics
+
+CORES = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+
+
+def digest() -> str:
+    """Of a basis, its polynomials, and steps of both models, on a bar that several chunks of work share."""
+    found = hashlib.sha256()
+    full, _, _ = test_physics.sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False, cells=(16, 4, 4))
+    basis = dynamorph.make_basis(full, 12).U
+    tables = dynamorph.reduce(full, basis)
+    for array in (basis, *tables.lame_lambda, *tables.lame_mu):
+        found.update(np.ascontiguousarray(array).tobytes())
+    reduced, _, _ = test_physics.sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True, cells=(16, 4, 4))
+    for model in (full, reduced):
+        rig, weights = test_physics.swing(model, 8)
+        simulation = test_physics.simulation_of(model)
+        simulation.start(rig[0], rig[1], weights[0])
+        simulation.advance(rig[1:], weights[1:])
+        found.update(simulation.coordinates.tobytes())
+    return found.hexdigest()
+
+
+@pytest.mark.skipif(len(CORES) < 2, reason="one core, or a system that does not pin threads")
+def test_one_core_and_all_make_the_same_bytes():
+    def on(cores) -> tuple[str, int]:
+        code = f"import os; os.sched_setaffinity(0, {set(cores)!r}); import test_threads; test_threads.report()"
+        path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        found, threads = done.stdout.split()
+        return found, int(threads)
+
+    (alone, one), (together, several) = on([min(CORES)]), on(CORES)
+    assert several > one  # or nothing was compared
+    assert alone == together
+
+
+def report():
+    """The digest, and how many threads are there to do the work."""
+    found = digest()
+    print(found, len(list(Path("/proc/self/task").iterdir())))
