@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/parallel.hpp"
 
+#ifdef __linux__
+#include <sched.h>
+#endif
+
 namespace dynamorph {
 
 namespace {
@@ -60,9 +64,17 @@ class Helpers {
 
 }  // namespace
 
+int usable_cores() {
+#ifdef __linux__  // hardware_concurrency counts the machine's
+  cpu_set_t allowed;
+  if (sched_getaffinity(0, sizeof allowed, &allowed) == 0) return std::max(1, CPU_COUNT(&allowed));
+#endif
+  return std::max(1, int(std::thread::hardware_concurrency()));
+}
+
 void for_chunks(int count, const std::function<void(int)>& work) {
   // Never destroyed: a process may end while the threads sleep, but not while they outlive what they wait for.
-  static Helpers& helpers = *new Helpers(std::max(0, int(std::thread::hardware_concurrency()) - 1));
+  static Helpers& helpers = *new Helpers(usable_cores() - 1);
   helpers.run(count, work);
 }
 

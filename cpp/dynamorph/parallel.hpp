@@ -17,6 +17,9 @@
 
 namespace dynamorph {
 
+/// How many cores this process may use: a farm's scheduler gives fewer than the machine has.
+int usable_cores();
+
 /// work(i, progress) for i = 0..count-1, each with a progress of its own that asks to stop once a work has failed. The
 /// caller's `progress` hears the mean and is called from the calling thread alone. Rethrows what a work threw.
 template <class Work>
@@ -27,7 +30,7 @@ void in_parallel(int count, const ProgressFn& progress, const Work& work) {
   std::atomic<bool> stop{false};
   std::mutex mutex;
   std::condition_variable ended;
-  int running = std::clamp(int(std::thread::hardware_concurrency()), 1, std::max(count, 1));
+  int running = std::clamp(usable_cores(), 1, std::max(count, 1));
   std::vector<std::thread> threads;
   for (int t = running; t > 0; --t)
     threads.emplace_back([&] {
