@@ -53,7 +53,7 @@ def run(draft: bool, docs: bool) -> None:
     limb = bpy.data.objects[LIMB]
 
     print("baking dynamic morph targets")
-    dmt = bake(jobs.Job(limb, bake=True))
+    dmt = bake(jobs.Job(limb, goal="BAKE"))
     BAKED.parent.mkdir(exist_ok=True)
     with quiet():
         bpy.ops.wm.save_as_mainfile(filepath=str(BAKED), copy=True, compress=True)
@@ -64,7 +64,7 @@ def run(draft: bool, docs: bool) -> None:
 
     print("baking a single material")
     limb.dynamorph.model.method = "SINGLE"
-    single = bake(jobs.Job(limb, bake=True))
+    single = bake(jobs.Job(limb, goal="BAKE"))
     began = time.perf_counter()
     rows.insert(0, row("Single material", "the neutral target alone: the same softness in every pose", draft, single))
     sinks.free(limb)

@@ -83,10 +83,10 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         return sub
 
     bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
-    bake.set_defaults(bake=True)
+    bake.set_defaults(goal="BAKE")
     add_shot(bake)
     build = command("build", run_job, "build models")
-    build.set_defaults(bake=False, frames=None, substeps=None)
+    build.set_defaults(goal="BUILD", frames=None, substeps=None)
     for sub in (bake, build):
         add_model_settings(sub)
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
@@ -173,7 +173,7 @@ def run_job(args):
             if (value := getattr(args, name)) is not None:
                 setattr(obj.dynamorph.model, name, value.upper() if isinstance(value, str) else value)
         frames = tuple(args.frames) if args.frames else None
-        job = jobs.Job(obj, args.bake, frames, args.substeps, folder, rebuild=not args.bake)
+        job = jobs.Job(obj, args.goal, frames, args.substeps, folder, rebuild=args.goal == "BUILD")
         jobs.run(job, Progress())
         for reason in job.reasons:
             print(f"{job.name}: built: {reason}")
@@ -192,7 +192,7 @@ def run_report(args):
 
     found = {}
     for obj in chosen_objects(args):
-        job = jobs.Job(obj, bake=True, frames=tuple(args.frames) if args.frames else None, substeps=args.substeps)
+        job = jobs.Job(obj, "BAKE", frames=tuple(args.frames) if args.frames else None, substeps=args.substeps)
         job.prepare()
         tick = Progress()
 

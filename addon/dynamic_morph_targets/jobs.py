@@ -200,16 +200,17 @@ def find(session_uid: int):
 
 
 class Job:
-    """Builds the model of one object if that is necessary, and with `bake` simulates and writes the shot.
+    """Builds the model of one object if that is necessary, and with the goal "BAKE" simulates and writes the shot.
 
-    frames: (start, end), substeps: override the object's settings. folder: where large models go. rebuild: build even
+    goal: "BUILD" or "BAKE". frames: (start, end), substeps: override the object's settings. folder: where large models go. rebuild: build even
     when the model is up to date.
     """
 
-    def __init__(self, obj, bake: bool, frames=None, substeps=None, folder: Path | None = None, rebuild=False):
+    def __init__(self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, rebuild=False):
         self.session_uid = obj.session_uid
         self.name = obj.name
-        self.bake = bake
+        self.goal = goal
+        self.bake = goal == "BAKE"
         self.frames = frames
         self.substeps = substeps
         self.folder = folder

@@ -29,40 +29,81 @@ class DYNAMORPH_UL_targets(UIList):
             row.prop(item, "mute", text="", icon="CHECKBOX_DEHLT" if item.mute else "CHECKBOX_HLT", emboss=False)
 
 
-def draw_soft_skin(layout, obj):
-    """The whole interface for one object."""
+def draw_soft_skin(layout, context, obj):
+    """The whole interface for one object, in the order of work."""
     layout.use_property_split = True
     layout.use_property_decorate = False
-    settings = obj.dynamorph
     if jobs.engine_problem():
         draw_message(layout, jobs.engine_problem())
-    if not settings.targets:
+    draw_problems(layout, obj)
+    if not obj.dynamorph.targets:
         layout.operator("dynamorph.add_soft_skin", icon="ADD")
         return
+    draw_cage(layout, context, obj)
     draw_targets(layout, obj)
+    draw_influence(layout, context, obj)
     draw_model(layout, obj)
-    draw_bake(layout, settings)
+    draw_modes(layout, obj)
+    draw_live(layout, obj)
+    draw_bake(layout, obj)
+    draw_setup(layout, obj)
+
+
+# Checks and cage ---------------------------------------------------------------------------------------------------
+
+
+def draw_problems(layout, obj):
+    """What keeps this mesh from being a soft skin, each with its Fix."""
+
+
+def draw_cage(layout, context, obj):
+    settings = obj.dynamorph
+    header, body = layout.panel("dynamorph_cage", default_closed=True)
+    header.label(text="Cage")
+    if body:
+        body.enabled = jobs.running is None
+        body.prop(settings.model, "cage_nodes")
+        body.prop(settings.model, "pin_radius")
+        body.prop_search(settings, "soft_group", obj, "vertex_groups")
+
+
+# Targets -----------------------------------------------------------------------------------------------------------
 
 
 def draw_targets(layout, obj):
     settings = obj.dynamorph
+    header, body = layout.panel("dynamorph_targets")
+    header.label(text="Targets")
+    if body:
+        draw_target_list(body, settings)
+        if settings.active_target:
+            draw_target(body, obj, settings.active_target)
+
+
+def draw_target_list(layout, settings):
     row = layout.row()
     row.template_list("DYNAMORPH_UL_targets", "", settings, "targets", settings, "active_target_index", rows=4)
     column = row.column(align=True)
     column.operator("dynamorph.add_target", text="", icon="ADD")
     column.operator("dynamorph.remove_target", text="", icon="REMOVE")
-    target = settings.active_target
-    if target is None:
-        return
+
+
+def draw_target(layout, obj, target):
+    neutral = target == obj.dynamorph.targets[0]
     column = layout.column(align=True)
     column.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
-    if settings.active_target_index > 0:
+    if not neutral:
         column.operator("dynamorph.use_selected_bones", icon="BONE_DATA")
         draw_message(layout, "Bones: " + (", ".join(target.bone_names()) or "none"), icon="BONE_DATA")
     column = layout.column(align=True)
     column.enabled = jobs.running is None
-    if settings.active_target_index > 0:
+    if not neutral:
         column.prop_search(target, "region", obj, "vertex_groups")
+        column.prop(target, "radius")
+    draw_material(column, target)
+
+
+def draw_material(column, target):
     row = column.row(align=True)
     row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
     row.operator("dynamorph.fit_material", text="Bounce")
@@ -72,16 +113,21 @@ def draw_targets(layout, obj):
     column.prop(target, "stiffness_damping", text="Stiffness")
 
 
+def draw_influence(layout, context, obj):
+    """How much each target counts in the present pose, and over the frames."""
+
+
+# Model, Live, bake -------------------------------------------------------------------------------------------------
+
+
 def draw_model(layout, obj):
-    settings = obj.dynamorph
-    model = settings.model
+    model = obj.dynamorph.model
     header, body = layout.panel("dynamorph_model", default_closed=True)
     header.label(text="Model")
     if body:
         body.enabled = jobs.running is None
-        for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot", "cage_nodes", "pin_radius"):
+        for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot"):
             body.prop(model, name)
-        body.prop_search(settings, "soft_group", obj, "vertex_groups")
     if model.stale:
         draw_message(layout, f"Out of date: {model.stale}")
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
@@ -90,7 +136,16 @@ def draw_model(layout, obj):
         draw_warnings(layout, model.warnings)
 
 
-def draw_bake(layout, settings):
+def draw_modes(layout, obj):
+    """The modes of the built model, to look at and to weigh."""
+
+
+def draw_live(layout, obj):
+    """Simulation during playback."""
+
+
+def draw_bake(layout, obj):
+    settings = obj.dynamorph
     simulation = settings.simulation
     header, body = layout.panel("dynamorph_simulation", default_closed=True)
     header.label(text="Simulation")
@@ -111,10 +166,17 @@ def draw_bake(layout, settings):
         layout.operator("dynamorph.free_bake", icon="X")
 
 
+def draw_setup(layout, obj):
+    """Set-ups as files and presets, and copies for other meshes."""
+
+
+# Pieces ------------------------------------------------------------------------------------------------------------
+
+
 def draw_job(layout, operator: str, icon: str):
     """The button, or in its place the progress of its job."""
     job = jobs.running
-    if job is None or job.bake != (operator == "dynamorph.bake"):
+    if job is None or operator != f"dynamorph.{job.goal.lower()}":
         layout.operator(operator, icon=icon)
         return
     row = layout.row(align=True)
@@ -145,7 +207,7 @@ class SoftSkinPanel:
         obj = properties.mesh_in(context)
         if obj != context.object:  # the armature is active
             self.layout.label(text=obj.name, icon="MESH_DATA", translate=False)
-        draw_soft_skin(self.layout, obj)
+        draw_soft_skin(self.layout, context, obj)
 
 
 class DYNAMORPH_PT_sidebar(SoftSkinPanel, Panel):

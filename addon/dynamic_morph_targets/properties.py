@@ -154,6 +154,12 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         description="Rayleigh damping in proportion to stiffness, in seconds: calms fast ripples",
         default=Material.stiffness_damping, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
     )  # fmt: skip
+    radius: FloatProperty(
+        name="Radius",
+        description="How far from its pose, over all its bones, the target reaches: it has faded out there. 0: as far "
+        "as there is no nearer target",
+        default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
+    )  # fmt: skip
     region: StringProperty(
         name="Region",
         description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
@@ -269,6 +275,7 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
+    built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
     warnings: StringProperty(name="Warnings", description="Of the last build, a line each")
@@ -276,6 +283,28 @@ class DynamorphModel(PropertyGroup):
 
     def settings(self) -> ModelSettings:
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
+
+
+class DynamorphMode(PropertyGroup):
+    """One displacement mode of the built model, as the artist wants to see it."""
+
+    gain: FloatProperty(
+        name="Gain", description="Factor on this mode's motion about the targets' shapes, in Live and in the next bake",
+        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE,
+    )  # fmt: skip
+    solo: BoolProperty(name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE)
+
+
+class DynamorphLive(PropertyGroup):
+    """Simulation during playback, shown by one shape key that is rewritten at each frame."""
+
+    key: PointerProperty(type=DynamorphKey)
+    muted: CollectionProperty(name="Muted", description="Target keys that Live muted", type=DynamorphKey)
+    slot: EnumProperty(
+        name="Slot", description="Which of two sets of settings is in use",
+        items=(("A", "A", "Settings A"), ("B", "B", "Settings B")), default="A",
+    )  # fmt: skip
+    other: StringProperty(name="Other Slot", description="The settings of the slot that is not in use, as JSON")
 
 
 class DynamorphSimulation(PropertyGroup):
@@ -310,9 +339,22 @@ class DynamorphSimulation(PropertyGroup):
         description="Factor on the scene's Wind and Force fields, whose strength is newtons on a square metre of skin",
         default=1.0, min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
+    begin: EnumProperty(
+        name="Begin",
+        description="What the flesh does before the first frame",
+        items=(
+            ("REST", "Rest", "It has the targets' shape, at rest, and the first motion hits it"),
+            ("SETTLE", "Settle", "It is in balance with gravity, and moves with the rig as if that had always moved"),
+        ),
+        default="SETTLE", override=OVERRIDE,
+    )  # fmt: skip
     preroll: IntProperty(
         name="Pre-Roll", description="Frames in which the first pose is held before the start",
         default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
+    )  # fmt: skip
+    loop: BoolProperty(
+        name="Loop", description="The range is a cycle: its last frame continues with its first, without a jump",
+        override=OVERRIDE,
     )  # fmt: skip
 
     def steps_per_frame(self, fps: float) -> int:
@@ -329,6 +371,8 @@ class DynamorphBake(PropertyGroup):
     active_index: IntProperty(name="Active Key")
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
+    inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
+    gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
 
 
 class DynamorphSettings(PropertyGroup):
@@ -344,8 +388,21 @@ class DynamorphSettings(PropertyGroup):
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
         override=OVERRIDE,
     )
+    stiffness_group: StringProperty(
+        name="Stiffness",
+        description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
+        override=OVERRIDE,
+    )
+    stiffness_factor: FloatProperty(
+        name="Factor",
+        description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
+        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
+    )  # fmt: skip
     model: PointerProperty(type=DynamorphModel, override=OVERRIDE)
+    modes: CollectionProperty(name="Modes", type=DynamorphMode, override=OVERRIDE_LIST)
+    active_mode_index: IntProperty(name="Active Mode", override=OVERRIDE)
     simulation: PointerProperty(type=DynamorphSimulation, override=OVERRIDE)
+    live: PointerProperty(type=DynamorphLive)
     bake: PointerProperty(type=DynamorphBake)
 
     @property
@@ -353,6 +410,39 @@ class DynamorphSettings(PropertyGroup):
         """The target selected in the list, or None."""
         inside = 0 <= self.active_target_index < len(self.targets)
         return self.targets[self.active_target_index] if inside else None
+
+
+class DynamorphDisplay(PropertyGroup):
+    """What the 3D viewport shows besides; for the session, like Blender's own overlays of a window."""
+
+    cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra, with the nodes that the bones hold")
+    influence: BoolProperty(
+        name="Influence", description="Draw each target's weight over the frames, shading those far from every target"
+    )
+
+
+# Settings as plain data --------------------------------------------------------------------------------------------
+
+
+def plain(group, skip=()) -> dict:
+    """The simple settings of a property group by name, fit for JSON: numbers, texts, enums and arrays of numbers.
+
+    Groups and lists within it are left out, and what `skip` names.
+    """
+    out = {}
+    for prop in group.bl_rna.properties:
+        if prop.identifier in ("rna_type", *skip) or prop.type in ("POINTER", "COLLECTION") or prop.is_readonly:
+            continue
+        value = getattr(group, prop.identifier)
+        out[prop.identifier] = list(value) if getattr(prop, "is_array", False) else value
+    return out
+
+
+def assign(group, values: dict):
+    """The inverse of `plain`. Writes only what differs; names that the group does not have are skipped."""
+    for name, value in values.items():
+        if name in group.bl_rna.properties and plain(group).get(name) != value:
+            setattr(group, name, value)
 
 
 # Following renames -------------------------------------------------------------------------------------------------
@@ -476,9 +566,12 @@ CLASSES = (
     DynamorphBonePose,
     DynamorphTarget,
     DynamorphModel,
+    DynamorphMode,
+    DynamorphLive,
     DynamorphSimulation,
     DynamorphBake,
     DynamorphSettings,
+    DynamorphDisplay,
 )
 
 
@@ -486,11 +579,13 @@ def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Object.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphSettings, override=OVERRIDE)
+    bpy.types.WindowManager.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphDisplay)
     bpy.app.handlers.depsgraph_update_post.append(_follow_changes)
 
 
 def unregister():
     bpy.app.handlers.depsgraph_update_post.remove(_follow_changes)
+    del bpy.types.WindowManager.dynamorph
     del bpy.types.Object.dynamorph
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -95,7 +95,7 @@ def test_wall_stops_him_within_a_frame(herbert):
 def test_belly_swings_upright_and_holds_in_the_tuck(herbert):
     pytest.importorskip("dynamorph", reason="needs the engine")
     jobs = part("jobs")
-    job = jobs.Job(herbert, bake=True)
+    job = jobs.Job(herbert, goal="BAKE")
     jobs.run(job)
     assert job.model.summary["modes"] == 12
     assert job.model.summary["dofs"] == pytest.approx(603, rel=0.1)

@@ -74,7 +74,7 @@ def test_fit_bounce(built_arm):
 
 
 def test_the_dialog_begins_with_the_bounce_as_it_is(built_arm):
-    operators, target = part("operators"), built_arm.dynamorph.targets[1]
+    operators, buttons, target = part("operators"), part("target_operators"), built_arm.dynamorph.targets[1]
 
     class Context:
         object = built_arm
@@ -90,7 +90,7 @@ def test_the_dialog_begins_with_the_bounce_as_it_is(built_arm):
 
     class Fit(operators.SoftSkinOperator):
         frequency, settle = 3.0, 1.0
-        invoke, _ask = operators.DYNAMORPH_OT_fit_material.invoke, operators.DYNAMORPH_OT_fit_material._ask
+        invoke, _ask = buttons.DYNAMORPH_OT_fit_material.invoke, buttons.DYNAMORPH_OT_fit_material._ask
 
     context = Context()
     assert Fit().invoke(context, None) == {"RUNNING_MODAL"}

@@ -44,7 +44,7 @@ def two_regions(arm):
 def run(obj, **settings):
     for name, value in settings.items():
         setattr(obj.dynamorph.model, name, value)
-    job = part("jobs").Job(obj, bake=True, substeps=3)
+    job = part("jobs").Job(obj, goal="BAKE", substeps=3)
     part("jobs").run(job)
     return job
 
@@ -197,7 +197,7 @@ def test_a_model_is_fitted_to_the_scene_s_range_when_it_is_built(arm):
     assert "rehearsal" in model.summary["seconds"]
     still = model.basis.T @ (np.repeat(model.soft_body().volumes.sum(axis=1), 3)[:, None] * model.basis)
     assert np.allclose(still, np.eye(6), atol=1e-10)
-    job = part("jobs").Job(arm, bake=True)
+    job = part("jobs").Job(arm, goal="BAKE")
     part("jobs").run(job)
     assert job.reasons == []
     flat = part("scene_data").ForceField("WIND", True, 1.0, 0.0, np.inf, np.eye(4)[None], np.array([8.0]))
@@ -232,6 +232,6 @@ def test_a_fitted_model_says_so_in_another_range(arm):
     for name, value in {"modes": 6, "fit_to_shot": True}.items():
         setattr(arm.dynamorph.model, name, value)
     for frames, warned in (((1, 5), False), ((1, 20), True)):
-        job = part("jobs").Job(arm, bake=True, frames=frames)
+        job = part("jobs").Job(arm, goal="BAKE", frames=frames)
         part("jobs").run(job)
         assert any("fitted to frames 1 to 5" in warning for warning in job.warnings) == warned

@@ -110,7 +110,7 @@ def test_bake_builds_only_when_something_changed(soft_arm, stand_in):
     jobs = part("jobs")
     jobs.show_stale(soft_arm)
     assert soft_arm.dynamorph.model.stale == "shape of 'flexed' changed"
-    job = jobs.Job(soft_arm, bake=True)
+    job = jobs.Job(soft_arm, goal="BAKE")
     jobs.run(job)
     assert stand_in.built == 2 and job.reasons == ["shape of 'flexed' changed"]
     assert soft_arm.dynamorph.model.stale == ""
@@ -172,7 +172,7 @@ def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
     bpy.ops.dynamorph.build()
     soft_arm[jobs.PACKED] = damage(soft_arm[jobs.PACKED])
     jobs._load.cache_clear()
-    job = jobs.Job(soft_arm, bake=True)
+    job = jobs.Job(soft_arm, goal="BAKE")
     jobs.run(job)
     assert stand_in.built == 2 and len(job.reasons) == 1
 
@@ -205,7 +205,7 @@ def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
     jobs, extract = part("jobs"), part("extract")
     stand_in.patience = 5.0
     before = fingerprint(soft_arm)
-    job = jobs.Job(soft_arm, bake=True)
+    job = jobs.Job(soft_arm, goal="BAKE")
     job.prepare()
     job.start()
     time.sleep(0.2)
@@ -225,7 +225,7 @@ def test_ctrl_c_stops_the_thread(soft_arm, stand_in):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        jobs.run(jobs.Job(soft_arm, bake=True), interrupt)
+        jobs.run(jobs.Job(soft_arm, goal="BAKE"), interrupt)
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("dynamorph")]
 
 
@@ -235,7 +235,7 @@ def test_undo_while_a_job_runs(soft_arm, stand_in):
     bpy.ops.ed.undo_push(message="before")
     soft_arm.location.x = 1.0
     bpy.ops.ed.undo_push(message="moved")
-    job = jobs.Job(soft_arm, bake=True)
+    job = jobs.Job(soft_arm, goal="BAKE")
     job.prepare()
     job.start()
     bpy.ops.ed.undo()
@@ -247,7 +247,7 @@ def test_undo_while_a_job_runs(soft_arm, stand_in):
 
 def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
     jobs, extract = part("jobs"), part("extract")
-    job = jobs.Job(soft_arm, bake=True)
+    job = jobs.Job(soft_arm, goal="BAKE")
     job.prepare()
     job.start()
     job.wait()
@@ -294,7 +294,7 @@ def modal(obj, events):
     operators = part("operators")
 
     class Bake(operators.JobOperator):
-        bake = True
+        goal = "BAKE"
         reports = []
 
         def report(self, kind, text):
@@ -346,7 +346,7 @@ def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
 def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
     stand_in.patience = 5.0
     jobs = part("jobs")
-    job = jobs.running = jobs.Job(soft_arm, bake=True)
+    job = jobs.running = jobs.Job(soft_arm, goal="BAKE")
     job.prepare()
     job.start()
     began = time.perf_counter()

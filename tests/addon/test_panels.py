@@ -25,6 +25,7 @@ class Layout:
         module, function = name.split(".")
         assert getattr(bpy.ops, module).__getattr__(function).get_rna_type()
         self.drawn.append(name)
+        return types.SimpleNamespace()  # takes the operator's settings
 
     def operator_menu_enum(self, name, _property, **_options):
         self.operator(name)
@@ -35,26 +36,36 @@ class Layout:
     def progress(self, factor, text):
         self.drawn.append(text)
 
-    def template_list(self, _kind, _id, data, name, active_data, active_name, **_options):
+    def template_list(self, kind, _id, data, name, active_data, active_name, **_options):
         assert name in data.bl_rna.properties and active_name in active_data.bl_rna.properties
         for index, item in enumerate(getattr(data, name)):
-            part("panels").DYNAMORPH_UL_targets.draw_item(
-                None, None, self, data, item, 0, active_data, active_name, index
-            )
+            getattr(part("panels"), kind).draw_item(None, None, self, data, item, 0, active_data, active_name, index)
 
     def panel(self, _name, default_closed=False):
         return self, self
 
+    def menu(self, name, **_options):
+        assert getattr(bpy.types, name)
+        self.drawn.append(name)
+
     def row(self, **_options):
         return self
 
-    column = row
+    column = split = box = grid_flow = row
+
+    def separator(self, **_options):
+        pass
 
 
 def drawn(obj, panel="DYNAMORPH_PT_sidebar"):
     out = []
     panel_class = getattr(part("panels"), panel)
-    context = types.SimpleNamespace(object=obj, view_layer=bpy.context.view_layer)
+    context = types.SimpleNamespace(
+        object=obj,
+        view_layer=bpy.context.view_layer,
+        scene=bpy.context.scene,
+        window_manager=bpy.context.window_manager,
+    )
     assert panel_class.poll(context)
     panel_class.draw(types.SimpleNamespace(layout=Layout(out)), context)
     return out
@@ -79,7 +90,7 @@ def test_through_the_workflow(arm, stand_in, panel):
 
 def test_progress_replaces_the_button(soft_arm, stand_in):
     jobs = part("jobs")
-    jobs.running = jobs.Job(soft_arm, bake=True)
+    jobs.running = jobs.Job(soft_arm, goal="BAKE")
     jobs.running.message = "Frame 7"
     try:
         texts = drawn(soft_arm)

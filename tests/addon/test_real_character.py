@@ -27,7 +27,7 @@ def baked(addon):
     """The body with its bake, and the job that made it."""
     body = real_character.open_character(CLIP)
     jobs = part("jobs")
-    job = jobs.Job(body, bake=True, frames=(1, LAST), substeps=4)
+    job = jobs.Job(body, goal="BAKE", frames=(1, LAST), substeps=4)
     jobs.run(job)
     return body, job
 

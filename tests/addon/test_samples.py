@@ -95,7 +95,7 @@ def test_flexed_shape_regains_the_volume_that_skinning_loses(limb):
 def test_soft_when_straight_and_hard_when_flexed(limb):
     pytest.importorskip("dynamorph", reason="needs the engine")
     jobs = part("jobs")
-    job = jobs.Job(limb, bake=True)
+    job = jobs.Job(limb, goal="BAKE")
     jobs.run(job)
     assert job.warnings == []
     assert job.model.summary["dofs"] == pytest.approx(918, rel=0.02)

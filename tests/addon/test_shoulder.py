@@ -48,7 +48,7 @@ def shoulder(addon):
 def baked(shoulder):
     pytest.importorskip("dynamorph", reason="needs the engine")
     jobs = part("jobs")
-    job = jobs.Job(shoulder.object, bake=True)
+    job = jobs.Job(shoulder.object, goal="BAKE")
     jobs.run(job)
     return job
 

@@ -50,7 +50,7 @@ def run(obj, **options):
 def test_blender_shows_what_the_engine_computed(small_arm, change):
     change(small_arm)
     bpy.context.view_layer.update()
-    job = run(small_arm, bake=True)
+    job = run(small_arm, goal="BAKE")
     assert np.abs(job.result.coordinates).max() > 0
     assert_shows(small_arm, job.result)
 
@@ -60,7 +60,7 @@ def test_playing_never_makes_a_model_old(scene, small_arm, change):
     change(small_arm)
     small_arm.dynamorph.simulation.use_scene_range = False
     small_arm.dynamorph.simulation.end = 2
-    run(small_arm, bake=False)
+    run(small_arm, goal="BUILD")
     jobs, extract = part("jobs"), part("extract")
     for frame in range(1, 21):
         scene.frame_set(frame)
@@ -90,9 +90,9 @@ def blended_otherwise(obj):
 
 @pytest.mark.parametrize("change", [stiffer, other_pose, renamed, blended_otherwise])
 def test_what_never_needs_a_new_model(small_arm, change):
-    run(small_arm, bake=False)
+    run(small_arm, goal="BUILD")
     change(small_arm)
-    assert run(small_arm, bake=True).reasons == []
+    assert run(small_arm, goal="BAKE").reasons == []
 
 
 def sculpted(obj):
@@ -113,14 +113,14 @@ def scaled(obj):
     [(sculpted, "shape of 'flexed' changed"), (weighted, "skin weights changed"), (scaled, "object scale")],
 )
 def test_what_needs_one_is_named(small_arm, change, reason):
-    run(small_arm, bake=False)
+    run(small_arm, goal="BUILD")
     change(small_arm)
-    assert reason in "; ".join(run(small_arm, bake=True).reasons)
+    assert reason in "; ".join(run(small_arm, goal="BAKE").reasons)
 
 
 def test_cancelling_the_engine(small_arm):
     jobs, extract = part("jobs"), part("extract")
-    job = jobs.Job(small_arm, bake=True)
+    job = jobs.Job(small_arm, goal="BAKE")
     job.prepare()
     job.cancelled = True
     job.start()

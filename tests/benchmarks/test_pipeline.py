@@ -103,14 +103,14 @@ def test_meshing(benchmark):
 def test_bake(benchmark, pose_evaluation, frames, subdivided):
     """A bake whose model is up to date."""
     body = open_body(subdivided)
-    build = jobs.Job(body, bake=False, rebuild=True)
+    build = jobs.Job(body, goal="BUILD", rebuild=True)
     jobs.run(build)
     runs = []
 
     def bake():
         pose_evaluation.clear()
         began = time.perf_counter()
-        job = jobs.Job(body, bake=True, frames=(1, frames), substeps=SUBSTEPS)
+        job = jobs.Job(body, goal="BAKE", frames=(1, frames), substeps=SUBSTEPS)
         jobs.run(job)
         total = time.perf_counter() - began
         evaluated, engine = sum(pose_evaluation), job.report["engine_seconds"]
@@ -139,7 +139,7 @@ def test_bake(benchmark, pose_evaluation, frames, subdivided):
 def test_live(benchmark):
     """Our share of a frame that is simulated while it plays: from the evaluated pose to the values of shape keys."""
     body = open_body()
-    job = jobs.Job(body, bake=True, frames=(1, 2), substeps=SUBSTEPS, rebuild=True)
+    job = jobs.Job(body, goal="BAKE", frames=(1, 2), substeps=SUBSTEPS, rebuild=True)
     jobs.run(job)
     keys = body.data.shape_keys
     keys.animation_data.nla_tracks[sinks.TRACK].mute = True
