@@ -202,8 +202,8 @@ def find(session_uid: int):
 class Job:
     """Builds the model of one object if that is necessary, and with the goal "BAKE" simulates and writes the shot.
 
-    goal: "BUILD" or "BAKE". frames: (start, end), substeps: override the object's settings. folder: where large models go. rebuild: build even
-    when the model is up to date.
+    goal: "BUILD" or "BAKE". frames: (start, end), substeps: override the object's settings. folder: where large models
+    go. rebuild: build even when the model is up to date.
     """
 
     def __init__(self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, rebuild=False):
