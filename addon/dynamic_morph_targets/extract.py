@@ -579,5 +579,14 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
     return SimulationSettings(
-        start, end, fps, substeps or chosen.steps_per_frame(fps), chosen.scheme, tuple(gravity.tolist()), chosen.preroll
+        start,
+        end,
+        fps,
+        substeps or chosen.steps_per_frame(fps),
+        chosen.scheme,
+        tuple(gravity.tolist()),
+        chosen.preroll,
+        chosen.begin,
+        chosen.loop,
+        tuple(mode.gain for mode in obj.dynamorph.modes),
     )

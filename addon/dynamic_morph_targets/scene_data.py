@@ -275,7 +275,11 @@ class Character:
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2."""
+    """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
+
+    begin: REST has the targets' shapes without motion at `start`, SETTLE is in balance and moves with the rig. loop:
+    the range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    """
 
     start: int = 1
     end: int = 250
@@ -284,6 +288,9 @@ class SimulationSettings:
     scheme: str = "BDF2"
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     preroll: int = 0  # frames held at the first pose before `start`
+    begin: str = "SETTLE"
+    loop: bool = False
+    gains: tuple[float, ...] = ()
 
     @property
     def frames(self) -> np.ndarray:
