@@ -280,6 +280,7 @@ class Job:
             with self._stage("write keys"):
                 sinks.write_modal_keys(obj, self.result)
             obj.dynamorph.bake.summary = self.summary()
+            obj.dynamorph.bake.gap = self.report.get("gap", 0.0)
             obj.dynamorph.bake.warnings = "\n".join(
                 warning for warning in self.warnings if warning not in self.model.summary["warnings"]
             )
@@ -290,7 +291,8 @@ class Job:
             return self.model_summary()
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
-        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s"
+        gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if self.settings.loop else ""
+        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary

@@ -156,7 +156,7 @@ def draw_bake(layout, obj):
         column.active = not simulation.use_scene_range
         column.prop(simulation, "start")
         column.prop(simulation, "end")
-        for name in ("substeps", "scheme", "gravity", "fields", "preroll"):
+        for name in ("substeps", "scheme", "gravity", "fields", "begin", "preroll", "loop"):
             body.prop(simulation, name)
     draw_job(layout, "dynamorph.bake", "REC")
     if settings.bake.keys:

@@ -307,7 +307,7 @@ class Bake:
     """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
 
     frames (F,), coordinates (F, r), weights (F, J), modes (r, V, 3), details (J, V, 3): what the cage cannot carry of
-    each target's shape. target_names (J,).
+    each target's shape. target_names (J,). dry (F, r): the coordinates of the targets' shapes alone, without motion.
     """
 
     frames: np.ndarray
@@ -316,6 +316,7 @@ class Bake:
     modes: np.ndarray
     details: np.ndarray
     target_names: tuple[str, ...]
+    dry: np.ndarray
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import dynamorph
@@ -17,7 +17,9 @@ from .scene_data import Bake, Character, RigSamples, SimulationSettings, determi
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
 NO_STEPS = {"steps": 0, "iterations": 0, "converged": True, "energy": 0.0, "teleported": False, "seconds": 0.0}
-NO_ELEMENTS = {"smallest_det": 1.0, "inverted": 0}
+CLOSED = 1e-4  # body sizes: a loop whose surface ends nearer to where it began is done
+SAME_POSE = 1e-3  # body sizes: poses whose skin, moved as a whole, is nearer are one
+PASSES = 20  # of a loop, at most
 CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
 
 
@@ -61,8 +63,9 @@ class Player:
     """One character, stepped frame by frame: a bake and playback both run this.
 
     keep_going() -> bool is asked at every frame, of an unreduced model at every iteration; False raises
-    dynamorph.Cancelled. engine: model.engine(character), if it is at hand already. number: the frame it is at. gains
-    (dofs,): what `shown` applies, to be set at any time.
+    dynamorph.Cancelled. number: the frame it is at; passes: how often it has begun again. gains (dofs,): what `shown`
+    applies, to be set at any time. engine: model.engine(character), if it is at hand already; afterwards None for
+    static morph targets.
     """
 
     def __init__(
@@ -70,7 +73,8 @@ class Player:
     ):
         self.model = model
         self.settings = settings
-        self.number = settings.start
+        self.number, self.passes = settings.start, 0
+        self.engine = None
         self._keep_going = keep_going
         self._character = character.by_method()
         self._space = pose_space(self._character)
@@ -78,13 +82,23 @@ class Player:
         self._shapes = np.zeros((len(self._character.targets), 0))
         self._simulation = _NothingMoves()
         if model.settings.method != "STATIC":
-            self._engine = engine or model.engine(self._character)
-            self._shapes = model.target_coordinates(self._engine)
+            self.engine = engine or model.engine(self._character)
+            self._shapes = model.target_coordinates(self.engine)
             self._simulation = self._stepper()
         self.gains = np.ones(self._shapes.shape[1])
         if model.settings.solver == "REDUCED":
             known = min(len(settings.gains), len(self.gains))
             self.gains[:known] = settings.gains[:known]
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the body's bounding box, metres."""
+        return float(np.linalg.norm(np.ptp(self._character.vertices @ self._character.to_bind.T, axis=0)))
+
+    def run(self, rig: RigSamples) -> Iterator[Frame]:
+        """Every frame from settings.start to settings.end, one pass; rig: 1 + (end - start) * substeps samples."""
+        yield self.begin(rig)
+        yield from self.play(rig[1:], self.settings.frames[1:])
 
     def begin(self, rig: RigSamples) -> Frame:
         """The frame settings.start. rig: its sample and those that follow it, of which the first counts."""
@@ -101,6 +115,34 @@ class Player:
             self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
         self.number = self.settings.start
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
+
+    def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
+        """From `frame`, the last of a cycle, back to the first, where the soft skin goes on as it came.
+
+        What the rig has travelled meanwhile, its past travels back.
+        """
+        first, last = self._skinned(rig[:: len(rig) - 1])
+        turn, shift = _rigid_fit(last, first)
+        coordinates, bones = self._simulation.state
+        moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
+        for past in moved:
+            past[:, :, 3] += shift
+        self._simulation.state = coordinates, [past.reshape(-1, 12) for past in moved]
+        self.number, self.passes = self.settings.start, self.passes + 1
+        return replace(frame, number=self.number, weights=self._posed(rig[:1])[1][0])
+
+    def pose_gap(self, rig: RigSamples) -> float:
+        """How far the skin of the last pose, moved as a whole, is off that of the first: metres, at most."""
+        first, last = self._skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
+        turn, shift = _rigid_fit(last, first)
+        return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
+
+    def gap(self, first: Frame, second: Frame) -> float:
+        """The largest distance, in metres, between the soft skins of two frames as `shown` in one pose."""
+        displacement = np.tensordot(second.weights - first.weights, self.model.details, 1)
+        if self.engine is not None:
+            displacement += self.model.surface(self.engine.displacement(self.shown(second) - self.shown(first)))
+        return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
 
     def advance(self, rig: RigSamples, number: int) -> Frame:
         """The frame `number`, one frame after the last; rig: its settings.substeps samples."""
@@ -127,7 +169,7 @@ class Player:
     def exchange(self, character: Character) -> Player:
         """A player that goes on from here with the materials, poses and blending of `character`."""
         other = Player(self.model, character, self.settings, keep_going=self._keep_going)
-        other.gains, other.number = self.gains, self.number
+        other.gains, other.number, other.passes = self.gains, self.number, self.passes
         if self._first is not None:
             other._hold_targets(self._first)
             other._simulation.state = self._simulation.state
@@ -139,17 +181,22 @@ class Player:
 
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with each mode's gain on its motion about the targets' shapes."""
-        dry = self.dry(frame.weights)
-        return dry + self.gains * (frame.coordinates - dry)
+        return frame.coordinates + (self.gains - 1.0) * (frame.coordinates - self.dry(frame.weights))
+
+    def _skinned(self, rig: RigSamples) -> np.ndarray:
+        """The skin at rest, posed as the rig is: (S, V, 3), world space."""
+        matrices = np.tensordot(self._posed(rig)[0], self._character.weights, (1, 1))  # (S, 3, 4, V)
+        rest = self._character.vertices @ self._character.to_bind.T
+        return np.einsum("sijv,vj->svi", matrices[:, :, :3], rest) + matrices[:, :, 3].swapaxes(1, 2)
 
     def _stepper(self):
         settings, full = self.settings, self.model.settings.solver == "FULL"
         return self.model.stepper(
-            self._engine,
+            self.engine,
             settings.step,
             scheme=dynamorph.Scheme.__members__[settings.scheme],
             gravity=settings.gravity,
-            teleport=TELEPORT * self._engine.body.size * settings.step,
+            teleport=TELEPORT * self.engine.body.size * settings.step,
             keep_going=self._keep_going if full else None,  # a reduced step takes less than the question
         )
 
@@ -169,7 +216,7 @@ class Player:
         """What the force fields do to the nodes, from where the flesh is now; None without any."""
         if not fields or isinstance(self._simulation, _NothingMoves):
             return None
-        return self._skin.push(fields, sample, bones, self._engine.displacement(self._simulation.coordinates))
+        return self._skin.push(fields, sample, bones, self.engine.displacement(self._simulation.coordinates))
 
     @cached_property
     def _skin(self) -> _Skin:
@@ -198,22 +245,35 @@ def simulate(
     rig: RigSamples,
     settings: SimulationSettings,
     progress: Progress | None = None,
-    engine=None,
 ) -> Iterator[Frame]:
-    """Yields every frame from settings.start to settings.end.
+    """Yields every frame from settings.start to settings.end, in one pass.
 
     rig: 1 + (end - start) * substeps samples, the first at `start`. progress(fraction, message) -> bool is asked at
-    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled. engine:
-    model.engine(character), if it is at hand already.
+    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
     """
+    return _player(model, character, settings, progress).run(rig)
+
+
+def cycle(player: Player, rig: RigSamples) -> list[Frame]:
+    """The frames of a loop: passes over its range, each going on from where the last came to, until one closes."""
+    frames = list(player.run(rig))
+    while player.gap(frames[0], frames[-1]) > CLOSED * player.size and player.passes + 1 < PASSES:
+        frames = [player.begin_again(rig, frames[-1]), *player.play(rig[1:], player.settings.frames[1:])]
+    return frames
+
+
+def _player(model: Model, character: Character, settings: SimulationSettings, progress: Progress | None) -> Player:
+    """A player that reports to `progress`."""
 
     def keep_going() -> bool:
         done = (player.number - settings.start) / len(settings.frames)
-        return progress is None or progress(done, f"Simulating frame {player.number}")
+        message = f"Simulating frame {player.number}"
+        if settings.loop:  # nobody knows how many passes it takes
+            done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
+        return progress is None or progress(done, message)
 
-    player = Player(model, character, settings, keep_going=keep_going, engine=engine)
-    yield player.begin(rig)
-    yield from player.play(rig[1:], settings.frames[1:])
+    player = Player(model, character, settings, keep_going=keep_going)
+    return player
 
 
 def build_for(
@@ -244,23 +304,37 @@ def bake(
 ) -> tuple[Bake, dict]:
     """Simulates a shot: (Bake, report). progress(fraction, message) -> bool; False raises dynamorph.Cancelled."""
     began = time.perf_counter()
-    character = character.by_method()
-    static = model.settings.method == "STATIC"
-    engine = None if static else model.engine(character)
-    frames = list(simulate(model, character, rig, settings, progress, engine))
-    coordinates = np.array([frame.coordinates for frame in frames])
+    player = _player(model, character, settings, progress)
+    frames = cycle(player, rig) if settings.loop else list(player.run(rig))
     weights = np.array([frame.weights for frame in frames])
+    coordinates, dry = np.array([player.shown(frame) for frame in frames]), player.dry(weights)
     report = _report(frames)
-    report.update(NO_ELEMENTS if static else _worst_elements(model, engine, coordinates, weights))
-    if static:
+    if settings.loop:
+        report["gap"] = player.gap(frames[0], frames[-1])
+        report["warnings"] += _loop_warnings(player, rig, report["gap"])
+    report.update(_worst_elements(player, frames))
+    if player.engine is None:
         modes = np.zeros((0, *character.vertices.shape))
     elif model.settings.solver == "FULL":
-        coordinates, modes, report["compression_error"] = _compress(model, coordinates)
+        coordinates, dry, modes, report["compression_error"] = _compress(model, coordinates, dry)
     else:
         modes = _surface_modes(model, model.basis.T)
     report["seconds"] = time.perf_counter() - began
-    names = tuple(target.name for target in character.targets)
-    return Bake(settings.frames, coordinates, weights, modes, model.details, names), report
+    names = tuple(target.name for target in character.by_method().targets)
+    return Bake(settings.frames, coordinates, weights, modes, model.details, names, dry), report
+
+
+def _loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
+    first, last = player.settings.start, player.settings.end
+    off = player.pose_gap(rig)
+    if off > SAME_POSE * player.size:
+        return [
+            f"The rig at frame {last} is {1000 * off:.3g} mm off its pose at frame {first}: end the loop where that "
+            "pose comes back, or turn Loop off"
+        ]
+    if gap > CLOSED * player.size:
+        return [f"The loop is not closed after {PASSES} passes: raise the targets' damping, or make it longer"]
+    return []
 
 
 class _Skin:
@@ -320,19 +394,29 @@ def _some(numbers: list[int]) -> str:
     return f"frame{'s' * (len(numbers) > 1)} {listed}"
 
 
-def _worst_elements(model: Model, engine, coordinates: np.ndarray, weights: np.ndarray) -> dict:
+def _worst_elements(player: Player, frames: list[Frame]) -> dict:
     """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames."""
-    targets = model.target_coordinates(engine)
-    strength = np.abs(coordinates - weights @ targets).max(axis=1)
+    if player.engine is None:
+        return {"smallest_det": 1.0, "inverted": 0}
+    model, displacement = player.model, player.engine.displacement
+    strength = [np.abs(frame.coordinates - player.dry(frame.weights)).max() for frame in frames]
     rest = _volumes(model.nodes, model.tets)
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
-        moved = _volumes(model.nodes + engine.displacement(coordinates[k]), model.tets) / rest
+        moved = _volumes(model.nodes + displacement(frames[k].coordinates), model.tets) / rest
         smallest = min(smallest, moved.min())
         inside_out = model.tets[moved <= 0]
-        sculpted = _volumes(model.nodes + engine.displacement(weights[k] @ targets), inside_out)
+        sculpted = _volumes(model.nodes + displacement(player.dry(frames[k].weights)), inside_out)
         inverted = max(inverted, int((sculpted > 0).sum()))  # not what the sculpt itself inverts
     return {"smallest_det": float(smallest), "inverted": inverted}
+
+
+def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation (3, 3) and shift (3,) that carry points (V, 3) nearest to others, as a whole."""
+    centre, goal = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - goal).T @ (points - centre))
+    turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return turn, goal - turn @ centre
 
 
 def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -348,10 +432,16 @@ def _surface_modes(model: Model, free: np.ndarray) -> np.ndarray:
     return model.surface(modes)
 
 
-def _compress(model: Model, displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """The best `settings.modes` modes of an unreduced shot: coordinates, surface modes, largest error in metres."""
-    u, s, vt = np.linalg.svd(displacements, full_matrices=False)
-    kept = min(model.settings.modes, len(s))
-    coordinates, modes = u[:, :kept] * s[:kept], vt[:kept]
-    error = float(np.abs(displacements - coordinates @ modes).max())
-    return coordinates, _surface_modes(model, modes), error
+def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
+
+    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, surface modes, and the
+    largest error of `wet` in metres.
+    """
+    _, s, modes = np.linalg.svd(wet, full_matrices=False)
+    modes = modes[: min(model.settings.modes, len(s))]
+    _, s, others = np.linalg.svd(dry - dry @ modes.T @ modes, full_matrices=False)
+    modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(dry)]])
+    coordinates = wet @ modes.T
+    error = float(np.abs(wet - coordinates @ modes).max())
+    return coordinates, dry @ modes.T, _surface_modes(model, modes), error

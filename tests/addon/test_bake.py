@@ -15,6 +15,8 @@ def shot(soft_arm):
     """A coarse arm that was baked: the job with its model, character, rig and settings."""
     soft_arm.dynamorph.model.cage_nodes = 200
     soft_arm.dynamorph.model.modes = 8
+    for target in soft_arm.dynamorph.targets:
+        target.mass_damping = 6.0  # comes to rest within the tests' few frames
     job = part("jobs").Job(soft_arm, goal="BAKE")
     part("jobs").run(job)
     return job
@@ -116,3 +118,79 @@ def test_rest_knows_no_motion_before_the_start(shot):
     rest, settled = (simulated(shot, moving, begin=begin, **still) for begin in ("REST", "SETTLE"))
     assert np.abs(settled - settled[0]).max() < 1e-6
     assert np.abs(rest - rest[0]).max() > 100 * np.abs(settled - settled[0]).max() + 1e-4
+
+
+# Loops -------------------------------------------------------------------------------------------------------------
+
+
+def cyclic(shot, frames=12, travel=0.0, closed=True):
+    """The rig sways and bends once while it travels along y, metres; or nearly once."""
+    count = 1 + (frames - 1) * shot.settings.substeps
+    phase = np.linspace(0.0, 1.0 if closed else 0.9, count)
+    rig = held(shot, frames)
+    world = np.array(rig.rig_world)
+    world[:, 0, 3] += 0.1 * np.sin(2 * np.pi * phase)
+    world[:, 1, 3] += travel * np.linspace(0.0, 1.0, count)
+    pose = np.array(rig.pose)
+    bend = 0.3 * np.sin(2 * np.pi * phase)
+    turn = np.zeros((count, 4, 4))
+    turn[:, 0, 0] = turn[:, 3, 3] = 1.0
+    turn[:, 1, 1] = turn[:, 2, 2] = np.cos(bend)
+    turn[:, 2, 1], turn[:, 1, 2] = np.sin(bend), -np.sin(bend)
+    pose[:, 1] = pose[:, 1] @ turn
+    return replace(rig, pose=pose, rig_world=world, object_world=world)
+
+
+def looped(shot, rig, **settings):
+    frames = (len(rig) - 1) // shot.settings.substeps + 1
+    settings = replace(shot.settings, end=shot.settings.start + frames - 1, loop=True, **settings)
+    return part("simulate").bake(shot.model, shot.character, rig, settings)
+
+
+def size(shot):
+    return np.linalg.norm(np.ptp(shot.character.vertices @ shot.character.to_bind.T, axis=0))
+
+
+@pytest.mark.parametrize("travel", [0.0, 1.0])
+def test_a_loop_closes(shot, travel):
+    rig = cyclic(shot, travel=travel)
+    bake, report = looped(shot, rig)
+    apart = np.linalg.norm((bake.displacement(11) - bake.displacement(0)) @ shot.character.to_bind.T, axis=1).max()
+    assert report["gap"] == pytest.approx(apart) and apart <= 1e-4 * size(shot)
+    assert report["warnings"] == []
+    once = replace(shot.settings, end=shot.settings.start + 11)
+    single, _ = part("simulate").bake(shot.model, shot.character, rig, once)
+    assert np.abs(single.displacement(11) - single.displacement(0)).max() > 10 * report["gap"]
+
+
+def test_a_loop_is_what_many_cycles_come_to(shot):
+    rig = cyclic(shot, travel=0.5)
+    bake, _ = looped(shot, rig)
+    cycles = 12
+    world = np.concatenate([rig.rig_world[:-1] + c * (rig.rig_world[-1] - rig.rig_world[0]) for c in range(cycles)])
+    pose = np.concatenate([rig.pose[:-1]] * cycles)
+    long = replace(rig, pose=pose, rig_world=world, object_world=world)[: 1 + 11 * cycles * shot.settings.substeps]
+    long = long[: 1 + (11 * cycles - 1) * shot.settings.substeps]
+    motion = simulated(shot, long, end=shot.settings.start + 11 * cycles - 1)
+    assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=2e-3 * np.abs(motion).max())
+
+
+def test_a_pose_that_is_no_cycle_is_named(shot):
+    _, report = looped(shot, cyclic(shot, closed=False))
+    assert len(report["warnings"]) == 1 and "off its pose at frame 1: end the loop" in report["warnings"][0]
+
+
+def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
+    dynamorph = pytest.importorskip("dynamorph")
+    seen = []
+
+    def progress(fraction, message):
+        seen.append((fraction, message))
+        return "pass 3" not in message
+
+    settings = replace(shot.settings, end=12, loop=True)
+    with pytest.raises(dynamorph.Cancelled):
+        part("simulate").bake(shot.model, shot.character, cyclic(shot), settings, progress)
+    fractions = [fraction for fraction, _ in seen]
+    assert fractions == sorted(fractions) and fractions[-1] < 1.0
+    assert seen[-1][1] == "Simulating frame 2, pass 3"

@@ -381,7 +381,7 @@ def test_writing_is_fast(scene):
     obj.shape_key_add(name="Basis")
     bake = part("scene_data").Bake(
         np.arange(250), rng.normal(size=(250, 20)), np.ones((250, 1)), rng.normal(size=(20, 13_000, 3)),
-        np.zeros((1, 13_000, 3)), ("Neutral",),
+        np.zeros((1, 13_000, 3)), ("Neutral",), rng.normal(size=(250, 20)),
     )  # fmt: skip
     began = time.perf_counter()
     part("sinks").write_modal_keys(obj, bake)
