@@ -8,7 +8,7 @@ import textwrap
 import bpy
 from bpy.types import Panel, UIList
 
-from . import jobs, properties
+from . import jobs, properties, sinks
 
 LINE = 36  # characters that fit into the sidebar at its default width
 
@@ -160,6 +160,9 @@ def draw_bake(layout, obj):
             body.prop(simulation, name)
     draw_job(layout, "dynamorph.bake", "REC")
     if settings.bake.keys:
+        strip = sinks.influence_strip(obj)
+        if strip:
+            layout.prop(strip, "influence", slider=True)
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
             draw_warnings(layout, settings.bake.warnings)
