@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import extract, model_file, sinks
+from . import extract, live_key, model_file, sinks
 from .extract import Cancelled, SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
@@ -120,6 +120,16 @@ def stored_model(obj) -> bytes | None:
     return path.read_bytes()
 
 
+def fit_modes(obj, count: int):
+    """List the modes of a new model; those that there were keep their gain."""
+    modes = obj.dynamorph.modes
+    while len(modes) > count:
+        modes.remove(len(modes) - 1)
+    while len(modes) < count:
+        modes.add().name = f"Mode {len(modes) + 1:02d}"
+    obj.dynamorph.active_mode_index = min(obj.dynamorph.active_mode_index, max(count - 1, 0))
+
+
 def forget_model(obj):
     """Drop the model kept in the .blend. A file stays: another .blend may use it."""
     obj.pop(PACKED, None)
@@ -154,20 +164,26 @@ def stale_reasons(obj, character) -> list[str]:
     return ["not built yet"] if model is None else build.stale_reasons(model, character)
 
 
+def current_model(obj):
+    """(model, character) of an object whose model is up to date. Raises SceneError."""
+    character = extract.character(obj)
+    reasons = stale_reasons(obj, character)
+    if reasons:
+        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    return load_model(obj), character
+
+
 def fit_input(obj, target):
     """What the fits of `materials` ask for: (model, character, index there) of one of the object's targets.
 
     Raises SceneError unless the model is up to date.
     """
-    character = extract.character(obj)
-    reasons = stale_reasons(obj, character)
-    if reasons:
-        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    model, character = current_model(obj)
     names = [each.name for each in character.by_method().targets]
     first = 0 if target == obj.dynamorph.targets[0] else 1  # a shape key may be called like the neutral target
     if target.name not in names[first:]:
         raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
-    return load_model(obj), character, names.index(target.name, first)
+    return model, character, names.index(target.name, first)
 
 
 def show_stale(obj):
@@ -278,6 +294,7 @@ class Job:
             self._store_model(obj)
         if self.bake:
             with self._stage("write keys"):
+                live_key.remove(obj)
                 sinks.write_modal_keys(obj, self.result)
             obj.dynamorph.bake.summary = self.summary()
             obj.dynamorph.bake.gap = self.report.get("gap", 0.0)
@@ -311,6 +328,8 @@ class Job:
         record.stale = ""
         if self.reasons:
             record.warnings = "\n".join(self.model.summary["warnings"])
+            obj.dynamorph.live.checks = ""
+            fit_modes(obj, self.model.summary["modes"])
 
     def _work(self):
         try:
