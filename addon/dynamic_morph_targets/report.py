@@ -188,11 +188,9 @@ def residuals(model: build.Model, authored: Character) -> dict[str, float]:
     shapes = np.array([target.shape for target in authored.targets])
     sculpted = np.tensordot(simulate.pose_space(authored).weights(poses), shapes, 1)
     weights = simulate.pose_space(simulated).weights(poses)
-    statics = Statics(model, authored)
+    statics, to_metres = Statics(model, authored), authored.to_bind.T
     return {
-        target.name: float(
-            np.linalg.norm((statics.surface(weights[j]) - sculpted[j]) @ authored.to_bind.T, axis=1).max()
-        )
+        target.name: float(np.linalg.norm((statics.surface(weights[j]) - sculpted[j]) @ to_metres, axis=1).max())
         for j, target in enumerate(authored.targets)
     }
 

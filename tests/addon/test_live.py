@@ -573,7 +573,4 @@ def test_disabling_the_add_on_forgets_sessions(playing):
     assert not live.sessions and apart(surface(playing), shown) == 0.0
     live.register()
     play(playing, [5])
-    handlers = [
-        name for name, handler in live.HANDLERS.items() if list(getattr(bpy.app.handlers, name)).count(handler) != 1
-    ]
-    assert handlers == []
+    assert all(list(getattr(bpy.app.handlers, name)).count(handler) == 1 for name, handler in live.HANDLERS.items())
