@@ -129,6 +129,7 @@ class StandIn:
         self.bytes = 800  # size of a model
         self.fail = None  # an exception that bake raises
         self.patience = 0.0  # seconds that bake takes unless it is cancelled
+        self.deaf = 0.0  # seconds before it looks whether it is
 
     class Model:
         def __init__(self, arrays, meta):
@@ -163,6 +164,7 @@ class StandIn:
         if self.fail:
             raise self.fail
         assert len(rig) == 1 + (settings.end - settings.start) * settings.substeps
+        time.sleep(self.deaf)
         for i in range(10):
             if not progress(i / 10, f"Frame {i}"):
                 raise RuntimeError("cancelled")
