@@ -109,10 +109,10 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
 
 def _target_changes(settings, then: dict, now: dict) -> list[str]:
     lost, new = [name for name in then if name not in now], [name for name in now if name not in then]
-    if len(lost) == len(new):  # renamed
-        then = {**then, **{name: then[old] for name, old in zip(new, lost, strict=True)}}
-        lost = new = []
-    found = [f'target "{name}" is new' for name in new] + [f'target "{name}" is gone' for name in lost]
+    renamed = list(zip(new, lost, strict=False))
+    then = {**then, **{name: then[old] for name, old in renamed}}
+    found = [f'target "{name}" is new' for name in new[len(renamed) :]]
+    found += [f'target "{name}" is gone' for name in lost[len(renamed) :]]
     for name, target in _by_name(settings):
         before, after = then.get(name, {}), now[name]
         if not (before.get("mute") and after["mute"]):

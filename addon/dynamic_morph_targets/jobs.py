@@ -323,7 +323,7 @@ class Job:
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
         gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if "gap" in self.report else ""
-        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s, {self.size / 2**20:.1f} MB{gap}"
+        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s, {self.size / 2**20:.2f} MB{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary
