@@ -264,7 +264,7 @@ def run_info(args):
             continue
         print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
         changes.look_at_animation(obj)
-        print(f"  state: {'; '.join(changes.outdated(obj)) or 'up to date'}")
+        print(f"  bake state: {'; '.join(changes.outdated(obj)) or 'up to date'}")
 
 
 def chosen_objects(args) -> list:
