@@ -13,7 +13,7 @@ from . import changes, jobs, properties, sinks
 from .extract import Cancelled
 
 TICK = 0.05  # seconds between two turns of a job
-SLICE = 0.04  # of which it may hold the window, about
+SLICE = 0.035  # of which it may hold the window, about
 SHOWN = 0.1  # seconds between two looks of its progress
 
 
