@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import extract, jobs, live_key, properties
+from . import changes, extract, jobs, live_key, properties
 from .extract import SceneError
 from .scene_data import Character, RigSamples, SimulationSettings
 
@@ -24,7 +24,7 @@ KEPT = 250  # latest frames from which it can go on again, when settings are cha
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 
 sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple] = {}  # why an object does not play, and the model of which that was said
+_problems: dict[int, tuple] = {}  # why an object does not play, and how its model stood then
 lent: set[int] = set()  # objects whose live key shows something else for a while
 _any_live: bool | None = None  # whether an object of this file is live; None: to be seen
 
@@ -131,8 +131,8 @@ class Session:
 
     def _heed(self, obj, settings: SimulationSettings):
         """Take over what the artist has changed; what was simulated beyond the frame that shows is then forgotten."""
-        if obj.dynamorph.model.stale:
-            raise SceneError(f"The model is out of date ({obj.dynamorph.model.stale}): press Build Model")
+        if _out_of_date(obj):
+            raise SceneError(_out_of_date(obj))
         if len(obj.data.vertices) != len(self.flesh.character.vertices):
             raise SceneError(
                 f"The mesh has {len(obj.data.vertices)} vertices, its model {len(self.flesh.character.vertices)}: "
@@ -251,12 +251,18 @@ def is_on(obj) -> bool:
 
 def obstacle(obj) -> str:
     """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
-    model = obj.dynamorph.model
     if obj.dynamorph.bake.keys:
         return "The bake shows the motion already: press Free Bake first"
-    if model.stale or not model.content_id:
-        return f"Press Build Model first: {model.stale or 'not built yet'}"
-    return ""
+    if not obj.dynamorph.model.content_id:
+        return "The model is not built yet: press Build Model"
+    return _out_of_date(obj)
+
+
+def _out_of_date(obj) -> str:
+    """What has changed since the model was built, as far as that is seen without a look at the mesh."""
+    stale = obj.dynamorph.model.stale
+    reasons = [stale] * bool(stale) + changes.model_changes(obj)
+    return f"The model is out of date ({'; '.join(reasons)}): press Build Model" if reasons else ""
 
 
 def turn_on(obj, scene):
@@ -286,12 +292,13 @@ def refresh(obj):
 
 def problem(obj) -> str:
     """Why a live object does not play, or ''."""
-    text, model = _problems.get(obj.session_uid, ("", None))
-    return text if model == _stated(obj.dynamorph.model) else ""
+    text, stood = _problems.get(obj.session_uid, ("", None))
+    return text if text and stood == _standing(obj) else ""
 
 
-def _stated(model) -> tuple:
-    return model.content_id, model.stale
+def _standing(obj) -> tuple:
+    """What makes a problem worth another look."""
+    return obj.dynamorph.model.content_id, _out_of_date(obj)
 
 
 def follow(obj, scene, arrives=True):
@@ -314,7 +321,7 @@ def follow(obj, scene, arrives=True):
         sessions.pop(uid, None)
         expected = isinstance(error, jobs.expected_errors())
         text = str(error) if expected else f"{type(error).__name__}: {error}"
-        _problems[uid] = text, _stated(obj.dynamorph.model)
+        _problems[uid] = text, _standing(obj)
 
 
 def holds_still(scene) -> bool:
