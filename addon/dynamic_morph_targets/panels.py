@@ -8,7 +8,7 @@ import textwrap
 import bpy
 from bpy.types import Panel, UIList
 
-from . import jobs, properties, sinks
+from . import checks, jobs, properties, setup_operators, sinks
 
 LINE = 36  # characters that fit into the sidebar at its default width
 
@@ -54,17 +54,51 @@ def draw_soft_skin(layout, context, obj):
 
 def draw_problems(layout, obj):
     """What keeps this mesh from being a soft skin, each with its Fix."""
+    for problem in checks.problems(obj):
+        draw_problem(layout, problem, "ERROR")
+    if not obj.dynamorph.targets:
+        return
+    for problem in (*checks.next_steps(obj), *checks.notes(obj)):
+        draw_problem(layout, problem, "INFO")
+    outgrown = checks.outgrown(obj)
+    if outgrown:
+        draw_message(layout, outgrown)
+        draw_job(layout, "dynamorph.build", "MOD_LATTICE")
+
+
+def draw_problem(layout, problem, icon: str):
+    row = layout.row()
+    draw_message(row, problem.text, icon=icon, width=LINE - 8 if problem.fix else LINE)
+    if problem.fix:
+        button = row.column()
+        button.alignment = "RIGHT"
+        button.operator("dynamorph.fix").problem = problem.fix
 
 
 def draw_cage(layout, context, obj):
     settings = obj.dynamorph
     header, body = layout.panel("dynamorph_cage", default_closed=True)
     header.label(text="Cage")
-    if body:
-        body.enabled = jobs.running is None
-        body.prop(settings.model, "cage_nodes")
-        body.prop(settings.model, "pin_radius")
-        body.prop_search(settings, "soft_group", obj, "vertex_groups")
+    if not body:
+        return
+    column = body.column()
+    column.enabled = jobs.running is None
+    column.prop(settings.model, "cage_nodes")
+    column.prop(settings.model, "pin_radius")
+    draw_painted_group(column, obj, "SOFT")
+    draw_painted_group(column, obj, "STIFFNESS")
+    if settings.stiffness_group:
+        column.prop(settings, "stiffness_factor")
+    draw_job(body, "dynamorph.build_cage", "MESH_ICOSPHERE")
+    if settings.model.cage:
+        draw_message(body, settings.model.cage, icon="CHECKMARK")
+
+
+def draw_painted_group(layout, obj, which: str):
+    row = layout.row(align=True)
+    row.prop_search(obj.dynamorph, setup_operators.PAINTED[which].field, obj, "vertex_groups")
+    text = "Done" if setup_operators.is_painting(obj, which) else "Paint"
+    row.operator("dynamorph.paint_group", text=text).which = which
 
 
 # Targets -----------------------------------------------------------------------------------------------------------
@@ -192,10 +226,10 @@ def draw_warnings(layout, warnings: str):
         draw_message(layout, warning)
 
 
-def draw_message(layout, text: str, icon="ERROR"):
+def draw_message(layout, text: str, icon="ERROR", width=LINE):
     """Text broken into lines, because labels do not wrap."""
     column = layout.column(align=True)
-    for i, line in enumerate(textwrap.wrap(text, LINE)):
+    for i, line in enumerate(textwrap.wrap(text, width)):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
 
 

@@ -214,6 +214,10 @@ def _model_setting_changed(model, _context):
         model.stale = "model settings changed"
 
 
+def _group_changed(settings, context):
+    _model_setting_changed(settings.model, context)
+
+
 class DynamorphModel(PropertyGroup):
     """How the model of an object is built, and what came of it."""
 
@@ -275,6 +279,8 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
+    vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
+    cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
@@ -387,16 +393,18 @@ class DynamorphSettings(PropertyGroup):
         name="Soft",
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
         override=OVERRIDE,
+        update=_group_changed,
     )
     stiffness_group: StringProperty(
         name="Stiffness",
         description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
         override=OVERRIDE,
+        update=_group_changed,
     )
     stiffness_factor: FloatProperty(
         name="Factor",
         description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
-        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
+        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE, update=_group_changed,
     )  # fmt: skip
     model: PointerProperty(type=DynamorphModel, override=OVERRIDE)
     modes: CollectionProperty(name="Modes", type=DynamorphMode, override=OVERRIDE_LIST)
@@ -419,6 +427,7 @@ class DynamorphDisplay(PropertyGroup):
     influence: BoolProperty(
         name="Influence", description="Draw each target's weight over the frames, shading those far from every target"
     )
+    posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
 
 # Settings as plain data --------------------------------------------------------------------------------------------

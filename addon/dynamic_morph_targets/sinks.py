@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from . import checks
 from .properties import key_points, key_reach, reconcile
 from .scene_data import Bake
 
@@ -40,11 +41,8 @@ def check(obj):
                 f"{data.bl_rna.name} '{data.name}' is linked, so the bake would be lost on save: make it local "
                 "(Object > Relations > Make Local > Selected Objects and Data)"
             )
-    if obj.data.users > 1:
-        raise SinkError(
-            f"Mesh '{obj.data.name}' is shared by {obj.data.users} objects, which would all move alike: "
-            "make it single-user (Object > Relations > Make Single User > Object & Data)"
-        )
+    for problem in checks.shared_mesh(obj):
+        raise SinkError(problem.text)
     if obj.mode == "EDIT":
         raise SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
     animation = keys.animation_data

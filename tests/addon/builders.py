@@ -154,7 +154,7 @@ class StandIn:
         self.built += 1
         for i in range(5):
             assert progress(i / 5, "Modes")
-        counts = {"nodes": 10, "tets": 20, "dofs": 30, "modes": 3, "targets": len(character.targets)}
+        counts = {"nodes": 10, "tets": 20, "pinned": 4, "dofs": 30, "modes": 3, "targets": len(character.targets)}
         summary = {**counts, "seconds": {"modes": 0.5}, "warnings": []}
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
