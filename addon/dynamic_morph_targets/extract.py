@@ -153,7 +153,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
-    return Target(target.name, shape, target.bone_names(), local, rig_world, material)
+    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius)
 
 
 def target_shape(obj, key_name: str) -> np.ndarray:

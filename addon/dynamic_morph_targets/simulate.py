@@ -54,6 +54,7 @@ def pose_space(character: Character) -> dynamorph.PoseSpace:
                 [names.index(bone) for bone in named],
                 [target.name for target in target_set.targets],
                 [target.local for target in target_set.targets],
+                radii=[target.radius for target in target_set.targets],
             )
         )
     return dynamorph.PoseSpace(sets)
