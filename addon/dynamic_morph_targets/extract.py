@@ -259,7 +259,7 @@ def _check_poses(obj, targets, skeleton: Skeleton):
     used = [name in named for name in skeleton.names]
     for i, first in enumerate(targets):
         for second in targets[i + 1 :]:
-            if np.linalg.norm(turned(first.local[used], second.local[used])) < SAME_POSE:
+            if same_pose(first.local[used], second.local[used]):
                 raise SceneError(
                     f"'{obj.name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
                     "place targets: capture one of them in another pose, choose its bones, or remove it"
@@ -394,13 +394,21 @@ def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
 
 
-def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
-    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4)."""
+def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether targets with these transforms (B, 4, 4) of the bones that place them cannot be told apart."""
+    return bool(np.linalg.norm(turned(first, second)) < SAME_POSE)
+
+
+def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4).
+
+    depsgraph: where it is evaluated, if not where the artist sees it.
+    """
     modifier = armature_modifier(obj)
     _check_rig(obj, modifier)
     rig = modifier.object
     skeleton = rest_skeleton(rig.data)
-    evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
     pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
     rig_world = np.array(evaluated.matrix_world)
     for name, matrix in ((rig.name, rig_world), *zip(skeleton.names, pose, strict=True)):
