@@ -19,10 +19,12 @@ from mathutils import Quaternion
 from . import extract, targets
 from .extract import SceneError
 
-GRID = np.radians(np.arange(-180.0, 181.0, 3.0))
+STEP = np.radians(3.0)
+GRID = STEP * np.array(sorted(range(-60, 61), key=lambda step: (abs(step), -step)))  # right round, small angles first
+FINE = STEP * np.linspace(-1.0, 1.0, 61)
 FULL = 0.999  # of the largest value that a driver reaches, where that is 1 or less
 WORKS = 0.5  # a key whose driver reaches less is not made for a pose of its bones
-TOGETHER = 3  # so many turns are tried at the same angle
+TOGETHER = 3  # so many turns are tried at the same angle; their combinations soon are too many
 CHANNELS = ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle", "scale")
 AXES = np.eye(3)
 BENDS = AXES[[0, 2]]  # of a bone, whose length is along y
@@ -62,7 +64,7 @@ def suggestions(obj) -> tuple[list[Suggestion], list[str]]:
                 trial.turn(turns, angles)
                 pose = extract.current_pose(obj, trial.depsgraph)
                 found.append(Suggestion(key, [name for name in skeleton.names if name in bones], pose))
-            trial.turn(turns, np.zeros(len(turns)))
+            targets.pose_rig(rig, skeleton, neutral)
     return found, skipped
 
 
@@ -107,8 +109,9 @@ def _turns_read(variable, rig, world_axes):
     elif variable.type == "TRANSFORMS" and bones and variable.targets[0].transform_type.startswith("ROT_"):
         target = variable.targets[0]
         component = "XYZW".index(target.transform_type[-1])
-        space = np.eye(3) if target.transform_space != "WORLD_SPACE" else world_axes[bones[0].name]
-        yield bones[0].name, [space[component]] if component < 3 else []
+        # A row: a world axis in the bone's space.
+        space = AXES if target.transform_space != "WORLD_SPACE" else world_axes[bones[0].name]
+        yield bones[0].name, [space[component] / np.linalg.norm(space[component])] if component < 3 else []
 
 
 # Trying ------------------------------------------------------------------------------------------------------------
@@ -168,6 +171,7 @@ def _unchanged_pose(rig):
 
 def _turned_until_on(trial: _Trial, key: str, axes: dict[str, list]):
     """The least angles (n,) that turn a key on, what its value is then, and the n turns they belong to."""
+    tried = []
     for any_axis in (False, True):
         chosen = {bone: AXES if any_axis else _distinct(about or BENDS) for bone, about in axes.items()}
         turns = [(bone, axis) for bone, about in chosen.items() for axis in about]
@@ -176,10 +180,10 @@ def _turned_until_on(trial: _Trial, key: str, axes: dict[str, list]):
             trial.turn(turns, angles)
             return trial.value(key)
 
-        angles, top = least_turns(value, len(turns))
-        if top >= WORKS:
+        tried.append((*least_turns(value, len(turns), together=1 if any_axis else TOGETHER), turns))
+        if tried[-1][1] >= WORKS:
             break
-    return angles, top, turns
+    return max(tried, key=lambda found: found[1])
 
 
 def _distinct(axes) -> list:
@@ -191,14 +195,14 @@ def _distinct(axes) -> list:
     return kept
 
 
-def least_turns(value, count: int) -> tuple[np.ndarray, float]:
+def least_turns(value, count: int, together: int = TOGETHER) -> tuple[np.ndarray, float]:
     """Angles (count,), radians, at which value(angles) is as large as it gets, up to 1; and the largest value.
 
-    As few of them as possible are not 0: first each turn is tried alone, then several by the same angle, then one after
-    the other. At last each is made as small as it can be.
+    As few of them as possible are not 0: first each turn is tried alone, then up to `together` by the same angle, then
+    one after the other. At last each is made as small as it can be.
     """
     best, top = np.zeros(count), value(np.zeros(count))
-    for turned in range(1, min(count, TOGETHER) + 1):
+    for turned in range(1, min(count, together) + 1):
         tried = [_highest(value, np.zeros(count), direction) for direction in _directions(count, turned)]
         reached = max(height for _, height in tried)
         if reached > top + 1e-3:
@@ -206,7 +210,7 @@ def least_turns(value, count: int) -> tuple[np.ndarray, float]:
             best = min((angles for angles, height in tried if height >= FULL * min(top, 1.0)), key=np.linalg.norm)
         if top >= FULL:
             break
-    for i in [*range(count)] * 3 if top < FULL and count > 1 else []:
+    for i in [*range(count)] * 3 if top < FULL and count > 1 and best.any() else []:
         angles, reached = _highest(value, best * (np.arange(count) != i), np.eye(count)[i])
         if reached > top + 1e-3:
             best, top = angles, reached
@@ -225,24 +229,27 @@ def _directions(count: int, turned: int):
 
 
 def _highest(value, start: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
-    """Where along a line the value is highest, or full, nearest to its start; and how high it gets."""
-    heights = np.array([value(start + angle * direction) for angle in GRID])
-    top = heights.max()
-    angle = min(GRID[heights >= FULL * min(top, 1.0)], key=abs)
+    """Where along a line the value is full, or as high as it gets, nearest to its start; and how high it gets."""
+    angle, top = _first_highest(lambda angle: value(start + angle * direction), GRID)
+    if top < FULL and angle:  # it may be a peak between two steps
+        angle, top = _first_highest(lambda angle: value(start + angle * direction), angle + FINE)
     return start + angle * direction, top
+
+
+def _first_highest(value, angles: np.ndarray) -> tuple[float, float]:
+    heights = np.array([value(angle) for angle in angles])
+    top = heights.max()
+    return angles[np.argmax(heights >= FULL * min(top, 1.0))], top
 
 
 def _shrunk(value, angles: np.ndarray, i: int, goal: float) -> np.ndarray:
     """`angles` with the i-th as small as leaves the value at the goal, to a thousandth of a degree."""
+    others = angles * (np.arange(len(angles)) != i)
     axis = np.eye(len(angles))[i]
-    start = angles - angles[i] * axis
-    for step in sorted(GRID[abs(GRID) < abs(angles[i])], key=abs):
-        if value(start + step * axis) >= goal:
-            angles = start + step * axis
-            break
-    inside = angles[i] - np.sign(angles[i]) * min(abs(angles[i]), GRID[1] - GRID[0])
-    outside = angles[i]
+    smaller = GRID[abs(GRID) < abs(angles[i])]
+    outside = next((angle for angle in smaller if value(others + angle * axis) >= goal), angles[i])
+    inside = outside - np.sign(outside) * min(abs(outside), STEP)
     for _ in range(12):
         middle = 0.5 * (inside + outside)
-        inside, outside = (inside, middle) if value(start + middle * axis) >= goal else (middle, outside)
-    return start + outside * axis
+        inside, outside = (inside, middle) if value(others + middle * axis) >= goal else (middle, outside)
+    return others + outside * axis

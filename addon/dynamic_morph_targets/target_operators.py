@@ -218,6 +218,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         existing = keys.key_blocks.get(name)
         if existing and not self.overwrite:
             return existing
+        targets.check_not_edited(obj)
         partners = targets.mirror_partners(key_points(keys.reference_key))
         alone = (partners < 0).nonzero()[0]
         if len(alone) == len(partners):
@@ -240,7 +241,8 @@ class DYNAMORPH_OT_select_key(TargetOperator, Operator):
     bl_label = "Select Shape Key"
 
     def apply(self, obj):
-        obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(sculpted_key(obj).name)
+        block = sculpted_key(obj)
+        obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(block.name)
 
 
 def sculpted_key(obj):

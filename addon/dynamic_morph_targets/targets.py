@@ -22,7 +22,11 @@ KEY_REFERENCE = ("name", "key_index", "key_hash")
 
 
 def new_key(obj, name: str, shape: np.ndarray):
-    """A shape key, so called if that is free, which at value 1 adds `shape` (V, 3), local space, to the Basis."""
+    """A shape key, so called if that is free, which at value 1 adds `shape` (V, 3), local space, to the Basis.
+
+    Raises SceneError.
+    """
+    check_not_edited(obj)
     if obj.data.shape_keys is None:
         obj.shape_key_add(name="Basis", from_mix=False)
     block = obj.shape_key_add(name=name, from_mix=False)
@@ -35,6 +39,12 @@ def set_shape(block, shape: np.ndarray):
     points = key_points(block.relative_key) + shape
     block.points.foreach_set("co", points.astype(np.float32).ravel())
     block.id_data.update_tag()
+
+
+def check_not_edited(obj):
+    """Raises SceneError in Edit Mode, which would overwrite shape keys when it is left."""
+    if obj.mode == "EDIT":
+        raise SceneError(f"'{obj.name}' is in Edit Mode: leave it first")
 
 
 def copy_key(obj, name: str):
@@ -183,6 +193,7 @@ def begin_sculpting(obj, block, mode: str):
 
 def check_can_sculpt(obj):
     """Raises SceneError."""
+    check_not_edited(obj)
     if not obj.visible_get():
         raise SceneError(f"'{obj.name}' is hidden: show it to sculpt")
 
