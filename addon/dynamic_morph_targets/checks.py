@@ -274,11 +274,16 @@ def poses(name: str, targets: tuple[Target, ...], skeleton: Skeleton) -> Iterato
     used = [bone in named for bone in skeleton.names]
     for i, first in enumerate(targets):
         for second in targets[i + 1 :]:
-            if np.linalg.norm(turned(first.local[used], second.local[used])) < SAME_POSE:
+            if same_pose(first.local[used], second.local[used]):
                 yield Problem(
                     f"'{name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
                     "place targets: capture one of them in another pose, choose its bones, or remove it"
                 )
+
+
+def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether targets with these transforms (B, 4, 4) of the bones that place them cannot be told apart."""
+    return bool(np.linalg.norm(turned(first, second)) < SAME_POSE)
 
 
 def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, weights: np.ndarray) -> Iterator[Problem]:

@@ -284,15 +284,18 @@ def _stretch(world) -> np.ndarray:
 # The pose ----------------------------------------------------------------------------------------------------------
 
 
-def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
-    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4)."""
+def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4).
+
+    depsgraph: where it is evaluated, if not where the artist sees it.
+    """
     modifier = armature_modifier(obj)
     _refuse(checks.rig(obj, modifier))
     rig = modifier.object
     skeleton = rest_skeleton(rig.data)
-    evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
     pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
-    rig_world = world_now(rig)
+    rig_world = world_now(rig, depsgraph)
     for name, matrix in zip(skeleton.names, pose, strict=True):
         if not np.isfinite(matrix).all():
             raise SceneError(_not_a_number(name, bpy.context.scene.frame_current))
@@ -302,9 +305,9 @@ def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
     return skeleton, skeleton.local_transforms(pose), rig_world
 
 
-def world_now(rig) -> np.ndarray:
-    """The evaluated world transform (4, 4) of the armature. Raises SceneError."""
-    world = np.array(rig.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world)
+def world_now(rig, depsgraph=None) -> np.ndarray:
+    """The evaluated world transform (4, 4) of the armature; depsgraph: as `current_pose`. Raises SceneError."""
+    world = np.array(rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
     if not np.isfinite(world).all():
         raise SceneError(_not_a_number(rig.name, bpy.context.scene.frame_current))
     return world

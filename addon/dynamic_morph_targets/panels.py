@@ -6,7 +6,7 @@ from __future__ import annotations
 import textwrap
 
 import bpy
-from bpy.types import Panel, UIList
+from bpy.types import Menu, Panel, UIList
 
 from . import checks, jobs, properties, setup_operators, sinks
 
@@ -14,19 +14,42 @@ LINE = 36  # characters that fit into the sidebar at its default width
 
 
 class DYNAMORPH_UL_targets(UIList):
-    """Dynamic morph targets, as Blender lists shape keys."""
+    """Dynamic morph targets, as Blender lists shape keys. Renaming one here renames its shape key."""
 
     def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, index):
         neutral = index == 0
         keys = data.id_data.data.shape_keys
-        gone = not neutral and (keys is None or item.name not in keys.key_blocks)
-        icon = "ERROR" if gone else "ARMATURE_DATA" if neutral else "SHAPEKEY_DATA"
-        row = layout.row()
+        block = keys.key_blocks.get(item.name) if keys and not neutral else None
+        row = layout.row(align=True)
+        row.enabled = jobs.running is None
         row.active = not item.mute
-        row.label(text=item.name, icon=icon, translate=False)
-        if not neutral:
-            row.enabled = jobs.running is None
+        split = row.split(factor=0.66)
+        if block:
+            split.prop(block, "name", text="", icon="SHAPEKEY_DATA", emboss=False)
+        else:  # without its key a target cannot be built
+            split.label(text=item.name, icon="ARMATURE_DATA" if neutral else "ERROR", translate=False)
+        split.label(text=f"{item.stiffness / 1000:.3g} kPa", translate=False)
+        if neutral:
+            row.label(text="", icon="BLANK1")
+        else:
             row.prop(item, "mute", text="", icon="CHECKBOX_DEHLT" if item.mute else "CHECKBOX_HLT", emboss=False)
+
+
+class DYNAMORPH_MT_targets(Menu):
+    """What is done to targets less often."""
+
+    bl_label = "Target Specials"
+
+    def draw(self, _context):
+        layout = self.layout
+        layout.operator_context = "INVOKE_DEFAULT"
+        layout.operator("dynamorph.suggest_targets", icon="DRIVER")
+        layout.separator()
+        layout.operator("dynamorph.duplicate_target", icon="DUPLICATE")
+        layout.operator("dynamorph.mirror_target", icon="ARROW_LEFTRIGHT")
+        layout.operator("dynamorph.mirror_target", text="Mirror Target (Overwrite Key)").overwrite = True
+        layout.separator()
+        layout.operator("dynamorph.select_key", icon="SHAPEKEY_DATA")
 
 
 def draw_soft_skin(layout, context, obj):
@@ -116,25 +139,44 @@ def draw_targets(layout, obj):
 
 def draw_target_list(layout, settings):
     row = layout.row()
-    row.template_list("DYNAMORPH_UL_targets", "", settings, "targets", settings, "active_target_index", rows=4)
+    row.template_list("DYNAMORPH_UL_targets", "", settings, "targets", settings, "active_target_index", rows=5)
     column = row.column(align=True)
     column.operator("dynamorph.add_target", text="", icon="ADD")
     column.operator("dynamorph.remove_target", text="", icon="REMOVE")
+    column.separator()
+    column.menu("DYNAMORPH_MT_targets", text="", icon="DOWNARROW_HLT")
+    if len(settings.targets) > 2:
+        column.separator()
+        column.operator("dynamorph.move_target", text="", icon="TRIA_UP").direction = "UP"
+        column.operator("dynamorph.move_target", text="", icon="TRIA_DOWN").direction = "DOWN"
+    if settings.sculpt.active:
+        layout.operator("dynamorph.finish_sculpt", icon="CHECKMARK")
+    else:
+        layout.operator("dynamorph.new_from_pose", icon="SCULPTMODE_HLT")
 
 
 def draw_target(layout, obj, target):
     neutral = target == obj.dynamorph.targets[0]
-    column = layout.column(align=True)
-    column.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
+    row = layout.row(align=True)
+    row.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
+    row.operator("dynamorph.go_to_pose", icon="POSE_HLT")
     if not neutral:
-        column.operator("dynamorph.use_selected_bones", icon="BONE_DATA")
-        draw_message(layout, "Bones: " + (", ".join(target.bone_names()) or "none"), icon="BONE_DATA")
+        row.operator("dynamorph.sculpt_target", text="", icon="SCULPTMODE_HLT")
+        draw_bones(layout, target)
     column = layout.column(align=True)
     column.enabled = jobs.running is None
     if not neutral:
         column.prop_search(target, "region", obj, "vertex_groups")
         column.prop(target, "radius")
     draw_material(column, target)
+
+
+def draw_bones(layout, target):
+    """The bones that place a target; a click on one takes it away."""
+    flow = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
+    for bone in target.bone_names():
+        flow.operator("dynamorph.remove_bone", text=bone, icon="X", translate=False).bone = bone
+    flow.operator("dynamorph.use_selected_bones", text="Selected Bones", icon="ADD")
 
 
 def draw_material(column, target):
@@ -261,5 +303,5 @@ class DYNAMORPH_PT_object_data(SoftSkinPanel, Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
 
-CLASSES = (DYNAMORPH_UL_targets, DYNAMORPH_PT_sidebar, DYNAMORPH_PT_object_data)
+CLASSES = (DYNAMORPH_UL_targets, DYNAMORPH_MT_targets, DYNAMORPH_PT_sidebar, DYNAMORPH_PT_object_data)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -381,6 +381,16 @@ class DynamorphBake(PropertyGroup):
     gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
 
 
+class DynamorphSculpt(PropertyGroup):
+    """What sculpting a target in its pose changed, so that Finish Sculpting can put it back."""
+
+    active: BoolProperty(name="Sculpting", description="Whether a target is being sculpted")
+    was_pinned: BoolProperty(name="Was Pinned", description="Whether the active shape key was shown alone before")
+    was_posing: BoolProperty(name="Was Posing", description="Whether the armature was in Pose Mode before")
+    in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
+    on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
+
+
 class DynamorphSettings(PropertyGroup):
     """Everything about the soft skin of one object."""
 
@@ -412,6 +422,7 @@ class DynamorphSettings(PropertyGroup):
     simulation: PointerProperty(type=DynamorphSimulation, override=OVERRIDE)
     live: PointerProperty(type=DynamorphLive)
     bake: PointerProperty(type=DynamorphBake)
+    sculpt: PointerProperty(type=DynamorphSculpt)
 
     @property
     def active_target(self):
@@ -579,6 +590,7 @@ CLASSES = (
     DynamorphLive,
     DynamorphSimulation,
     DynamorphBake,
+    DynamorphSculpt,
     DynamorphSettings,
     DynamorphDisplay,
 )
