@@ -156,18 +156,19 @@ def test_the_armature_is_found_by_parent_or_by_bones_of_the_groups_names(scene, 
     assert [m.name for m in arm.modifiers] == ["Armature", "Subdivision"] and OPS.add_soft_skin.poll()
 
 
-def test_what_is_linked_is_left_alone(scene, soft_arm, tmp_path):
-    preserve_volume(soft_arm)
+def test_a_linked_armature_is_left_alone(scene, soft_arm, tmp_path):
     rest_position(soft_arm)
+    bendy(soft_arm)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     with bpy.data.libraries.load(str(tmp_path / "arm.blend"), link=True) as (_, data):
-        data.objects = ["Arm", "Arm Rig"]
-    for obj in data.objects:
-        bpy.context.scene.collection.objects.link(obj)
-    activate(bpy.data.objects["Arm"])
-    refused(OPS.fix, "'Arm' is linked.*make it local", problem="PRESERVE_VOLUME")
-    refused(OPS.fix, "'Arm Rig' is linked.*make it local", problem="POSE_POSITION")
+        data.objects = ["Arm"]
+    obj = data.objects[0].make_local()
+    bpy.context.scene.collection.objects.link(obj)
+    activate(obj)
+    for fix in fixes(obj):
+        refused(OPS.fix, "Armature 'Arm Rig' is linked.*make it local", problem=fix)
+    assert fixes(obj) == ["POSE_POSITION", "BENDY_BONES"]
 
 
 # Order, cost, and the button that begins ---------------------------------------------------------------------------
