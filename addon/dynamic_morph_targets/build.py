@@ -251,11 +251,7 @@ def _static_model(character: Character, authored: dict[str, str]) -> Model:
         shares=np.zeros((0, len(character.target_sets))),
         details=np.array([target.shape for target in targets]),
         summary={
-            "nodes": 0,
-            "tets": 0,
-            "pinned": 0,
-            "dofs": 0,
-            "modes": 0,
+            **dict.fromkeys(("nodes", "tets", "pinned", "dofs", "modes"), 0),
             "targets": len(targets),
             "warnings": [],
             "seconds": {},
@@ -296,10 +292,11 @@ def _volume(character: Character, authored, mesh, stages: _Stages) -> tuple[Mode
         embedding = dynamorph.embed(mesh, surface)
         fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
         shares = [target_set.share for target_set in character.target_sets]
-        # Logarithms: stiffness is interpolated as a ratio, and where nothing is painted it stays exactly one.
-        painted = np.column_stack([np.log(character.stiffness), character.weights, character.softness, *shares])
-        inherited = dynamorph.extend_to_nodes(mesh, embedding, painted)
-        stiffness = np.exp(inherited[:, 0])[mesh.tets].mean(axis=1)
+        # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and no further than painted.
+        painted = np.log(character.stiffness)
+        values = np.column_stack([painted, character.weights, character.softness, *shares])
+        inherited = dynamorph.extend_to_nodes(mesh, embedding, values)
+        stiffness = np.exp(inherited[:, 0].clip(painted.min(), painted.max()))[mesh.tets].mean(axis=1)
         weights, softness, shares = np.split(
             inherited[:, 1:].clip(0.0), np.cumsum([character.weights.shape[1], 1]), axis=1
         )

@@ -91,7 +91,7 @@ def draw_problems(layout, obj):
 
 def draw_problem(layout, problem, icon: str):
     row = layout.row()
-    draw_message(row, problem.text, icon=icon, width=LINE - 8 if problem.fix else LINE)
+    draw_message(row, problem.text, icon=icon, width=LINE - 10 if problem.fix else LINE)
     if problem.fix:
         button = row.column()
         button.alignment = "RIGHT"
@@ -115,13 +115,16 @@ def draw_cage(layout, context, obj):
     draw_job(body, "dynamorph.build_cage", "MESH_ICOSPHERE")
     if settings.model.cage:
         draw_message(body, settings.model.cage, icon="CHECKMARK")
+        body.prop(context.window_manager.dynamorph, "cage", text="Show Cage")
 
 
 def draw_painted_group(layout, obj, which: str):
     row = layout.row(align=True)
     row.prop_search(obj.dynamorph, setup_operators.PAINTED[which].field, obj, "vertex_groups")
     text = "Done" if setup_operators.is_painting(obj, which) else "Paint"
-    row.operator("dynamorph.paint_group", text=text).which = which
+    button = row.row(align=True)
+    button.ui_units_x = 2.5  # the name of the group needs the rest
+    button.operator("dynamorph.paint_group", text=text).which = which
 
 
 # Targets -----------------------------------------------------------------------------------------------------------

@@ -71,7 +71,6 @@ def _in_modifier(**values) -> Callable:
     """A fix that sets properties of the Armature modifier."""
 
     def apply(obj):
-        _owned(obj)
         (modifier,) = checks.armature_modifiers(obj)
         for name, value in values.items():
             setattr(modifier, name, value)
@@ -102,19 +101,19 @@ def _leave_edit_mode(obj):
 
 
 def _make_single_user(obj):
-    _owned(obj).data = obj.data.copy()
+    obj.data = obj.data.copy()
 
 
 def _add_armature_modifier(obj):
     """In the first place: what comes before an Armature modifier must not add vertices."""
-    empty = [modifier for modifier in _owned(obj).modifiers if modifier.type == "ARMATURE"]
+    empty = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
     modifier = empty[0] if empty else obj.modifiers.new("Armature", "ARMATURE")
     modifier.object = checks.armature_for(obj)
     obj.modifiers.move(obj.modifiers.find(modifier.name), 0)
 
 
 def _move_below(obj):
-    (armature,) = checks.armature_modifiers(_owned(obj))
+    (armature,) = checks.armature_modifiers(obj)
     for modifier in reversed(checks.generating_before(obj, armature)):  # each to the place next to it: keeps the order
         obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
 
@@ -137,7 +136,7 @@ def _relative_keys(obj):
 
 
 def _unpin(obj):
-    _owned(obj).show_only_shape_key = False
+    obj.show_only_shape_key = False
 
 
 FIXES = {
@@ -193,6 +192,7 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
 
     bl_idname = "dynamorph.fix"
     bl_label = "Fix"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}  # a search would offer only the first problem
     needs_soft_skin = False
 
     problem: EnumProperty(
