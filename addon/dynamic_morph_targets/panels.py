@@ -8,7 +8,7 @@ import textwrap
 import bpy
 from bpy.types import Menu, Panel, UIList
 
-from . import checks, jobs, properties, setup_operators, sinks
+from . import changes, checks, jobs, properties, setup_operators, sinks
 
 LINE = 36  # characters that fit into the sidebar at its default width
 
@@ -207,8 +207,7 @@ def draw_model(layout, obj):
         body.enabled = jobs.running is None
         for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot"):
             body.prop(model, name)
-    if model.stale:
-        draw_message(layout, f"Out of date: {model.stale}")
+    draw_outdated(layout, changes.model_changes(obj) or list(filter(None, [model.stale])))
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
@@ -238,7 +237,9 @@ def draw_bake(layout, obj):
         for name in ("substeps", "scheme", "gravity", "fields", "begin", "preroll", "loop"):
             body.prop(simulation, name)
     draw_job(layout, "dynamorph.bake", "REC")
+    draw_job(layout, "dynamorph.bake_all", "NONE")
     if settings.bake.keys:
+        draw_outdated(layout, changes.outdated(obj))
         strip = sinks.influence_strip(obj)
         if strip:
             layout.prop(strip, "influence", slider=True)
@@ -264,6 +265,12 @@ def draw_job(layout, operator: str, icon: str):
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")
     row.operator("dynamorph.cancel", text="", icon="X")
+
+
+def draw_outdated(layout, reasons: list[str]):
+    if reasons:
+        more = f", and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+        draw_message(layout, f"Out of date: {', '.join(reasons[:3])}{more}")
 
 
 def draw_warnings(layout, warnings: str):
