@@ -401,7 +401,7 @@ def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
     rig = modifier.object
     skeleton = rest_skeleton(rig.data)
     evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
+    pose = pose_matrices(evaluated, pose_order(rig, skeleton))
     rig_world = np.array(evaluated.matrix_world)
     for name, matrix in ((rig.name, rig_world), *zip(skeleton.names, pose, strict=True)):
         if not np.isfinite(matrix).all():
@@ -421,11 +421,12 @@ def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray)
     ]
 
 
-def _pose_order(rig, skeleton: Skeleton) -> list[int]:
+def pose_order(rig, skeleton: Skeleton) -> list[int]:
+    """Where the skeleton's bones are among those of the armature object's pose."""
     return [rig.pose.bones.find(name) for name in skeleton.names]
 
 
-def _pose_matrices(evaluated_rig, order) -> np.ndarray:
+def pose_matrices(evaluated_rig, order) -> np.ndarray:
     """Pose matrices (B, 4, 4), armature space."""
     columns = np.empty((len(order), 4, 4), np.float32)
     _read_pose(evaluated_rig, columns)
@@ -461,7 +462,7 @@ def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSa
     """
     rig = armature_modifier(obj).object
     skeleton = rest_skeleton(rig.data)
-    order = _pose_order(rig, skeleton)
+    order = pose_order(rig, skeleton)
     count = 1 + (end - start) * substeps
     sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
     columns = np.empty((count, len(order), 4, 4), np.float32)

@@ -130,6 +130,8 @@ class StandIn:
         self.patience = 0.0  # seconds that bake takes unless it is cancelled
 
     class Model:
+        tets = ()
+
         def __init__(self, arrays, meta):
             self.arrays, self.meta = arrays, meta
             self.summary = meta["summary"]
