@@ -300,7 +300,7 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
     rig = modifier.object
     skeleton = rest_skeleton(rig.data)
     evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
-    pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
+    pose = pose_matrices(evaluated, pose_order(rig, skeleton))
     rig_world = world_now(rig, depsgraph)
     for name, matrix in zip(skeleton.names, pose, strict=True):
         if not np.isfinite(matrix).all():
@@ -328,11 +328,12 @@ def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray)
     ]
 
 
-def _pose_order(rig, skeleton: Skeleton) -> list[int]:
+def pose_order(rig, skeleton: Skeleton) -> list[int]:
+    """Where the skeleton's bones are among those of the armature object's pose."""
     return [rig.pose.bones.find(name) for name in skeleton.names]
 
 
-def _pose_matrices(evaluated_rig, order) -> np.ndarray:
+def pose_matrices(evaluated_rig, order) -> np.ndarray:
     """Pose matrices (B, 4, 4), armature space."""
     columns = np.empty((len(order), 4, 4), np.float32)
     _read_pose(evaluated_rig, columns)
@@ -381,7 +382,7 @@ class RigSampling:
         self.start, self.substeps = start, substeps
         self.done, self.count = 0, 1 + (end - start) * substeps
         self._skeleton = rest_skeleton(rig.data)
-        self._order = _pose_order(rig, self._skeleton)
+        self._order = pose_order(rig, self._skeleton)
         self._moving = (rig.name, obj.name, *self._skeleton.names)
         sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
         self._sources = [source.name for source in sources]

@@ -19,7 +19,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, model_file, sinks
+from . import changes, extract, materials, model_file, sinks
 from .extract import Cancelled, SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
@@ -166,11 +166,17 @@ def fit_input(obj, target):
     reasons = stale_reasons(obj, character)
     if reasons:
         raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    index = index_in(character, obj, target)
+    if index is None:
+        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
+    return load_model(obj), character, index
+
+
+def index_in(character, obj, target) -> int | None:
+    """Where one of the object's targets is among those of the character that is simulated; None if it is not."""
     names = [each.name for each in character.by_method().targets]
     first = 0 if target == obj.dynamorph.targets[0] else 1  # a shape key may be called like the neutral target
-    if target.name not in names[first:]:
-        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
-    return load_model(obj), character, names.index(target.name, first)
+    return names.index(target.name, first) if target.name in names[first:] else None
 
 
 def show_stale(obj):
@@ -232,6 +238,7 @@ class Job:
         self.inputs: dict = {}  # of the bake
         self.settings = self.rig = self._sampling = None  # the shot
         self.model = None
+        self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
         self.result = None
         self.size = 0  # of the bake, in bytes
         self._error: BaseException | None = None
@@ -362,6 +369,15 @@ class Job:
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
         if self.reasons or not self.only_cage:
             record.stale, record.built = "only the cage is built" if self.only_cage else "", self.built
+        if self.references:
+            self._store_references(obj)
+
+    def _store_references(self, obj):
+        measured = self.character.by_method().targets
+        for target in obj.dynamorph.targets:
+            index = index_in(self.character, obj, target)
+            bounce, volume = self.references[index] if index is not None else (0.0, 0.0)
+            target.set_references(bounce, volume, measured[index or 0].material.poisson)
 
     def _work(self):
         try:
@@ -385,6 +401,11 @@ class Job:
             with self._stage("build"):
                 progress = self._progress(start, built if self.bake else 1.0)
                 self.model = simulate.build_for(self.character, self.rig, self.settings, progress, self.previous)
+            with self._stage("measure"):
+                for reference in materials.references(self.model, self.character):
+                    self.references.append(reference)
+                    if self.cancelled:
+                        return
             start = built
             self.warnings += self.model.summary["warnings"]
         if not self.bake:

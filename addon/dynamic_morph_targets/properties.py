@@ -27,12 +27,14 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
+from . import materials
 from .scene_data import METHODS, Material, ModelSettings, Skeleton
 
 NEUTRAL = "Neutral"
 OVERRIDE = {"LIBRARY_OVERRIDABLE"}
 OVERRIDE_LIST = {"LIBRARY_OVERRIDABLE", "USE_INSERTION"}
 IDENTITY = tuple(np.eye(4).ravel())
+NEVER = 1e5  # frames: of a swing that nothing damps
 
 
 # Reading the two things that references point at -------------------------------------------------------------------
@@ -115,6 +117,42 @@ class DynamorphBonePose(PropertyGroup):
     )
 
 
+def _seconds_a_frame() -> float:
+    render = bpy.context.scene.render
+    return render.fps_base / render.fps
+
+
+def _get_bounce(target) -> float:
+    return materials.swing(target.bounce_reference, target.material()).frequency if target.is_measured else 0.0
+
+
+def _set_bounce(target, frequency: float):
+    if target.is_measured:
+        target.stiffness = materials.stiffness_for(target.bounce_reference, target.material(), frequency)
+
+
+def _get_settle(target) -> float:
+    if not target.is_measured:
+        return 0.0
+    return min(materials.swing(target.bounce_reference, target.material()).settle / _seconds_a_frame(), NEVER)
+
+
+def _set_settle(target, frames: float):
+    if target.is_measured:
+        target.mass_damping, target.stiffness_damping = materials.damping_for(
+            target.bounce_reference, target.material(), frames * _seconds_a_frame()
+        )
+
+
+def _get_weight(target) -> float:
+    return target.density * target.volume if target.is_measured else 0.0
+
+
+def _set_weight(target, weight: float):
+    if target.is_measured:
+        target.density = weight / target.volume
+
+
 class DynamorphTarget(KeyReference, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
@@ -173,6 +211,50 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Armature Transform", description="World transform of the armature when the pose was captured",
         size=16, default=IDENTITY, override=OVERRIDE,
     )  # fmt: skip
+
+    # What artists call it. Computed from the properties above and from what the last build measured.
+    bounce: FloatProperty(
+        name="Bounce (Hz)",
+        description="How often a second the flesh swings after a push, in this pose. Sets the stiffness; heavy damping "
+        "limits it",
+        min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, options={"SKIP_SAVE"},
+        get=_get_bounce, set=_set_bounce,
+    )  # fmt: skip
+    settle: FloatProperty(
+        name="Settle (Frames)",
+        description="Frames until a twentieth of a swing is left, in this pose. Sets both dampings, in the proportion "
+        "they have",
+        min=0.1, max=NEVER, soft_min=1.0, soft_max=100.0, step=100, precision=1, options={"SKIP_SAVE"},
+        get=_get_settle, set=_set_settle,
+    )  # fmt: skip
+    weight: FloatProperty(
+        name="Weight (kg)",
+        description="Of the flesh in the target's region, with what the bones hold. Sets the density and nothing else: "
+        "heavier flesh bounces slower",
+        min=1e-6, max=1e6, soft_max=100.0, step=10, precision=3, options={"SKIP_SAVE"},
+        get=_get_weight, set=_set_weight,
+    )  # fmt: skip
+    bounce_reference: FloatProperty(
+        name="Bounce Reference", description="Undamped, in Hz, where stiffness over density is 1; by the last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+    poisson_reference: FloatProperty(
+        name="Poisson Reference", description="Poisson's ratio that it was measured at", options={"SKIP_SAVE"}
+    )
+    volume: FloatProperty(
+        name="Volume", description="Of the flesh in the target's region, in m³, by the last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the last build knows how the flesh swings at this target; else bounce, settle and weight are 0."""
+        measured = self.bounce_reference > 0.0 and self.volume > 0.0
+        return measured and math.isclose(self.poisson, self.poisson_reference, rel_tol=1e-5)
+
+    def set_references(self, bounce: float, volume: float, poisson: float):
+        """As `materials.references` gives them, measured at this Poisson's ratio."""
+        self.bounce_reference, self.volume, self.poisson_reference = bounce, volume, poisson
 
     def material(self) -> Material:
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
@@ -417,13 +499,21 @@ class DynamorphSettings(PropertyGroup):
         return self.targets[self.active_target_index] if inside else None
 
 
+def _show_influence(display, _context):
+    from . import influence  # which reads what is authored here
+
+    if display.influence and not bpy.app.background:
+        influence.update_soon(0.0)
+
+
 class DynamorphDisplay(PropertyGroup):
     """What the 3D viewport shows besides; for the session, like Blender's own overlays of a window."""
 
     cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra, with the nodes that the bones hold")
     influence: BoolProperty(
-        name="Influence", description="Draw each target's weight over the frames, shading those far from every target"
-    )
+        name="Influence", description="Draw each target's weight over the frames, shading those far from every target",
+        update=_show_influence,
+    )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
 
@@ -433,11 +523,12 @@ class DynamorphDisplay(PropertyGroup):
 def plain(group, skip=()) -> dict:
     """The simple settings of a property group by name, fit for JSON: numbers, texts, enums and arrays of numbers.
 
-    Groups and lists within it are left out, and what `skip` names.
+    Groups and lists within it are left out, what follows from a built model, and what `skip` names.
     """
     out = {}
     for prop in group.bl_rna.properties:
-        if prop.identifier in ("rna_type", *skip) or prop.type in ("POINTER", "COLLECTION") or prop.is_readonly:
+        computed = prop.is_readonly or prop.is_skip_save
+        if prop.identifier in ("rna_type", *skip) or prop.type in ("POINTER", "COLLECTION") or computed:
             continue
         value = getattr(group, prop.identifier)
         out[prop.identifier] = list(value) if getattr(prop, "is_array", False) else value
