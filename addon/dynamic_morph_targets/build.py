@@ -384,6 +384,9 @@ def dependencies(character: Character) -> dict[str, str]:
 
 def stale_reasons(model: Model, character: Character) -> list[str]:
     """Why `model` no longer fits `character`, for the artist; empty when it does."""
+    vertices, before = len(character.vertices), model.details.shape[1]
+    if vertices != before:  # and with them all else
+        return [f"the mesh has {vertices} vertices instead of {before}"]
     now, then = dependencies(character), model.dependencies
     changed = [name for name in now if now[name] != then.get(name)]
     names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}

@@ -233,6 +233,7 @@ class Job:
         """Check and read the scene; main thread."""
         engine()
         obj = find(self.session_uid)
+        sinks.check_local(obj)
         self.character = extract.character(obj)
         if self.bake:
             sinks.check(obj)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from .properties import key_points, key_reach, reconcile
+from .properties import basis_hash, key_points, key_reach, reconcile
 from .scene_data import Bake
 
 TRACK = "Dynamorph"
@@ -28,14 +28,9 @@ def check(obj):
     if obj.type != "MESH":
         raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
     keys = obj.data.shape_keys
-    for data in (obj, obj.data, keys):
-        if data is None:
-            raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
-        if not data.is_editable or (data.override_library and data is not obj):
-            raise SinkError(
-                f"{data.bl_rna.name} '{data.name}' is linked, so the bake would be lost on save: make it local "
-                "(Object > Relations > Make Local > Selected Objects and Data)"
-            )
+    if keys is None:
+        raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
+    check_local(obj, obj.data, keys)
     if obj.data.users > 1:
         raise SinkError(
             f"Mesh '{obj.data.name}' is shared by {obj.data.users} objects, which would all move alike: "
@@ -53,6 +48,17 @@ def check(obj):
     solo = next((track.name for track in animation.nla_tracks if track.is_solo), None)
     if solo is not None:
         raise SinkError(f"NLA track '{solo}' of the shape keys of '{obj.name}' is solo: turn its star off")
+
+
+def check_local(*blocks):
+    """Refuse data-blocks whose changes would not be saved. Raises SinkError."""
+    for block in blocks:
+        if block.library or block.override_library:
+            how = "linked" if block.library else "a library override"
+            raise SinkError(
+                f"{block.bl_rna.name} '{block.name}' is {how}, so what is made here would be lost on save: make it "
+                "local (Object > Relations > Make Local > Selected Objects and Data)"
+            )
 
 
 def write_modal_keys(obj, bake: Bake):
@@ -91,7 +97,12 @@ def write_modal_keys(obj, bake: Bake):
 
 
 def free(obj):
-    """Remove the bake of `obj`, if any, and restore what it changed: keys, order, active key, mute, animation data."""
+    """Remove the bake of `obj`, if any, and restore what it changed: keys, order, active key, mute, animation data.
+
+    Raises SinkError.
+    """
+    if obj.dynamorph.bake.keys and obj.data.shape_keys:  # else the artist has removed all there was
+        check(obj)
     reconcile(obj)
     _free(obj, _baked_names(obj))
 
@@ -104,7 +115,7 @@ def _baked_names(obj) -> list[str]:
 def _free(obj, names):
     record = obj.dynamorph.bake
     keys = obj.data.shape_keys
-    if record.keys and keys:  # without a Key the artist has removed all there was
+    if record.keys and keys:
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         _remove(obj, [keys.key_blocks[name] for name in names], record.action)
         for key in record.muted:
@@ -156,12 +167,14 @@ def _add_key(obj, name: str, points: np.ndarray, low: float):
 
 def _add_curves(keys, names, frames, curves):
     """An Action with one F-curve a key, on an NLA track of its own above the artist's; returns the Action."""
+    render = bpy.context.scene.render
+    times = frames * (render.frame_map_old / render.frame_map_new)  # at frame 10 of a remapped scene it may be time 5
     animation = keys.animation_data or keys.animation_data_create()
     action = bpy.data.actions.new(f"{TRACK} {keys.user.name}")
     slot = action.slots.new(keys.id_type, keys.name)
     channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
     points = np.empty((len(frames), 2), np.float32)
-    points[:, 0] = frames
+    points[:, 0] = times
     linear = np.full(len(frames), LINEAR, np.int32)
     for name, values in zip(names, curves, strict=True):
         points[:, 1] = values
@@ -172,8 +185,9 @@ def _add_curves(keys, names, frames, curves):
         curve.update()
     track = animation.nla_tracks.new()
     track.name = TRACK
-    strip = track.strips.new(TRACK, int(frames[0]), action)
+    strip = track.strips.new(TRACK, int(times[0]), action)
     strip.action_slot = slot
+    strip.frame_start, strip.frame_end = strip.action_frame_start, strip.action_frame_end  # a strip is made at a frame
     strip.extrapolation = "HOLD"  # the ends hold; other keys have no curve here, so they are left alone
     strip.blend_type = "REPLACE"
     return action
@@ -207,6 +221,7 @@ def _record(obj, names, wanted, action, had_animation_data):
         key = record.keys.add()
         key.refer_to(blocks, index)
         key.reach = key_reach(blocks[index])
+    record.basis = basis_hash(blocks)
     record.action = action
     record.had_animation_data = had_animation_data
     record.active_index = obj.active_shape_key_index
