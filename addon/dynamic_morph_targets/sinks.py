@@ -16,6 +16,7 @@ from .scene_data import Bake
 
 TRACK = "Dynamorph"
 NEGLIGIBLE = 1e-7  # of the bounding box: displacements that no key is made for
+NAME_BYTES = 59  # Blender has room for 63, cuts within a letter, and may add ".001"
 LINEAR = 1  # Keyframe.interpolation as foreach_set knows it
 
 
@@ -31,9 +32,10 @@ def check(obj):
     if keys is None:
         raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
     check_local(obj, obj.data, keys)
-    if obj.data.users > 1:
+    users = sum(each.data == obj.data for each in bpy.data.objects)  # Mesh.users counts a fake user too
+    if users > 1:
         raise SinkError(
-            f"Mesh '{obj.data.name}' is shared by {obj.data.users} objects, which would all move alike: "
+            f"Mesh '{obj.data.name}' is shared by {users} objects, which would all move alike: "
             "make it single-user (Object > Relations > Make Single User > Object & Data)"
         )
     if obj.mode == "EDIT":
@@ -152,7 +154,8 @@ def _scaled_keys(bake: Bake, basis: np.ndarray):
         add(f"Dynamorph Mode {k + 1:02d}", mode, bake.coordinates[:, k], -1.0)
     for j, detail in enumerate(bake.details):
         if np.abs(detail).max() * np.abs(bake.weights[:, j]).max() > negligible:
-            add(f"Dynamorph Detail {bake.target_names[j]}", detail, bake.weights[:, j], 0.0)
+            name = f"Dynamorph Detail {bake.target_names[j]}".encode()[:NAME_BYTES].decode(errors="ignore")
+            add(name, detail, bake.weights[:, j], 0.0)
     return names, shapes, curves, lowest
 
 

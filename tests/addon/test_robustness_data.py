@@ -100,6 +100,18 @@ def test_a_bone_is_renamed_whose_group_is_a_region(soft_arm):
     assert soft_arm.dynamorph.targets[1].region == "forearm"
 
 
+@pytest.mark.parametrize("name", ["x" * 63, "日本語" * 7])
+def test_names_as_long_as_blender_allows(skin, name):
+    """63 bytes, which end within a letter when something is put before them."""
+    keys_of(skin).key_blocks["flexed"].name = skin.name = skin.data.name = name
+    before = fingerprint(skin)
+    for _ in range(2):
+        assert_shows(skin, bake(skin).result)
+    bpy.context.scene.frame_set(1)
+    assert OPS.free_bake() == {"FINISHED"}
+    assert fingerprint(skin) == before
+
+
 # Duplicates, and two characters on one armature --------------------------------------------------------------------
 
 
@@ -168,6 +180,23 @@ def test_shift_d_of_the_whole_character(skin):
     assert names(copy) == ["Basis", "flexed", "smile"]
     np.testing.assert_array_equal(motion(skin), shown)
     assert bake(skin).reasons == []
+
+
+def test_a_full_copy_of_the_scene(skin):
+    job = bake(skin)
+    bpy.ops.scene.new(type="FULL_COPY")
+    copy = next(obj for obj in bpy.context.scene.objects if obj.type == "MESH")
+    assert_shows(copy, job.result)
+    activate(copy)
+    assert OPS.free_bake() == {"FINISHED"}
+    assert len(names(copy)) == 3 and len(names(skin)) == 10
+    assert bake(copy).reasons == []
+    assert_shows(copy, job.result)
+
+
+def test_a_fake_user_is_no_second_object(skin):
+    skin.data.use_fake_user = True
+    assert OPS.bake() == OPS.free_bake() == {"FINISHED"}
 
 
 def test_two_characters_on_one_armature(scene, skin):
@@ -271,6 +300,29 @@ def test_free_bake_after_an_edit(skin, change):
     assert OPS.free_bake() == {"FINISHED"}
     assert names(skin) == ["Basis", "flexed", "smile"]
     assert keys_of(skin).animation_data is None
+
+
+def test_parts_separated_and_joined_after_the_bake(skin):
+    """Each part takes the keys of the bake along, and the record of them."""
+    bake(skin)
+    activate(skin)
+    bpy.ops.object.mode_set(mode="EDIT")
+    mesh = bmesh.from_edit_mesh(skin.data)
+    for vertex in mesh.verts:
+        vertex.select_set(vertex.co.z > 1.5)
+    mesh.select_flush_mode()
+    bpy.ops.mesh.separate(type="SELECTED")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    tip = next(obj for obj in bpy.data.objects if obj.type == "MESH" and obj != skin)
+    assert (len(tip.data.vertices), len(skin.data.vertices)) == (64, 224)  # both have the ring of the cut
+    part("sinks").free(tip)
+    assert names(tip) == ["Basis", "flexed", "smile"]
+    tip.select_set(True)
+    skin.select_set(True)
+    assert bpy.ops.object.join() == {"FINISHED"} and len(skin.data.vertices) == 288
+    assert np.isfinite(motion(skin)).all()
+    assert OPS.free_bake() == {"FINISHED"}
+    assert names(skin) == ["Basis", "flexed", "smile"]
 
 
 def test_a_refused_bake_after_an_edit_keeps_model_and_bake(skin):

@@ -12,6 +12,7 @@ import pytest
 from builders import MODULE, activate, fingerprint, part, rig_of
 from robustness import OPS, bake, coarse, motion, names, settings, state
 from test_operators import refused
+from test_panels import drawn
 from test_sinks import assert_shows
 
 
@@ -211,6 +212,7 @@ def test_a_linked_character_plays_and_cannot_be_changed(asset):
     np.testing.assert_allclose(motion(obj), saved.shown, atol=1e-6)
     bpy.context.scene.frame_set(1)
     before = state()
+    assert "flexed" in drawn(obj)
     for name in CALLS:
         assert not getattr(OPS, name).poll(), name
     for goal in ("BUILD", "BAKE"):  # as the command line does it
@@ -228,6 +230,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
     obj.dynamorph.targets[0].stiffness = 4321.0
     obj.dynamorph.simulation.preroll = 7
     before = state()
+    assert {"flexed", "stiffness"} <= set(drawn(obj))
     for name in set(CALLS) - {"apply_material", "fit_material"}:
         assert not getattr(OPS, name).poll(), name
     for goal in ("BUILD", "BAKE"):
