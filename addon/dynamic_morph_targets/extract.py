@@ -12,6 +12,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
+from . import checks
 from .properties import key_points, reconcile, rest_skeleton
 from .scene_data import (
     Character,
@@ -23,24 +24,11 @@ from .scene_data import (
     TargetSet,
     determinant,
     inverse,
+    turned,
 )
 
-SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
-PLAUSIBLE = (0.02, 20.0)  # metres from corner to corner; a body of another size is probably not meant
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
-
-# Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
-GENERATING = {
-    "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
-    "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
-    "WIREFRAME",
-}  # fmt: skip
-DEFORMING = {
-    "CAST", "CLOTH", "CORRECTIVE_SMOOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE",
-    "MESH_CACHE", "MESH_DEFORM", "MESH_SEQUENCE_CACHE", "SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY",
-    "SURFACE_DEFORM", "VOLUME_DISPLACE", "WARP", "WAVE",
-}  # fmt: skip
 
 
 class SceneError(ValueError):
@@ -54,16 +42,21 @@ class Cancelled(Exception):
 # The character -----------------------------------------------------------------------------------------------------
 
 
-def character(obj) -> Character:
-    """The soft skin authored on `obj`. Raises SceneError."""
+def character(obj, without_targets=False) -> Character:
+    """The soft skin authored on `obj`. without_targets: the neutral one is enough. Raises SceneError."""
     modifier = armature_modifier(obj)
     reconcile(obj)
-    _check(obj, modifier)
+    if not obj.dynamorph.targets:
+        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
+    _refuse(checks.problems(obj))
+    if not without_targets:
+        _refuse(checks.next_steps(obj))
+    _refuse(checks.shapes(obj))
     skeleton = rest_skeleton(modifier.object.data)
     groups = VertexGroups(obj)
     target_sets = _target_sets(obj, skeleton, groups)
     for target_set in target_sets:
-        _check_poses(obj, target_set.targets, skeleton)
+        _refuse(checks.poses(obj.name, target_set.targets, skeleton))
     basis = obj.data.shape_keys.reference_key
     settings = obj.dynamorph
     world, rig_world = _worlds_at_start(obj, modifier.object)
@@ -75,6 +68,7 @@ def character(obj) -> Character:
         to_bind=to_bind,
         weights=_skin_weights(obj, modifier, skeleton, groups),
         softness=_softness(obj, groups),
+        stiffness=_stiffness(obj, groups),
         bone_segments=_bone_segments(obj, modifier.object, inverse(world) @ rig_world, to_bind),
         skeleton=skeleton,
         target_sets=target_sets,
@@ -86,121 +80,36 @@ def armature_modifier(obj):
     """The one Armature modifier that skins `obj`. Raises SceneError."""
     if obj is None or obj.type != "MESH":
         raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
-    modifiers = [m for m in obj.modifiers if m.type == "ARMATURE" and m.object]
-    if not modifiers:
-        raise SceneError(f"'{obj.name}' has no Armature modifier with an armature: add one, or parent the mesh to it")
-    if len(modifiers) > 1:
-        names = " and ".join(f"'{m.name}'" for m in modifiers)
-        raise SceneError(f"'{obj.name}' has more than one Armature modifier ({names}): keep one")
-    return modifiers[0]
+    _refuse(checks.skinning(obj))
+    return checks.armature_modifiers(obj)[0]
+
+
+def _refuse(problems):
+    """Raises SceneError about the first of `problems`."""
+    for problem in problems:
+        raise SceneError(problem.text)
 
 
 def warnings(obj, character: Character) -> list[str]:
     """What will be ignored, or is not likely to be meant."""
-    found = [
-        f"'{obj.name}': modifier '{modifier.name}' before the Armature is not simulated"
-        for modifier in _modifiers_before(obj, armature_modifier(obj))
-        if modifier.type in DEFORMING
-    ]
-    if obj.show_only_shape_key:
-        found.append(f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake")
-    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
-    if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
-        found.append(f"'{obj.name}' is {size:.3g} m long: check the scale, it will move like something of that size")
-    return found
+    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, character.weights))
+    return [problem.text for problem in found]
 
 
-def _check(obj, modifier):
-    """Raises SceneError about what makes `obj` impossible to simulate."""
-    _check_mesh(obj)
-    _check_rig(obj, modifier)
-    _check_keys(obj)
-    for before in _modifiers_before(obj, modifier):
-        if before.type in GENERATING:
-            raise SceneError(f"'{obj.name}': modifier '{before.name}' comes before the Armature: move it below")
-
-
-def _check_rig(obj, modifier):
-    rig = modifier.object
-    if rig.mode == "EDIT":
-        raise SceneError(f"Armature '{rig.name}' is in Edit Mode: leave it first")
-    if rig.data.pose_position == "REST":
-        raise SceneError(f"Armature '{rig.name}' is shown in rest position: choose Pose Position in its Data tab")
-    if rig.hide_viewport:
-        raise SceneError(f"Armature '{rig.name}' is disabled in viewports, so Blender does not move it: enable it")
-    if not modifier.show_viewport:
-        raise SceneError(f"'{obj.name}': Armature modifier '{modifier.name}' is disabled in viewports: enable it")
-    if modifier.use_deform_preserve_volume:
-        raise SceneError(f"'{obj.name}' uses Preserve Volume: turn it off in Armature modifier '{modifier.name}'")
-    if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
-        raise SceneError(
-            f"'{obj.name}' is skinned by bone envelopes: in Armature modifier '{modifier.name}' turn Bone Envelopes "
-            "off and Vertex Groups on"
-        )
-    if modifier.use_multi_modifier:
-        raise SceneError(f"'{obj.name}': turn Multi Modifier off in Armature modifier '{modifier.name}'")
-    bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
-    if not bones:
-        raise SceneError(
-            f"'{obj.name}' has no vertex group named after a deforming bone of '{rig.name}': weight it first"
-        )
-    longest = max(bone.length for bone in bones)
-    for bone in bones:
-        if bone.bbone_segments > 1:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}' is a bendy bone: set its Segments to 1")
-        if bone.use_envelope_multiply:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}': turn off Envelope Multiply in its Deform panel")
-        if bone.length <= 1e-5 * longest:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}' has no length: move its tail, or turn off its Deform")
-
-
-def _check_mesh(obj):
-    mesh = obj.data
-    if obj.mode == "EDIT":
-        raise SceneError(f"'{obj.name}' is in Edit Mode: leave it first")
-    if not mesh.polygons:
-        raise SceneError(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
-
-
-def _check_keys(obj):
-    if not obj.dynamorph.targets:
-        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
-    keys = obj.data.shape_keys
-    if keys is None:
-        raise SceneError(f"'{obj.name}' has no shape keys: add a Basis and one key a target")
-    if not keys.use_relative:
-        raise SceneError(f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
-    targets = _active_targets(obj)
-    if len(targets) < 2 and obj.dynamorph.model.method != "SINGLE":
-        if len(obj.dynamorph.targets) > 1:
-            raise SceneError(f"'{obj.name}': all targets are muted: unmute one, or choose the Method Single")
-        raise SceneError(f"'{obj.name}' has no targets: select a shape key, pose the armature and press Add Target")
-    for target in targets[1:]:
-        if target.name not in keys.key_blocks:
-            raise SceneError(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
-        if keys.key_blocks[target.name] == keys.reference_key:
-            raise SceneError(
-                f"'{obj.name}': target '{target.name}' has become the Basis, which moves nothing: put a Basis above it "
-                "in the Shape Keys panel, or remove the target"
-            )
-    for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in targets[1:])):
-        bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
-        if len(bad):
-            raise SceneError(
-                f"'{obj.name}': shape key '{block.name}' has coordinates that are not numbers at vertices "
-                f"{', '.join(map(str, bad[:5]))}: delete or repair them"
-            )
-
-
-def _modifiers_before(obj, armature) -> list:
-    """The modifiers that change the mesh before its Armature modifier does."""
-    before = obj.modifiers[: obj.modifiers.find(armature.name)]
-    return [modifier for modifier in before if modifier.show_viewport or modifier.show_render]
-
-
-def _active_targets(obj):
-    """The neutral target and those that are not muted."""
-    return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
+def first_look(obj) -> list[str]:
+    """All that is in the way of simulating `obj`, or not likely to be meant, before it is a soft skin."""
+    modifier = checks.armature_modifiers(obj)[0]
+    found = [*checks.problems(obj), *checks.notes(obj)]
+    try:
+        to_bind = _stretch(_worlds_at_start(obj, modifier.object)[0])
+        weights = _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+    except SceneError as error:
+        return [*(problem.text for problem in found), str(error)]
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    obj.data.vertices.foreach_get("co", points.ravel())  # Edit Mode hides the attribute
+    if len(points):
+        found += checks.body(obj.name, points, to_bind, weights)
+    return [problem.text for problem in found]
 
 
 def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
@@ -208,7 +117,7 @@ def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[
 
     Regions share out the flesh: where their groups add up to less than one the body has the rest.
     """
-    neutral, *others = _active_targets(obj)
+    neutral, *others = checks.active_targets(obj)
     groups = list(dict.fromkeys(target.region for target in others if target.region))
     gone = [group for group in groups if group not in obj.vertex_groups]
     if gone:
@@ -244,26 +153,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
-    return Target(target.name, shape, target.bone_names(), local, rig_world, material)
-
-
-def _check_poses(obj, targets, skeleton: Skeleton):
-    """Refuse targets that the rotations of the targets' bones, and of no others, cannot tell apart."""
-    for target in targets[1:]:
-        if not target.bones:
-            raise SceneError(
-                f"'{obj.name}': target '{target.name}' has no bones: pose the armature away from the neutral target "
-                "and press Capture Pose"
-            )
-    named = {bone for target in targets for bone in target.bones}
-    used = [name in named for name in skeleton.names]
-    for i, first in enumerate(targets):
-        for second in targets[i + 1 :]:
-            if np.linalg.norm(turned(first.local[used], second.local[used])) < SAME_POSE:
-                raise SceneError(
-                    f"'{obj.name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
-                    "place targets: capture one of them in another pose, choose its bones, or remove it"
-                )
+    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius)
 
 
 def target_shape(obj, key_name: str) -> np.ndarray:
@@ -324,18 +214,30 @@ def _skin_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
 
 
+def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
+    """Weights (V,) of the vertex group that the artist chose for Soft or Stiffness. Raises SceneError."""
+    if group not in obj.vertex_groups:
+        raise SceneError(f"'{obj.name}': the vertex group '{group}' for {use} is gone: choose another")
+    return groups.weights([group])[:, 0].clip(0.0, 1.0)
+
+
 def _softness(obj, groups: VertexGroups) -> np.ndarray:
-    name = obj.dynamorph.soft_group
-    if not name:
+    group = obj.dynamorph.soft_group
+    return _painted(obj, groups, "Soft", group) if group else np.ones(len(obj.data.vertices))
+
+
+def _stiffness(obj, groups: VertexGroups) -> np.ndarray:
+    settings = obj.dynamorph
+    if not settings.stiffness_group:
         return np.ones(len(obj.data.vertices))
-    if name not in obj.vertex_groups:
-        raise SceneError(f"'{obj.name}': the vertex group '{name}' for Soft is gone: choose another")
-    return groups.weights([name])[:, 0]
+    if not np.isfinite(settings.stiffness_factor):
+        raise SceneError(f"'{obj.name}': the Factor of the Stiffness group is not a number: set it again")
+    return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 
 def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
-    bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
+    bones = checks.deforming_bones(obj, rig)
     ends = np.array([(*bone.head_local, 1.0, *bone.tail_local, 1.0) for bone in bones]).reshape(-1, 2, 4)
     # Rounded like the stretch: the last digits of this product change when both objects are moved.
     return (ends @ np.round(to_local, 5).T)[..., :3] @ to_bind.T + 0.0
@@ -382,34 +284,33 @@ def _stretch(world) -> np.ndarray:
 # The pose ----------------------------------------------------------------------------------------------------------
 
 
-def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angle, in radians, between the rotations of two arrays of transforms (B, 4, 4)."""
+def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4).
 
-    def rotation(transforms):
-        u, _, vt = np.linalg.svd(transforms[:, :3, :3])
-        return u @ vt
-
-    # From the chord, because the arc cosine of the trace loses small angles.
-    chord = np.linalg.norm(rotation(first) - rotation(second), axis=(1, 2)) / np.sqrt(8.0)
-    return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
-
-
-def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
-    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4)."""
+    depsgraph: where it is evaluated, if not where the artist sees it.
+    """
     modifier = armature_modifier(obj)
-    _check_rig(obj, modifier)
+    _refuse(checks.rig(obj, modifier))
     rig = modifier.object
     skeleton = rest_skeleton(rig.data)
-    evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
     pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
-    rig_world = np.array(evaluated.matrix_world)
-    for name, matrix in ((rig.name, rig_world), *zip(skeleton.names, pose, strict=True)):
+    rig_world = world_now(rig, depsgraph)
+    for name, matrix in zip(skeleton.names, pose, strict=True):
         if not np.isfinite(matrix).all():
             raise SceneError(_not_a_number(name, bpy.context.scene.frame_current))
     flat = [name for name, matrix in zip(skeleton.names, pose, strict=True) if not _invertible(matrix)]
     if flat:
         raise SceneError(f"Bone '{flat[0]}' of '{rig.name}' is scaled to zero: give it a size to capture the pose")
     return skeleton, skeleton.local_transforms(pose), rig_world
+
+
+def world_now(rig, depsgraph=None) -> np.ndarray:
+    """The evaluated world transform (4, 4) of the armature; depsgraph: as `current_pose`. Raises SceneError."""
+    world = np.array(rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
+    if not np.isfinite(world).all():
+        raise SceneError(_not_a_number(rig.name, bpy.context.scene.frame_current))
+    return world
 
 
 def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
@@ -579,5 +480,14 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
     return SimulationSettings(
-        start, end, fps, substeps or chosen.steps_per_frame(fps), chosen.scheme, tuple(gravity.tolist()), chosen.preroll
+        start,
+        end,
+        fps,
+        substeps or chosen.steps_per_frame(fps),
+        chosen.scheme,
+        tuple(gravity.tolist()),
+        chosen.preroll,
+        chosen.begin,
+        chosen.loop,
+        tuple(mode.gain for mode in obj.dynamorph.modes),
     )

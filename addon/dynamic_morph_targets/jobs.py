@@ -124,7 +124,7 @@ def forget_model(obj):
     """Drop the model kept in the .blend. A file stays: another .blend may use it."""
     obj.pop(PACKED, None)
     record = obj.dynamorph.model
-    record.content_id = record.summary = record.stale = record.warnings = ""
+    record.content_id = record.summary = record.cage = record.stale = record.warnings = ""
 
 
 def load_model(obj):
@@ -202,8 +202,8 @@ def find(session_uid: int):
 class Job:
     """Builds the model of one object if that is necessary, and with the goal "BAKE" simulates and writes the shot.
 
-    goal: "BUILD" or "BAKE". frames: (start, end), substeps: override the object's settings. folder: where large models
-    go. rebuild: build even when the model is up to date.
+    goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE". frames: (start, end), substeps: override the
+    object's settings. folder: where large models go. rebuild: build even when the model is up to date.
     """
 
     def __init__(self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, rebuild=False):
@@ -211,6 +211,7 @@ class Job:
         self.name = obj.name
         self.goal = goal
         self.bake = goal == "BAKE"
+        self.only_cage = goal == "BUILD_CAGE"
         self.frames = frames
         self.substeps = substeps
         self.folder = folder
@@ -234,18 +235,18 @@ class Job:
         engine()
         obj = find(self.session_uid)
         sinks.check_local(obj)
-        self.character = extract.character(obj)
+        self.character = extract.character(obj, without_targets=self.only_cage)
         if self.bake:
             sinks.check(obj)
         self.warnings = extract.warnings(obj, self.character)
-        self.reasons = stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
         with suppress(model_file.ModelFileError):  # then one of the reasons
             self.previous = load_model(obj)
+        self.reasons = self._reasons(obj)
         if not self.reasons:
             self.model = self.previous
         chosen = self.character.settings
         fits = bool(self.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
-        if not (self.bake or fits):
+        if self.only_cage or not (self.bake or fits):
             return
         self.settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         with self._stage("sample rig"):
@@ -254,6 +255,14 @@ class Job:
             )
         self.rig, warnings = extract.hold_collapsed(samples, self.character.skeleton)
         self.warnings += warnings
+
+    def _reasons(self, obj) -> list[str]:
+        """Why something is to be built."""
+        if self.only_cage:
+            build, _ = engine()
+            current = self.previous is not None and build.has_cage(self.previous, self.character)
+            return [] if current else ["the cage is out of date"]
+        return stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
 
     def start(self):
         """Begin to compute, in a thread."""
@@ -281,17 +290,21 @@ class Job:
             with self._stage("write keys"):
                 sinks.write_modal_keys(obj, self.result)
             obj.dynamorph.bake.summary = self.summary()
+            obj.dynamorph.bake.gap = self.report.get("gap", 0.0)
             obj.dynamorph.bake.warnings = "\n".join(
                 warning for warning in self.warnings if warning not in self.model.summary["warnings"]
             )
 
     def summary(self) -> str:
         """One line for the artist."""
+        if self.only_cage:
+            return self.cage_summary() if self.reasons else "the cage is up to date"
         if not self.bake:
             return self.model_summary()
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
-        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s"
+        gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if self.settings.loop else ""
+        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary
@@ -299,17 +312,26 @@ class Job:
             return f"{made['targets']} targets, nothing to simulate"
         return f"{made['nodes']} nodes, {made['modes']} modes, {made['targets']} targets, {made['dofs']} DOF"
 
+    def cage_summary(self) -> str:
+        made = self.model.summary
+        if not made["tets"]:
+            return ""
+        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {made['pinned'] / made['nodes']:.0%} held by bones"
+
     def _store_model(self, obj):
         record = obj.dynamorph.model
         if self.reasons:
             packed = model_file.pack(*self.model.to_arrays())
             store_model(obj, packed, self.folder)
-            record.summary = f"{self.model_summary()}, {len(packed) / 2**20:.1f} MB, {self.seconds['build']:.1f} s"
+            size = f"{len(packed) / 2**20:.1f} MB, {self.seconds['build']:.1f} s"
+            record.summary = "" if self.only_cage else f"{self.model_summary()}, {size}"
+            record.cage = self.cage_summary()
+            record.vertices = len(self.character.vertices)
+            record.warnings = "\n".join(self.model.summary["warnings"])
         elif PACKED not in obj and self.folder not in (None, _blend_folder()):
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
-        record.stale = ""
-        if self.reasons:
-            record.warnings = "\n".join(self.model.summary["warnings"])
+        if self.reasons or not self.only_cage:
+            record.stale = "only the cage is built" if self.only_cage else ""
 
     def _work(self):
         try:
@@ -321,7 +343,12 @@ class Job:
             self._error = error
 
     def _compute(self):
-        _, simulate = engine()
+        build, simulate = engine()
+        if self.only_cage:
+            if self.reasons:
+                with self._stage("build"):
+                    self.model = build.build_cage(self.character, self._progress(0.0, 1.0), self.previous)
+            return
         start = 0.2
         built = 0.95 if self.character.settings.fit_to_shot else 0.7
         if self.reasons:

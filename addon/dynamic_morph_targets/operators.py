@@ -195,6 +195,18 @@ def _check_models():
             jobs.show_stale(obj)
 
 
+@persistent
+def _watch_influence(*_args):
+    """load_post too: a file that is opened ends all subscriptions."""
+    bpy.msgbus.clear_by_owner(CLASSES)
+    bpy.msgbus.subscribe_rna(key=(bpy.types.NlaStrip, "influence"), owner=CLASSES, args=(), notify=_influence_changed)
+
+
+def _influence_changed():
+    for obj in properties.soft_skins(bpy.data.objects):
+        sinks.show_influence(obj)
+
+
 CLASSES = (
     DYNAMORPH_OT_build,
     DYNAMORPH_OT_bake,
@@ -206,6 +218,8 @@ CLASSES = (
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
+    _watch_influence()
+    bpy.app.handlers.load_post.append(_watch_influence)
     bpy.app.handlers.load_pre.append(_before_load)
     bpy.app.handlers.depsgraph_update_post.append(_check_changed)
 
@@ -216,6 +230,8 @@ def unregister():
         jobs.running = None
     bpy.app.handlers.depsgraph_update_post.remove(_check_changed)
     bpy.app.handlers.load_pre.remove(_before_load)
+    bpy.app.handlers.load_post.remove(_watch_influence)
+    bpy.msgbus.clear_by_owner(CLASSES)
     if bpy.app.timers.is_registered(_check_models):
         bpy.app.timers.unregister(_check_models)
     for cls in reversed(CLASSES):

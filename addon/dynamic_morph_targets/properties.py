@@ -223,6 +223,10 @@ def _model_setting_changed(model, _context):
         model.stale = "model settings changed"
 
 
+def _group_changed(settings, context):
+    _model_setting_changed(settings.model, context)
+
+
 class DynamorphModel(PropertyGroup):
     """How the model of an object is built, and what came of it."""
 
@@ -284,6 +288,8 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE, update=_model_setting_changed,
     )  # fmt: skip
+    vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
+    cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
@@ -385,6 +391,16 @@ class DynamorphBake(PropertyGroup):
     gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
 
 
+class DynamorphSculpt(PropertyGroup):
+    """What sculpting a target in its pose changed, so that Finish Sculpting can put it back."""
+
+    active: BoolProperty(name="Sculpting", description="Whether a target is being sculpted")
+    was_pinned: BoolProperty(name="Was Pinned", description="Whether the active shape key was shown alone before")
+    was_posing: BoolProperty(name="Was Posing", description="Whether the armature was in Pose Mode before")
+    in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
+    on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
+
+
 class DynamorphSettings(PropertyGroup):
     """Everything about the soft skin of one object."""
 
@@ -397,17 +413,19 @@ class DynamorphSettings(PropertyGroup):
         name="Soft",
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
         override=OVERRIDE,
+        update=_group_changed,
     )
     groups: StringProperty(name="Groups", description="Names of the vertex groups, a line each, to follow renames")
     stiffness_group: StringProperty(
         name="Stiffness",
         description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
         override=OVERRIDE,
+        update=_group_changed,
     )
     stiffness_factor: FloatProperty(
         name="Factor",
         description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
-        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
+        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE, update=_group_changed,
     )  # fmt: skip
     model: PointerProperty(type=DynamorphModel, override=OVERRIDE)
     modes: CollectionProperty(name="Modes", type=DynamorphMode, override=OVERRIDE_LIST)
@@ -415,6 +433,7 @@ class DynamorphSettings(PropertyGroup):
     simulation: PointerProperty(type=DynamorphSimulation, override=OVERRIDE)
     live: PointerProperty(type=DynamorphLive)
     bake: PointerProperty(type=DynamorphBake)
+    sculpt: PointerProperty(type=DynamorphSculpt)
 
     @property
     def active_target(self):
@@ -430,6 +449,7 @@ class DynamorphDisplay(PropertyGroup):
     influence: BoolProperty(
         name="Influence", description="Draw each target's weight over the frames, shading those far from every target"
     )
+    posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
 
 # Settings as plain data --------------------------------------------------------------------------------------------
@@ -606,6 +626,7 @@ CLASSES = (
     DynamorphLive,
     DynamorphSimulation,
     DynamorphBake,
+    DynamorphSculpt,
     DynamorphSettings,
     DynamorphDisplay,
 )

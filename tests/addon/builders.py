@@ -108,6 +108,7 @@ def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
         modes=rng.normal(0, 0.01, (modes, vertices, 3)),
         details=details,
         target_names=names,
+        dry=rng.normal(0, 3.0, (len(frames), modes)),
     )
 
 
@@ -153,7 +154,7 @@ class StandIn:
         self.built += 1
         for i in range(5):
             assert progress(i / 5, "Modes")
-        counts = {"nodes": 10, "tets": 20, "dofs": 30, "modes": 3, "targets": len(character.targets)}
+        counts = {"nodes": 10, "tets": 20, "pinned": 4, "dofs": 30, "modes": 3, "targets": len(character.targets)}
         summary = {**counts, "seconds": {"modes": 0.5}, "warnings": []}
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
@@ -171,7 +172,7 @@ class StandIn:
         bake = part("scene_data").Bake(
             settings.frames, rng.normal(size=(len(settings.frames), 3)),
             np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.01, (3, vertices, 3)),
-            np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets),
+            np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets), np.zeros((len(settings.frames), 3)),
         )  # fmt: skip
         return bake, {"steps": 100, "steps_per_second": 1000.0, "smallest_det": 0.9, "inverted": 0, "warnings": []}
 

@@ -95,7 +95,7 @@ def test_use_selected_bones(soft_arm):
         (bone if hasattr(bone, "select") else bone.bone).select = bone.name == "upper"
     soft_arm.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.use_selected_bones()
-    assert soft_arm.dynamorph.targets[1].bone_names() == ("upper",)
+    assert soft_arm.dynamorph.targets[1].bone_names() == ("lower", "upper")
 
 
 # The model ---------------------------------------------------------------------------------------------------------
