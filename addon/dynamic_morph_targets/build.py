@@ -424,6 +424,9 @@ def dependencies(character: Character) -> dict[str, str]:
 
 def stale_reasons(model: Model, character: Character) -> list[str]:
     """Why `model` no longer fits `character`, for the artist; empty when it does."""
+    vertices, before = len(character.vertices), model.details.shape[1]
+    if vertices != before:  # and with them all else
+        return [f"the mesh has {vertices} vertices instead of {before}"]
     now, then = dependencies(character), model.dependencies
     only_cage = set(then) == set(CAGE_DEPENDENCIES)
     considered = CAGE_DEPENDENCIES if only_cage else {**now, **then}

@@ -128,9 +128,10 @@ def rig(obj, modifier) -> Iterator[Problem]:
 
 def shared_mesh(obj) -> Iterator[Problem]:
     """Yields nothing when `obj` has its mesh for itself."""
-    if obj.data.users > 1:
+    users = obj.data.users - obj.data.use_fake_user
+    if users > 1:
         yield Problem(
-            f"Mesh '{obj.data.name}' is shared by {obj.data.users} objects, which would all move alike: "
+            f"Mesh '{obj.data.name}' is shared by {users} objects, which would all move alike: "
             "make it single-user (Object > Relations > Make Single User > Object & Data)",
             "SINGLE_USER",
         )

@@ -254,6 +254,7 @@ class Job:
         self.message = "Reading the character"
         engine()
         obj = find(self.session_uid)
+        sinks.check_local(obj)
         self.character = extract.character(obj, without_targets=self.only_cage)
         if self.bake:
             sinks.check(obj)

@@ -36,6 +36,10 @@ class SoftSkinOperator:
         obj = properties.mesh_in(context)
         if obj is None:
             problem = "Select the character's mesh object"
+        elif obj.library:
+            problem = f"'{obj.name}' is linked: make a library override to change its materials, else make it local"
+        elif obj.override_library and not cls.on_override:
+            problem = f"'{obj.name}' is a library override, which would lose this when saved: make it local"
         elif jobs.running:
             problem = f"Wait until '{jobs.running.name}' is done, or cancel it"
         elif cls.needs_soft_skin and not obj.dynamorph.targets:
@@ -45,6 +49,7 @@ class SoftSkinOperator:
         return not problem
 
     needs_soft_skin = True
+    on_override = False  # whether a library override keeps what the button changes
 
     def execute(self, context):
         return guarded(self, self.apply, properties.mesh_in(context))
@@ -57,7 +62,6 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
     bl_label = "Free Bake"
 
     def apply(self, obj):
-        sinks.check(obj)
         sinks.free(obj)
 
 

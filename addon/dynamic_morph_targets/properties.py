@@ -63,7 +63,16 @@ def key_points(block) -> np.ndarray:
 
 def key_hash(block) -> str:
     """Identifies a shape key by what it sculpts, whatever its name or place in the list."""
-    return hashlib.blake2b(_key_shape(block).tobytes(), digest_size=8).hexdigest()
+    return _hash(_key_shape(block))
+
+
+def basis_hash(blocks) -> str:
+    """Tells when the mesh itself was edited, which changes all its shape keys."""
+    return _hash(key_points(blocks[0]))
+
+
+def _hash(points: np.ndarray) -> str:
+    return hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
 
 
 def key_reach(block) -> float:
@@ -444,6 +453,7 @@ class DynamorphBake(PropertyGroup):
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
     had_animation_data: BoolProperty(name="Had Animation Data")
     active_index: IntProperty(name="Active Key")
+    basis: StringProperty(name="Basis", description="Hash of the Basis that the keys belong to")
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
@@ -474,6 +484,7 @@ class DynamorphSettings(PropertyGroup):
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
         override=OVERRIDE,
     )
+    groups: StringProperty(name="Groups", description="Names of the vertex groups, a line each, to follow renames")
     stiffness_group: StringProperty(
         name="Stiffness",
         description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
@@ -555,7 +566,8 @@ def reconcile(obj):
         blocks = obj.data.shape_keys.key_blocks
         _follow_keys(blocks, settings.targets[1:])
         _follow_keys(blocks, settings.bake.muted)
-        _follow_baked_keys(blocks, settings.bake.keys)
+        _follow_baked_keys(blocks, settings.bake)
+    _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
         skeleton = rest_skeleton(rig.data)
@@ -563,13 +575,20 @@ def reconcile(obj):
             _follow_bones(skeleton, target)
 
 
-def _follow_baked_keys(blocks, references):
-    """Free Bake deletes these keys: one that only has the name of a key of ours is somebody else's."""
-    for reference in references:
-        block = blocks.get(reference.name)
-        if block and not reference.looks_like(block):
-            reference.name = ""
-    for reference in _follow_keys(blocks, references):
+def _follow_baked_keys(blocks, bake):
+    """Free Bake deletes these keys: one that only has the name of a key of ours is somebody else's.
+
+    Unless the mesh itself was edited, or its scale applied: then none looks as it did, and the name has to do.
+    """
+    basis = basis_hash(blocks) if bake.keys else bake.basis
+    if bake.basis == basis:
+        for reference in bake.keys:
+            block = blocks.get(reference.name)
+            if block and not reference.looks_like(block):
+                reference.name = ""
+    else:
+        bake.basis = basis
+    for reference in _follow_keys(blocks, bake.keys):
         reference.name = ""
 
 
@@ -594,6 +613,23 @@ def _follow_keys(blocks, references) -> list:
         del free[index]
         reference.refer_to(blocks, index)
     return gone
+
+
+def _follow_groups(obj):
+    """Vertex groups have no other identity than their place among the others."""
+    settings = obj.dynamorph
+    now, then = obj.vertex_groups.keys(), settings.groups.split("\n")
+    if now == then:
+        return
+    settings.groups = "\n".join(now)
+    moved = zip(then, now, strict=True) if len(now) == len(then) else ()
+    renamed = {old: new for old, new in moved if old not in now and new not in then}
+    stale = settings.model.stale
+    users = [(settings, "soft_group"), (settings, "stiffness_group"), *((each, "region") for each in settings.targets)]
+    for user, name in users:
+        if getattr(user, name) in renamed:
+            setattr(user, name, renamed[getattr(user, name)])
+    settings.model.stale = stale  # another name is not another region
 
 
 def _follow_bones(skeleton: Skeleton, target):

@@ -365,9 +365,18 @@ class _Skin:
 def _target_frames(model: Model, character: Character, rig: RigSamples) -> np.ndarray:
     """Skin matrices (J, B + 1, 3, 4) of the targets' captured poses, with the armature where it stood then."""
     pose = model.skeleton.pose(np.array([target.local for target in character.targets]))
-    rig_world = np.array([target.rig_world for target in character.targets])
+    rig_world = np.array([_resized(target.rig_world, rig.rig_world[0]) for target in character.targets])
     object_world = rig_world @ inverse(rig.rig_world[0]) @ rig.object_world[0]
     return RigSamples(pose, rig_world, object_world).skin_matrices(model.skeleton, model.to_bind)
+
+
+def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """The place and tilt of a world transform (4, 4) with the size of another: a scale may have been applied since."""
+    u, _, vt = np.linalg.svd(world[:3, :3])
+    _, sizes, axes = np.linalg.svd(like[:3, :3])
+    out = world.copy()
+    out[:3, :3] = u @ vt @ (axes.T * sizes) @ axes
+    return out
 
 
 def _report(frames: list[Frame]) -> dict:

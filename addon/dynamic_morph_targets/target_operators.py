@@ -431,6 +431,7 @@ class DYNAMORPH_OT_apply_material(SoftSkinOperator, Operator):
 
     bl_idname = "dynamorph.apply_material"
     bl_label = "Material"
+    on_override = True
 
     preset: EnumProperty(
         name="Material",
@@ -452,6 +453,7 @@ class DYNAMORPH_OT_fit_material(SoftSkinOperator, Operator):
 
     bl_idname = "dynamorph.fit_material"
     bl_label = "Fit Bounce"
+    on_override = True
 
     frequency: FloatProperty(
         name="Bounce (Hz)", description="Swings a second after a push", default=3.0, min=0.01, max=1000.0

@@ -458,7 +458,7 @@ def test_linked_data_is_refused(soft_arm, tmp_path):
         part("sinks").check(linked)
     override = linked.override_create()
     assert [t.name for t in override.dynamorph.targets] == ["Neutral", "flexed"]
-    with pytest.raises(part("sinks").SinkError, match=r"linked.*make it local"):
+    with pytest.raises(part("sinks").SinkError, match=r"library override.*make it local"):
         part("sinks").check(override)
 
 
