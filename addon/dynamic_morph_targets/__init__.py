@@ -11,9 +11,19 @@ _commands = []  # handles that Blender wants back
 
 
 def _modules():
-    from . import operators, panels, properties, setup_operators, target_operators
+    from . import (
+        operators,
+        panels,
+        preferences,
+        presets,
+        properties,
+        setup_operators,
+        target_operators,
+        transfer_operators,
+    )
 
-    return properties, operators, setup_operators, target_operators, panels
+    buttons = operators, setup_operators, target_operators, transfer_operators, presets
+    return preferences, properties, *buttons, panels
 
 
 def register():

@@ -105,7 +105,7 @@ def draw_target(layout, obj, target):
 
 def draw_material(column, target):
     row = column.row(align=True)
-    row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
+    row.popover("DYNAMORPH_PT_material_presets", text="Material", icon="PRESET")
     row.operator("dynamorph.fit_material", text="Bounce")
     for name in ("stiffness", "poisson", "density"):
         column.prop(target, name)
@@ -168,6 +168,14 @@ def draw_bake(layout, obj):
 
 def draw_setup(layout, obj):
     """Set-ups as files and presets, and copies for other meshes."""
+    header, body = layout.panel("dynamorph_setup", default_closed=True)
+    header.label(text="Set-Up")
+    if body:
+        body.popover("DYNAMORPH_PT_setup_presets", text="Presets", icon="PRESET")
+        body.operator("dynamorph.copy_to_selected", text="Copy to Selected", icon="COPYDOWN")
+        row = body.row(align=True)
+        row.operator("dynamorph.save_setup", icon="EXPORT")
+        row.operator("dynamorph.load_setup", icon="IMPORT")
 
 
 # Pieces ------------------------------------------------------------------------------------------------------------
