@@ -130,7 +130,7 @@ def draw_model(layout, obj):
             body.prop(model, name)
     if model.stale:
         draw_message(layout, f"Out of date: {model.stale}")
-    draw_job(layout, "dynamorph.build", "MOD_LATTICE")
+    draw_job(layout, "dynamorph.build", "Build Model", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
         draw_warnings(layout, model.warnings)
@@ -158,7 +158,7 @@ def draw_bake(layout, obj):
         column.prop(simulation, "end")
         for name in ("substeps", "scheme", "gravity", "fields", "preroll"):
             body.prop(simulation, name)
-    draw_job(layout, "dynamorph.bake", "REC")
+    draw_job(layout, "dynamorph.bake", "Bake", "REC")
     if settings.bake.keys:
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
@@ -167,9 +167,9 @@ def draw_bake(layout, obj):
 
 
 def draw_setup(layout, obj):
-    """Set-ups as files and presets, and copies for other meshes."""
+    """Setups as files and presets, and copies for other meshes."""
     header, body = layout.panel("dynamorph_setup", default_closed=True)
-    header.label(text="Set-Up")
+    header.label(text="Setup")
     if body:
         body.popover("DYNAMORPH_PT_setup_presets", text="Presets", icon="PRESET")
         body.operator("dynamorph.copy_to_selected", text="Copy to Selected", icon="COPYDOWN")
@@ -181,11 +181,11 @@ def draw_setup(layout, obj):
 # Pieces ------------------------------------------------------------------------------------------------------------
 
 
-def draw_job(layout, operator: str, icon: str):
+def draw_job(layout, operator: str, text: str, icon: str):
     """The button, or in its place the progress of its job."""
     job = jobs.running
     if job is None or operator != f"dynamorph.{job.goal.lower()}":
-        layout.operator(operator, icon=icon)
+        layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Presets, with Blender's own machinery: of materials, next to the measured ones, and of whole set-ups.
+"""Presets, with Blender's own machinery: of materials, next to the measured ones, and of whole setups.
 
 A preset is a small script that sets properties of `bpy.context.object`, which is here the mesh that the buttons are
 about even when its armature is active.
@@ -53,7 +53,7 @@ class DYNAMORPH_OT_setup_preset(SavesPreset, Operator):
     """Save the settings of model and simulation as a preset, or remove one. Targets and frames are no part of it"""
 
     bl_idname = "dynamorph.setup_preset"
-    bl_label = "Add Set-Up Preset"
+    bl_label = "Add Setup Preset"
     preset_menu = "DYNAMORPH_PT_setup_presets"
     preset_subdir = "dynamorph/setup"
     preset_defines = ("skin = bpy.context.object.dynamorph",)
@@ -101,8 +101,8 @@ class DYNAMORPH_PT_material_presets(PresetList, Panel):
     preset_operator_defaults = {"menu_idname": "DYNAMORPH_PT_material_presets"}
 
     def draw(self, context):
+        self.layout.emboss = "PULLDOWN_MENU"
         column = self.layout.column(align=True)
-        column.emboss = "PULLDOWN_MENU"
         for key, preset in materials.PRESETS.items():
             column.operator("dynamorph.apply_material", text=preset.label).preset = key
         self.layout.separator()
@@ -110,7 +110,7 @@ class DYNAMORPH_PT_material_presets(PresetList, Panel):
 
 
 class DYNAMORPH_PT_setup_presets(PresetList, Panel):
-    bl_label = "Set-Up Presets"
+    bl_label = "Setup Presets"
     preset_subdir = DYNAMORPH_OT_setup_preset.preset_subdir
     preset_add_operator = DYNAMORPH_OT_setup_preset.bl_idname
     preset_operator_defaults = {"menu_idname": "DYNAMORPH_PT_setup_presets"}

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Set-ups: what the artist authored about a soft skin as plain data, for files and for other meshes.
+"""Setups: what the artist authored about a soft skin as plain data, for files and for other meshes.
 
-A set-up names shape keys, bones and vertex groups, and holds none of their contents:
+A setup names shape keys, bones and vertex groups, and holds none of their contents:
 
     format, version
     targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
     skin, model, simulation: properties by name; modes: a list of such
 
-What a file leaves out stays as it is. `check` refuses a set-up wholly, before `apply` writes anything.
+What a file leaves out stays as it is. `check` refuses a setup wholly, before `apply` writes anything.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ GROUPS = ("soft_group", "stiffness_group")
 
 
 class SetupError(ValueError):
-    """A set-up cannot be read. The message says what is wrong in it."""
+    """A setup cannot be read. The message says what is wrong in it."""
 
 
 # From and to an object ---------------------------------------------------------------------------------------------
 
 
 def of_object(obj) -> dict:
-    """The set-up of a soft skin."""
+    """The setup of a soft skin."""
     settings = obj.dynamorph
     return {
         "format": FORMAT,
@@ -112,13 +112,17 @@ def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
         if not neutral and entry["name"] not in keys:
             continue
         target = settings.targets.add()
-        simple = {name: value for name, value in entry.items() if name not in ("bones", "pose")}
-        assign(target, lacking.without_lost_groups(simple, ["region"]))
+        assign(target, lacking.without_lost_groups(_simple(entry), ["region"]))
         if not neutral:
             target.refer_to(blocks, blocks.find(target.name))
         target.set_bones(lacking.present("bones", entry.get("bones", []), rig.data.bones))
         _apply_pose(target, rig, entry.get("pose", {}), lacking)
     settings.active_target_index = min(settings.active_target_index, len(settings.targets) - 1)
+
+
+def _simple(entry: dict) -> dict:
+    """Of a target's entry what is a property of its own."""
+    return {name: value for name, value in entry.items() if name not in ("bones", "pose")}
 
 
 def _apply_pose(target, rig, pose: dict[str, dict], lacking: _Lacking):
@@ -157,7 +161,7 @@ class _Lacking:
 
 
 def write(path: Path, setup: dict):
-    """Raises SetupError about values that no set-up may have, OSError."""
+    """Raises SetupError about values that no setup may have, OSError."""
     check(setup)
     text = json.dumps(setup, indent=1)
     # A line for each matrix. JSON escapes line breaks within texts, so that this never touches one.
@@ -166,12 +170,12 @@ def write(path: Path, setup: dict):
 
 
 def read(path: Path) -> dict:
-    """A set-up that has passed `check`. Raises SetupError, OSError."""
+    """A setup that has passed `check`. Raises SetupError, OSError."""
     try:
         setup = json.loads(path.read_text(encoding="utf-8-sig"))
         check(setup)
     except (ValueError, RecursionError) as error:
-        reason = str(error) if isinstance(error, SetupError) else f"This is not a Dynamorph set-up ({error})"
+        reason = str(error) if isinstance(error, SetupError) else f"This is not a Dynamorph setup ({error})"
         raise SetupError(f"'{path.name}': {reason}") from error
     return setup
 
@@ -180,15 +184,15 @@ def read(path: Path) -> dict:
 
 
 def check(setup):
-    """Raises SetupError unless `setup`, parsed JSON of any kind, is a set-up that `apply` can write."""
+    """Raises SetupError unless `setup`, parsed JSON of any kind, is a setup that `apply` can write."""
     if not isinstance(setup, dict) or setup.get("format") != FORMAT:
-        raise SetupError("This is not a Dynamorph set-up")
+        raise SetupError("This is not a Dynamorph setup")
     version = setup.get("version")
     if type(version) is not int or not 1 <= version <= VERSION:
-        raise SetupError(f"The set-up has version {version!r:.40}, this add-on reads 1 to {VERSION}: update the add-on")
+        raise SetupError(f"The setup has version {version!r:.40}, this add-on reads 1 to {VERSION}: update the add-on")
     targets, modes = setup.get("targets"), setup.get("modes", [])
     if not isinstance(targets, list) or not targets or not isinstance(modes, list):
-        raise SetupError("The set-up has no list of targets")
+        raise SetupError("The setup has no list of targets")
     for target in targets:
         _check_target(target)
     names = [target["name"] for target in targets[1:]]
@@ -207,8 +211,7 @@ def _check_target(target):
         raise SetupError("A target has no name")
     where = f"Target '{name}'"
     bones, pose = target.get("bones", []), target.get("pose", {})
-    simple = {name: value for name, value in target.items() if name not in ("bones", "pose")}
-    _check_values(where, DynamorphTarget, simple)
+    _check_values(where, DynamorphTarget, _simple(target))
     if not isinstance(bones, list) or not all(map(_is_text, bones)):
         raise SetupError(f"{where}: bones must be a list of names")
     if not isinstance(pose, dict) or not all(map(_is_text, pose)):

@@ -105,7 +105,7 @@ class DYNAMORPH_OT_apply_material(SoftSkinOperator, Operator):
     """Give the selected target the properties of a measured material"""
 
     bl_idname = "dynamorph.apply_material"
-    bl_label = "Material"
+    bl_label = "Apply Material"
 
     preset: EnumProperty(
         name="Material",

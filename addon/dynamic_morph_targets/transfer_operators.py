@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that carry set-ups: to and from files, and to other meshes."""
+"""Buttons that carry setups: to and from files, and to other meshes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
     def apply(self, obj):
         path = Path(bpy.path.abspath(self.filepath))
         setups.write(path, setups.of_object(obj))
-        self.report({"INFO"}, rpt_("Set-up of '{name}' saved as '{file}'").format(name=obj.name, file=path.name))
+        self.report({"INFO"}, rpt_("Setup of '{name}' saved as '{file}'").format(name=obj.name, file=path.name))
 
 
 class DYNAMORPH_OT_load_setup(SoftSkinOperator, ImportHelper, Operator):
@@ -57,10 +57,7 @@ class DYNAMORPH_OT_load_setup(SoftSkinOperator, ImportHelper, Operator):
 
 
 class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
-    (
-        """Copy the soft skin of the active mesh, its shapes and vertex groups, to the other selected meshes on the """
-        """same armature, by the nearest point of the surface at rest"""
-    )
+    """Give the other selected meshes on the armature this soft skin; its shapes go by the nearest point at rest"""
 
     bl_idname = "dynamorph.copy_to_selected"
     bl_label = "Copy Soft Skin to Selected"
@@ -127,7 +124,7 @@ def remove_soft_skin(obj):
 
 
 def report_lacking(operator, obj, lacking: dict[str, list[str]]):
-    """One warning of all that a set-up names and `obj` does not have."""
+    """One warning of all that a setup names and `obj` does not have."""
     if lacking:
         texts = (f"{rpt_(kind)} {_listed(names)}" for kind, names in lacking.items())
         text = rpt_("Left out, because '{name}' has no such: {what}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Set-ups: as files, as presets, and copied to other meshes; and the preferences."""
+"""Setups: as files, as presets, and copied to other meshes; and the preferences."""
 
 import json
 import sys
@@ -27,7 +27,7 @@ def add_group(obj, name, weights):
 
 @pytest.fixture
 def rich(soft_arm):
-    """The soft arm with something authored in every place that a set-up knows."""
+    """The soft arm with something authored in every place that a setup knows."""
     settings = soft_arm.dynamorph
     bpy.context.scene.frame_set(10)
     OPS.add_target(key="smile")
@@ -51,7 +51,7 @@ def setup_of(obj):
 
 @pytest.fixture
 def file(rich, tmp_path):
-    """The set-up of `rich` as a file."""
+    """The setup of `rich` as a file."""
     path = tmp_path / "arm.json"
     assert OPS.save_setup(filepath=str(path)) == {"FINISHED"}
     return path
@@ -70,7 +70,7 @@ def clear(obj):
 # Files ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_set_up_comes_back_as_it_was_saved(rich, file):
+def test_a_setup_comes_back_as_it_was_saved(rich, file):
     before, character = setup_of(rich), part("extract").character(rich)
     assert json.loads(file.read_text()) == before
     clear(rich)
@@ -84,7 +84,7 @@ def test_a_set_up_comes_back_as_it_was_saved(rich, file):
         assert new.material == old.material
 
 
-def test_a_set_up_holds_what_was_authored_and_no_results(rich, stand_in):
+def test_a_setup_holds_what_was_authored_and_no_results(rich, stand_in):
     OPS.build()
     setup = setup_of(rich)
     scene_data = part("scene_data")
@@ -96,7 +96,7 @@ def test_a_set_up_holds_what_was_authored_and_no_results(rich, stand_in):
     part("setups").check(json.loads(json.dumps(setup)))
 
 
-def test_the_same_set_up_does_not_make_the_model_out_of_date(rich, file, stand_in):
+def test_the_same_setup_does_not_make_the_model_out_of_date(rich, file, stand_in):
     OPS.build()
     OPS.load_setup(filepath=str(file))
     assert rich.dynamorph.model.stale == ""
@@ -164,7 +164,7 @@ def test_loading_is_undone(rich, file):
 
 
 def changed(*path, to):
-    """A change of a set-up: the value at `path`, which may be new."""
+    """A change of a setup: the value at `path`, which may be new."""
 
     def change(setup):
         *way, last = path
@@ -191,8 +191,8 @@ FLAT = [0.0] * 16
 @pytest.mark.parametrize(
     "change, words",
     [
-        (changed("format", to="scene"), "not a Dynamorph set-up"),
-        (dropped("format"), "not a Dynamorph set-up"),
+        (changed("format", to="scene"), "not a Dynamorph setup"),
+        (dropped("format"), "not a Dynamorph setup"),
         (changed("version", to=2), "version 2, this add-on reads 1 to 1: update"),
         (changed("version", to=True), "version True"),
         (dropped("version"), "version None"),
@@ -253,7 +253,7 @@ def test_a_wrong_file_is_refused_and_nothing_changed(rich, tmp_path, change, wor
 def test_other_files_are_refused(rich, tmp_path, content):
     path = tmp_path / "other.json"
     path.write_bytes(content)
-    refused(OPS.load_setup, "'other.json': This is not a Dynamorph set-up", filepath=str(path))
+    refused(OPS.load_setup, "'other.json': This is not a Dynamorph setup", filepath=str(path))
     refused(OPS.load_setup, "No such file", filepath=str(tmp_path / "none.json"))
 
 
@@ -306,7 +306,7 @@ def test_a_material_of_ones_own(rich, on_the_rig):
     assert not preset_file("material", "My_Jelly").exists()
 
 
-def test_a_whole_set_up_as_preset(rich):
+def test_a_whole_setup_as_preset(rich):
     settings = rich.dynamorph
     before = setup_of(rich)
     assert OPS.setup_preset(name="Jelly") == {"FINISHED"}
