@@ -115,10 +115,6 @@ class DynamorphBonePose(PropertyGroup):
     )
 
 
-def _target_region_changed(target, _context):
-    _model_setting_changed(target.id_data.dynamorph.model, _context)
-
-
 class DynamorphTarget(KeyReference, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
@@ -164,7 +160,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Region",
         description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
         "the neutral target at rest: they do not compete with those of the rest of the body",
-        override=OVERRIDE, update=_target_region_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     bones: CollectionProperty(
         name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
@@ -209,11 +205,6 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
-def _model_setting_changed(model, _context):
-    if model.content_id:
-        model.stale = "model settings changed"
-
-
 class DynamorphModel(PropertyGroup):
     """How the model of an object is built, and what came of it."""
 
@@ -221,7 +212,7 @@ class DynamorphModel(PropertyGroup):
         name="Method",
         description="What the targets do to the flesh",
         items=tuple((method, *texts) for method, texts in METHODS.items()),
-        default=ModelSettings.method, override=OVERRIDE, update=_model_setting_changed,
+        default=ModelSettings.method, override=OVERRIDE,
     )  # fmt: skip
     law: EnumProperty(
         name="Law",
@@ -232,7 +223,7 @@ class DynamorphModel(PropertyGroup):
             ("STABLE_STVK", "Stable StVK", "As StVK, and recovers from any compression"),
         ),
         default=ModelSettings.law,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     solver: EnumProperty(
         name="Solver",
@@ -242,7 +233,7 @@ class DynamorphModel(PropertyGroup):
             ("FULL", "Full", "Every node of the cage: slow, the reference"),
         ),
         default=ModelSettings.solver,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     blending: EnumProperty(
         name="Blending",
@@ -256,30 +247,32 @@ class DynamorphModel(PropertyGroup):
     modes: IntProperty(
         name="Modes", description="How many displacement modes the reduced solver uses",
         default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     fit_to_shot: BoolProperty(
         name="Fit Modes to Shot",
         description="Choose the modes from how the shot moves when the model is built: as accurate with far fewer of "
         "them. The model then suits other shots less; build it again for each",
-        default=ModelSettings.fit_to_shot, override=OVERRIDE, update=_model_setting_changed,
+        default=ModelSettings.fit_to_shot, override=OVERRIDE,
     )  # fmt: skip
     cage_nodes: IntProperty(
         name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
         default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
         description="How far from a bone to the skin the flesh is held by the bone: 0 only at the bone",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
+    vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
+    cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
     warnings: StringProperty(name="Warnings", description="Of the last build, a line each")
-    stale: StringProperty(name="Out of Date", description="Why the model must be built again")
+    stale: StringProperty(name="Out of Date", description="Why the model must be built again, as the mesh says")
 
     def settings(self) -> ModelSettings:
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
@@ -374,7 +367,18 @@ class DynamorphBake(PropertyGroup):
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
+    animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
     gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
+
+
+class DynamorphSculpt(PropertyGroup):
+    """What sculpting a target in its pose changed, so that Finish Sculpting can put it back."""
+
+    active: BoolProperty(name="Sculpting", description="Whether a target is being sculpted")
+    was_pinned: BoolProperty(name="Was Pinned", description="Whether the active shape key was shown alone before")
+    was_posing: BoolProperty(name="Was Posing", description="Whether the armature was in Pose Mode before")
+    in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
+    on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
 
 
 class DynamorphSettings(PropertyGroup):
@@ -416,6 +420,7 @@ class DynamorphSettings(PropertyGroup):
     )
     live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
     bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
+    sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
 
     @property
     def active_target(self):
@@ -431,6 +436,7 @@ class DynamorphDisplay(PropertyGroup):
     influence: BoolProperty(
         name="Influence", description="Draw each target's weight over the frames, shading those far from every target"
     )
+    posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
 
 # Settings as plain data --------------------------------------------------------------------------------------------
@@ -582,6 +588,7 @@ CLASSES = (
     DynamorphLive,
     DynamorphSimulation,
     DynamorphBake,
+    DynamorphSculpt,
     DynamorphSettings,
     DynamorphDisplay,
 )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from .properties import (
     assign,
     plain,
 )
-from .scene_data import determinant
+from .scene_data import ModelSettings, determinant, turned
 
 FORMAT = "dynamorph setup"
 VERSION = 1
@@ -37,7 +38,7 @@ VERSION = 1
 # Properties that are results, clues or a choice in the interface.
 NOT_AUTHORED = {
     DynamorphSettings: ("name", "active_target_index", "active_mode_index"),
-    DynamorphModel: ("name", "built", "content_id", "summary", "warnings", "stale"),
+    DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
     DynamorphSimulation: ("name",),
     DynamorphMode: ("name",),
     DynamorphTarget: ("key_index", "key_hash"),
@@ -129,7 +130,7 @@ def _apply_pose(target, rig, pose: dict[str, dict], lacking: _Lacking):
     names = lacking.present("bones", pose, rig.data.bones)
     rest = np.array([rig.data.bones[name].matrix_local for name in names]).reshape(-1, 4, 4)
     stored = np.array([pose[name]["rest"] for name in names], float).reshape(-1, 4, 4)
-    alike = [name for name, angle in zip(names, extract.turned(rest, stored), strict=True) if angle < extract.MOVED]
+    alike = [name for name, angle in zip(names, turned(rest, stored), strict=True) if angle < extract.MOVED]
     lacking.present("the rest pose of bones", names, alike)
     for name, matrix in zip(names, rest, strict=True):
         bone = target.pose.add()

@@ -11,8 +11,9 @@ from bpy.props import BoolProperty, StringProperty
 from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from . import jobs, properties, setups, sinks, transfer
+from . import jobs, properties, setups, transfer
 from .operators import SoftSkinOperator, guarded
+from .target_operators import remove_soft_skin
 
 FAR = 0.03  # of the source's size: meshes that are further apart were probably not meant
 SHOWN = 5  # names of a kind in a report
@@ -96,7 +97,8 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
         setup, size = setups.of_object(source), transfer.size(source)
         copies = [transfer.copy(source, obj) for obj in others]
         for obj, made in zip(others, copies, strict=True):
-            remove_soft_skin(obj)
+            if obj.dynamorph.targets:
+                remove_soft_skin(obj)
             transfer.write(obj, made, self.overwrite)
             report_lacking(self, obj, setups.apply(obj, setup))
             self._report_distance(source, obj, made.distance, size)
@@ -113,14 +115,6 @@ def others(context):
     """The selected meshes that are not the one the buttons are about."""
     active = properties.mesh_in(context)
     return [obj for obj in context.selected_objects if obj.type == "MESH" and obj != active]
-
-
-def remove_soft_skin(obj):
-    """Remove all of it, its bake too."""
-    if obj.dynamorph.targets:
-        sinks.free(obj)
-        obj.dynamorph.targets.clear()
-        jobs.forget_model(obj)
 
 
 def report_lacking(operator, obj, lacking: dict[str, list[str]]):
