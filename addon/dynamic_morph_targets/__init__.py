@@ -11,9 +11,21 @@ _commands = []  # handles that Blender wants back
 
 
 def _modules():
-    from . import influence, operators, overlays, panels, properties, setup_operators, target_operators
+    from . import (
+        influence,
+        operators,
+        overlays,
+        panels,
+        preferences,
+        presets,
+        properties,
+        setup_operators,
+        target_operators,
+        transfer_operators,
+    )
 
-    return properties, operators, setup_operators, target_operators, influence, overlays, panels
+    buttons = operators, setup_operators, target_operators, transfer_operators, presets, influence
+    return preferences, properties, *buttons, overlays, panels
 
 
 def register():

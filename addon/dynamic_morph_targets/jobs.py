@@ -19,12 +19,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, materials, model_file, sinks
+from . import changes, extract, materials, model_file, preferences, sinks
 from .extract import Cancelled, SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
-PACK_LIMIT = 32 * 2**20  # larger models go into a file beside the .blend
-FOLDER = "dynamorph_models"
+PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
@@ -82,20 +81,21 @@ def _engine_errors() -> tuple[type[Exception], ...]:
 
 
 def store_model(obj, packed: bytes, folder: Path | None = None):
-    """Keep a packed model with `obj`: in the .blend, or if it is large in `folder` (default: beside the .blend).
+    """Keep a packed model with `obj`: in the .blend, or if it is large in a file as the preferences say.
 
+    folder: of the .blend that the model belongs to; by default of the open one.
     Files are named by their content: a copy of the object shares its file, and a new build never overwrites one that
     another .blend may use.
     """
     content_id = model_file.content_id(packed)
     if len(packed) > PACK_LIMIT:
-        folder = folder or _blend_folder()
-        if folder is None:
+        folders = preferences.model_folders(folder or _blend_folder())
+        if not folders:
             raise SceneError(
                 f"The model of '{obj.name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
                 ".blend: save the .blend first"
             )
-        model_file.save(_model_path(folder, content_id), packed)
+        model_file.save(folders[0] / f"{content_id}.dynamorph", packed)
         obj.pop(PACKED, None)
     else:
         obj.pop(PACKED, None)  # Blender cuts bytes that replace other bytes at their first zero
@@ -113,12 +113,14 @@ def stored_model(obj) -> bytes | None:
     content_id = obj.dynamorph.model.content_id
     if not content_id:
         return None
-    folder = _blend_folder()
+    folders = preferences.model_folders(_blend_folder())
+    paths = [folder / f"{content_id}.dynamorph" for folder in folders]
     # The id comes from the .blend, which may be anybody's: it must not lead out of the folder.
-    path = _model_path(folder, content_id) if folder and re.fullmatch("[0-9a-f]{32}", content_id) else None
-    if path is None or not path.is_file():
+    path = next(filter(Path.is_file, paths), None) if re.fullmatch("[0-9a-f]{32}", content_id) else None
+    if path is None:
+        places = " and ".join(f"'{folder}'" for folder in folders) or "beside the .blend"
         raise model_file.ModelFileError(
-            f"The model of '{obj.name}' is missing (folder '{FOLDER}' beside the .blend): put it back or build again"
+            f"The model of '{obj.name}' is missing (looked for in {places}): put it back or build again"
         )
     return path.read_bytes()
 
@@ -195,10 +197,6 @@ def _blend_folder() -> Path | None:
     return Path(bpy.data.filepath).parent if bpy.data.filepath else None
 
 
-def _model_path(folder: Path, content_id: str) -> Path:
-    return folder / FOLDER / f"{content_id}.dynamorph"
-
-
 def find(session_uid: int):
     """The object with this id, which outlives undo and renames; Python references do not. Raises SceneError."""
     obj = next((obj for obj in bpy.data.objects if obj.session_uid == session_uid), None)
@@ -253,6 +251,7 @@ class Job:
         """Check and read the character and its settings."""
         self.message = "Reading the character"
         engine()
+        preferences.use_threads()
         obj = find(self.session_uid)
         sinks.check_local(obj)
         self.character = extract.character(obj, without_targets=self.only_cage)

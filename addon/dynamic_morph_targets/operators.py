@@ -146,7 +146,7 @@ class DYNAMORPH_OT_bake(JobOperator, Operator):
     """Simulate the frame range and write the motion as shape keys; builds the model first if it is out of date"""
 
     bl_idname = "dynamorph.bake"
-    bl_label = "Bake"
+    bl_label = "Bake Soft Skin"
     goal = "BAKE"
 
 
@@ -177,7 +177,7 @@ class DYNAMORPH_OT_cancel(Operator):
     """Stop the running build or bake; what was there before stays"""
 
     bl_idname = "dynamorph.cancel"
-    bl_label = "Cancel"
+    bl_label = "Cancel Soft Skin Job"
 
     def execute(self, _context):
         if jobs.running:

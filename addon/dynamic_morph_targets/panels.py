@@ -188,7 +188,7 @@ def draw_material(layout, target):
     column = layout.column(align=True)
     column.enabled = jobs.running is None
     row = column.row(align=True)
-    row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
+    row.popover("DYNAMORPH_PT_material_presets", text="Material", icon="PRESET")
     row.operator("dynamorph.fit_material", text="Fit Bounce")
     units = column.column(align=True)
     units.enabled = target.is_measured
@@ -288,8 +288,8 @@ def draw_bake(layout, obj):
         column.prop(simulation, "end")
         for name in ("substeps", "scheme", "gravity", "fields", "begin", "preroll", "loop"):
             body.prop(simulation, name)
-    draw_job(layout, "dynamorph.bake", "REC")
-    draw_job(layout, "dynamorph.bake_all", "NONE")
+    draw_job(layout, "dynamorph.bake", "REC", "Bake")
+    draw_job(layout, "dynamorph.bake_all", "NONE", "Bake All")
     if settings.bake.keys:
         draw_outdated(layout, changes.outdated(obj))
         strip = sinks.influence_strip(obj)
@@ -302,17 +302,25 @@ def draw_bake(layout, obj):
 
 
 def draw_setup(layout, obj):
-    """Set-ups as files and presets, and copies for other meshes."""
+    """Setups as files and presets, and copies for other meshes."""
+    header, body = layout.panel("dynamorph_setup", default_closed=True)
+    header.label(text="Setup")
+    if body:
+        body.popover("DYNAMORPH_PT_setup_presets", text="Presets", icon="PRESET")
+        body.operator("dynamorph.copy_to_selected", text="Copy to Selected", icon="COPYDOWN")
+        row = body.row(align=True)
+        row.operator("dynamorph.save_setup", icon="EXPORT")
+        row.operator("dynamorph.load_setup", icon="IMPORT")
 
 
 # Pieces ------------------------------------------------------------------------------------------------------------
 
 
-def draw_job(layout, operator: str, icon: str):
-    """The button, or in its place the progress of its job."""
+def draw_job(layout, operator: str, icon: str, text: str | None = None):
+    """The button, with its operator's label or `text`, or in its place the progress of its job."""
     job = jobs.running
     if job is None or operator != f"dynamorph.{job.goal.lower()}":
-        layout.operator(operator, icon=icon)
+        layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")

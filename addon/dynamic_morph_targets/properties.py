@@ -382,7 +382,7 @@ class DynamorphMode(PropertyGroup):
 class DynamorphLive(PropertyGroup):
     """Simulation during playback, shown by one shape key that is rewritten at each frame."""
 
-    key: PointerProperty(type=DynamorphKey)
+    key: PointerProperty(name="Key", description="The shape key that Live rewrites", type=DynamorphKey)
     muted: CollectionProperty(name="Muted", description="Target keys that Live muted", type=DynamorphKey)
     slot: EnumProperty(
         name="Slot", description="Which of two sets of settings is in use",
@@ -451,8 +451,10 @@ class DynamorphBake(PropertyGroup):
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
-    had_animation_data: BoolProperty(name="Had Animation Data")
-    active_index: IntProperty(name="Active Key")
+    had_animation_data: BoolProperty(
+        name="Had Animation Data", description="Whether the shape keys were animated before the bake"
+    )
+    active_index: IntProperty(name="Active Key", description="Index of the active shape key before the bake")
     basis: StringProperty(name="Basis", description="Hash of the Basis that the keys belong to")
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
@@ -478,7 +480,9 @@ class DynamorphSettings(PropertyGroup):
         name="Targets", description="Dynamic morph targets; the first is the neutral one", type=DynamorphTarget,
         override=OVERRIDE_LIST,
     )  # fmt: skip
-    active_target_index: IntProperty(name="Active Target", override=OVERRIDE)
+    active_target_index: IntProperty(
+        name="Active Target", description="Index of the target selected in the list", override=OVERRIDE
+    )
     soft_group: StringProperty(
         name="Soft",
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
@@ -495,13 +499,21 @@ class DynamorphSettings(PropertyGroup):
         description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
         default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
     )  # fmt: skip
-    model: PointerProperty(type=DynamorphModel, override=OVERRIDE)
-    modes: CollectionProperty(name="Modes", type=DynamorphMode, override=OVERRIDE_LIST)
-    active_mode_index: IntProperty(name="Active Mode", override=OVERRIDE)
-    simulation: PointerProperty(type=DynamorphSimulation, override=OVERRIDE)
-    live: PointerProperty(type=DynamorphLive)
-    bake: PointerProperty(type=DynamorphBake)
-    sculpt: PointerProperty(type=DynamorphSculpt)
+    model: PointerProperty(
+        name="Model", description="How the model is built, and what came of it", type=DynamorphModel, override=OVERRIDE
+    )
+    modes: CollectionProperty(
+        name="Modes", description="Displacement modes of the built model", type=DynamorphMode, override=OVERRIDE_LIST
+    )
+    active_mode_index: IntProperty(
+        name="Active Mode", description="Index of the mode selected in the list", override=OVERRIDE
+    )
+    simulation: PointerProperty(
+        name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
+    )
+    live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
+    bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
+    sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
 
     @property
     def active_target(self):

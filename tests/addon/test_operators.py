@@ -141,7 +141,7 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "one" / "arm.blend"))
     bpy.ops.dynamorph.build()
     assert jobs.PACKED not in soft_arm
-    files = list((tmp_path / "one" / jobs.FOLDER).iterdir())
+    files = list((tmp_path / "one" / "dynamorph_models").iterdir())
     assert [file.stem for file in files] == [soft_arm.dynamorph.model.content_id]
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 2  # the refused build and this one
@@ -150,7 +150,7 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "two" / "arm.blend"))
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 2
-    next((tmp_path / "two" / jobs.FOLDER).iterdir()).unlink()
+    next((tmp_path / "two" / "dynamorph_models").iterdir()).unlink()
     jobs._load.cache_clear()
     reasons = jobs.stale_reasons(bpy.data.objects["Arm"], None)
     assert "is missing" in reasons[0]
