@@ -243,9 +243,10 @@ class Job:
         self.thread = threading.Thread(target=self._work, name=f"dynamorph {obj.name}", daemon=True)
 
     def prepare(self):
-        """Check and read the scene; main thread."""
+        """Check and read the scene at once; main thread."""
         self.read()
         self.sample()
+        self._take_rig()
 
     def read(self):
         """Check and read the character and its settings."""
@@ -279,11 +280,7 @@ class Job:
             return True
         with self._stage("sample rig"):
             done = sampling.advance(find(self.session_uid), seconds)
-            self._progress(0.0, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
-            if done:
-                self._sampling = None
-                self.rig, warnings = extract.hold_collapsed(sampling.samples(), self.character.skeleton)
-                self.warnings += warnings
+        self._progress(0.0, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
         return done
 
     def _reasons(self, obj) -> list[str]:
@@ -293,6 +290,13 @@ class Job:
             current = self.previous is not None and build.has_cage(self.previous, self.character)
             return [] if current else ["the cage is out of date"]
         return stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
+
+    def _take_rig(self):
+        """Check what was sampled; any thread. Raises SceneError."""
+        if self._sampling:
+            samples, self._sampling = self._sampling.samples(), None
+            self.rig, warnings = extract.hold_collapsed(samples, self.character.skeleton)
+            self.warnings += warnings
 
     def start(self):
         """Begin to compute, in a thread."""
@@ -395,6 +399,7 @@ class Job:
                 with self._stage("build"):
                     self.model = build.build_cage(self.character, self._progress(0.0, 1.0), self.previous)
             return
+        self._take_rig()
         start = 0.2
         built = 0.95 if self.character.settings.fit_to_shot else 0.7
         if self.reasons:
@@ -423,7 +428,7 @@ class Job:
                 f"{self.report['inverted']} of {len(self.model.tets)} tetrahedra turn inside out at worst: raise "
                 "Stiffness or Cage Nodes, or smooth the sculpt"
             )
-        for name in ("coordinates", "weights", "modes", "details"):
+        for name in ("coordinates", "weights", "modes", "details", "dry"):
             if not np.isfinite(getattr(self.result, name)).all():
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
 

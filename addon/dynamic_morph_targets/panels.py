@@ -294,7 +294,9 @@ def draw_bake(layout, obj):
         draw_outdated(layout, changes.outdated(obj))
         strip = sinks.influence_strip(obj)
         if strip:
-            layout.prop(strip, "influence", slider=True)
+            row = layout.row()
+            row.use_property_decorate = True  # it is to be keyed
+            row.prop(strip, "influence", slider=True)
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
             draw_warnings(layout, settings.bake.warnings)

@@ -215,7 +215,7 @@ class Player:
 
     def _push(self, fields, sample: int, bones: np.ndarray) -> np.ndarray | None:
         """What the force fields do to the nodes, from where the flesh is now; None without any."""
-        if not fields or isinstance(self._simulation, _NothingMoves):
+        if not fields or self.engine is None:
             return None
         return self._skin.push(fields, sample, bones, self.engine.displacement(self._simulation.coordinates))
 
