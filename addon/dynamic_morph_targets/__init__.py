@@ -31,6 +31,8 @@ def register():
 def unregister():
     import bpy
 
+    if not _commands:  # done by atexit: the wheel, as it ends, disables its add-ons once more
+        return
     atexit.unregister(unregister)
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())

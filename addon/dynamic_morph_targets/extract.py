@@ -6,13 +6,16 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 
 from __future__ import annotations
 
+import hashlib
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 
 import bpy
 import numpy as np
 
-from .properties import key_points, reconcile, rest_skeleton
+from . import checks
+from .properties import key_points, reconcile, rest_skeleton, rig_of
 from .scene_data import (
     Character,
     ForceField,
@@ -23,24 +26,15 @@ from .scene_data import (
     TargetSet,
     determinant,
     inverse,
+    turned,
 )
 
-SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
-PLAUSIBLE = (0.02, 20.0)  # metres from corner to corner; a body of another size is probably not meant
+STRIP_FIELDS = (
+    "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
+    "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
+)  # fmt: skip
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
-
-# Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
-GENERATING = {
-    "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
-    "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
-    "WIREFRAME",
-}  # fmt: skip
-DEFORMING = {
-    "CAST", "CLOTH", "CORRECTIVE_SMOOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE",
-    "MESH_CACHE", "MESH_DEFORM", "MESH_SEQUENCE_CACHE", "SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY",
-    "SURFACE_DEFORM", "VOLUME_DISPLACE", "WARP", "WAVE",
-}  # fmt: skip
 
 
 class SceneError(ValueError):
@@ -54,16 +48,21 @@ class Cancelled(Exception):
 # The character -----------------------------------------------------------------------------------------------------
 
 
-def character(obj) -> Character:
-    """The soft skin authored on `obj`. Raises SceneError."""
+def character(obj, without_targets=False) -> Character:
+    """The soft skin authored on `obj`. without_targets: the neutral one is enough. Raises SceneError."""
     modifier = armature_modifier(obj)
     reconcile(obj)
-    _check(obj, modifier)
+    if not obj.dynamorph.targets:
+        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
+    _refuse(checks.problems(obj))
+    if not without_targets:
+        _refuse(checks.next_steps(obj))
+    _refuse(checks.shapes(obj))
     skeleton = rest_skeleton(modifier.object.data)
     groups = VertexGroups(obj)
     target_sets = _target_sets(obj, skeleton, groups)
     for target_set in target_sets:
-        _check_poses(obj, target_set.targets, skeleton)
+        _refuse(checks.poses(obj.name, target_set.targets, skeleton))
     basis = obj.data.shape_keys.reference_key
     settings = obj.dynamorph
     world, rig_world = _worlds_at_start(obj, modifier.object)
@@ -75,6 +74,7 @@ def character(obj) -> Character:
         to_bind=to_bind,
         weights=_skin_weights(obj, modifier, skeleton, groups),
         softness=_softness(obj, groups),
+        stiffness=_stiffness(obj, groups),
         bone_segments=_bone_segments(obj, modifier.object, inverse(world) @ rig_world, to_bind),
         skeleton=skeleton,
         target_sets=target_sets,
@@ -86,121 +86,36 @@ def armature_modifier(obj):
     """The one Armature modifier that skins `obj`. Raises SceneError."""
     if obj is None or obj.type != "MESH":
         raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
-    modifiers = [m for m in obj.modifiers if m.type == "ARMATURE" and m.object]
-    if not modifiers:
-        raise SceneError(f"'{obj.name}' has no Armature modifier with an armature: add one, or parent the mesh to it")
-    if len(modifiers) > 1:
-        names = " and ".join(f"'{m.name}'" for m in modifiers)
-        raise SceneError(f"'{obj.name}' has more than one Armature modifier ({names}): keep one")
-    return modifiers[0]
+    _refuse(checks.skinning(obj))
+    return checks.armature_modifiers(obj)[0]
+
+
+def _refuse(problems):
+    """Raises SceneError about the first of `problems`."""
+    for problem in problems:
+        raise SceneError(problem.text)
 
 
 def warnings(obj, character: Character) -> list[str]:
     """What will be ignored, or is not likely to be meant."""
-    found = [
-        f"'{obj.name}': modifier '{modifier.name}' before the Armature is not simulated"
-        for modifier in _modifiers_before(obj, armature_modifier(obj))
-        if modifier.type in DEFORMING
-    ]
-    if obj.show_only_shape_key:
-        found.append(f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake")
-    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
-    if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
-        found.append(f"'{obj.name}' is {size:.3g} m long: check the scale, it will move like something of that size")
-    return found
+    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, character.weights))
+    return [problem.text for problem in found]
 
 
-def _check(obj, modifier):
-    """Raises SceneError about what makes `obj` impossible to simulate."""
-    _check_mesh(obj)
-    _check_rig(obj, modifier)
-    _check_keys(obj)
-    for before in _modifiers_before(obj, modifier):
-        if before.type in GENERATING:
-            raise SceneError(f"'{obj.name}': modifier '{before.name}' comes before the Armature: move it below")
-
-
-def _check_rig(obj, modifier):
-    rig = modifier.object
-    if rig.mode == "EDIT":
-        raise SceneError(f"Armature '{rig.name}' is in Edit Mode: leave it first")
-    if rig.data.pose_position == "REST":
-        raise SceneError(f"Armature '{rig.name}' is shown in rest position: choose Pose Position in its Data tab")
-    if rig.hide_viewport:
-        raise SceneError(f"Armature '{rig.name}' is disabled in viewports, so Blender does not move it: enable it")
-    if not modifier.show_viewport:
-        raise SceneError(f"'{obj.name}': Armature modifier '{modifier.name}' is disabled in viewports: enable it")
-    if modifier.use_deform_preserve_volume:
-        raise SceneError(f"'{obj.name}' uses Preserve Volume: turn it off in Armature modifier '{modifier.name}'")
-    if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
-        raise SceneError(
-            f"'{obj.name}' is skinned by bone envelopes: in Armature modifier '{modifier.name}' turn Bone Envelopes "
-            "off and Vertex Groups on"
-        )
-    if modifier.use_multi_modifier:
-        raise SceneError(f"'{obj.name}': turn Multi Modifier off in Armature modifier '{modifier.name}'")
-    bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
-    if not bones:
-        raise SceneError(
-            f"'{obj.name}' has no vertex group named after a deforming bone of '{rig.name}': weight it first"
-        )
-    longest = max(bone.length for bone in bones)
-    for bone in bones:
-        if bone.bbone_segments > 1:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}' is a bendy bone: set its Segments to 1")
-        if bone.use_envelope_multiply:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}': turn off Envelope Multiply in its Deform panel")
-        if bone.length <= 1e-5 * longest:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}' has no length: move its tail, or turn off its Deform")
-
-
-def _check_mesh(obj):
-    mesh = obj.data
-    if obj.mode == "EDIT":
-        raise SceneError(f"'{obj.name}' is in Edit Mode: leave it first")
-    if not mesh.polygons:
-        raise SceneError(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
-
-
-def _check_keys(obj):
-    if not obj.dynamorph.targets:
-        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
-    keys = obj.data.shape_keys
-    if keys is None:
-        raise SceneError(f"'{obj.name}' has no shape keys: add a Basis and one key a target")
-    if not keys.use_relative:
-        raise SceneError(f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
-    targets = _active_targets(obj)
-    if len(targets) < 2 and obj.dynamorph.model.method != "SINGLE":
-        if len(obj.dynamorph.targets) > 1:
-            raise SceneError(f"'{obj.name}': all targets are muted: unmute one, or choose the Method Single")
-        raise SceneError(f"'{obj.name}' has no targets: select a shape key, pose the armature and press Add Target")
-    for target in targets[1:]:
-        if target.name not in keys.key_blocks:
-            raise SceneError(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
-        if keys.key_blocks[target.name] == keys.reference_key:
-            raise SceneError(
-                f"'{obj.name}': target '{target.name}' has become the Basis, which moves nothing: put a Basis above it "
-                "in the Shape Keys panel, or remove the target"
-            )
-    for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in targets[1:])):
-        bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
-        if len(bad):
-            raise SceneError(
-                f"'{obj.name}': shape key '{block.name}' has coordinates that are not numbers at vertices "
-                f"{', '.join(map(str, bad[:5]))}: delete or repair them"
-            )
-
-
-def _modifiers_before(obj, armature) -> list:
-    """The modifiers that change the mesh before its Armature modifier does."""
-    before = obj.modifiers[: obj.modifiers.find(armature.name)]
-    return [modifier for modifier in before if modifier.show_viewport or modifier.show_render]
-
-
-def _active_targets(obj):
-    """The neutral target and those that are not muted."""
-    return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
+def first_look(obj) -> list[str]:
+    """All that is in the way of simulating `obj`, or not likely to be meant, before it is a soft skin."""
+    modifier = checks.armature_modifiers(obj)[0]
+    found = [*checks.problems(obj), *checks.notes(obj)]
+    try:
+        to_bind = _stretch(_worlds_at_start(obj, modifier.object)[0])
+        weights = _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+    except SceneError as error:
+        return [*(problem.text for problem in found), str(error)]
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    obj.data.vertices.foreach_get("co", points.ravel())  # Edit Mode hides the attribute
+    if len(points):
+        found += checks.body(obj.name, points, to_bind, weights)
+    return [problem.text for problem in found]
 
 
 def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
@@ -208,7 +123,7 @@ def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[
 
     Regions share out the flesh: where their groups add up to less than one the body has the rest.
     """
-    neutral, *others = _active_targets(obj)
+    neutral, *others = checks.active_targets(obj)
     groups = list(dict.fromkeys(target.region for target in others if target.region))
     gone = [group for group in groups if group not in obj.vertex_groups]
     if gone:
@@ -245,25 +160,6 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
     return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius)
-
-
-def _check_poses(obj, targets, skeleton: Skeleton):
-    """Refuse targets that the rotations of the targets' bones, and of no others, cannot tell apart."""
-    for target in targets[1:]:
-        if not target.bones:
-            raise SceneError(
-                f"'{obj.name}': target '{target.name}' has no bones: pose the armature away from the neutral target "
-                "and press Capture Pose"
-            )
-    named = {bone for target in targets for bone in target.bones}
-    used = [name in named for name in skeleton.names]
-    for i, first in enumerate(targets):
-        for second in targets[i + 1 :]:
-            if np.linalg.norm(turned(first.local[used], second.local[used])) < SAME_POSE:
-                raise SceneError(
-                    f"'{obj.name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
-                    "place targets: capture one of them in another pose, choose its bones, or remove it"
-                )
 
 
 def target_shape(obj, key_name: str) -> np.ndarray:
@@ -324,18 +220,30 @@ def _skin_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
 
 
+def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
+    """Weights (V,) of the vertex group that the artist chose for Soft or Stiffness. Raises SceneError."""
+    if group not in obj.vertex_groups:
+        raise SceneError(f"'{obj.name}': the vertex group '{group}' for {use} is gone: choose another")
+    return groups.weights([group])[:, 0].clip(0.0, 1.0)
+
+
 def _softness(obj, groups: VertexGroups) -> np.ndarray:
-    name = obj.dynamorph.soft_group
-    if not name:
+    group = obj.dynamorph.soft_group
+    return _painted(obj, groups, "Soft", group) if group else np.ones(len(obj.data.vertices))
+
+
+def _stiffness(obj, groups: VertexGroups) -> np.ndarray:
+    settings = obj.dynamorph
+    if not settings.stiffness_group:
         return np.ones(len(obj.data.vertices))
-    if name not in obj.vertex_groups:
-        raise SceneError(f"'{obj.name}': the vertex group '{name}' for Soft is gone: choose another")
-    return groups.weights([name])[:, 0]
+    if not np.isfinite(settings.stiffness_factor):
+        raise SceneError(f"'{obj.name}': the Factor of the Stiffness group is not a number: set it again")
+    return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 
 def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
-    bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
+    bones = checks.deforming_bones(obj, rig)
     ends = np.array([(*bone.head_local, 1.0, *bone.tail_local, 1.0) for bone in bones]).reshape(-1, 2, 4)
     # Rounded like the stretch: the last digits of this product change when both objects are moved.
     return (ends @ np.round(to_local, 5).T)[..., :3] @ to_bind.T + 0.0
@@ -382,34 +290,33 @@ def _stretch(world) -> np.ndarray:
 # The pose ----------------------------------------------------------------------------------------------------------
 
 
-def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angle, in radians, between the rotations of two arrays of transforms (B, 4, 4)."""
+def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4).
 
-    def rotation(transforms):
-        u, _, vt = np.linalg.svd(transforms[:, :3, :3])
-        return u @ vt
-
-    # From the chord, because the arc cosine of the trace loses small angles.
-    chord = np.linalg.norm(rotation(first) - rotation(second), axis=(1, 2)) / np.sqrt(8.0)
-    return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
-
-
-def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
-    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4)."""
+    depsgraph: where it is evaluated, if not where the artist sees it.
+    """
     modifier = armature_modifier(obj)
-    _check_rig(obj, modifier)
+    _refuse(checks.rig(obj, modifier))
     rig = modifier.object
     skeleton = rest_skeleton(rig.data)
-    evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
     pose = pose_matrices(evaluated, pose_order(rig, skeleton))
-    rig_world = np.array(evaluated.matrix_world)
-    for name, matrix in ((rig.name, rig_world), *zip(skeleton.names, pose, strict=True)):
+    rig_world = world_now(rig, depsgraph)
+    for name, matrix in zip(skeleton.names, pose, strict=True):
         if not np.isfinite(matrix).all():
             raise SceneError(_not_a_number(name, bpy.context.scene.frame_current))
     flat = [name for name, matrix in zip(skeleton.names, pose, strict=True) if not _invertible(matrix)]
     if flat:
         raise SceneError(f"Bone '{flat[0]}' of '{rig.name}' is scaled to zero: give it a size to capture the pose")
     return skeleton, skeleton.local_transforms(pose), rig_world
+
+
+def world_now(rig, depsgraph=None) -> np.ndarray:
+    """The evaluated world transform (4, 4) of the armature; depsgraph: as `current_pose`. Raises SceneError."""
+    world = np.array(rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
+    if not np.isfinite(world).all():
+        raise SceneError(_not_a_number(rig.name, bpy.context.scene.frame_current))
+    return world
 
 
 def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
@@ -455,55 +362,91 @@ def _invertible(matrices: np.ndarray) -> np.ndarray:
 # The moving rig ----------------------------------------------------------------------------------------------------
 
 
-def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSamples:
-    """The rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh. Raises SceneError.
+def sample_rig(obj, start: int, end: int, substeps: int) -> RigSamples:
+    """The rig at 1 + (end - start) * substeps times, at once. Raises SceneError."""
+    sampling = RigSampling(obj, start, end, substeps)
+    sampling.advance(obj)
+    return sampling.samples()
 
-    progress(fraction, message) -> bool; False raises Cancelled. The user's frame and pose are not touched.
+
+class RigSampling:
+    """Reads the rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh.
+
+    It does so in slices, between which Blender does other things. Each makes a scene of its own, in a few milliseconds:
+    one that stayed in between would be seen, saved, and brought back by undo. The user's frame and pose stay as they
+    are.
     """
-    rig = armature_modifier(obj).object
-    skeleton = rest_skeleton(rig.data)
-    order = pose_order(rig, skeleton)
-    count = 1 + (end - start) * substeps
-    sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
-    columns = np.empty((count, len(order), 4, 4), np.float32)
-    samples = RigSamples(
-        np.empty((count, len(order), 4, 4)),
-        np.empty((count, 4, 4)),
-        np.empty((count, 4, 4)),
-        tuple(_empty_samples(source.field, count) for source in sources),
-    )
-    with _rig_scene(obj, rig) as scene:
-        for source in sources:
-            if source.name not in scene.collection.objects:  # the rig may be one
-                scene.collection.objects.link(source)
-        for s in range(count):
-            frame, substep = divmod(s, substeps)
-            scene.frame_set(start + frame, subframe=substep / substeps)
-            depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
-            evaluated = rig.evaluated_get(depsgraph)
-            _read_pose(evaluated, columns[s])
-            samples.rig_world[s] = _rows(evaluated.matrix_world)
-            samples.object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
-            for source, field in zip(sources, samples.fields, strict=True):
-                moved = source.evaluated_get(depsgraph)
-                field.world[s] = _rows(moved.matrix_world)
-                field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
-            if progress and not progress(s / count, f"Sampling frame {start + frame}"):
-                raise Cancelled
-    samples.pose[:] = _ordered(columns, order)
-    moving = (rig.name, obj.name, *skeleton.names)
-    transforms = np.concatenate([samples.rig_world[:, None], samples.object_world[:, None], samples.pose], axis=1)
-    bad = np.argwhere(~np.isfinite(transforms).all(axis=(2, 3)))
-    if len(bad):
-        raise SceneError(_not_a_number(moving[bad[0, 1]], start + int(bad[0, 0]) // substeps))
-    flat = np.argwhere(determinant(transforms[:, :2, :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
-    if len(flat):
-        name, frame = moving[flat[0, 1]], start + int(flat[0, 0]) // substeps
-        raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
-    for source, field in zip(sources, samples.fields, strict=True):
-        if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
-            raise SceneError(f"Force field '{source.name}' is not a number at some frame: check its drivers")
-    return samples
+
+    def __init__(self, obj, start: int, end: int, substeps: int):
+        rig = armature_modifier(obj).object
+        self.start, self.substeps = start, substeps
+        self.done, self.count = 0, 1 + (end - start) * substeps
+        self._skeleton = rest_skeleton(rig.data)
+        self._order = pose_order(rig, self._skeleton)
+        self._moving = (rig.name, obj.name, *self._skeleton.names)
+        sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
+        self._sources = [source.name for source in sources]
+        self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
+        self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
+        self._fields = tuple(_empty_samples(source.field, self.count) for source in sources)
+
+    @property
+    def frame(self) -> int:
+        """The frame that comes next."""
+        return self.start + self.done // self.substeps
+
+    def advance(self, obj, seconds: float = np.inf) -> bool:
+        """Read on for about so long; True when all is read. obj: the same object, which may have moved in memory.
+
+        Raises SceneError.
+        """
+        ends = time.perf_counter() + seconds
+        rig = armature_modifier(obj).object
+        sources = [bpy.context.scene.objects.get(name) for name in self._sources]
+        if (rig.name, obj.name, *rest_skeleton(rig.data).names) != self._moving or None in sources:
+            raise SceneError(f"'{obj.name}' or what moves it changed while it was read: start again")
+        with _rig_scene(obj, rig) as scene:
+            for source in sources:
+                if source.name not in scene.collection.objects:  # the rig may be one
+                    scene.collection.objects.link(source)
+            while self.done < self.count:
+                self._read(scene, obj, rig, sources)
+                self.done += 1
+                if time.perf_counter() > ends:
+                    break
+        return self.done == self.count
+
+    def _read(self, scene, obj, rig, sources):
+        s = self.done
+        scene.frame_set(self.frame, subframe=s % self.substeps / self.substeps)
+        depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
+        evaluated = rig.evaluated_get(depsgraph)
+        _read_pose(evaluated, self._columns[s])
+        self._rig_world[s] = _rows(evaluated.matrix_world)
+        self._object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
+        for source, field in zip(sources, self._fields, strict=True):
+            moved = source.evaluated_get(depsgraph)
+            field.world[s] = _rows(moved.matrix_world)
+            field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
+
+    def samples(self) -> RigSamples:
+        """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
+        samples = RigSamples(_ordered(self._columns, self._order), self._rig_world, self._object_world, self._fields)
+        worlds = np.stack([self._rig_world, self._object_world], axis=1)
+        bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
+        if len(bad):
+            raise SceneError(_not_a_number(self._moving[bad[0, 1]], self._frame(bad[0, 0])))
+        flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
+        if len(flat):
+            name, frame = self._moving[flat[0, 1]], self._frame(flat[0, 0])
+            raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
+        for name, field in zip(self._sources, self._fields, strict=True):
+            if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
+                raise SceneError(f"Force field '{name}' is not a number at some frame: check its drivers")
+        return samples
+
+    def _frame(self, sample) -> int:
+        return self.start + int(sample) // self.substeps
 
 
 def _force_fields(view_layer) -> list:
@@ -553,6 +496,40 @@ def _rig_scene(obj, rig):
         bpy.data.objects.remove(probe)
 
 
+def animation(obj) -> list[tuple[str, str]]:
+    """(name, hash of the F-curves and NLA strips) of the objects that move the skin: both and their parents."""
+    moving = []
+    for mover in (rig_of(obj), obj):
+        while mover is not None and mover not in moving:
+            moving.append(mover)
+            mover = mover.parent
+    return [(mover.name, _animation_hash(mover.animation_data)) for mover in moving]
+
+
+def _animation_hash(data) -> str:
+    if data is None:
+        return ""
+    digest = hashlib.blake2b(digest_size=8)
+    strips = [strip for track in data.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
+    for strip in strips:
+        digest.update(repr([getattr(strip, name) for name in STRIP_FIELDS]).encode())
+    for player in (data, *strips):
+        for curve in _curves(player.action, player.action_slot):
+            digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
+            for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
+                values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
+                curve.keyframe_points.foreach_get(name, values)
+                digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+def _curves(action, slot) -> list:
+    if not (action and slot):
+        return []
+    bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
+    return [curve for bag in bags if bag for curve in bag.fcurves]
+
+
 def hold_collapsed(samples: RigSamples, skeleton: Skeleton) -> tuple[RigSamples, list[str]]:
     """Replace bones scaled to zero (the pop-to-nothing trick) by their last size; returns warnings naming them."""
     good = _invertible(samples.pose)
@@ -579,6 +556,16 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     if end < start:
         raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
+    gains = tuple(mode.gain for mode in obj.dynamorph.modes)
     return SimulationSettings(
-        start, end, fps, substeps or chosen.steps_per_frame(fps), chosen.scheme, tuple(gravity.tolist()), chosen.preroll
+        start,
+        end,
+        fps,
+        substeps or chosen.steps_per_frame(fps),
+        chosen.scheme,
+        tuple(gravity.tolist()),
+        chosen.preroll,
+        chosen.begin,
+        chosen.loop,
+        gains if set(gains) != {1.0} else (),
     )

@@ -63,7 +63,16 @@ def key_points(block) -> np.ndarray:
 
 def key_hash(block) -> str:
     """Identifies a shape key by what it sculpts, whatever its name or place in the list."""
-    return hashlib.blake2b(_key_shape(block).tobytes(), digest_size=8).hexdigest()
+    return _hash(_key_shape(block))
+
+
+def basis_hash(blocks) -> str:
+    """Tells when the mesh itself was edited, which changes all its shape keys."""
+    return _hash(key_points(blocks[0]))
+
+
+def _hash(points: np.ndarray) -> str:
+    return hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
 
 
 def key_reach(block) -> float:
@@ -153,10 +162,6 @@ def _set_weight(target, weight: float):
         target.density = weight / target.volume
 
 
-def _target_region_changed(target, _context):
-    _model_setting_changed(target.id_data.dynamorph.model, _context)
-
-
 class DynamorphTarget(KeyReference, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
@@ -202,7 +207,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Region",
         description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
         "the neutral target at rest: they do not compete with those of the rest of the body",
-        override=OVERRIDE, update=_target_region_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     bones: CollectionProperty(
         name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
@@ -291,11 +296,6 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
-def _model_setting_changed(model, _context):
-    if model.content_id:
-        model.stale = "model settings changed"
-
-
 class DynamorphModel(PropertyGroup):
     """How the model of an object is built, and what came of it."""
 
@@ -303,7 +303,7 @@ class DynamorphModel(PropertyGroup):
         name="Method",
         description="What the targets do to the flesh",
         items=tuple((method, *texts) for method, texts in METHODS.items()),
-        default=ModelSettings.method, override=OVERRIDE, update=_model_setting_changed,
+        default=ModelSettings.method, override=OVERRIDE,
     )  # fmt: skip
     law: EnumProperty(
         name="Law",
@@ -314,7 +314,7 @@ class DynamorphModel(PropertyGroup):
             ("STABLE_STVK", "Stable StVK", "As StVK, and recovers from any compression"),
         ),
         default=ModelSettings.law,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     solver: EnumProperty(
         name="Solver",
@@ -324,7 +324,7 @@ class DynamorphModel(PropertyGroup):
             ("FULL", "Full", "Every node of the cage: slow, the reference"),
         ),
         default=ModelSettings.solver,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     blending: EnumProperty(
         name="Blending",
@@ -338,30 +338,32 @@ class DynamorphModel(PropertyGroup):
     modes: IntProperty(
         name="Modes", description="How many displacement modes the reduced solver uses",
         default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     fit_to_shot: BoolProperty(
         name="Fit Modes to Shot",
         description="Choose the modes from how the shot moves when the model is built: as accurate with far fewer of "
         "them. The model then suits other shots less; build it again for each",
-        default=ModelSettings.fit_to_shot, override=OVERRIDE, update=_model_setting_changed,
+        default=ModelSettings.fit_to_shot, override=OVERRIDE,
     )  # fmt: skip
     cage_nodes: IntProperty(
         name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
         default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
         description="How far from a bone to the skin the flesh is held by the bone: 0 only at the bone",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
+    vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
+    cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
     warnings: StringProperty(name="Warnings", description="Of the last build, a line each")
-    stale: StringProperty(name="Out of Date", description="Why the model must be built again")
+    stale: StringProperty(name="Out of Date", description="Why the model must be built again, as the mesh says")
 
     def settings(self) -> ModelSettings:
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
@@ -451,10 +453,22 @@ class DynamorphBake(PropertyGroup):
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
     had_animation_data: BoolProperty(name="Had Animation Data")
     active_index: IntProperty(name="Active Key")
+    basis: StringProperty(name="Basis", description="Hash of the Basis that the keys belong to")
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
+    animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
     gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
+
+
+class DynamorphSculpt(PropertyGroup):
+    """What sculpting a target in its pose changed, so that Finish Sculpting can put it back."""
+
+    active: BoolProperty(name="Sculpting", description="Whether a target is being sculpted")
+    was_pinned: BoolProperty(name="Was Pinned", description="Whether the active shape key was shown alone before")
+    was_posing: BoolProperty(name="Was Posing", description="Whether the armature was in Pose Mode before")
+    in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
+    on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
 
 
 class DynamorphSettings(PropertyGroup):
@@ -470,6 +484,7 @@ class DynamorphSettings(PropertyGroup):
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
         override=OVERRIDE,
     )
+    groups: StringProperty(name="Groups", description="Names of the vertex groups, a line each, to follow renames")
     stiffness_group: StringProperty(
         name="Stiffness",
         description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
@@ -486,6 +501,7 @@ class DynamorphSettings(PropertyGroup):
     simulation: PointerProperty(type=DynamorphSimulation, override=OVERRIDE)
     live: PointerProperty(type=DynamorphLive)
     bake: PointerProperty(type=DynamorphBake)
+    sculpt: PointerProperty(type=DynamorphSculpt)
 
     @property
     def active_target(self):
@@ -509,6 +525,7 @@ class DynamorphDisplay(PropertyGroup):
         name="Influence", description="Draw each target's weight over the frames, shading those far from every target",
         update=_show_influence,
     )  # fmt: skip
+    posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
 
 # Settings as plain data --------------------------------------------------------------------------------------------
@@ -549,7 +566,8 @@ def reconcile(obj):
         blocks = obj.data.shape_keys.key_blocks
         _follow_keys(blocks, settings.targets[1:])
         _follow_keys(blocks, settings.bake.muted)
-        _follow_baked_keys(blocks, settings.bake.keys)
+        _follow_baked_keys(blocks, settings.bake)
+    _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
         skeleton = rest_skeleton(rig.data)
@@ -557,13 +575,20 @@ def reconcile(obj):
             _follow_bones(skeleton, target)
 
 
-def _follow_baked_keys(blocks, references):
-    """Free Bake deletes these keys: one that only has the name of a key of ours is somebody else's."""
-    for reference in references:
-        block = blocks.get(reference.name)
-        if block and not reference.looks_like(block):
-            reference.name = ""
-    for reference in _follow_keys(blocks, references):
+def _follow_baked_keys(blocks, bake):
+    """Free Bake deletes these keys: one that only has the name of a key of ours is somebody else's.
+
+    Unless the mesh itself was edited, or its scale applied: then none looks as it did, and the name has to do.
+    """
+    basis = basis_hash(blocks) if bake.keys else bake.basis
+    if bake.basis == basis:
+        for reference in bake.keys:
+            block = blocks.get(reference.name)
+            if block and not reference.looks_like(block):
+                reference.name = ""
+    else:
+        bake.basis = basis
+    for reference in _follow_keys(blocks, bake.keys):
         reference.name = ""
 
 
@@ -588,6 +613,23 @@ def _follow_keys(blocks, references) -> list:
         del free[index]
         reference.refer_to(blocks, index)
     return gone
+
+
+def _follow_groups(obj):
+    """Vertex groups have no other identity than their place among the others."""
+    settings = obj.dynamorph
+    now, then = obj.vertex_groups.keys(), settings.groups.split("\n")
+    if now == then:
+        return
+    settings.groups = "\n".join(now)
+    moved = zip(then, now, strict=True) if len(now) == len(then) else ()
+    renamed = {old: new for old, new in moved if old not in now and new not in then}
+    stale = settings.model.stale
+    users = [(settings, "soft_group"), (settings, "stiffness_group"), *((each, "region") for each in settings.targets)]
+    for user, name in users:
+        if getattr(user, name) in renamed:
+            setattr(user, name, renamed[getattr(user, name)])
+    settings.model.stale = stale  # another name is not another region
 
 
 def _follow_bones(skeleton: Skeleton, target):
@@ -661,6 +703,7 @@ CLASSES = (
     DynamorphLive,
     DynamorphSimulation,
     DynamorphBake,
+    DynamorphSculpt,
     DynamorphSettings,
     DynamorphDisplay,
 )

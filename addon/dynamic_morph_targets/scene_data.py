@@ -41,6 +41,18 @@ def inverse(transforms: np.ndarray) -> np.ndarray:
     return out
 
 
+def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angle (B,), in radians, between the rotations of two arrays of transforms (B, 4, 4)."""
+
+    def rotation(transforms):
+        u, _, vt = np.linalg.svd(transforms[:, :3, :3])
+        return u @ vt
+
+    # From the chord, because the arc cosine of the trace loses small angles.
+    chord = np.linalg.norm(rotation(first) - rotation(second), axis=(1, 2)) / np.sqrt(8.0)
+    return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+
+
 @dataclass(frozen=True)
 class Skeleton:
     """The armature at rest: B bones, parents before children.
@@ -218,6 +230,10 @@ VARIANTS: dict[str, dict[str, str]] = {
 }
 
 
+# Settings that a built model does not depend on: they are applied when it is simulated.
+FREE_SETTINGS = {"blending"}
+
+
 @dataclass(frozen=True)
 class ModelSettings:
     """What a built model depends on, apart from the character itself. method: see METHODS."""
@@ -238,7 +254,8 @@ class Character:
 
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
-    the bones; bone_segments (D, 2, 3): heads and tails of the deforming bones, bind space.
+    the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
+    deforming bones, bind space.
     """
 
     name: str
@@ -247,6 +264,7 @@ class Character:
     to_bind: np.ndarray
     weights: np.ndarray
     softness: np.ndarray
+    stiffness: np.ndarray
     bone_segments: np.ndarray
     skeleton: Skeleton
     target_sets: tuple[TargetSet, ...]
@@ -277,7 +295,11 @@ class Character:
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2."""
+    """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
+
+    begin: REST has the targets' shapes without motion at `start`, SETTLE is in balance and moves with the rig. loop:
+    the range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    """
 
     start: int = 1
     end: int = 250
@@ -286,6 +308,9 @@ class SimulationSettings:
     scheme: str = "BDF2"
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     preroll: int = 0  # frames held at the first pose before `start`
+    begin: str = "SETTLE"
+    loop: bool = False
+    gains: tuple[float, ...] = ()
 
     @property
     def frames(self) -> np.ndarray:
@@ -302,7 +327,7 @@ class Bake:
     """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
 
     frames (F,), coordinates (F, r), weights (F, J), modes (r, V, 3), details (J, V, 3): what the cage cannot carry of
-    each target's shape. target_names (J,).
+    each target's shape. target_names (J,). dry (F, r): the coordinates of the targets' shapes alone, without motion.
     """
 
     frames: np.ndarray
@@ -311,6 +336,7 @@ class Bake:
     modes: np.ndarray
     details: np.ndarray
     target_names: tuple[str, ...]
+    dry: np.ndarray
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import dynamorph
 import numpy as np
@@ -15,6 +16,10 @@ from .scene_data import Bake, Character, RigSamples, SimulationSettings, determi
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
+NO_STEPS = {"steps": 0, "iterations": 0, "converged": True, "energy": 0.0, "teleported": False, "seconds": 0.0}
+CLOSED = 1e-4  # body sizes: a loop whose surface ends nearer to where it began is done
+SAME_POSE = 1e-3  # body sizes: poses whose skin, moved as a whole, is nearer are one
+PASSES = 20  # of a loop, at most
 CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
 
 
@@ -55,56 +60,221 @@ def pose_space(character: Character) -> dynamorph.PoseSpace:
     return dynamorph.PoseSpace(sets)
 
 
+class Player:
+    """One character, stepped frame by frame: a bake and playback both run this.
+
+    keep_going() -> bool is asked at every frame, of an unreduced model at every iteration; False raises
+    dynamorph.Cancelled. number: the frame it is at; passes: how often it has begun again. gains (dofs,): what `shown`
+    applies, to be set at any time. engine: model.engine(character), if it is at hand already; afterwards None for
+    static morph targets.
+    """
+
+    def __init__(
+        self, model: Model, character: Character, settings: SimulationSettings, *, keep_going=None, engine=None
+    ):
+        self.model = model
+        self.settings = settings
+        self.number, self.passes = settings.start, 0
+        self.engine = None
+        self._keep_going = keep_going
+        self._character = character.by_method()
+        self._space = pose_space(self._character)
+        self._first: RigSamples | None = None  # the sample that it began with
+        self._shapes = np.zeros((len(self._character.targets), 0))
+        self._simulation = _NothingMoves()
+        if model.settings.method != "STATIC":
+            self.engine = engine or model.engine(self._character)
+            self._shapes = model.target_coordinates(self.engine)
+            self._simulation = self._stepper()
+        self.gains = np.ones(self._shapes.shape[1])
+        if model.settings.solver == "REDUCED":
+            known = min(len(settings.gains), len(self.gains))
+            self.gains[:known] = settings.gains[:known]
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the body's bounding box, metres."""
+        return float(np.linalg.norm(np.ptp(self._character.vertices @ self._character.to_bind.T, axis=0)))
+
+    def run(self, rig: RigSamples) -> Iterator[Frame]:
+        """Every frame from settings.start to settings.end, one pass; rig: 1 + (end - start) * substeps samples."""
+        yield self.begin(rig)
+        yield from self.play(rig[1:], self.settings.frames[1:])
+
+    def begin(self, rig: RigSamples) -> Frame:
+        """The frame settings.start. rig: its sample and those that follow it, of which the first counts."""
+        self._hold_targets(rig[:1])
+        bones, weights = self._posed(rig[:2])
+        if self.settings.begin == "REST":
+            self._simulation.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
+            begun = NO_STEPS
+        else:
+            held = self.settings.preroll > 0
+            begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
+        still = [np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights)]
+        for _ in range(self.settings.preroll):
+            self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
+        self.number = self.settings.start
+        return Frame(self.number, self._simulation.coordinates, weights[0], begun)
+
+    def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
+        """From `frame`, the last of a cycle, back to the first, where the soft skin goes on as it came.
+
+        What the rig has travelled meanwhile, its past travels back.
+        """
+        first, last = self._skinned(rig[:: len(rig) - 1])
+        turn, shift = _rigid_fit(last, first)
+        coordinates, bones = self._simulation.state
+        moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
+        for past in moved:
+            past[:, :, 3] += shift
+        self._simulation.state = coordinates, [past.reshape(-1, 12) for past in moved]
+        self.number, self.passes = self.settings.start, self.passes + 1
+        return replace(frame, number=self.number, weights=self._posed(rig[:1])[1][0])
+
+    def pose_gap(self, rig: RigSamples) -> float:
+        """How far the skin of the last pose, moved as a whole, is off that of the first: metres, at most."""
+        first, last = self._skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
+        turn, shift = _rigid_fit(last, first)
+        return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
+
+    def gap(self, first: Frame, second: Frame) -> float:
+        """The largest distance, in metres, between the soft skins of two frames as `shown` in one pose."""
+        displacement = np.tensordot(second.weights - first.weights, self.model.details, 1)
+        if self.engine is not None:
+            displacement += self.model.surface(self.engine.displacement(self.shown(second) - self.shown(first)))
+        return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
+
+    def advance(self, rig: RigSamples, number: int) -> Frame:
+        """The frame `number`, one frame after the last; rig: its settings.substeps samples."""
+        return next(self.play(rig, [number]))
+
+    def play(self, rig: RigSamples, numbers) -> Iterator[Frame]:
+        """The frames `numbers`, which follow the last; rig: settings.substeps samples each."""
+        substeps = self.settings.substeps
+        if len(rig) != len(numbers) * substeps:
+            raise ValueError(f"rig: expected {len(numbers) * substeps} samples, got {len(rig)}")
+        for first in range(0, len(numbers), CHUNK):
+            chunk = numbers[first : first + CHUNK]
+            samples = rig[first * substeps : (first + len(chunk)) * substeps]
+            bones, weights = self._posed(samples)
+            for k, number in enumerate(chunk):
+                self.number = int(number)
+                if self._keep_going and not self._keep_going():
+                    raise dynamorph.Cancelled("cancelled")
+                steps, last = slice(k * substeps, (k + 1) * substeps), (k + 1) * substeps - 1
+                push = self._push(samples.fields, last, bones[last])
+                report = self._simulation.advance(bones[steps], weights[steps], push)
+                yield Frame(self.number, self._simulation.coordinates, weights[last], report)
+
+    def exchange(self, character: Character) -> Player:
+        """A player that goes on from here with the materials, poses and blending of `character`."""
+        other = Player(self.model, character, self.settings, keep_going=self._keep_going)
+        other.gains, other.number, other.passes = self.gains, self.number, self.passes
+        if self._first is not None:
+            other._hold_targets(self._first)
+            other._simulation.state = self._simulation.state
+        return other
+
+    def dry(self, weights: np.ndarray) -> np.ndarray:
+        """Coordinates (..., dofs) of the targets' shapes blended by the weights (..., J): what does not move."""
+        return weights @ self._shapes
+
+    def shown(self, frame: Frame) -> np.ndarray:
+        """The frame's coordinates with each mode's gain on its motion about the targets' shapes."""
+        return frame.coordinates + (self.gains - 1.0) * (frame.coordinates - self.dry(frame.weights))
+
+    def _skinned(self, rig: RigSamples) -> np.ndarray:
+        """The skin at rest, posed as the rig is: (S, V, 3), world space."""
+        matrices = np.tensordot(self._posed(rig)[0], self._character.weights, (1, 1))  # (S, 3, 4, V)
+        rest = self._character.vertices @ self._character.to_bind.T
+        return np.einsum("sijv,vj->svi", matrices[:, :, :3], rest) + matrices[:, :, 3].swapaxes(1, 2)
+
+    def _stepper(self):
+        settings, full = self.settings, self.model.settings.solver == "FULL"
+        return self.model.stepper(
+            self.engine,
+            settings.step,
+            scheme=dynamorph.Scheme.__members__[settings.scheme],
+            gravity=settings.gravity,
+            teleport=TELEPORT * self.engine.body.size * settings.step,
+            keep_going=self._keep_going if full else None,  # a reduced step takes less than the question
+        )
+
+    def _hold_targets(self, first: RigSamples):
+        """Sculpted shapes are what the artist saw under gravity, so each is held up in its own pose."""
+        self._first = first
+        if any(self.settings.gravity):
+            self._simulation.hold_targets(_target_frames(self.model, self._character, first))
+
+    def _posed(self, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
+        """Skin matrices (S, B + 1, 3, 4) and target weights (S, J)."""
+        skeleton = self.model.skeleton
+        local = skeleton.local_transforms(rig.pose, placing_bones(self._character))
+        return rig.skin_matrices(skeleton, self.model.to_bind), self._space.weights(local)
+
+    def _push(self, fields, sample: int, bones: np.ndarray) -> np.ndarray | None:
+        """What the force fields do to the nodes, from where the flesh is now; None without any."""
+        if not fields or isinstance(self._simulation, _NothingMoves):
+            return None
+        return self._skin.push(fields, sample, bones, self.engine.displacement(self._simulation.coordinates))
+
+    @cached_property
+    def _skin(self) -> _Skin:
+        return _Skin(self.model, self._character)
+
+
+class _NothingMoves:
+    """In the place of the engine's simulation for static morph targets: there are no coordinates."""
+
+    coordinates = np.zeros(0)
+    state = None
+
+    def start(self, _now, _next, _weights) -> dict:
+        return NO_STEPS
+
+    def advance(self, _bones, _weights, _external=None) -> dict:
+        return NO_STEPS
+
+    def hold_targets(self, _bones):
+        pass
+
+
 def simulate(
     model: Model,
     character: Character,
     rig: RigSamples,
     settings: SimulationSettings,
     progress: Progress | None = None,
-    engine=None,
 ) -> Iterator[Frame]:
-    """Yields every frame from settings.start to settings.end.
+    """Yields every frame from settings.start to settings.end, in one pass.
 
     rig: 1 + (end - start) * substeps samples, the first at `start`. progress(fraction, message) -> bool is asked at
-    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled. engine:
-    model.engine(character), if it is at hand already.
+    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
     """
-    character = character.by_method()
-    space = pose_space(character)
-    done = 0
+    return _player(model, character, settings, progress).run(rig)
+
+
+def cycle(player: Player, rig: RigSamples) -> list[Frame]:
+    """The frames of a loop: passes over its range, each going on from where the last came to, until one closes."""
+    frames = list(player.run(rig))
+    while player.gap(frames[0], frames[-1]) > CLOSED * player.size and player.passes + 1 < PASSES:
+        frames = [player.begin_again(rig, frames[-1]), *player.play(rig[1:], player.settings.frames[1:])]
+    return frames
+
+
+def _player(model: Model, character: Character, settings: SimulationSettings, progress: Progress | None) -> Player:
+    """A player that reports to `progress`."""
 
     def keep_going() -> bool:
-        number = settings.start + done
-        return progress is None or progress(done / len(settings.frames), f"Simulating frame {number}")
+        done = (player.number - settings.start) / len(settings.frames)
+        message = f"Simulating frame {player.number}"
+        if settings.loop:  # nobody knows how many passes it takes
+            done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
+        return progress is None or progress(done, message)
 
-    engine = engine or model.engine(character)
-    simulation = _simulation(engine, model, character, rig, settings, keep_going)
-    frames, substeps = settings.frames, settings.substeps
-    if len(rig) != 1 + (len(frames) - 1) * substeps:
-        raise ValueError(f"rig: expected {1 + (len(frames) - 1) * substeps} samples, got {len(rig)}")
-
-    skin = _Skin(model, character) if rig.fields else None
-
-    def pushed(sample: int, bones: np.ndarray):
-        """What the force fields do to the nodes, from where the flesh is now; None without any."""
-        return skin and skin.push(rig.fields, sample, bones, engine.displacement(simulation.coordinates))
-
-    bones, weights = _samples(model, character, space, rig[:2])
-    held = settings.preroll > 0
-    begun = simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
-    for _ in range(settings.preroll):
-        still = np.repeat(bones[:1], substeps, axis=0), np.repeat(weights[:1], substeps, axis=0)
-        simulation.advance(*still, pushed(0, bones[0]))
-    yield Frame(int(frames[0]), simulation.coordinates, weights[0], begun)
-    for first in range(1, len(frames), CHUNK):
-        last = min(first + CHUNK, len(frames))
-        bones, weights = _samples(model, character, space, rig[1 + (first - 1) * substeps : 1 + (last - 1) * substeps])
-        for done in range(first, last):
-            if not keep_going():
-                raise dynamorph.Cancelled("cancelled")
-            steps = slice((done - first) * substeps, (done - first + 1) * substeps)
-            report = simulation.advance(bones[steps], weights[steps], pushed(done * substeps, bones[steps][-1]))
-            yield Frame(int(frames[done]), simulation.coordinates, weights[steps][-1], report)
+    player = Player(model, character, settings, keep_going=keep_going)
+    return player
 
 
 def build_for(
@@ -135,32 +305,37 @@ def bake(
 ) -> tuple[Bake, dict]:
     """Simulates a shot: (Bake, report). progress(fraction, message) -> bool; False raises dynamorph.Cancelled."""
     began = time.perf_counter()
-    character = character.by_method()
-    if model.settings.method == "STATIC":
-        return _static_bake(model, character, rig, settings)
-    engine = model.engine(character)
-    frames = list(simulate(model, character, rig, settings, progress, engine))
-    coordinates = np.array([frame.coordinates for frame in frames])
+    player = _player(model, character, settings, progress)
+    frames = cycle(player, rig) if settings.loop else list(player.run(rig))
     weights = np.array([frame.weights for frame in frames])
+    coordinates, dry = np.array([player.shown(frame) for frame in frames]), player.dry(weights)
     report = _report(frames)
-    report.update(_worst_elements(model, engine, coordinates, weights))
-    if model.settings.solver == "FULL":
-        coordinates, modes, report["compression_error"] = _compress(model, coordinates)
+    if settings.loop:
+        report["gap"] = player.gap(frames[0], frames[-1])
+        report["warnings"] += _loop_warnings(player, rig, report["gap"])
+    report.update(_worst_elements(player, frames))
+    if player.engine is None:
+        modes = np.zeros((0, *character.vertices.shape))
+    elif model.settings.solver == "FULL":
+        coordinates, dry, modes, report["compression_error"] = _compress(model, coordinates, dry)
     else:
-        modes = _node_modes(model, model.basis.T)
+        modes = _surface_modes(model, model.basis.T)
     report["seconds"] = time.perf_counter() - began
-    names = tuple(target.name for target in character.targets)
-    return Bake(settings.frames, coordinates, weights, model.surface(modes), model.details, names), report
+    names = tuple(target.name for target in character.by_method().targets)
+    return Bake(settings.frames, coordinates, weights, modes, model.details, names, dry), report
 
 
-def _static_bake(model: Model, character: Character, rig: RigSamples, settings: SimulationSettings):
-    """Geometric morph targets follow their weights and nothing else."""
-    began = time.perf_counter()
-    _, weights = _samples(model, character, pose_space(character), rig[:: settings.substeps])
-    modes = np.zeros((0, *character.vertices.shape))
-    names = tuple(target.name for target in character.targets)
-    report = _report([]) | {"smallest_det": 1.0, "inverted": 0, "seconds": time.perf_counter() - began}
-    return Bake(settings.frames, np.zeros((len(weights), 0)), weights, modes, model.details, names), report
+def _loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
+    first, last = player.settings.start, player.settings.end
+    off = player.pose_gap(rig)
+    if off > SAME_POSE * player.size:
+        return [
+            f"The rig at frame {last} is {1000 * off:.3g} mm off its pose at frame {first}: end the loop where that "
+            "pose comes back, or turn Loop off"
+        ]
+    if gap > CLOSED * player.size:
+        return [f"The loop is not closed after {PASSES} passes: raise the targets' damping, or make it longer"]
+    return []
 
 
 class _Skin:
@@ -187,37 +362,21 @@ class _Skin:
         return model.on_nodes(self.areas[:, None] * sum(field.pull(sample, points) for field in acting))
 
 
-def _simulation(engine, model: Model, character: Character, rig: RigSamples, settings: SimulationSettings, keep_going):
-    full = model.settings.solver == "FULL"
-    simulation = model.stepper(
-        engine,
-        settings.step,
-        scheme=dynamorph.Scheme.__members__[settings.scheme],
-        gravity=settings.gravity,
-        teleport=TELEPORT * engine.body.size * settings.step,
-        keep_going=keep_going if full else None,  # a reduced step takes less than the question
-    )
-    if any(settings.gravity):
-        simulation.hold_targets(_target_frames(model, character, rig))
-    return simulation
-
-
 def _target_frames(model: Model, character: Character, rig: RigSamples) -> np.ndarray:
-    """Skin matrices (J, B + 1, 3, 4) of the targets' captured poses, with the armature where it stood then.
-
-    Sculpted shapes are what the artist saw under gravity, so each is held up in its own pose.
-    """
+    """Skin matrices (J, B + 1, 3, 4) of the targets' captured poses, with the armature where it stood then."""
     pose = model.skeleton.pose(np.array([target.local for target in character.targets]))
-    rig_world = np.array([target.rig_world for target in character.targets])
+    rig_world = np.array([_resized(target.rig_world, rig.rig_world[0]) for target in character.targets])
     object_world = rig_world @ inverse(rig.rig_world[0]) @ rig.object_world[0]
     return RigSamples(pose, rig_world, object_world).skin_matrices(model.skeleton, model.to_bind)
 
 
-def _samples(model: Model, character: Character, space, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
-    """Skin matrices (S, B + 1, 3, 4) and target weights (S, J)."""
-    skeleton = model.skeleton
-    local = skeleton.local_transforms(rig.pose, placing_bones(character))
-    return rig.skin_matrices(skeleton, model.to_bind), space.weights(local)
+def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """The place and tilt of a world transform (4, 4) with the size of another: a scale may have been applied since."""
+    u, _, vt = np.linalg.svd(world[:3, :3])
+    _, sizes, axes = np.linalg.svd(like[:3, :3])
+    out = world.copy()
+    out[:3, :3] = u @ vt @ (axes.T * sizes) @ axes
+    return out
 
 
 def _report(frames: list[Frame]) -> dict:
@@ -245,19 +404,29 @@ def _some(numbers: list[int]) -> str:
     return f"frame{'s' * (len(numbers) > 1)} {listed}"
 
 
-def _worst_elements(model: Model, engine, coordinates: np.ndarray, weights: np.ndarray) -> dict:
+def _worst_elements(player: Player, frames: list[Frame]) -> dict:
     """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames."""
-    targets = model.target_coordinates(engine)
-    strength = np.abs(coordinates - weights @ targets).max(axis=1)
+    if player.engine is None:
+        return {"smallest_det": 1.0, "inverted": 0}
+    model, displacement = player.model, player.engine.displacement
+    strength = [np.abs(frame.coordinates - player.dry(frame.weights)).max() for frame in frames]
     rest = _volumes(model.nodes, model.tets)
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
-        moved = _volumes(model.nodes + engine.displacement(coordinates[k]), model.tets) / rest
+        moved = _volumes(model.nodes + displacement(frames[k].coordinates), model.tets) / rest
         smallest = min(smallest, moved.min())
         inside_out = model.tets[moved <= 0]
-        sculpted = _volumes(model.nodes + engine.displacement(weights[k] @ targets), inside_out)
+        sculpted = _volumes(model.nodes + displacement(player.dry(frames[k].weights)), inside_out)
         inverted = max(inverted, int((sculpted > 0).sum()))  # not what the sculpt itself inverts
     return {"smallest_det": float(smallest), "inverted": inverted}
+
+
+def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation (3, 3) and shift (3,) that carry points (V, 3) nearest to others, as a whole."""
+    centre, goal = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - goal).T @ (points - centre))
+    turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return turn, goal - turn @ centre
 
 
 def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -266,17 +435,23 @@ def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return determinant(corners[:, 1:] - corners[:, :1])
 
 
-def _node_modes(model: Model, free: np.ndarray) -> np.ndarray:
-    """Displacement of all nodes (r, n, 3) from rows over the free nodes (r, 3 free)."""
+def _surface_modes(model: Model, free: np.ndarray) -> np.ndarray:
+    """Displacement of the surface (r, V, 3), local space, from rows over the free nodes (r, 3 free)."""
     modes = np.zeros((len(free), len(model.nodes), 3))
     modes[:, ~model.pinned.astype(bool)] = free.reshape(len(free), -1, 3)
-    return modes
+    return model.surface(modes)
 
 
-def _compress(model: Model, displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """The best `settings.modes` modes of an unreduced shot: coordinates, node modes, largest error in metres."""
-    u, s, vt = np.linalg.svd(displacements, full_matrices=False)
-    kept = min(model.settings.modes, len(s))
-    coordinates, modes = u[:, :kept] * s[:kept], vt[:kept]
-    error = float(np.abs(displacements - coordinates @ modes).max())
-    return coordinates, _node_modes(model, modes), error
+def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
+
+    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, surface modes, and the
+    largest error of `wet` in metres.
+    """
+    _, s, modes = np.linalg.svd(wet, full_matrices=False)
+    modes = modes[: min(model.settings.modes, len(s))]
+    _, s, others = np.linalg.svd(dry - dry @ modes.T @ modes, full_matrices=False)
+    modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(dry)]])
+    coordinates = wet @ modes.T
+    error = float(np.abs(wet - coordinates @ modes).max())
+    return coordinates, dry @ modes.T, _surface_modes(model, modes), error

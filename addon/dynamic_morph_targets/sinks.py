@@ -2,20 +2,26 @@
 """A bake -> Blender: modal shape keys, and their removal.
 
 surface = vertices + modes . coordinates + details . weights becomes one shape key a mode and one a target's detail,
-with the coordinates as F-curves. The curves sit in an Action of their own, as a strip on an NLA track, because an
-animation data holds one Action and that is the artist's.
+with the coordinates as F-curves. The curves sit in an Action of their own, as strips on NLA tracks, because an
+animation data holds one Action and that is the artist's. There are two tracks: the lower one plays the targets' shapes,
+the one above it replaces them by the motion, as far as the influence of its strip says.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
 
-from .properties import key_points, key_reach, reconcile
+from . import checks
+from .properties import basis_hash, key_points, key_reach, reconcile
 from .scene_data import Bake
 
-TRACK = "Dynamorph"
+SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
 NEGLIGIBLE = 1e-7  # of the bounding box: displacements that no key is made for
+KEYFRAME_BYTES = 72  # that Blender takes for one
+NAME_BYTES = 59  # Blender has room for 63, cuts within a letter, and may add ".001"
 LINEAR = 1  # Keyframe.interpolation as foreach_set knows it
 
 
@@ -28,19 +34,11 @@ def check(obj):
     if obj.type != "MESH":
         raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
     keys = obj.data.shape_keys
-    for data in (obj, obj.data, keys):
-        if data is None:
-            raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
-        if not data.is_editable or (data.override_library and data is not obj):
-            raise SinkError(
-                f"{data.bl_rna.name} '{data.name}' is linked, so the bake would be lost on save: make it local "
-                "(Object > Relations > Make Local > Selected Objects and Data)"
-            )
-    if obj.data.users > 1:
-        raise SinkError(
-            f"Mesh '{obj.data.name}' is shared by {obj.data.users} objects, which would all move alike: "
-            "make it single-user (Object > Relations > Make Single User > Object & Data)"
-        )
+    if keys is None:
+        raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
+    check_local(obj, obj.data, keys)
+    for problem in checks.shared_mesh(obj):
+        raise SinkError(problem.text)
     if obj.mode == "EDIT":
         raise SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
     animation = keys.animation_data
@@ -55,10 +53,21 @@ def check(obj):
         raise SinkError(f"NLA track '{solo}' of the shape keys of '{obj.name}' is solo: turn its star off")
 
 
-def write_modal_keys(obj, bake: Bake):
+def check_local(*blocks):
+    """Refuse data-blocks whose changes would not be saved. Raises SinkError."""
+    for block in blocks:
+        if block.library or block.override_library:
+            how = "linked" if block.library else "a library override"
+            raise SinkError(
+                f"{block.bl_rna.name} '{block.name}' is {how}, so what is made here would be lost on save: make it "
+                "local (Object > Relations > Make Local > Selected Objects and Data)"
+            )
+
+
+def write_modal_keys(obj, bake: Bake) -> int:
     """Write the bake as modal shape keys and F-curves, replacing the previous bake of `obj`. Raises SinkError.
 
-    The old bake goes only when the new one is complete.
+    The old bake goes only when the new one is complete; its Influence stays. Returns the bytes that Blender keeps.
     """
     check(obj)
     reconcile(obj)
@@ -66,7 +75,7 @@ def write_modal_keys(obj, bake: Bake):
         raise SinkError(
             f"Mesh '{obj.name}' has {len(obj.data.vertices)} vertices, the bake {bake.modes.shape[1]}: bake again"
         )
-    names, shapes, curves, lowest = _scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
+    keys = _scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
     record = obj.dynamorph.bake
     old = _baked_names(obj)  # now: a new key may look like an old one, or take the name of one that was deleted
     before = obj.data.shape_keys.animation_data is not None
@@ -74,9 +83,10 @@ def write_modal_keys(obj, bake: Bake):
     active_index = obj.active_shape_key_index
     blocks, action = [], None
     try:
-        for name, shape, low in zip(names, shapes, lowest, strict=True):
-            blocks.append(_add_key(obj, name, shape, low))
-        action = _add_curves(obj.data.shape_keys, [block.name for block in blocks], bake.frames, curves)
+        for key in keys:
+            blocks.append(_add_key(obj, key))
+        names = [block.name for block in blocks]  # for now: the old bake may have the names that they should have
+        action = _add_curves(obj.data.shape_keys, names, bake.frames, keys)
     except BaseException:
         _remove(obj, blocks, action)
         obj.active_shape_key_index = active_index
@@ -84,14 +94,33 @@ def write_modal_keys(obj, bake: Bake):
             obj.data.shape_keys.animation_data_clear()
         raise
     obj.active_shape_key_index = active_index
-    temporary_names = [block.name for block in blocks]
+    _keep_influence(_strip(obj.data.shape_keys, record.action), _strip(obj.data.shape_keys, action))
     _free(obj, old)
-    _record(obj, temporary_names, names, action, had_animation_data)
+    _record(obj, names, [key.name for key in keys], action, had_animation_data)
     _mute_targets(obj, bake.target_names)
+    return sum(key.bytes() for key in keys)
+
+
+def influence_strip(obj):
+    """The NLA strip whose `influence` says how much of the bake's motion shows, or None."""
+    keys, action = obj.data.shape_keys, obj.dynamorph.bake.action
+    return keys and _strip(keys, action)
+
+
+def show_influence(obj):
+    """Let Blender evaluate anew, which it does not do by itself when an influence is set."""
+    strip = influence_strip(obj)
+    if strip:
+        strip.mute = strip.mute
 
 
 def free(obj):
-    """Remove the bake of `obj`, if any, and restore what it changed: keys, order, active key, mute, animation data."""
+    """Remove the bake of `obj`, if any, and restore what it changed: keys, order, active key, mute, animation data.
+
+    Raises SinkError.
+    """
+    if obj.dynamorph.bake.keys and obj.data.shape_keys:  # else the artist has removed all there was
+        check(obj)
     reconcile(obj)
     _free(obj, _baked_names(obj))
 
@@ -104,7 +133,7 @@ def _baked_names(obj) -> list[str]:
 def _free(obj, names):
     record = obj.dynamorph.bake
     keys = obj.data.shape_keys
-    if record.keys and keys:  # without a Key the artist has removed all there was
+    if record.keys and keys:
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         _remove(obj, [keys.key_blocks[name] for name in names], record.action)
         for key in record.muted:
@@ -122,61 +151,121 @@ def _free(obj, names):
     record.summary = record.warnings = ""
 
 
-def _scaled_keys(bake: Bake, basis: np.ndarray):
-    """Keys as (names, shapes [(V, 3)], curves [(F,)], slider minima), each curve scaled into its slider's range.
+@dataclass(frozen=True)
+class _Key:
+    """A shape key to be: its points (V, 3), and its values (F,) with the motion and without, where there are any."""
+
+    name: str
+    points: np.ndarray
+    lowest: float  # value of the slider
+    motion: np.ndarray | None
+    shapes: np.ndarray | None
+
+    def bytes(self) -> int:
+        curves = [curve for curve in (self.motion, self.shapes) if curve is not None]
+        return self.points.nbytes + KEYFRAME_BYTES * sum(len(curve) for curve in curves)
+
+
+def _scaled_keys(bake: Bake, basis: np.ndarray) -> list[_Key]:
+    """The keys of a bake, each with curves scaled into its slider's range.
 
     Blender clamps an animated value to its slider, so the largest coordinate becomes 1 and the shape takes the factor.
     """
-    names, shapes, curves, lowest = [], [], [], []
-
-    def add(name, displacement, curve, low):
-        largest = np.abs(curve).max() or 1.0
-        names.append(name)
-        shapes.append((basis + largest * displacement).astype(np.float32))
-        curves.append(curve / largest)
-        lowest.append(low)
-
+    keys = []
     negligible = NEGLIGIBLE * np.ptp(basis, axis=0).max()
+
+    def points(displacement):
+        return (basis + displacement).astype(np.float32)
+
     for k, mode in enumerate(bake.modes):
-        add(f"Dynamorph Mode {k + 1:02d}", mode, bake.coordinates[:, k], -1.0)
+        motion, shapes = bake.coordinates[:, k], bake.dry[:, k]
+        largest = max(np.abs(motion).max(), np.abs(shapes).max()) or 1.0
+        needed = np.abs(mode).max() * np.abs(shapes).max() > negligible
+        name = f"Dynamorph Mode {k + 1:02d}"
+        keys.append(_Key(name, points(largest * mode), -1.0, motion / largest, shapes / largest if needed else None))
     for j, detail in enumerate(bake.details):
-        if np.abs(detail).max() * np.abs(bake.weights[:, j]).max() > negligible:
-            add(f"Dynamorph Detail {bake.target_names[j]}", detail, bake.weights[:, j], 0.0)
-    return names, shapes, curves, lowest
+        weights = bake.weights[:, j]
+        largest = np.abs(weights).max()
+        if np.abs(detail).max() * largest > negligible:
+            name = f"Dynamorph Detail {bake.target_names[j]}".encode()[:NAME_BYTES].decode(errors="ignore")
+            keys.append(_Key(name, points(largest * detail), 0.0, None, weights / largest))
+    return keys
 
 
-def _add_key(obj, name: str, points: np.ndarray, low: float):
-    block = obj.shape_key_add(name=name, from_mix=False)
+def _add_key(obj, key: _Key):
+    block = obj.shape_key_add(name=key.name, from_mix=False)
     block.value = 0.0  # 5.2 creates keys at 1
     block.relative_key = obj.data.shape_keys.reference_key
-    block.slider_min, block.slider_max = low, 1.0
-    block.points.foreach_set("co", points.ravel())
+    block.slider_min, block.slider_max = key.lowest, 1.0
+    block.points.foreach_set("co", key.points.ravel())
     return block
 
 
-def _add_curves(keys, names, frames, curves):
-    """An Action with one F-curve a key, on an NLA track of its own above the artist's; returns the Action."""
+def _add_curves(keys, names, frames, values: list[_Key]):
+    """An Action with the curves, on NLA tracks above the artist's: without the motion, and with it. Returns it."""
+    render = bpy.context.scene.render
+    times = frames * (render.frame_map_old / render.frame_map_new)  # at frame 10 of a remapped scene it may be time 5
     animation = keys.animation_data or keys.animation_data_create()
-    action = bpy.data.actions.new(f"{TRACK} {keys.user.name}")
-    slot = action.slots.new(keys.id_type, keys.name)
-    channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
-    points = np.empty((len(frames), 2), np.float32)
-    points[:, 0] = frames
-    linear = np.full(len(frames), LINEAR, np.int32)
-    for name, values in zip(names, curves, strict=True):
-        points[:, 1] = values
-        curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
-        curve.keyframe_points.add(len(frames))
-        curve.keyframe_points.foreach_set("co", points.ravel())
-        curve.keyframe_points.foreach_set("interpolation", linear)
-        curve.update()
+    action = bpy.data.actions.new(f"{MOTION} {keys.user.name}")
+    strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
+    for title, curves in ((SHAPES, [key.shapes for key in values]), (MOTION, [key.motion for key in values])):
+        if all(curve is None for curve in curves):
+            continue
+        slot = action.slots.new(keys.id_type, title)
+        channels = strip.channelbag(slot, ensure=True)
+        for name, curve in zip(names, curves, strict=True):
+            if curve is not None:
+                _add_curve(channels, name, times, curve)
+        _add_track(animation, title, action, slot, times)
+    return action
+
+
+def _add_curve(channels, name: str, times, values):
+    points = np.column_stack([times, values]).astype(np.float32)
+    curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
+    curve.keyframe_points.add(len(times))
+    curve.keyframe_points.foreach_set("co", points.ravel())
+    curve.keyframe_points.foreach_set("interpolation", np.full(len(times), LINEAR, np.int32))
+    curve.update()
+
+
+def _add_track(animation, title: str, action, slot, times):
     track = animation.nla_tracks.new()
-    track.name = TRACK
-    strip = track.strips.new(TRACK, int(frames[0]), action)
+    track.name = title
+    strip = track.strips.new(title, int(times[0]), action)
     strip.action_slot = slot
+    strip.action_frame_start, strip.action_frame_end = times[0], max(times[-1], times[0] + 1)
+    strip.frame_start, strip.frame_end = strip.action_frame_start, strip.action_frame_end  # it was made at whole frames
     strip.extrapolation = "HOLD"  # the ends hold; other keys have no curve here, so they are left alone
     strip.blend_type = "REPLACE"
-    return action
+    if title == MOTION:
+        strip.use_animated_influence = True
+        strip.fcurves.find("influence").keyframe_points.clear()  # or the slider would spring back to its one key
+        strip.influence = 1.0
+
+
+def _strip(keys, action):
+    """The strip that plays the motion in `action`, or None."""
+    if action is None or keys.animation_data is None:
+        return None
+    strips = (strip for track in keys.animation_data.nla_tracks for strip in track.strips if strip.action == action)
+    return next((strip for strip in strips if strip.action_slot and strip.action_slot.name_display == MOTION), None)
+
+
+def _keep_influence(old, new):
+    """Set the influence of a new strip as the artist has set or animated that of the old one; both may be None."""
+    curve = old and old.fcurves.find("influence")
+    if not (curve and new):
+        return
+    new.influence = old.influence
+    copy = new.fcurves.find("influence")
+    copy.extrapolation = curve.extrapolation
+    copy.keyframe_points.add(len(curve.keyframe_points))
+    handles = ("handle_left_type", "handle_right_type", "handle_left", "handle_right")
+    for point, same in zip(curve.keyframe_points, copy.keyframe_points, strict=True):
+        for name in ("co", *handles, "interpolation", "easing"):
+            setattr(same, name, getattr(point, name))
+    copy.update()
 
 
 def _remove(obj, blocks, action):
@@ -207,6 +296,7 @@ def _record(obj, names, wanted, action, had_animation_data):
         key = record.keys.add()
         key.refer_to(blocks, index)
         key.reach = key_reach(blocks[index])
+    record.basis = basis_hash(blocks)
     record.action = action
     record.had_animation_data = had_animation_data
     record.active_index = obj.active_shape_key_index

@@ -108,6 +108,7 @@ def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
         modes=rng.normal(0, 0.01, (modes, vertices, 3)),
         details=details,
         target_names=names,
+        dry=rng.normal(0, 3.0, (len(frames), modes)),
     )
 
 
@@ -128,6 +129,7 @@ class StandIn:
         self.bytes = 800  # size of a model
         self.fail = None  # an exception that bake raises
         self.patience = 0.0  # seconds that bake takes unless it is cancelled
+        self.deaf = 0.0  # seconds before it looks whether it is
 
     class Model:
         tets = ()
@@ -155,7 +157,7 @@ class StandIn:
         self.built += 1
         for i in range(5):
             assert progress(i / 5, "Modes")
-        counts = {"nodes": 10, "tets": 20, "dofs": 30, "modes": 3, "targets": len(character.targets)}
+        counts = {"nodes": 10, "tets": 20, "pinned": 4, "dofs": 30, "modes": 3, "targets": len(character.targets)}
         summary = {**counts, "seconds": {"modes": 0.5}, "warnings": []}
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
@@ -164,6 +166,7 @@ class StandIn:
         if self.fail:
             raise self.fail
         assert len(rig) == 1 + (settings.end - settings.start) * settings.substeps
+        time.sleep(self.deaf)
         for i in range(10):
             if not progress(i / 10, f"Frame {i}"):
                 raise RuntimeError("cancelled")
@@ -173,9 +176,10 @@ class StandIn:
         bake = part("scene_data").Bake(
             settings.frames, rng.normal(size=(len(settings.frames), 3)),
             np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.01, (3, vertices, 3)),
-            np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets),
+            np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets), np.zeros((len(settings.frames), 3)),
         )  # fmt: skip
-        return bake, {"steps": 100, "steps_per_second": 1000.0, "smallest_det": 0.9, "inverted": 0, "warnings": []}
+        report = {"steps": 100, "steps_per_second": 1000.0, "smallest_det": 0.9, "inverted": 0, "warnings": []}
+        return bake, report | ({"gap": 3e-5} if settings.loop else {})
 
 
 def fingerprint(obj):

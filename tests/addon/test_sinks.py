@@ -2,6 +2,7 @@
 """A bake in Blender moves the mesh as the engine said, and Free Bake leaves no trace."""
 
 import time
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -131,7 +132,7 @@ def test_free_leaves_no_trace(scene, soft_arm, prepare):
     scene.frame_set(5)
     sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, modes=5, seed=2))  # bake again
     scene.frame_set(5)
-    assert len(keys_of(soft_arm).animation_data.nla_tracks) == 1
+    assert [track.name for track in keys_of(soft_arm).animation_data.nla_tracks] == ["Dynamorph Shapes", "Dynamorph"]
     sinks.free(soft_arm)
     assert fingerprint(soft_arm) == before
     sinks.free(soft_arm)
@@ -295,6 +296,101 @@ def test_single_frame_and_still_bakes(scene, soft_arm):
     assert keys_of(soft_arm).key_blocks["Dynamorph Mode 02"].value == 0.0
 
 
+# Influence ---------------------------------------------------------------------------------------------------------
+
+
+def influenced(bake, influence, frame):
+    """The displacement that Blender must show at a frame of an influence."""
+    coordinates = influence * bake.coordinates + (1.0 - influence) * bake.dry
+    return replace(bake, coordinates=coordinates).displacement(frame - int(bake.frames[0]))
+
+
+def shown_displacement(obj):
+    """The shape keys' sum as Blender evaluates it (V, 3): the mesh with its Armature off."""
+    obj.modifiers["Armature"].show_viewport = False
+    bpy.context.view_layer.update()
+    points = evaluated_points(obj)
+    obj.modifiers["Armature"].show_viewport = True
+    return points - part("properties").key_points(obj.data.shape_keys.reference_key)
+
+
+@pytest.mark.parametrize("influence", [1.0, 0.5, 0.0])
+def test_influence_blends_from_the_shapes_to_the_motion(scene, soft_arm, influence):
+    sinks = part("sinks")
+    bake = hand_made_bake(soft_arm)
+    bake.dry[:, 1] = 0.0  # a mode that no shape needs
+    sinks.write_modal_keys(soft_arm, bake)
+    sinks.influence_strip(soft_arm).influence = influence
+    for frame in (1, 7, 20, 30):
+        scene.frame_set(frame)
+        expected = influenced(bake, influence, min(frame, 20))
+        assert shown_displacement(soft_arm) == pytest.approx(expected, abs=1e-6)
+
+
+def test_the_slider_shows_at_once(scene, soft_arm):
+    sinks = part("sinks")
+    bake = hand_made_bake(soft_arm)
+    sinks.write_modal_keys(soft_arm, bake)
+    scene.frame_set(4)
+    sinks.influence_strip(soft_arm).influence = 0.25
+    sinks.show_influence(soft_arm)
+    bpy.context.view_layer.update()
+    assert shown_displacement(soft_arm) == pytest.approx(influenced(bake, 0.25, 4), abs=1e-6)
+    assert sinks.influence_strip(soft_arm).influence == 0.25
+
+
+def test_keyed_influence_survives_saving_and_another_bake(scene, soft_arm, tmp_path):
+    sinks = part("sinks")
+    before = fingerprint(soft_arm)
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    strip = sinks.influence_strip(soft_arm)
+    for frame, influence in ((1, 0.0), (11, 1.0)):
+        strip.influence = influence
+        assert strip.keyframe_insert("influence", frame=frame)
+    for point in strip.fcurves.find("influence").keyframe_points:
+        point.interpolation = "LINEAR"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+    obj, scene = bpy.data.objects["Arm"], bpy.context.scene
+    bake = hand_made_bake(obj, frames=range(1, 31), seed=4)
+    sinks.write_modal_keys(obj, bake)
+    for frame, influence in ((1, 0.0), (6, 0.5), (11, 1.0), (25, 1.0)):
+        scene.frame_set(frame)
+        assert shown_displacement(obj) == pytest.approx(influenced(bake, influence, frame), abs=1e-6)
+    scene.frame_set(1)
+    sinks.free(obj)
+    assert fingerprint(obj) == before
+
+
+def test_a_slider_that_was_set_stays_for_the_next_bake(soft_arm):
+    sinks = part("sinks")
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.influence_strip(soft_arm).influence = 0.375
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, seed=3))
+    strip = sinks.influence_strip(soft_arm)
+    assert strip.influence == 0.375 and not strip.fcurves.find("influence").keyframe_points
+    sinks.free(soft_arm)
+    assert sinks.influence_strip(soft_arm) is None
+    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    assert sinks.influence_strip(soft_arm).influence == 1.0
+
+
+def test_static_morph_targets_have_no_motion_to_influence(scene, soft_arm):
+    sinks = part("sinks")
+    bake = hand_made_bake(soft_arm, modes=0)
+    sinks.write_modal_keys(soft_arm, bake)
+    assert [track.name for track in keys_of(soft_arm).animation_data.nla_tracks] == ["Dynamorph Shapes"]
+    assert sinks.influence_strip(soft_arm) is None
+    assert_shows(soft_arm, bake)
+
+
+def test_the_size_of_a_bake(soft_arm):
+    bake = hand_made_bake(soft_arm)
+    size = part("sinks").write_modal_keys(soft_arm, bake)
+    keys, vertices, frames = 4, len(soft_arm.data.vertices), 20
+    assert size == keys * vertices * 12 + (3 + 3 + 1) * frames * 72
+
+
 # What is refused, before anything changes ------------------------------------------------------------------------
 
 
@@ -362,7 +458,7 @@ def test_linked_data_is_refused(soft_arm, tmp_path):
         part("sinks").check(linked)
     override = linked.override_create()
     assert [t.name for t in override.dynamorph.targets] == ["Neutral", "flexed"]
-    with pytest.raises(part("sinks").SinkError, match=r"linked.*make it local"):
+    with pytest.raises(part("sinks").SinkError, match=r"library override.*make it local"):
         part("sinks").check(override)
 
 
@@ -381,7 +477,7 @@ def test_writing_is_fast(scene):
     obj.shape_key_add(name="Basis")
     bake = part("scene_data").Bake(
         np.arange(250), rng.normal(size=(250, 20)), np.ones((250, 1)), rng.normal(size=(20, 13_000, 3)),
-        np.zeros((1, 13_000, 3)), ("Neutral",),
+        np.zeros((1, 13_000, 3)), ("Neutral",), rng.normal(size=(250, 20)),
     )  # fmt: skip
     began = time.perf_counter()
     part("sinks").write_modal_keys(obj, bake)

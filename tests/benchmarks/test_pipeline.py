@@ -22,7 +22,7 @@ import dynamorph
 import numpy as np
 import pytest
 import real_character
-from dynamic_morph_targets import extract, jobs, simulate, sinks
+from dynamic_morph_targets import extract, jobs, simulate
 from dynamic_morph_targets.scene_data import RigSamples
 
 SUBSTEPS = 4
@@ -142,17 +142,14 @@ def test_live(benchmark):
     job = jobs.Job(body, goal="BAKE", frames=(1, 2), substeps=SUBSTEPS, rebuild=True)
     jobs.run(job)
     keys = body.data.shape_keys
-    keys.animation_data.nla_tracks[sinks.TRACK].mute = True
+    for track in keys.animation_data.nla_tracks:
+        track.mute = True
     values = np.zeros(len(keys.key_blocks), np.float32)
     modes = [keys.key_blocks.find(key.name) for key in body.dynamorph.bake.keys if "Mode" in key.name]
-    model, character = job.model, job.character
-    space = simulate.pose_space(character)
-    engine = model.engine(character)
-    simulation = simulate._simulation(engine, model, character, job.rig, job.settings, None)
-    bones, weights = simulate._samples(model, character, space, job.rig[:2])
-    simulation.start(bones[0], bones[1], weights[0])
+    player = simulate.Player(job.model, job.character, job.settings)
+    player.begin(job.rig)
     rig = extract.armature_modifier(body).object
-    order = extract._pose_order(rig, character.skeleton)
+    order = extract._pose_order(rig, job.character.skeleton)
     between = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
     before = job.rig.pose[0]
     scene = bpy.context.scene
@@ -169,9 +166,7 @@ def test_live(benchmark):
         worlds = [
             np.repeat(np.array(moving.matrix_world)[None], SUBSTEPS, 0) for moving in (evaluated_rig, evaluated_body)
         ]
-        bones, weights = simulate._samples(model, character, space, RigSamples(steps, *worlds))
-        simulation.advance(bones, weights)
-        values[modes] = simulation.coordinates
+        values[modes] = player.shown(player.advance(RigSamples(steps, *worlds), scene.frame_current))
         keys.key_blocks.foreach_set("value", values)
         before = pose
 

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bake simulates: how it begins, how it is resumed, loops, and which modes count how much."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builders import part
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+
+@pytest.fixture
+def shot(soft_arm):
+    """A coarse arm that was baked: the job with its model, character, rig and settings."""
+    soft_arm.dynamorph.model.cage_nodes = 200
+    soft_arm.dynamorph.model.modes = 8
+    for target in soft_arm.dynamorph.targets:
+        target.mass_damping = 6.0  # comes to rest within the tests' few frames
+    job = part("jobs").Job(soft_arm, goal="BAKE")
+    part("jobs").run(job)
+    return job
+
+
+def simulated(shot, rig=None, **settings):
+    """Coordinates (F, dofs) of the shot, with other settings."""
+    simulate = part("simulate")
+    frames = simulate.simulate(shot.model, shot.character, rig or shot.rig, replace(shot.settings, **settings))
+    return np.array([frame.coordinates for frame in frames])
+
+
+def played(player, shot, frames):
+    """Coordinates of `frames`, asked for one by one as playback does."""
+    substeps = shot.settings.substeps
+    out = []
+    for frame in frames:
+        first = 1 + (frame - shot.settings.start - 1) * substeps
+        out.append(player.advance(shot.rig[first : first + substeps], frame).coordinates)
+    return np.array(out)
+
+
+def test_playback_frame_by_frame_is_the_bake(shot):
+    player = part("simulate").Player(shot.model, shot.character, shot.settings)
+    begun = player.begin(shot.rig[:2])
+    assert begun.number == 1 and np.array_equal(begun.coordinates, shot.result.coordinates[0])
+    assert np.array_equal(played(player, shot, range(2, 21)), shot.result.coordinates[1:])
+
+
+def test_exchange_goes_on_with_other_materials(shot):
+    simulate = part("simulate")
+    player = simulate.Player(shot.model, shot.character, shot.settings)
+    player.begin(shot.rig[:2])
+    before = played(player, shot, range(2, 11))
+    same = player.exchange(shot.character)
+    sets = shot.character.target_sets[0]
+    soft = tuple(replace(t, material=replace(t.material, stiffness=2e3)) for t in sets.targets)
+    other = player.exchange(replace(shot.character, target_sets=(replace(sets, targets=soft),)))
+    assert np.array_equal(other._simulation.state[0][0], before[-1])
+    unchanged, softer = played(same, shot, range(11, 21)), played(other, shot, range(11, 21))
+    assert np.allclose(unchanged, shot.result.coordinates[10:], rtol=0, atol=1e-9 * np.abs(unchanged).max())
+    assert np.abs(softer - unchanged).max() > 0.1 * np.abs(unchanged).max()
+
+
+def test_static_morph_targets_play_too(shot):
+    build, simulate = part("jobs").engine()
+    character = shot.character.with_settings(method="STATIC")
+    player = simulate.Player(build.build(character), character, shot.settings)
+    assert player.begin(shot.rig[:2]).weights == pytest.approx([1, 0])
+    frame = player.advance(shot.rig[-shot.settings.substeps :], 2)
+    assert frame.weights == pytest.approx([0, 1]) and player.shown(frame).shape == (0,)
+
+
+def test_gains_scale_the_motion_about_the_targets(shot):
+    simulate = part("simulate")
+    gains = (0.0, 2.0)
+    player = simulate.Player(shot.model, shot.character, replace(shot.settings, gains=gains))
+    frame = simulate.Frame(9, shot.result.coordinates[8], shot.result.weights[8], {})
+    dry = shot.result.weights[8] @ shot.model.target_coordinates(shot.model.engine(shot.character))
+    motion = frame.coordinates - dry
+    assert np.abs(motion).min() > 0
+    assert player.shown(frame) - dry == pytest.approx([0.0, 2 * motion[1], *motion[2:]])
+    player.gains = np.zeros(8)
+    assert player.shown(frame) == pytest.approx(dry)
+
+
+# How it begins -----------------------------------------------------------------------------------------------------
+
+
+def held(shot, frames=20):
+    """The rig held at its pose in the middle of the shot, between the targets, where gravity sags the flesh."""
+    count = 1 + (frames - 1) * shot.settings.substeps
+    middle = shot.rig[len(shot.rig) // 2 :][:1]
+    return type(shot.rig)(*(np.repeat(a, count, axis=0) for a in (middle.pose, middle.rig_world, middle.object_world)))
+
+
+def test_settle_begins_in_balance(shot):
+    settled = simulated(shot, held(shot), begin="SETTLE")
+    assert np.abs(settled - settled[0]).max() < 1e-6 * np.abs(settled[0]).max()
+
+
+def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
+    player = part("simulate").Player(shot.model, shot.character, replace(shot.settings, begin="REST"))
+    begun = player.begin(held(shot))
+    assert np.array_equal(begun.coordinates, player.dry(begun.weights))
+    free, settled = simulated(shot, held(shot), begin="REST"), simulated(shot, held(shot), begin="SETTLE")
+    assert np.array_equal(free[0], begun.coordinates)
+    assert np.abs(free[-1] - free[0]).max() > 0.1 * np.abs(settled[0] - free[0]).max() > 0
+    calmed = simulated(shot, held(shot), begin="REST", preroll=200)
+    assert calmed[0] == pytest.approx(settled[0], abs=1e-3 * np.abs(settled[0] - free[0]).max())
+
+
+def test_rest_knows_no_motion_before_the_start(shot):
+    """A rig that already moves at the start hits flesh that begins at rest, and carries along flesh that settled."""
+    rig, still = shot.rig, dict.fromkeys(["gravity"], (0.0, 0.0, 0.0))
+    world = np.array(rig.rig_world)
+    world[:, 0, 3] += 3.0 * np.arange(len(world)) * shot.settings.step  # 3 m/s along x
+    moving = replace(held(shot), rig_world=world, object_world=world)
+    rest, settled = (simulated(shot, moving, begin=begin, **still) for begin in ("REST", "SETTLE"))
+    assert np.abs(settled - settled[0]).max() < 1e-6
+    assert np.abs(rest - rest[0]).max() > 100 * np.abs(settled - settled[0]).max() + 1e-4
+
+
+# Loops -------------------------------------------------------------------------------------------------------------
+
+
+def cyclic(shot, frames=12, travel=0.0, closed=True):
+    """The rig sways and bends once while it travels along y, metres; or nearly once."""
+    count = 1 + (frames - 1) * shot.settings.substeps
+    phase = np.linspace(0.0, 1.0 if closed else 0.9, count)
+    rig = held(shot, frames)
+    world = np.array(rig.rig_world)
+    world[:, 0, 3] += 0.1 * np.sin(2 * np.pi * phase)
+    world[:, 1, 3] += travel * np.linspace(0.0, 1.0, count)
+    pose = np.array(rig.pose)
+    bend = 0.3 * np.sin(2 * np.pi * phase)
+    turn = np.zeros((count, 4, 4))
+    turn[:, 0, 0] = turn[:, 3, 3] = 1.0
+    turn[:, 1, 1] = turn[:, 2, 2] = np.cos(bend)
+    turn[:, 2, 1], turn[:, 1, 2] = np.sin(bend), -np.sin(bend)
+    pose[:, 1] = pose[:, 1] @ turn
+    return replace(rig, pose=pose, rig_world=world, object_world=world)
+
+
+def looped(shot, rig, **settings):
+    frames = (len(rig) - 1) // shot.settings.substeps + 1
+    settings = replace(shot.settings, end=shot.settings.start + frames - 1, loop=True, **settings)
+    return part("simulate").bake(shot.model, shot.character, rig, settings)
+
+
+def size(shot):
+    return np.linalg.norm(np.ptp(shot.character.vertices @ shot.character.to_bind.T, axis=0))
+
+
+@pytest.mark.parametrize("travel", [0.0, 1.0])
+def test_a_loop_closes(shot, travel):
+    rig = cyclic(shot, travel=travel)
+    bake, report = looped(shot, rig)
+    apart = np.linalg.norm((bake.displacement(11) - bake.displacement(0)) @ shot.character.to_bind.T, axis=1).max()
+    assert report["gap"] == pytest.approx(apart) and apart <= 1e-4 * size(shot)
+    assert report["warnings"] == []
+    once = replace(shot.settings, end=shot.settings.start + 11)
+    single, _ = part("simulate").bake(shot.model, shot.character, rig, once)
+    assert np.abs(single.displacement(11) - single.displacement(0)).max() > 10 * report["gap"]
+
+
+def test_a_loop_is_what_many_cycles_come_to(shot):
+    rig = cyclic(shot, travel=0.5)
+    bake, _ = looped(shot, rig)
+    cycles = 12
+    world = np.concatenate([rig.rig_world[:-1] + c * (rig.rig_world[-1] - rig.rig_world[0]) for c in range(cycles)])
+    pose = np.concatenate([rig.pose[:-1]] * cycles)
+    long = replace(rig, pose=pose, rig_world=world, object_world=world)[: 1 + 11 * cycles * shot.settings.substeps]
+    long = long[: 1 + (11 * cycles - 1) * shot.settings.substeps]
+    motion = simulated(shot, long, end=shot.settings.start + 11 * cycles - 1)
+    assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=2e-3 * np.abs(motion).max())
+
+
+def test_a_pose_that_is_no_cycle_is_named(shot):
+    _, report = looped(shot, cyclic(shot, closed=False))
+    assert len(report["warnings"]) == 1 and "off its pose at frame 1: end the loop" in report["warnings"][0]
+
+
+def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
+    dynamorph = pytest.importorskip("dynamorph")
+    seen = []
+
+    def progress(fraction, message):
+        seen.append((fraction, message))
+        return "pass 3" not in message
+
+    settings = replace(shot.settings, end=12, loop=True)
+    with pytest.raises(dynamorph.Cancelled):
+        part("simulate").bake(shot.model, shot.character, cyclic(shot), settings, progress)
+    fractions = [fraction for fraction, _ in seen]
+    assert fractions == sorted(fractions) and fractions[-1] < 1.0
+    assert seen[-1][1] == "Simulating frame 2, pass 3"
