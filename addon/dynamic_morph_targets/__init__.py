@@ -13,6 +13,8 @@ _commands = []  # handles that Blender wants back
 def _modules():
     from . import (
         influence,
+        live,
+        live_operators,
         operators,
         overlays,
         panels,
@@ -24,8 +26,8 @@ def _modules():
         transfer_operators,
     )
 
-    buttons = operators, setup_operators, target_operators, transfer_operators, presets, influence
-    return preferences, properties, *buttons, overlays, panels
+    buttons = operators, setup_operators, target_operators, transfer_operators, presets, live_operators
+    return preferences, properties, *buttons, influence, live, overlays, panels
 
 
 def register():

@@ -19,7 +19,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, materials, model_file, preferences, sinks
+from . import changes, extract, live_key, materials, model_file, preferences, sinks
 from .extract import Cancelled, SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
@@ -125,6 +125,16 @@ def stored_model(obj) -> bytes | None:
     return path.read_bytes()
 
 
+def fit_modes(obj, count: int):
+    """List the modes of a new model; those that there were keep their gain."""
+    modes = obj.dynamorph.modes
+    while len(modes) > count:
+        modes.remove(len(modes) - 1)
+    while len(modes) < count:
+        modes.add().name = f"Mode {len(modes) + 1:02d}"
+    obj.dynamorph.active_mode_index = min(obj.dynamorph.active_mode_index, max(count - 1, 0))
+
+
 def forget_model(obj):
     """Drop the model kept in the .blend. A file stays: another .blend may use it."""
     obj.pop(PACKED, None)
@@ -159,19 +169,25 @@ def stale_reasons(obj, character) -> list[str]:
     return ["not built yet"] if model is None else build.stale_reasons(model, character)
 
 
+def current_model(obj):
+    """(model, character) of an object whose model is up to date. Raises SceneError."""
+    character = extract.character(obj)
+    reasons = stale_reasons(obj, character)
+    if reasons:
+        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    return load_model(obj), character
+
+
 def fit_input(obj, target):
     """What the fits of `materials` ask for: (model, character, index there) of one of the object's targets.
 
     Raises SceneError unless the model is up to date.
     """
-    character = extract.character(obj)
-    reasons = stale_reasons(obj, character)
-    if reasons:
-        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    model, character = current_model(obj)
     index = index_in(character, obj, target)
     if index is None:
         raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
-    return load_model(obj), character, index
+    return model, character, index
 
 
 def index_in(character, obj, target) -> int | None:
@@ -328,6 +344,7 @@ class Job:
         if not self.bake:
             return
         with self._stage("write keys"):
+            live_key.remove(obj)
             self.size = sinks.write_modal_keys(obj, self.result)
         record = obj.dynamorph.bake
         record.summary = self.summary()
@@ -373,7 +390,9 @@ class Job:
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
         if self.reasons or not self.only_cage:
             record.stale, record.built = "only the cage is built" if self.only_cage else "", self.built
-        if self.references:
+        if self.reasons and not self.only_cage:
+            obj.dynamorph.live.checks = ""
+            fit_modes(obj, self.model.summary["modes"])
             self._store_references(obj)
 
     def _store_references(self, obj):

@@ -369,14 +369,22 @@ class DynamorphModel(PropertyGroup):
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
 
 
+def _mode_changed(mode, _context):
+    from . import live
+
+    live.refresh(mode.id_data)
+
+
 class DynamorphMode(PropertyGroup):
     """One displacement mode of the built model, as the artist wants to see it."""
 
     gain: FloatProperty(
         name="Gain", description="Factor on this mode's motion about the targets' shapes, in Live and in the next bake",
-        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE,
+        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=_mode_changed,
     )  # fmt: skip
-    solo: BoolProperty(name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE)
+    solo: BoolProperty(
+        name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE, update=_mode_changed
+    )
 
 
 class DynamorphLive(PropertyGroup):
@@ -389,6 +397,7 @@ class DynamorphLive(PropertyGroup):
         items=(("A", "A", "Settings A"), ("B", "B", "Settings B")), default="A",
     )  # fmt: skip
     other: StringProperty(name="Other Slot", description="The settings of the slot that is not in use, as JSON")
+    checks: StringProperty(name="Targets", description="How far each target is missed, a line each")
 
 
 class DynamorphSimulation(PropertyGroup):
@@ -579,6 +588,9 @@ def reconcile(obj):
         _follow_keys(blocks, settings.targets[1:])
         _follow_keys(blocks, settings.bake.muted)
         _follow_baked_keys(blocks, settings.bake)
+        _follow_keys(blocks, settings.live.muted)
+        if settings.live.key.name:
+            _follow_keys(blocks, [settings.live.key])
     _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
