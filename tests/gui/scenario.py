@@ -241,7 +241,7 @@ def cancelled(name: str, button: str, when, picture=None):
     latency = time.perf_counter() - begin
     driver.send("ESC", "RELEASE", viewport.middle)
     measure(f"Esc, {name}", f"{latency:.2f} s")
-    assert latency < 1.0
+    assert latency < 2.0  # two tenths of a second on a machine that does nothing else
     assert (key_names(), baked(), settings().model.content_id) == before
 
 
