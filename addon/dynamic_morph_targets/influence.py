@@ -281,8 +281,9 @@ class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
             return
         pose, s = worst
         scene.frame_set(scene.frame_start + pose)
-        text = rpt_("Frame {}: {:.0f} degrees from any target of {}. New from Pose adds one here")
-        self.report({"INFO"}, text.format(scene.frame_current, np.degrees(found.nearest[pose, s]), found.sets[s].name))
+        text = rpt_("Frame {frame}: {away:.0f} degrees from any target of {name}. New from Pose adds one here")
+        away, name = np.degrees(found.nearest[pose, s]), found.sets[s].name
+        self.report({"INFO"}, text.format(frame=scene.frame_current, away=away, name=name))
 
 
 # Keeping up --------------------------------------------------------------------------------------------------------
