@@ -254,7 +254,7 @@ def draw_bars(layout, context, obj):
         for target, weight in zip(now.sets[s].targets, now.weights[0, targets.start : targets.stop], strict=True):
             column.progress(factor=weight, text=f"{target.name}  {weight:.2f}")
         if now.outside[0, s]:
-            text = iface_("Outside: {:.0f}° from the nearest target").format(np.degrees(now.nearest[0, s]))
+            text = iface_("Outside: {away:.0f}° from the nearest target").format(away=np.degrees(now.nearest[0, s]))
             column.label(text=text, icon="INFO", translate=False)
 
 
