@@ -269,7 +269,7 @@ def draw_model(layout, obj):
         body.enabled = jobs.running is None
         for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot"):
             body.prop(model, name)
-    draw_outdated(layout, changes.model_changes(obj) or list(filter(None, [model.stale])))
+    draw_outdated(layout, changes.model_age(obj))
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")

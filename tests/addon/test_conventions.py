@@ -83,7 +83,9 @@ def test_operators_that_change_data_are_undone(operators):
     without = {operator.bl_idname for operator in operators if "UNDO" not in getattr(operator, "bl_options", ())}
     assert without <= {
         "dynamorph.cancel",
+        "dynamorph.play_mode",
         "dynamorph.save_setup",
+        "dynamorph.shake_test",
         "dynamorph.material_preset",
         "dynamorph.setup_preset",
         "dynamorph.update_influence",
