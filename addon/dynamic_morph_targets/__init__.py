@@ -24,10 +24,11 @@ def _modules():
         setup_operators,
         target_operators,
         transfer_operators,
+        watch,
     )
 
     buttons = operators, setup_operators, target_operators, transfer_operators, presets, live_operators
-    return preferences, properties, *buttons, influence, live, overlays, panels
+    return preferences, properties, *buttons, influence, live, watch, overlays, panels
 
 
 def register():

@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
-from . import extract, jobs, operators, properties
+from . import events, extract, jobs, properties
 from .extract import SceneError
 from .operators import SoftSkinOperator, guarded
 from .scene_data import Material, Skeleton, Target, TargetSet
@@ -252,7 +252,7 @@ class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
 
     def _update(self, obj, scene):
         curves(obj, scene.frame_start, scene.frame_end)
-        redraw_views()
+        events.redraw(events.PANELS | events.VIEWS)
 
 
 class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
@@ -294,9 +294,7 @@ _reading: Reading | None = None  # for the graph
 
 def update_soon(wait: float = PATIENCE):
     """Bring the graph up to date when nothing has asked for it in the meantime."""
-    if bpy.app.timers.is_registered(_update):
-        bpy.app.timers.unregister(_update)
-    bpy.app.timers.register(_update, first_interval=wait)
+    events.soon(_update, wait)
 
 
 def _update():
@@ -325,7 +323,7 @@ def _read_on(obj, start: int, end: int) -> bool:
     except SceneError:
         pass  # the panel shows it: `problem`
     _reading = None
-    redraw_views()
+    events.redraw(events.PANELS | events.VIEWS)
     return True
 
 
@@ -352,14 +350,6 @@ def _note_changes(_scene, depsgraph):
         update_soon()
 
 
-def redraw_views():
-    """Let the 3D viewports draw again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 _bars_drawn = False  # since the last change of frame
 
 
@@ -375,7 +365,7 @@ def _next_frame(*_args):
     global _bars_drawn
     if _bars_drawn and not bpy.app.is_job_running("RENDER"):  # then another thread is here
         _bars_drawn = False
-        operators.redraw(bpy.context)
+        events.redraw(events.PANELS)
 
 
 @persistent
@@ -389,25 +379,22 @@ def _forget(*_args):
 CLASSES = (DYNAMORPH_OT_update_influence, DYNAMORPH_OT_suggest_pose)
 
 
+HANDLERS = {
+    "load_pre": _forget,
+    "depsgraph_update_post": _note_changes,
+    "frame_change_post": _next_frame,
+}
+
+
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    bpy.app.handlers.load_pre.append(_forget)
-    if not bpy.app.background:
-        bpy.app.handlers.depsgraph_update_post.append(_note_changes)
-        bpy.app.handlers.frame_change_post.append(_next_frame)
+    events.add(HANDLERS)
 
 
 def unregister():
-    for handlers, handler in (
-        (bpy.app.handlers.load_pre, _forget),
-        (bpy.app.handlers.depsgraph_update_post, _note_changes),
-        (bpy.app.handlers.frame_change_post, _next_frame),
-    ):
-        if handler in handlers:
-            handlers.remove(handler)
-    if bpy.app.timers.is_registered(_update):
-        bpy.app.timers.unregister(_update)
+    events.remove(HANDLERS)
+    events.forget(_update)
     shots.clear()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import changes, extract, jobs, live_key, properties
+from . import changes, events, extract, jobs, live_key, properties
 from .extract import SceneError
 from .scene_data import Character, RigSamples, SimulationSettings
 
@@ -419,12 +419,10 @@ HANDLERS = {
 
 
 def register():
-    for name, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(handler)
+    events.add(HANDLERS)
     _loaded()
 
 
 def unregister():
-    for name, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(handler)
+    events.remove(HANDLERS)
     _loaded()

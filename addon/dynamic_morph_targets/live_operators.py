@@ -16,7 +16,7 @@ from bpy.props import EnumProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
-from . import extract, jobs, live, live_key, properties
+from . import events, extract, jobs, live, live_key, properties
 from .extract import SceneError
 from .operators import SoftSkinOperator, guarded
 from .scene_data import Material, RigSamples
@@ -432,11 +432,11 @@ def _named_targets(obj) -> list[tuple]:
 
 @persistent
 def _before_change(*_args):
-    """undo_pre, redo_pre, load_pre, save_pre: what a preview moves must not be saved, nor stay where undo passes by."""
+    """What a preview moves must not be saved, nor stay where undo passes by."""
     end_preview()
 
 
-HANDLERS = ("undo_pre", "redo_pre", "load_pre", "save_pre")
+HANDLERS = dict.fromkeys(("undo_pre", "redo_pre", "load_pre", "save_pre"), _before_change)
 CLASSES = (
     DYNAMORPH_OT_live,
     DYNAMORPH_OT_shake_test,
@@ -451,13 +451,11 @@ CLASSES = (
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    for name in HANDLERS:
-        getattr(bpy.app.handlers, name).append(_before_change)
+    events.add(HANDLERS)
 
 
 def unregister():
     end_preview()
-    for name in HANDLERS:
-        getattr(bpy.app.handlers, name).remove(_before_change)
+    events.remove(HANDLERS)
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -6,10 +6,9 @@ from __future__ import annotations
 import time
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.types import Operator
 
-from . import changes, jobs, properties, sinks
+from . import events, jobs, properties, sinks
 from .extract import Cancelled
 
 TICK = 0.05  # seconds between two turns of a job
@@ -121,7 +120,7 @@ class JobOperator(SoftSkinOperator):
         if time.monotonic() - self.shown > SHOWN:
             self.shown = time.monotonic()
             context.workspace.status_text_set(f"{batch.name}: {batch.message}  {batch.fraction:.0%}    Esc: cancel")
-            redraw(context)
+            events.redraw(events.PANELS)
         return {"RUNNING_MODAL"}
 
     def _end(self, context):
@@ -129,7 +128,7 @@ class JobOperator(SoftSkinOperator):
         jobs.running = None
         context.window_manager.event_timer_remove(self.timer)
         context.workspace.status_text_set(None)
-        redraw(context)
+        events.redraw(events.PANELS)
 
     def _done(self, batch):
         for job in batch.jobs:
@@ -191,70 +190,6 @@ class DYNAMORPH_OT_cancel(Operator):
         return {"FINISHED"}
 
 
-def redraw(context):
-    """Let every panel that shows progress draw again, but not the 3D view, which may take longer than the job."""
-    shown_in = {"VIEW_3D": "UI", "PROPERTIES": "WINDOW"}
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            for region in area.regions:
-                if region.type == shown_in.get(area.type):
-                    region.tag_redraw()
-
-
-@persistent
-def _before_load(*_args):
-    """load_pre: the job's results would have nowhere to go."""
-    jobs.stop()
-
-
-@persistent
-def _after_undo(*_args):
-    """undo_post and redo_post: what a job has read so far is of another scene, and curves are others again."""
-    if jobs.running:
-        jobs.running.undone = True
-    _soon(_look_at_animations)
-
-
-@persistent
-def _check_changed(_scene, depsgraph):
-    """depsgraph_update_post: a second after the last edit, see whether a model or a bake is out of date."""
-    if any(obj.dynamorph.model.content_id for obj in properties.changed_objects(depsgraph)):
-        _soon(_look_at_meshes)
-    if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
-        _soon(_look_at_animations)
-
-
-def _soon(look):
-    if bpy.app.timers.is_registered(look):
-        bpy.app.timers.unregister(look)
-    if not bpy.app.background:
-        bpy.app.timers.register(look, first_interval=1.0)
-
-
-def _look_at_meshes():
-    for obj in properties.soft_skins(bpy.context.scene.objects):
-        if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not jobs.running:
-            jobs.show_stale(obj)
-
-
-def _look_at_animations():
-    for obj in properties.soft_skins(bpy.context.scene.objects):
-        if obj.dynamorph.bake.keys and obj.is_editable:
-            changes.look_at_animation(obj)
-
-
-@persistent
-def _watch_influence(*_args):
-    """load_post too: a file that is opened ends all subscriptions."""
-    bpy.msgbus.clear_by_owner(CLASSES)
-    bpy.msgbus.subscribe_rna(key=(bpy.types.NlaStrip, "influence"), owner=CLASSES, args=(), notify=_influence_changed)
-
-
-def _influence_changed():
-    for obj in properties.soft_skins(bpy.data.objects):
-        sinks.show_influence(obj)
-
-
 CLASSES = (
     DYNAMORPH_OT_build,
     DYNAMORPH_OT_bake,
@@ -262,34 +197,4 @@ CLASSES = (
     DYNAMORPH_OT_free_bake,
     DYNAMORPH_OT_cancel,
 )
-
-
-def _handlers():
-    handlers = bpy.app.handlers
-    return (
-        (handlers.load_pre, _before_load),
-        (handlers.load_post, _watch_influence),
-        (handlers.undo_post, _after_undo),
-        (handlers.redo_post, _after_undo),
-        (handlers.depsgraph_update_post, _check_changed),
-    )
-
-
-def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    for handlers, handler in _handlers():
-        handlers.append(handler)
-    _watch_influence()
-
-
-def unregister():
-    jobs.stop()
-    bpy.msgbus.clear_by_owner(CLASSES)
-    for handlers, handler in _handlers():
-        handlers.remove(handler)
-    for look in (_look_at_meshes, _look_at_animations):
-        if bpy.app.timers.is_registered(look):
-            bpy.app.timers.unregister(look)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)
