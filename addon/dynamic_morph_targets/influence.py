@@ -262,13 +262,11 @@ class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
     bl_label = "Suggest Pose"
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        if len(properties.mesh_in(context).dynamorph.targets) < 2:
-            cls.poll_message_set("Add a target first")
-            return False
-        return True
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and len(properties.mesh_in(context).dynamorph.targets) < 2:
+            return "Add a target first"
+        return obstacle
 
     def execute(self, context):
         return guarded(self, self._suggest, properties.mesh_in(context), context.scene)

@@ -13,6 +13,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
 
 from . import changes, events, extract, jobs, live_key, properties
 from .extract import SceneError
@@ -255,7 +256,7 @@ def obstacle(obj) -> str:
     if obj.dynamorph.bake.keys:
         return "The bake shows the motion already: press Free Bake first"
     age = changes.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
-    return f"Press Build Model first: {'; '.join(age)}" if age else ""
+    return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 
 
 def turn_on(obj, scene):

@@ -12,6 +12,7 @@ from dataclasses import asdict
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 from mathutils import Matrix
@@ -36,13 +37,8 @@ class FleshOperator(SoftSkinOperator):
     """Mixin: shows the flesh of the built model, which nothing else may show meanwhile."""
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        obstacle = live.obstacle(properties.mesh_in(context))
-        if obstacle:
-            cls.poll_message_set(obstacle)
-        return not obstacle
+    def obstacle(cls, context):
+        return super().obstacle(context) or live.obstacle(properties.mesh_in(context))
 
 
 class DYNAMORPH_OT_live(FleshOperator, Operator):
@@ -52,9 +48,9 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
     bl_label = "Live Soft Skin"
 
     @classmethod
-    def poll(cls, context):
+    def obstacle(cls, context):
         obj = properties.mesh_in(context)
-        return super().poll(context) if obj is None or not live.is_on(obj) else True
+        return "" if obj is not None and live.is_on(obj) else super().obstacle(context)
 
     def apply(self, obj):
         end_preview()
@@ -244,7 +240,8 @@ class PreviewOperator(FleshOperator):
         return running.flesh.moved(values)
 
     def _report(self, largest: float):
-        self.report({"INFO"}, f"The flesh moves by up to {1000 * largest:.1f} mm")
+        text = rpt_("The flesh moves by up to {distance:.1f} mm")
+        self.report({"INFO"}, text.format(distance=1000 * largest))
 
 
 class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):

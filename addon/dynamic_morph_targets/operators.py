@@ -6,6 +6,8 @@ from __future__ import annotations
 import time
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
 from . import events, jobs, properties, sinks
@@ -14,6 +16,7 @@ from .extract import Cancelled
 TICK = 0.05  # seconds between two turns of a job
 SLICE = 0.035  # of which it may hold the window, about
 SHOWN = 0.1  # seconds between two looks of its progress
+LISTED = 5  # names in a report
 
 
 def guarded(operator, action, *args) -> set[str]:
@@ -32,29 +35,47 @@ class SoftSkinOperator:
 
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context):
-        problem = ""
-        obj = properties.mesh_in(context)
-        if obj is None:
-            problem = "Select the character's mesh object"
-        elif obj.library:
-            problem = f"'{obj.name}' is linked: make a library override to change its materials, else make it local"
-        elif obj.override_library and not cls.on_override:
-            problem = f"'{obj.name}' is a library override, which would lose this when saved: make it local"
-        elif jobs.running:
-            problem = f"Wait until '{jobs.running.name}' is done, or cancel it"
-        elif cls.needs_soft_skin and not obj.dynamorph.targets:
-            problem = "Press Add Soft Skin first"
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
-
     needs_soft_skin = True
     on_override = False  # whether a library override keeps what the button changes
 
+    @classmethod
+    def poll(cls, context):
+        obstacle = cls.obstacle(context)
+        if obstacle:
+            cls.poll_message_set(iface_(obstacle))
+        return not obstacle
+
+    @classmethod
+    def obstacle(cls, context) -> str:
+        """Why the button is grey, or ''."""
+        obj = properties.mesh_in(context)
+        if obj is None:
+            return "Select the character's mesh object"
+        if obj.library:
+            text = iface_("'{name}' is linked: make a library override to change its materials, else make it local")
+            return text.format(name=obj.name)
+        if obj.override_library and not cls.on_override:
+            text = iface_("'{name}' is a library override, which would lose this when saved: make it local")
+            return text.format(name=obj.name)
+        if cls.needs_soft_skin and not obj.dynamorph.targets:
+            return "Press Add Soft Skin first"
+        return at_work()
+
     def execute(self, context):
         return guarded(self, self.apply, properties.mesh_in(context))
+
+
+def at_work() -> str:
+    """Which job is to be waited for, or ''."""
+    if not jobs.running:
+        return ""
+    return iface_("Wait until '{name}' is done, or cancel it").format(name=jobs.running.name)
+
+
+def listed(names: list[str]) -> str:
+    """As many as a report has room for."""
+    first, more = ", ".join(names[:LISTED]), len(names) - LISTED
+    return rpt_("{names} and {count} more").format(names=first, count=more) if more > 0 else first
 
 
 class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
@@ -119,7 +140,9 @@ class JobOperator(SoftSkinOperator):
             return self._done(batch)
         if time.monotonic() - self.shown > SHOWN:
             self.shown = time.monotonic()
-            context.workspace.status_text_set(f"{batch.name}: {batch.message}  {batch.fraction:.0%}    Esc: cancel")
+            text = iface_("{name}: {message}  {done:.0%}    Esc: cancel")
+            message = iface_(batch.message)
+            context.workspace.status_text_set(text.format(name=batch.name, message=message, done=batch.fraction))
             events.redraw(events.PANELS)
         return {"RUNNING_MODAL"}
 
@@ -132,8 +155,9 @@ class JobOperator(SoftSkinOperator):
 
     def _done(self, batch):
         for job in batch.jobs:
-            built = f" (built first: {'; '.join(job.reasons)})" if job.bake and job.reasons else ""
-            self.report({"INFO"}, f"{job.name}: {job.summary()}{built}")
+            built_first = job.bake and job.reasons
+            text = rpt_("{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}")
+            self.report({"INFO"}, text.format(name=job.name, result=job.summary(), reasons="; ".join(job.reasons)))
         for job in batch.jobs:
             for warning in job.warnings:  # after the rest, because the status bar shows the last report
                 self.report({"WARNING"}, warning)
@@ -161,18 +185,12 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
     bl_idname = "dynamorph.bake_all"
     bl_label = "Bake All"
     goal = "BAKE_ALL"
-    needs_soft_skin = False
 
     @classmethod
-    def poll(cls, context):
-        problem = ""
-        if jobs.running:
-            problem = f"Wait until '{jobs.running.name}' is done, or cancel it"
-        elif not properties.soft_skins(context.scene.objects):
-            problem = "The scene has no soft skin: press Add Soft Skin first"
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+    def obstacle(cls, context):
+        if not properties.soft_skins(context.scene.objects):
+            return "The scene has no soft skin: press Add Soft Skin first"
+        return at_work()
 
     def _jobs(self, _obj):
         return [jobs.Job(skin, "BAKE") for skin in properties.soft_skins(bpy.context.scene.objects)]

@@ -24,14 +24,11 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
     needs_soft_skin = False
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        obj = properties.mesh_in(context)
-        if not checks.armature_modifiers(obj):
-            cls.poll_message_set("The mesh needs an Armature modifier with an armature")
-            return False
-        return True
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not checks.armature_modifiers(properties.mesh_in(context)):
+            return "The mesh needs an Armature modifier with an armature"
+        return obstacle
 
     def apply(self, obj):
         if obj.dynamorph.targets:
