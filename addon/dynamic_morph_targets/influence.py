@@ -20,6 +20,7 @@ from bpy.types import Operator
 from . import events, extract, jobs, properties
 from .extract import SceneError
 from .operators import SoftSkinOperator, guarded
+from .properties import bones_key
 from .scene_data import Material, Skeleton, Target, TargetSet
 
 SLACK = 1.1  # on half the widest gap between neighbours
@@ -96,31 +97,11 @@ class Space:
 def space_of(obj) -> Space:
     """The pose space of `obj` as it is authored now. Raises what tells the artist why there is none."""
     rig = extract.armature_modifier(obj).object
-    targets = _targets(obj)
-    placing = {rig.data.bones.get(name) for _, _, _, names, _ in targets for name in names} - {None}
+    targets = _placed_targets(obj)
+    placing = {rig.data.bones.get(name) for target in targets for name in target.bone_names()} - {None}
     parents = tuple(bone.parent.name for bone in placing if bone.parent)
-    return _space(obj.session_uid, (bones_key(rig.data), parents, targets))
-
-
-def bones_key(armature) -> tuple:
-    """The bones' names and where they rest, to be compared."""
-    rest = np.empty(16 * len(armature.bones), np.float32)
-    armature.bones.foreach_get("matrix_local", rest)
-    return tuple(armature.bones.keys()), rest.tobytes()
-
-
-def _targets(obj) -> tuple:
-    """All that places the targets, to be compared."""
-    return tuple(
-        (target.name, target.region, target.radius, tuple(target.bones.keys()), _pose_bytes(target))
-        for target in _placed_targets(obj)
-    )
-
-
-def _pose_bytes(target) -> bytes:
-    local = np.empty(16 * len(target.pose), np.float32)
-    target.pose.foreach_get("local", local)
-    return local.tobytes()
+    placed = tuple((target.name, target.placing()) for target in targets)
+    return _space(obj.session_uid, (bones_key(rig.data), parents, placed))
 
 
 def _placed_targets(obj) -> list:

@@ -406,7 +406,7 @@ def slot_settings(obj) -> dict:
     """What one slot holds, fit for JSON. Targets are told apart by name; the neutral one is ''."""
     settings = obj.dynamorph
     return {
-        "materials": {name: asdict(target.material()) for name, target in _named_targets(obj)},
+        "materials": {name: asdict(target.material()) for name, target in properties.named_targets(obj)},
         "simulation": properties.plain(settings.simulation),
         "gains": [mode.gain for mode in settings.modes],
     }
@@ -414,17 +414,13 @@ def slot_settings(obj) -> dict:
 
 def put_slot(obj, values: dict):
     """The inverse of `slot_settings`; targets and modes that came since then stay as they are."""
-    for name, target in _named_targets(obj):
+    for name, target in properties.named_targets(obj):
         if name in values["materials"]:
             target.set_material(Material(**values["materials"][name]))
     properties.assign(obj.dynamorph.simulation, values["simulation"])
     for mode, gain in zip(obj.dynamorph.modes, values["gains"], strict=False):
         if mode.gain != gain:
             mode.gain = gain
-
-
-def _named_targets(obj) -> list[tuple]:
-    return [("" if i == 0 else target.name, target) for i, target in enumerate(obj.dynamorph.targets)]
 
 
 @persistent

@@ -54,6 +54,13 @@ def rest_skeleton(armature) -> Skeleton:
     return Skeleton(names, parents, rest)
 
 
+def bones_key(armature) -> tuple:
+    """The bones' names and where they rest, to be compared."""
+    rest = np.empty(16 * len(armature.bones), np.float32)
+    armature.bones.foreach_get("matrix_local", rest)
+    return tuple(armature.bones.keys()), rest.tobytes()
+
+
 def key_points(block) -> np.ndarray:
     """The points of a shape key, (V, 3) float32, local space. float32 because Blender then copies in one piece."""
     points = np.empty((len(block.points), 3), np.float32)
@@ -99,6 +106,9 @@ class KeyReference:
         for field, value in (("name", block.name), ("key_index", index), ("key_hash", key_hash(block))):
             if getattr(self, field) != value:
                 setattr(self, field, value)
+
+
+KEY_REFERENCE = ("name", *KeyReference.__annotations__)
 
 
 class DynamorphKey(KeyReference, PropertyGroup):
@@ -288,11 +298,20 @@ class DynamorphTarget(KeyReference, PropertyGroup):
             bone.name, bone.rest, bone.local = name, rest.ravel(), transform.ravel()
         self.rig_world = rig_world.ravel()
 
+    def placing(self) -> tuple:
+        """All that places the target among others, to be compared: cheap enough for every frame."""
+        return self.region, self.radius, self.bone_names(), self.pose_bytes()
+
+    def pose_bytes(self) -> bytes:
+        """The captured transforms, float32."""
+        stored = np.empty(16 * len(self.pose), np.float32)
+        self.pose.foreach_get("local", stored)
+        return stored.tobytes()
+
     def local(self, skeleton: Skeleton) -> np.ndarray:
         """The captured pose (B, 4, 4) in the skeleton's order; bones added since then are at rest."""
-        stored = np.empty((len(self.pose), 4, 4), np.float32)
-        self.pose.foreach_get("local", stored.ravel())
-        by_name = dict(zip((bone.name for bone in self.pose), stored.astype(np.float64), strict=True))
+        stored = np.frombuffer(self.pose_bytes(), np.float32).reshape(-1, 4, 4).astype(np.float64)
+        by_name = dict(zip((bone.name for bone in self.pose), stored, strict=True))
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
@@ -672,6 +691,11 @@ def _follow_bones(skeleton: Skeleton, target):
             bone.name = skeleton.names[b]
         if not np.array_equal(skeleton.rest[b].astype(np.float32), stored):
             bone.rest = skeleton.rest[b].ravel()
+
+
+def named_targets(obj) -> list[tuple]:
+    """(name, target) of all targets; the neutral's name is empty, because a shape key may be called like it."""
+    return [(target.name if i else "", target) for i, target in enumerate(obj.dynamorph.targets)]
 
 
 def soft_skins(objects):

@@ -21,6 +21,7 @@ import numpy as np
 
 from . import extract, model_file
 from .properties import (
+    KEY_REFERENCE,
     DynamorphBonePose,
     DynamorphMode,
     DynamorphModel,
@@ -41,7 +42,7 @@ NOT_AUTHORED = {
     DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
     DynamorphSimulation: ("name",),
     DynamorphMode: ("name",),
-    DynamorphTarget: ("key_index", "key_hash"),
+    DynamorphTarget: KEY_REFERENCE[1:],  # the name is in the file
     DynamorphBonePose: ("name",),
 }
 PARTS = {"skin": DynamorphSettings, "model": DynamorphModel, "simulation": DynamorphSimulation}

@@ -10,12 +10,11 @@ from mathutils.kdtree import KDTree
 
 from . import checks, extract, jobs
 from .extract import SceneError
-from .properties import assign, key_points, plain, rig_of
+from .properties import KEY_REFERENCE, assign, key_points, plain, rig_of
 from .scene_data import Skeleton, turned
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 MIRROR_TOLERANCE = 1e-3  # of the mesh's size: how far from its mirror image a vertex's partner may be
-KEY_REFERENCE = ("name", "key_index", "key_hash")
 
 
 # Shape keys --------------------------------------------------------------------------------------------------------
