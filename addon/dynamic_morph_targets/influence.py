@@ -14,12 +14,9 @@ from functools import lru_cache
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from bpy.app.translations import pgettext_rpt as rpt_
-from bpy.types import Operator
 
 from . import events, extract, jobs, properties
 from .extract import SceneError
-from .operators import SoftSkinOperator, guarded
 from .properties import bones_key
 from .scene_data import Material, Skeleton, Target, TargetSet
 
@@ -221,50 +218,6 @@ def problem(obj) -> str:
     return shot.problem if shot else ""
 
 
-class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
-    """Evaluate the armature at every frame of the scene again, for the graph of the targets' influence"""
-
-    bl_idname = "dynamorph.update_influence"
-    bl_label = "Update Influence"
-    bl_options = {"REGISTER"}
-
-    def execute(self, context):
-        return guarded(self, self._update, properties.mesh_in(context), context.scene)
-
-    def _update(self, obj, scene):
-        curves(obj, scene.frame_start, scene.frame_end)
-        events.redraw(events.PANELS | events.VIEWS)
-
-
-class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
-    """Go to the frame whose pose is furthest from all targets: the place for another one"""
-
-    bl_idname = "dynamorph.suggest_pose"
-    bl_label = "Suggest Pose"
-
-    @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and len(properties.mesh_in(context).dynamorph.targets) < 2:
-            return "Add a target first"
-        return obstacle
-
-    def execute(self, context):
-        return guarded(self, self._suggest, properties.mesh_in(context), context.scene)
-
-    def _suggest(self, obj, scene):
-        found = curves(obj, scene.frame_start, scene.frame_end)
-        worst = found.worst()
-        if worst is None:
-            self.report({"INFO"}, rpt_("Every frame is near a target: no pose is poorly covered"))
-            return
-        pose, s = worst
-        scene.frame_set(scene.frame_start + pose)
-        text = rpt_("Frame {frame}: {away:.0f} degrees from any target of {name}. New from Pose adds one here")
-        away, name = np.degrees(found.nearest[pose, s]), found.sets[s].name
-        self.report({"INFO"}, text.format(frame=scene.frame_current, away=away, name=name))
-
-
 # Keeping up --------------------------------------------------------------------------------------------------------
 
 
@@ -355,9 +308,6 @@ def _forget(*_args):
     shots.clear()
 
 
-CLASSES = (DYNAMORPH_OT_update_influence, DYNAMORPH_OT_suggest_pose)
-
-
 HANDLERS = {
     "load_pre": _forget,
     "depsgraph_update_post": _note_changes,
@@ -366,8 +316,6 @@ HANDLERS = {
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
     events.add(HANDLERS)
 
 
@@ -375,5 +323,3 @@ def unregister():
     events.remove(HANDLERS)
     events.forget(_update)
     shots.clear()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

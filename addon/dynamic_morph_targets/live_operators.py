@@ -439,16 +439,15 @@ CLASSES = (
     DYNAMORPH_OT_swap_slot,
     DYNAMORPH_OT_copy_slot,
 )
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     events.add(HANDLERS)
 
 
 def unregister():
     end_preview()
     events.remove(HANDLERS)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

@@ -753,11 +753,11 @@ CLASSES = (
     DynamorphSettings,
     DynamorphDisplay,
 )
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     bpy.types.Object.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphSettings, override=OVERRIDE)
     bpy.types.WindowManager.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphDisplay)
     bpy.app.handlers.depsgraph_update_post.append(_follow_changes)
@@ -767,5 +767,4 @@ def unregister():
     bpy.app.handlers.depsgraph_update_post.remove(_follow_changes)
     del bpy.types.WindowManager.dynamorph
     del bpy.types.Object.dynamorph
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

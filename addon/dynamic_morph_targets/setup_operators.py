@@ -11,7 +11,7 @@ import numpy as np
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from . import checks, extract, jobs, properties
+from . import checks, extract, jobs, properties, targets
 from .extract import SceneError
 from .operators import JobOperator, SoftSkinOperator
 
@@ -36,8 +36,8 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
         in_the_way = extract.first_look(obj)
         rig = properties.rig_of(obj)
         skeleton, rig_world = properties.rest_skeleton(rig.data), extract.world_now(rig)
-        if obj.data.shape_keys is None and obj.mode != "EDIT":
-            obj.shape_key_add(name="Basis", from_mix=False)
+        if obj.mode != "EDIT":
+            targets.ensure_basis(obj)
         target = obj.dynamorph.targets.add()
         target.name = properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
@@ -125,7 +125,7 @@ def _enable_armature(obj):
 
 def _add_basis(obj):
     _owned(obj.data)
-    obj.shape_key_add(name="Basis", from_mix=False)
+    targets.ensure_basis(obj)
 
 
 def _relative_keys(obj):

@@ -217,7 +217,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         existing = keys.key_blocks.get(name)
         if existing and not self.overwrite:
             return existing
-        targets.check_not_edited(obj)
+        extract.check_mesh(obj)
         partners = targets.mirror_partners(key_points(keys.reference_key))
         alone = (partners < 0).nonzero()[0]
         if len(alone) == len(partners):
@@ -228,8 +228,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         shape = targets.mirrored_shape(extract.target_shape(obj, source.name), partners)
         if existing is None:
             return targets.new_key(obj, name, shape)
-        existing.vertex_group = ""
-        targets.set_shape(existing, shape)
+        targets.sculpt_anew(existing, shape)
         return existing
 
 

@@ -197,13 +197,13 @@ def test_frames_outside_and_the_pose_to_add(scene, soft_arm, monkeypatch):
 def reports(monkeypatch):
     """What operators report from now on; Blender prints it in the background, and keeps it to itself."""
     kept = []
-    suggest = part("influence").DYNAMORPH_OT_suggest_pose._suggest
+    suggest = part("influence_operators").DYNAMORPH_OT_suggest_pose._suggest
 
     def listen(self, obj, scene):
         listener = types.SimpleNamespace(report=lambda kind, text: kept.append(text))
         return suggest(listener, obj, scene)
 
-    monkeypatch.setattr(part("influence").DYNAMORPH_OT_suggest_pose, "_suggest", listen)
+    monkeypatch.setattr(part("influence_operators").DYNAMORPH_OT_suggest_pose, "_suggest", listen)
     return lambda: kept
 
 
