@@ -5,9 +5,8 @@ import bpy
 import numpy as np
 import pytest
 from builders import activate, make_arm, make_soft, part
-from robustness import OPS, coarse, motion
+from robustness import CALLS, CHANGING_NOTHING, OPS, coarse, motion
 from test_panels import Layout, drawn
-from test_robustness_files import CALLS, CHANGING_NOTHING
 
 
 def mesh():
@@ -123,6 +122,20 @@ def mesh_in_weight_paint():
     enter(mesh(), "WEIGHT_PAINT")
 
 
+def target_in_sculpt_mode():
+    OPS.free_bake()
+    OPS.sculpt_target(mode="SCULPT")
+
+
+def target_in_edit_mode():
+    OPS.free_bake()
+    OPS.sculpt_target(mode="EDIT")
+
+
+def painting_softness():
+    OPS.paint_group(which="SOFT")
+
+
 def rig_in_pose_mode():
     enter(rig(), "POSE")
 
@@ -140,8 +153,8 @@ STATES = [
     plain, no_soft_skin, no_active_object, camera_active, other_scene, armature_object_deleted, armature_data_deleted,
     mesh_deleted, bones_deleted, shape_keys_deleted, target_keys_deleted, geometry_deleted, groups_deleted,
     modifiers_deleted, mesh_not_in_the_scene, rig_not_in_the_scene, both_hidden, collection_excluded,
-    mesh_in_edit_mode, mesh_in_sculpt_mode, mesh_in_weight_paint, rig_in_pose_mode, rig_in_edit_mode,
-    rig_in_edit_mode_below_the_active_mesh,
+    mesh_in_edit_mode, mesh_in_sculpt_mode, mesh_in_weight_paint, target_in_sculpt_mode, target_in_edit_mode,
+    painting_softness, rig_in_pose_mode, rig_in_edit_mode, rig_in_edit_mode_below_the_active_mesh,
 ]  # fmt: skip
 NOBODY = [no_active_object, camera_active, other_scene, mesh_deleted, mesh_not_in_the_scene, collection_excluded]
 WORKING = [plain, rig_not_in_the_scene, both_hidden, mesh_in_sculpt_mode, mesh_in_weight_paint, rig_in_pose_mode]
