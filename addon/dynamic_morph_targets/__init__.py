@@ -11,9 +11,9 @@ _commands = []  # handles that Blender wants back
 
 
 def _modules():
-    from . import operators, panels, properties, setup_operators, target_operators
+    from . import influence, operators, overlays, panels, properties, setup_operators, target_operators
 
-    return properties, operators, setup_operators, target_operators, panels
+    return properties, operators, setup_operators, target_operators, influence, overlays, panels
 
 
 def register():

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, fields, replace
 import dynamorph
 import numpy as np
 
-from .scene_data import Character, ModelSettings, Skeleton, Target
+from .scene_data import FREE_SETTINGS, Character, ModelSettings, Skeleton, Target
 
 Progress = Callable[[float, str], bool]
 Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.ndarray]]
@@ -24,8 +24,6 @@ Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.nd
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
 REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
 HELD = 0.05  # nodes softer than this in the Soft group are free
-# Settings that a built model does not depend on: they are applied when it is simulated.
-FREE_SETTINGS = {"blending"}
 MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes", "pin radius")  # of the tetrahedra
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "Soft vertex group")  # of them and of what is held
 CAGE_SHARE = 0.35  # of the time of a build

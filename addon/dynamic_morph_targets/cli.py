@@ -20,11 +20,12 @@ from pathlib import Path
 
 import bpy
 
-from . import extract, jobs, materials, properties, sinks
+from . import changes, extract, jobs, materials, properties, sinks
 from .scene_data import VARIANTS, ModelSettings
 
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
+SIMULATION_SETTINGS = ("begin", "preroll", "loop")
 
 
 class InputError(ValueError):
@@ -85,10 +86,11 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
+    add_settings(bake, "simulation", SIMULATION_SETTINGS)
     build = command("build", run_job, "build models")
     build.set_defaults(goal="BUILD", frames=None, substeps=None)
     for sub in (bake, build):
-        add_model_settings(sub)
+        add_settings(sub, "model", MODEL_SETTINGS)
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
     report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
                         help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
@@ -112,10 +114,10 @@ def add_shot(sub):
     sub.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
 
 
-def add_model_settings(sub):
-    """The settings of the Model panel by the same names; what is given is set on the object first."""
-    settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["model"].fixed_type.properties
-    for name in MODEL_SETTINGS:
+def add_settings(sub, part: str, names):
+    """Settings of a panel by the same names; what is given is set on the object first."""
+    settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties[part].fixed_type.properties
+    for name in names:
         setting = settings[name]
         option, text = f"--{name.replace('_', '-')}", setting.description.replace("%", "%%")
         if setting.type == "BOOLEAN":
@@ -169,9 +171,10 @@ def run_job(args):
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
     done = []
     for obj in chosen_objects(args):
-        for name in MODEL_SETTINGS:
-            if (value := getattr(args, name)) is not None:
-                setattr(obj.dynamorph.model, name, value.upper() if isinstance(value, str) else value)
+        for group, names in ((obj.dynamorph.model, MODEL_SETTINGS), (obj.dynamorph.simulation, SIMULATION_SETTINGS)):
+            for name in names:
+                if (value := getattr(args, name, None)) is not None:
+                    setattr(group, name, value.upper() if isinstance(value, str) else value)
         frames = tuple(args.frames) if args.frames else None
         job = jobs.Job(obj, args.goal, frames, args.substeps, folder, rebuild=args.goal == "BUILD")
         jobs.run(job, Progress())
@@ -256,7 +259,12 @@ def run_info(args):
         except jobs.expected_errors() as error:
             reasons = str(error)
         print(f"  state: {reasons}")
-        print(f"  bake: {f'{len(settings.bake.keys)} keys, {settings.bake.summary}' if settings.bake.keys else 'none'}")
+        if not settings.bake.keys:
+            print("  bake: none")
+            continue
+        print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
+        changes.look_at_animation(obj)
+        print(f"  bake state: {'; '.join(changes.outdated(obj)) or 'up to date'}")
 
 
 def chosen_objects(args) -> list:
@@ -305,6 +313,8 @@ def print_table(job, save_seconds: float):
         rows.append(("frames x substeps", f"{len(job.settings.frames)} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
         rows.append(("smallest det F", f"{job.report['smallest_det']:.2f}"))
+        if "gap" in job.report:
+            rows.append(("loop gap", f"{1000 * job.report['gap']:.3g} mm"))
         if "compression_error" in job.report:
             rows.append(("compression error", f"{1000 * job.report['compression_error']:.3g} mm"))
     rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.seconds.items(), ("save", save_seconds))]

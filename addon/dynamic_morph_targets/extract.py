@@ -6,6 +6,8 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 
 from __future__ import annotations
 
+import hashlib
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -13,7 +15,7 @@ import bpy
 import numpy as np
 
 from . import checks
-from .properties import key_points, reconcile, rest_skeleton
+from .properties import key_points, reconcile, rest_skeleton, rig_of
 from .scene_data import (
     Character,
     ForceField,
@@ -28,6 +30,10 @@ from .scene_data import (
 )
 
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
+STRIP_FIELDS = (
+    "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
+    "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
+)  # fmt: skip
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
 
@@ -294,7 +300,7 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
     rig = modifier.object
     skeleton = rest_skeleton(rig.data)
     evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
-    pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
+    pose = pose_matrices(evaluated, pose_order(rig, skeleton))
     rig_world = world_now(rig, depsgraph)
     for name, matrix in zip(skeleton.names, pose, strict=True):
         if not np.isfinite(matrix).all():
@@ -322,11 +328,12 @@ def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray)
     ]
 
 
-def _pose_order(rig, skeleton: Skeleton) -> list[int]:
+def pose_order(rig, skeleton: Skeleton) -> list[int]:
+    """Where the skeleton's bones are among those of the armature object's pose."""
     return [rig.pose.bones.find(name) for name in skeleton.names]
 
 
-def _pose_matrices(evaluated_rig, order) -> np.ndarray:
+def pose_matrices(evaluated_rig, order) -> np.ndarray:
     """Pose matrices (B, 4, 4), armature space."""
     columns = np.empty((len(order), 4, 4), np.float32)
     _read_pose(evaluated_rig, columns)
@@ -355,55 +362,91 @@ def _invertible(matrices: np.ndarray) -> np.ndarray:
 # The moving rig ----------------------------------------------------------------------------------------------------
 
 
-def sample_rig(obj, start: int, end: int, substeps: int, progress=None) -> RigSamples:
-    """The rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh. Raises SceneError.
+def sample_rig(obj, start: int, end: int, substeps: int) -> RigSamples:
+    """The rig at 1 + (end - start) * substeps times, at once. Raises SceneError."""
+    sampling = RigSampling(obj, start, end, substeps)
+    sampling.advance(obj)
+    return sampling.samples()
 
-    progress(fraction, message) -> bool; False raises Cancelled. The user's frame and pose are not touched.
+
+class RigSampling:
+    """Reads the rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh.
+
+    It does so in slices, between which Blender does other things. Each makes a scene of its own, in a few milliseconds:
+    one that stayed in between would be seen, saved, and brought back by undo. The user's frame and pose stay as they
+    are.
     """
-    rig = armature_modifier(obj).object
-    skeleton = rest_skeleton(rig.data)
-    order = _pose_order(rig, skeleton)
-    count = 1 + (end - start) * substeps
-    sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
-    columns = np.empty((count, len(order), 4, 4), np.float32)
-    samples = RigSamples(
-        np.empty((count, len(order), 4, 4)),
-        np.empty((count, 4, 4)),
-        np.empty((count, 4, 4)),
-        tuple(_empty_samples(source.field, count) for source in sources),
-    )
-    with _rig_scene(obj, rig) as scene:
-        for source in sources:
-            if source.name not in scene.collection.objects:  # the rig may be one
-                scene.collection.objects.link(source)
-        for s in range(count):
-            frame, substep = divmod(s, substeps)
-            scene.frame_set(start + frame, subframe=substep / substeps)
-            depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
-            evaluated = rig.evaluated_get(depsgraph)
-            _read_pose(evaluated, columns[s])
-            samples.rig_world[s] = _rows(evaluated.matrix_world)
-            samples.object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
-            for source, field in zip(sources, samples.fields, strict=True):
-                moved = source.evaluated_get(depsgraph)
-                field.world[s] = _rows(moved.matrix_world)
-                field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
-            if progress and not progress(s / count, f"Sampling frame {start + frame}"):
-                raise Cancelled
-    samples.pose[:] = _ordered(columns, order)
-    moving = (rig.name, obj.name, *skeleton.names)
-    transforms = np.concatenate([samples.rig_world[:, None], samples.object_world[:, None], samples.pose], axis=1)
-    bad = np.argwhere(~np.isfinite(transforms).all(axis=(2, 3)))
-    if len(bad):
-        raise SceneError(_not_a_number(moving[bad[0, 1]], start + int(bad[0, 0]) // substeps))
-    flat = np.argwhere(determinant(transforms[:, :2, :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
-    if len(flat):
-        name, frame = moving[flat[0, 1]], start + int(flat[0, 0]) // substeps
-        raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
-    for source, field in zip(sources, samples.fields, strict=True):
-        if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
-            raise SceneError(f"Force field '{source.name}' is not a number at some frame: check its drivers")
-    return samples
+
+    def __init__(self, obj, start: int, end: int, substeps: int):
+        rig = armature_modifier(obj).object
+        self.start, self.substeps = start, substeps
+        self.done, self.count = 0, 1 + (end - start) * substeps
+        self._skeleton = rest_skeleton(rig.data)
+        self._order = pose_order(rig, self._skeleton)
+        self._moving = (rig.name, obj.name, *self._skeleton.names)
+        sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
+        self._sources = [source.name for source in sources]
+        self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
+        self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
+        self._fields = tuple(_empty_samples(source.field, self.count) for source in sources)
+
+    @property
+    def frame(self) -> int:
+        """The frame that comes next."""
+        return self.start + self.done // self.substeps
+
+    def advance(self, obj, seconds: float = np.inf) -> bool:
+        """Read on for about so long; True when all is read. obj: the same object, which may have moved in memory.
+
+        Raises SceneError.
+        """
+        ends = time.perf_counter() + seconds
+        rig = armature_modifier(obj).object
+        sources = [bpy.context.scene.objects.get(name) for name in self._sources]
+        if (rig.name, obj.name, *rest_skeleton(rig.data).names) != self._moving or None in sources:
+            raise SceneError(f"'{obj.name}' or what moves it changed while it was read: start again")
+        with _rig_scene(obj, rig) as scene:
+            for source in sources:
+                if source.name not in scene.collection.objects:  # the rig may be one
+                    scene.collection.objects.link(source)
+            while self.done < self.count:
+                self._read(scene, obj, rig, sources)
+                self.done += 1
+                if time.perf_counter() > ends:
+                    break
+        return self.done == self.count
+
+    def _read(self, scene, obj, rig, sources):
+        s = self.done
+        scene.frame_set(self.frame, subframe=s % self.substeps / self.substeps)
+        depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
+        evaluated = rig.evaluated_get(depsgraph)
+        _read_pose(evaluated, self._columns[s])
+        self._rig_world[s] = _rows(evaluated.matrix_world)
+        self._object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
+        for source, field in zip(sources, self._fields, strict=True):
+            moved = source.evaluated_get(depsgraph)
+            field.world[s] = _rows(moved.matrix_world)
+            field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
+
+    def samples(self) -> RigSamples:
+        """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
+        samples = RigSamples(_ordered(self._columns, self._order), self._rig_world, self._object_world, self._fields)
+        worlds = np.stack([self._rig_world, self._object_world], axis=1)
+        bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
+        if len(bad):
+            raise SceneError(_not_a_number(self._moving[bad[0, 1]], self._frame(bad[0, 0])))
+        flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
+        if len(flat):
+            name, frame = self._moving[flat[0, 1]], self._frame(flat[0, 0])
+            raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
+        for name, field in zip(self._sources, self._fields, strict=True):
+            if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
+                raise SceneError(f"Force field '{name}' is not a number at some frame: check its drivers")
+        return samples
+
+    def _frame(self, sample) -> int:
+        return self.start + int(sample) // self.substeps
 
 
 def _force_fields(view_layer) -> list:
@@ -453,6 +496,40 @@ def _rig_scene(obj, rig):
         bpy.data.objects.remove(probe)
 
 
+def animation(obj) -> list[tuple[str, str]]:
+    """(name, hash of the F-curves and NLA strips) of the objects that move the skin: both and their parents."""
+    moving = []
+    for mover in (rig_of(obj), obj):
+        while mover is not None and mover not in moving:
+            moving.append(mover)
+            mover = mover.parent
+    return [(mover.name, _animation_hash(mover.animation_data)) for mover in moving]
+
+
+def _animation_hash(data) -> str:
+    if data is None:
+        return ""
+    digest = hashlib.blake2b(digest_size=8)
+    strips = [strip for track in data.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
+    for strip in strips:
+        digest.update(repr([getattr(strip, name) for name in STRIP_FIELDS]).encode())
+    for player in (data, *strips):
+        for curve in _curves(player.action, player.action_slot):
+            digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
+            for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
+                values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
+                curve.keyframe_points.foreach_get(name, values)
+                digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+def _curves(action, slot) -> list:
+    if not (action and slot):
+        return []
+    bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
+    return [curve for bag in bags if bag for curve in bag.fcurves]
+
+
 def hold_collapsed(samples: RigSamples, skeleton: Skeleton) -> tuple[RigSamples, list[str]]:
     """Replace bones scaled to zero (the pop-to-nothing trick) by their last size; returns warnings naming them."""
     good = _invertible(samples.pose)
@@ -479,6 +556,7 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     if end < start:
         raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
+    gains = tuple(mode.gain for mode in obj.dynamorph.modes)
     return SimulationSettings(
         start,
         end,
@@ -489,5 +567,5 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         chosen.preroll,
         chosen.begin,
         chosen.loop,
-        tuple(mode.gain for mode in obj.dynamorph.modes),
+        gains if set(gains) != {1.0} else (),
     )

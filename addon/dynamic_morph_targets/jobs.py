@@ -7,9 +7,11 @@ Blender all at once, so that it is one undo step and an error before it changes 
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -17,14 +19,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import extract, model_file, sinks
+from . import changes, extract, materials, model_file, sinks
 from .extract import Cancelled, SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
 PACK_LIMIT = 32 * 2**20  # larger models go into a file beside the .blend
 FOLDER = "dynamorph_models"
 
-running: Job | None = None  # the job whose progress the panels draw
+running: Batch | None = None  # the work whose progress the panels draw
+winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
 
 
 class NativeMissing(Exception):
@@ -124,7 +127,7 @@ def forget_model(obj):
     """Drop the model kept in the .blend. A file stays: another .blend may use it."""
     obj.pop(PACKED, None)
     record = obj.dynamorph.model
-    record.content_id = record.summary = record.cage = record.stale = record.warnings = ""
+    record.content_id = record.summary = record.cage = record.stale = record.warnings = record.built = ""
 
 
 def load_model(obj):
@@ -163,19 +166,27 @@ def fit_input(obj, target):
     reasons = stale_reasons(obj, character)
     if reasons:
         raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    index = index_in(character, obj, target)
+    if index is None:
+        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
+    return load_model(obj), character, index
+
+
+def index_in(character, obj, target) -> int | None:
+    """Where one of the object's targets is among those of the character that is simulated; None if it is not."""
     names = [each.name for each in character.by_method().targets]
     first = 0 if target == obj.dynamorph.targets[0] else 1  # a shape key may be called like the neutral target
-    if target.name not in names[first:]:
-        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
-    return load_model(obj), character, names.index(target.name, first)
+    return names.index(target.name, first) if target.name in names[first:] else None
 
 
 def show_stale(obj):
-    """Let the panel say why the model of `obj` is out of date."""
-    try:
-        stale = "; ".join(stale_reasons(obj, extract.character(obj)))
-    except expected_errors() as error:
-        stale = str(error)
+    """Look at the mesh, and let the panel say why the model of `obj` is out of date."""
+    stale = ""
+    if not changes.model_changes(obj):  # they say enough
+        try:
+            stale = "; ".join(stale_reasons(obj, extract.character(obj)))
+        except expected_errors() as error:
+            stale = str(error)
     if obj.dynamorph.model.stale != stale:
         obj.dynamorph.model.stale = stale
 
@@ -224,14 +235,23 @@ class Job:
         self.reasons: list[str] = []  # why the model was built
         self.report: dict = {}  # of the simulation
         self.previous = None  # the model that the object had
-        self.settings = self.rig = None  # the shot
+        self.inputs: dict = {}  # of the bake
+        self.settings = self.rig = self._sampling = None  # the shot
         self.model = None
+        self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
         self.result = None
+        self.size = 0  # of the bake, in bytes
         self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._work, name=f"dynamorph {obj.name}", daemon=True)
+        self.thread = threading.Thread(target=self._work, name=f"dynamorph {obj.name}", daemon=True)
 
     def prepare(self):
         """Check and read the scene; main thread."""
+        self.read()
+        self.sample()
+
+    def read(self):
+        """Check and read the character and its settings."""
+        self.message = "Reading the character"
         engine()
         obj = find(self.session_uid)
         sinks.check_local(obj)
@@ -244,17 +264,28 @@ class Job:
         self.reasons = self._reasons(obj)
         if not self.reasons:
             self.model = self.previous
+        self.built = json.dumps(changes.model_inputs(obj))
         chosen = self.character.settings
         fits = bool(self.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
         if self.only_cage or not (self.bake or fits):
             return
-        self.settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
+        self.settings = settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
+        self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
+        self._sampling = extract.RigSampling(obj, settings.start, settings.end, settings.substeps)
+
+    def sample(self, seconds: float = np.inf) -> bool:
+        """Read the moving rig, if the job needs it, for about so long; True when all is read."""
+        sampling = self._sampling
+        if sampling is None:
+            return True
         with self._stage("sample rig"):
-            samples = extract.sample_rig(
-                obj, self.settings.start, self.settings.end, self.settings.substeps, self._progress(0.0, 0.2)
-            )
-        self.rig, warnings = extract.hold_collapsed(samples, self.character.skeleton)
-        self.warnings += warnings
+            done = sampling.advance(find(self.session_uid), seconds)
+            self._progress(0.0, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
+            if done:
+                self._sampling = None
+                self.rig, warnings = extract.hold_collapsed(sampling.samples(), self.character.skeleton)
+                self.warnings += warnings
+        return done
 
     def _reasons(self, obj) -> list[str]:
         """Why something is to be built."""
@@ -266,12 +297,12 @@ class Job:
 
     def start(self):
         """Begin to compute, in a thread."""
-        self._thread.start()
+        self.thread.start()
 
     def wait(self, timeout: float | None = None) -> bool:
         """True when the computation has ended. Raises what it raised, Cancelled if the user stopped it."""
-        self._thread.join(timeout)
-        if self._thread.is_alive():
+        self.thread.join(timeout)
+        if self.thread.is_alive():
             return False
         if self.cancelled:
             raise Cancelled
@@ -279,21 +310,28 @@ class Job:
             raise self._error
         return True
 
-    def commit(self):
-        """Write the results; main thread."""
+    def target(self):
+        """The object that the results are for. Raises SceneError when they do not fit it any more."""
         obj = find(self.session_uid)
         if len(obj.data.vertices) != len(self.character.vertices):
             raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
+        return obj
+
+    def commit(self):
+        """Write the results; main thread."""
+        obj = self.target()
         with self._stage("store model"):
             self._store_model(obj)
-        if self.bake:
-            with self._stage("write keys"):
-                sinks.write_modal_keys(obj, self.result)
-            obj.dynamorph.bake.summary = self.summary()
-            obj.dynamorph.bake.gap = self.report.get("gap", 0.0)
-            obj.dynamorph.bake.warnings = "\n".join(
-                warning for warning in self.warnings if warning not in self.model.summary["warnings"]
-            )
+        if not self.bake:
+            return
+        with self._stage("write keys"):
+            self.size = sinks.write_modal_keys(obj, self.result)
+        record = obj.dynamorph.bake
+        record.summary = self.summary()
+        record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
+        record.gap = self.report.get("gap", 0.0)
+        record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
+        changes.look_at_animation(obj)
 
     def summary(self) -> str:
         """One line for the artist."""
@@ -303,8 +341,8 @@ class Job:
             return self.model_summary()
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
-        gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if self.settings.loop else ""
-        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s{gap}"
+        gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if "gap" in self.report else ""
+        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s, {self.size / 2**20:.2f} MB{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary
@@ -331,7 +369,16 @@ class Job:
         elif PACKED not in obj and self.folder not in (None, _blend_folder()):
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
         if self.reasons or not self.only_cage:
-            record.stale = "only the cage is built" if self.only_cage else ""
+            record.stale, record.built = "only the cage is built" if self.only_cage else "", self.built
+        if self.references:
+            self._store_references(obj)
+
+    def _store_references(self, obj):
+        measured = self.character.by_method().targets
+        for target in obj.dynamorph.targets:
+            index = index_in(self.character, obj, target)
+            bounce, volume = self.references[index] if index is not None else (0.0, 0.0)
+            target.set_references(bounce, volume, measured[index or 0].material.poisson)
 
     def _work(self):
         try:
@@ -355,6 +402,11 @@ class Job:
             with self._stage("build"):
                 progress = self._progress(start, built if self.bake else 1.0)
                 self.model = simulate.build_for(self.character, self.rig, self.settings, progress, self.previous)
+            with self._stage("measure"):
+                for reference in materials.references(self.model, self.character):
+                    self.references.append(reference)
+                    if self.cancelled:
+                        return
             start = built
             self.warnings += self.model.summary["warnings"]
         if not self.bake:
@@ -391,22 +443,100 @@ class Job:
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
 
+class Batch:
+    """Jobs one after the other, of which all are written when all are done: one undo step, or nothing.
+
+    goal: the button's, as in Job, or "BAKE_ALL".
+    """
+
+    def __init__(self, jobs: list[Job], goal: str):
+        self.jobs = jobs
+        self.goal = goal
+        self.undone = False  # by the user, since it began
+        self._at = jobs[0]
+
+    @property
+    def name(self) -> str:
+        return self._at.name
+
+    @property
+    def message(self) -> str:
+        return self._at.message
+
+    @property
+    def fraction(self) -> float:
+        return sum(job.fraction for job in self.jobs) / len(self.jobs)
+
+    def cancel(self):
+        for job in self.jobs:
+            job.cancelled = True
+
+    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        """The work, main thread. Yields when it has held that for about so many seconds, and every `pause` seconds
+        while a thread computes. Raises Cancelled, SceneError and what the threads raise.
+        """
+        for job in self.jobs:
+            self._at = job
+            job.read()
+            yield from self._turn(reading=True)
+        for job in self.jobs:
+            self._at = job
+            while not job.sample(seconds):
+                yield from self._turn(reading=True)
+        for job in self.jobs:
+            self._at = job
+            job.start()
+            while not job.wait(pause):
+                yield from self._turn()
+        for job in self.jobs:
+            job.target()
+        for job in self.jobs:
+            job.commit()
+
+    def _turn(self, reading=False) -> Iterator[None]:
+        """The window's turn, and what came of it."""
+        yield
+        if self._at.cancelled:
+            raise Cancelled
+        if reading and self.undone:
+            raise SceneError(f"The scene was undone while '{self.name}' was read: nothing was written, start again")
+
+    def abandon(self):
+        """Cancel, and leave the thread to end when the engine notices; what it comes to is dropped."""
+        self.cancel()
+        winding_down[:] = [thread for thread in (*winding_down, *self._threads()) if thread.is_alive()]
+
+    def stop(self):
+        """Cancel, and wait until the thread has left the engine."""
+        self.cancel()
+        for thread in self._threads():
+            thread.join()
+
+    def _threads(self) -> list[threading.Thread]:
+        return [job.thread for job in self.jobs if job.thread.is_alive()]
+
+
 def run(job: Job, tick=None):
     """The whole job at once. tick(job) is called in the main thread about ten times a second."""
-    job.prepare()
-    job.start()
+    run_all(Batch([job], job.goal), tick and (lambda _batch: tick(job)))
+
+
+def run_all(batch: Batch, tick=None):
+    """All jobs at once, or nothing. tick(batch): as in `run`."""
     try:
-        while not job.wait(0.1):
+        for _ in batch.steps():
             if tick:
-                tick(job)
-    except KeyboardInterrupt:
-        stop(job)
+                tick(batch)
+    except BaseException:
+        batch.stop()
         raise
-    job.commit()
 
 
-def stop(job: Job):
-    """Cancel and wait until the thread has left the engine."""
-    job.cancelled = True
-    with suppress(Cancelled):
-        job.wait()
+def stop():
+    """Cancel what runs, and wait until no thread is in the engine: Blender, its file or the add-on goes away."""
+    global running
+    if running:
+        running.stop()
+        running = None
+    while winding_down:
+        winding_down.pop().join()

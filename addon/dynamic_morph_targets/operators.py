@@ -7,8 +7,11 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.types import Operator
 
-from . import jobs, properties, sinks
+from . import changes, jobs, properties, sinks
 from .extract import Cancelled
+
+TICK = 0.05  # seconds between two turns of a job
+SLICE = 0.03  # of which it may hold the window, about
 
 
 def guarded(operator, action, *args) -> set[str]:
@@ -67,9 +70,14 @@ class JobOperator(SoftSkinOperator):
 
     goal = "BUILD"
 
+    def _jobs(self, obj) -> list[jobs.Job]:
+        """The jobs to be done one after the other; obj: the mesh of the context."""
+        return [jobs.Job(obj, self.goal, rebuild=self.goal == "BUILD")]
+
     def apply(self, obj):
-        jobs.run(self._job(obj))
-        self._done(self.job)
+        batch = jobs.Batch(self._jobs(obj), self.goal)
+        jobs.run_all(batch)
+        self._done(batch)
 
     def invoke(self, context, _event):
         if bpy.app.background:
@@ -77,10 +85,9 @@ class JobOperator(SoftSkinOperator):
         return guarded(self, self._begin, context)
 
     def modal(self, context, event):
-        if event.type == "ESC" and event.value == "PRESS":
-            self.job.cancelled = True
-            return {"RUNNING_MODAL"}  # this Esc is used up: it must not also stop the playback
-        if event.type != "TIMER":
+        if event.type == "ESC" and event.value == "PRESS":  # used up: it must not also stop the playback
+            self.batch.cancel()
+        elif event.type != "TIMER":
             return {"PASS_THROUGH"}
         result = {"CANCELLED"}
         try:
@@ -92,47 +99,39 @@ class JobOperator(SoftSkinOperator):
 
     def cancel(self, _context):
         """Blender ends the operator itself, because the window closes or another file is opened: all else is gone."""
-        jobs.stop(self.job)
-        jobs.running = None
-
-    def _job(self, obj):
-        self.job = jobs.Job(obj, self.goal, rebuild=self.goal == "BUILD")
-        return self.job
+        jobs.stop()
 
     def _begin(self, context):
-        job = self._job(properties.mesh_in(context))
-        context.window.cursor_set("WAIT")  # sampling moves a copy of the rig and cannot share the main thread
-        try:
-            job.prepare()
-        finally:
-            context.window.cursor_set("DEFAULT")
-        job.start()
-        jobs.running = job
-        self.timer = context.window_manager.event_timer_add(0.1, window=context.window)
+        self.batch = jobs.running = jobs.Batch(self._jobs(properties.mesh_in(context)), self.goal)
+        self.steps = self.batch.steps(SLICE, 0.0)
+        self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def _tick(self, context):
-        job = self.job
-        text = f"{job.name}: {job.message}  {job.fraction:.0%}    Esc: cancel"
-        context.workspace.status_text_set(text)
+        batch = self.batch
+        try:
+            next(self.steps)
+        except StopIteration:
+            return self._done(batch)
+        context.workspace.status_text_set(f"{batch.name}: {batch.message}  {batch.fraction:.0%}    Esc: cancel")
         redraw(context)
-        if not job.wait(0.0):
-            return {"RUNNING_MODAL"}
-        job.commit()
-        return self._done(job)
+        return {"RUNNING_MODAL"}
 
     def _end(self, context):
+        self.batch.abandon()
         jobs.running = None
         context.window_manager.event_timer_remove(self.timer)
         context.workspace.status_text_set(None)
         redraw(context)
 
-    def _done(self, job):
-        built = f" (built first: {'; '.join(job.reasons)})" if job.bake and job.reasons else ""
-        self.report({"INFO"}, f"{job.name}: {job.summary()}{built}")
-        for warning in job.warnings:  # after the rest, because the status bar shows the last report
-            self.report({"WARNING"}, warning)
+    def _done(self, batch):
+        for job in batch.jobs:
+            built = f" (built first: {'; '.join(job.reasons)})" if job.bake and job.reasons else ""
+            self.report({"INFO"}, f"{job.name}: {job.summary()}{built}")
+        for job in batch.jobs:
+            for warning in job.warnings:  # after the rest, because the status bar shows the last report
+                self.report({"WARNING"}, warning)
         return {"FINISHED"}
 
 
@@ -151,6 +150,29 @@ class DYNAMORPH_OT_bake(JobOperator, Operator):
     goal = "BAKE"
 
 
+class DYNAMORPH_OT_bake_all(JobOperator, Operator):
+    """Bake every soft skin of the scene, one after the other; none of them changes before all are done"""
+
+    bl_idname = "dynamorph.bake_all"
+    bl_label = "Bake All"
+    goal = "BAKE_ALL"
+    needs_soft_skin = False
+
+    @classmethod
+    def poll(cls, context):
+        problem = ""
+        if jobs.running:
+            problem = f"Wait until '{jobs.running.name}' is done, or cancel it"
+        elif not properties.soft_skins(context.scene.objects):
+            problem = "The scene has no soft skin: press Add Soft Skin first"
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
+    def _jobs(self, _obj):
+        return [jobs.Job(skin, "BAKE") for skin in properties.soft_skins(bpy.context.scene.objects)]
+
+
 class DYNAMORPH_OT_cancel(Operator):
     """Stop the running build or bake; what was there before stays"""
 
@@ -159,7 +181,7 @@ class DYNAMORPH_OT_cancel(Operator):
 
     def execute(self, _context):
         if jobs.running:
-            jobs.running.cancelled = True
+            jobs.running.cancel()
         return {"FINISHED"}
 
 
@@ -176,23 +198,43 @@ def redraw(context):
 @persistent
 def _before_load(*_args):
     """load_pre: the job's results would have nowhere to go."""
+    jobs.stop()
+
+
+@persistent
+def _after_undo(*_args):
+    """undo_post and redo_post: what a job has read so far is of another scene, and curves are others again."""
     if jobs.running:
-        jobs.running.cancelled = True
+        jobs.running.undone = True
+    _soon(_look_at_animations)
 
 
 @persistent
 def _check_changed(_scene, depsgraph):
-    """depsgraph_update_post: a second after the last edit of shape keys, see whether the model is out of date."""
-    if not bpy.app.background and any(obj.dynamorph.model.content_id for obj in properties.changed_objects(depsgraph)):
-        if bpy.app.timers.is_registered(_check_models):
-            bpy.app.timers.unregister(_check_models)
-        bpy.app.timers.register(_check_models, first_interval=1.0)
+    """depsgraph_update_post: a second after the last edit, see whether a model or a bake is out of date."""
+    if any(obj.dynamorph.model.content_id for obj in properties.changed_objects(depsgraph)):
+        _soon(_look_at_meshes)
+    if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
+        _soon(_look_at_animations)
 
 
-def _check_models():
+def _soon(look):
+    if bpy.app.timers.is_registered(look):
+        bpy.app.timers.unregister(look)
+    if not bpy.app.background:
+        bpy.app.timers.register(look, first_interval=1.0)
+
+
+def _look_at_meshes():
     for obj in properties.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not jobs.running:
             jobs.show_stale(obj)
+
+
+def _look_at_animations():
+    for obj in properties.soft_skins(bpy.context.scene.objects):
+        if obj.dynamorph.bake.keys and obj.is_editable:
+            changes.look_at_animation(obj)
 
 
 @persistent
@@ -210,29 +252,38 @@ def _influence_changed():
 CLASSES = (
     DYNAMORPH_OT_build,
     DYNAMORPH_OT_bake,
+    DYNAMORPH_OT_bake_all,
     DYNAMORPH_OT_free_bake,
     DYNAMORPH_OT_cancel,
 )
 
 
+def _handlers():
+    handlers = bpy.app.handlers
+    return (
+        (handlers.load_pre, _before_load),
+        (handlers.load_post, _watch_influence),
+        (handlers.undo_post, _after_undo),
+        (handlers.redo_post, _after_undo),
+        (handlers.depsgraph_update_post, _check_changed),
+    )
+
+
 def register():
     for cls in CLASSES:
         bpy.utils.register_class(cls)
+    for handlers, handler in _handlers():
+        handlers.append(handler)
     _watch_influence()
-    bpy.app.handlers.load_post.append(_watch_influence)
-    bpy.app.handlers.load_pre.append(_before_load)
-    bpy.app.handlers.depsgraph_update_post.append(_check_changed)
 
 
 def unregister():
-    if jobs.running:
-        jobs.stop(jobs.running)
-        jobs.running = None
-    bpy.app.handlers.depsgraph_update_post.remove(_check_changed)
-    bpy.app.handlers.load_pre.remove(_before_load)
-    bpy.app.handlers.load_post.remove(_watch_influence)
+    jobs.stop()
     bpy.msgbus.clear_by_owner(CLASSES)
-    if bpy.app.timers.is_registered(_check_models):
-        bpy.app.timers.unregister(_check_models)
+    for handlers, handler in _handlers():
+        handlers.remove(handler)
+    for look in (_look_at_meshes, _look_at_animations):
+        if bpy.app.timers.is_registered(look):
+            bpy.app.timers.unregister(look)
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

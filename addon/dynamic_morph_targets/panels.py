@@ -6,9 +6,11 @@ from __future__ import annotations
 import textwrap
 
 import bpy
+import numpy as np
+from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Menu, Panel, UIList
 
-from . import checks, jobs, properties, setup_operators, sinks
+from . import changes, checks, influence, jobs, properties, setup_operators, sinks
 
 LINE = 36  # characters that fit into the sidebar at its default width
 
@@ -171,7 +173,7 @@ def draw_target(layout, obj, target):
     if not neutral:
         column.prop_search(target, "region", obj, "vertex_groups")
         column.prop(target, "radius")
-    draw_material(column, target)
+    draw_material(layout, target)
 
 
 def draw_bones(layout, target):
@@ -182,18 +184,68 @@ def draw_bones(layout, target):
     flow.operator("dynamorph.use_selected_bones", text="Selected Bones", icon="ADD")
 
 
-def draw_material(column, target):
+def draw_material(layout, target):
+    column = layout.column(align=True)
+    column.enabled = jobs.running is None
     row = column.row(align=True)
     row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
-    row.operator("dynamorph.fit_material", text="Bounce")
-    for name in ("stiffness", "poisson", "density"):
-        column.prop(target, name)
-    column.prop(target, "mass_damping", text="Damping Mass")
-    column.prop(target, "stiffness_damping", text="Stiffness")
+    row.operator("dynamorph.fit_material", text="Fit Bounce")
+    units = column.column(align=True)
+    units.enabled = target.is_measured
+    for name in ("bounce", "settle", "weight"):
+        units.prop(target, name)
+    if not target.is_measured:
+        column.label(text="Build Model first", icon="INFO")
+    header, body = layout.panel("dynamorph_material", default_closed=True)
+    header.label(text="Advanced")
+    if body:
+        body = body.column(align=True)
+        body.enabled = jobs.running is None
+        for name in ("stiffness", "poisson", "density"):
+            body.prop(target, name)
+        body.prop(target, "mass_damping", text="Damping Mass")
+        body.prop(target, "stiffness_damping", text="Stiffness")
 
 
 def draw_influence(layout, context, obj):
     """How much each target counts in the present pose, and over the frames."""
+    if jobs.engine_problem() or len(obj.dynamorph.targets) < 2:
+        return
+    header, body = layout.panel("dynamorph_influence", default_closed=True)
+    header.label(text="Influence")
+    if not body:
+        return
+    draw_bars(body, context, obj)
+    row = body.row(align=True)
+    row.use_property_split = False
+    row.prop(context.window_manager.dynamorph, "influence", text="Graph", icon="FCURVE", toggle=True)
+    row.operator("dynamorph.update_influence", text="", icon="FILE_REFRESH")
+    if context.window_manager.dynamorph.influence and influence.problem(obj):
+        draw_message(body, influence.problem(obj))
+    body.operator("dynamorph.suggest_pose", icon="VIEWZOOM")
+
+
+def draw_bars(layout, context, obj):
+    """Each target's weight now, set by set."""
+    depsgraph = context.view_layer.depsgraph
+    if depsgraph is None:  # nothing is evaluated yet
+        return
+    influence.follow_frames()
+    try:
+        now = influence.weights_now(obj, depsgraph)
+    except jobs.expected_errors() as error:
+        draw_message(layout, str(error))
+        return
+    shown = now.by_set()
+    for s, targets in shown:
+        column = layout.column(align=True)
+        if len(shown) > 1:
+            column.label(text=now.sets[s].name, icon="GROUP_VERTEX", translate=False)
+        for target, weight in zip(now.sets[s].targets, now.weights[0, targets.start : targets.stop], strict=True):
+            column.progress(factor=weight, text=f"{target.name}  {weight:.2f}")
+        if now.outside[0, s]:
+            text = iface_("Outside: {:.0f}° from the nearest target").format(np.degrees(now.nearest[0, s]))
+            column.label(text=text, icon="INFO", translate=False)
 
 
 # Model, Live, bake -------------------------------------------------------------------------------------------------
@@ -207,8 +259,7 @@ def draw_model(layout, obj):
         body.enabled = jobs.running is None
         for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot"):
             body.prop(model, name)
-    if model.stale:
-        draw_message(layout, f"Out of date: {model.stale}")
+    draw_outdated(layout, changes.model_changes(obj) or list(filter(None, [model.stale])))
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
@@ -238,7 +289,9 @@ def draw_bake(layout, obj):
         for name in ("substeps", "scheme", "gravity", "fields", "begin", "preroll", "loop"):
             body.prop(simulation, name)
     draw_job(layout, "dynamorph.bake", "REC")
+    draw_job(layout, "dynamorph.bake_all", "NONE")
     if settings.bake.keys:
+        draw_outdated(layout, changes.outdated(obj))
         strip = sinks.influence_strip(obj)
         if strip:
             layout.prop(strip, "influence", slider=True)
@@ -264,6 +317,12 @@ def draw_job(layout, operator: str, icon: str):
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")
     row.operator("dynamorph.cancel", text="", icon="X")
+
+
+def draw_outdated(layout, reasons: list[str]):
+    if reasons:
+        more = f", and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+        draw_message(layout, f"Out of date: {', '.join(reasons[:3])}{more}")
 
 
 def draw_warnings(layout, warnings: str):

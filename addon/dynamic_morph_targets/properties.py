@@ -27,12 +27,14 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
+from . import materials
 from .scene_data import METHODS, Material, ModelSettings, Skeleton
 
 NEUTRAL = "Neutral"
 OVERRIDE = {"LIBRARY_OVERRIDABLE"}
 OVERRIDE_LIST = {"LIBRARY_OVERRIDABLE", "USE_INSERTION"}
 IDENTITY = tuple(np.eye(4).ravel())
+NEVER = 1e5  # frames: of a swing that nothing damps
 
 
 # Reading the two things that references point at -------------------------------------------------------------------
@@ -124,8 +126,40 @@ class DynamorphBonePose(PropertyGroup):
     )
 
 
-def _target_region_changed(target, _context):
-    _model_setting_changed(target.id_data.dynamorph.model, _context)
+def _seconds_a_frame() -> float:
+    render = bpy.context.scene.render
+    return render.fps_base / render.fps
+
+
+def _get_bounce(target) -> float:
+    return materials.swing(target.bounce_reference, target.material()).frequency if target.is_measured else 0.0
+
+
+def _set_bounce(target, frequency: float):
+    if target.is_measured:
+        target.stiffness = materials.stiffness_for(target.bounce_reference, target.material(), frequency)
+
+
+def _get_settle(target) -> float:
+    if not target.is_measured:
+        return 0.0
+    return min(materials.swing(target.bounce_reference, target.material()).settle / _seconds_a_frame(), NEVER)
+
+
+def _set_settle(target, frames: float):
+    if target.is_measured:
+        target.mass_damping, target.stiffness_damping = materials.damping_for(
+            target.bounce_reference, target.material(), frames * _seconds_a_frame()
+        )
+
+
+def _get_weight(target) -> float:
+    return target.density * target.volume if target.is_measured else 0.0
+
+
+def _set_weight(target, weight: float):
+    if target.is_measured:
+        target.density = weight / target.volume
 
 
 class DynamorphTarget(KeyReference, PropertyGroup):
@@ -173,7 +207,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Region",
         description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
         "the neutral target at rest: they do not compete with those of the rest of the body",
-        override=OVERRIDE, update=_target_region_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     bones: CollectionProperty(
         name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
@@ -186,6 +220,50 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Armature Transform", description="World transform of the armature when the pose was captured",
         size=16, default=IDENTITY, override=OVERRIDE,
     )  # fmt: skip
+
+    # What artists call it. Computed from the properties above and from what the last build measured.
+    bounce: FloatProperty(
+        name="Bounce (Hz)",
+        description="How often a second the flesh swings after a push, in this pose. Sets the stiffness; heavy damping "
+        "limits it",
+        min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, options={"SKIP_SAVE"},
+        get=_get_bounce, set=_set_bounce,
+    )  # fmt: skip
+    settle: FloatProperty(
+        name="Settle (Frames)",
+        description="Frames until a twentieth of a swing is left, in this pose. Sets both dampings, in the proportion "
+        "they have",
+        min=0.1, max=NEVER, soft_min=1.0, soft_max=100.0, step=100, precision=1, options={"SKIP_SAVE"},
+        get=_get_settle, set=_set_settle,
+    )  # fmt: skip
+    weight: FloatProperty(
+        name="Weight (kg)",
+        description="Of the flesh in the target's region, with what the bones hold. Sets the density and nothing else: "
+        "heavier flesh bounces slower",
+        min=1e-6, max=1e6, soft_max=100.0, step=10, precision=3, options={"SKIP_SAVE"},
+        get=_get_weight, set=_set_weight,
+    )  # fmt: skip
+    bounce_reference: FloatProperty(
+        name="Bounce Reference", description="Undamped, in Hz, where stiffness over density is 1; by the last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+    poisson_reference: FloatProperty(
+        name="Poisson Reference", description="Poisson's ratio that it was measured at", options={"SKIP_SAVE"}
+    )
+    volume: FloatProperty(
+        name="Volume", description="Of the flesh in the target's region, in m³, by the last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the last build knows how the flesh swings at this target; else bounce, settle and weight are 0."""
+        measured = self.bounce_reference > 0.0 and self.volume > 0.0
+        return measured and math.isclose(self.poisson, self.poisson_reference, rel_tol=1e-5)
+
+    def set_references(self, bounce: float, volume: float, poisson: float):
+        """As `materials.references` gives them, measured at this Poisson's ratio."""
+        self.bounce_reference, self.volume, self.poisson_reference = bounce, volume, poisson
 
     def material(self) -> Material:
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
@@ -218,15 +296,6 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
-def _model_setting_changed(model, _context):
-    if model.content_id:
-        model.stale = "model settings changed"
-
-
-def _group_changed(settings, context):
-    _model_setting_changed(settings.model, context)
-
-
 class DynamorphModel(PropertyGroup):
     """How the model of an object is built, and what came of it."""
 
@@ -234,7 +303,7 @@ class DynamorphModel(PropertyGroup):
         name="Method",
         description="What the targets do to the flesh",
         items=tuple((method, *texts) for method, texts in METHODS.items()),
-        default=ModelSettings.method, override=OVERRIDE, update=_model_setting_changed,
+        default=ModelSettings.method, override=OVERRIDE,
     )  # fmt: skip
     law: EnumProperty(
         name="Law",
@@ -245,7 +314,7 @@ class DynamorphModel(PropertyGroup):
             ("STABLE_STVK", "Stable StVK", "As StVK, and recovers from any compression"),
         ),
         default=ModelSettings.law,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     solver: EnumProperty(
         name="Solver",
@@ -255,7 +324,7 @@ class DynamorphModel(PropertyGroup):
             ("FULL", "Full", "Every node of the cage: slow, the reference"),
         ),
         default=ModelSettings.solver,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     blending: EnumProperty(
         name="Blending",
@@ -269,24 +338,24 @@ class DynamorphModel(PropertyGroup):
     modes: IntProperty(
         name="Modes", description="How many displacement modes the reduced solver uses",
         default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     fit_to_shot: BoolProperty(
         name="Fit Modes to Shot",
         description="Choose the modes from how the shot moves when the model is built: as accurate with far fewer of "
         "them. The model then suits other shots less; build it again for each",
-        default=ModelSettings.fit_to_shot, override=OVERRIDE, update=_model_setting_changed,
+        default=ModelSettings.fit_to_shot, override=OVERRIDE,
     )  # fmt: skip
     cage_nodes: IntProperty(
         name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
         default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000,
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
         description="How far from a bone to the skin the flesh is held by the bone: 0 only at the bone",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
-        override=OVERRIDE, update=_model_setting_changed,
+        override=OVERRIDE,
     )  # fmt: skip
     vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
     cage: StringProperty(name="Cage", description="What the cage of the model is made of")
@@ -294,7 +363,7 @@ class DynamorphModel(PropertyGroup):
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
     warnings: StringProperty(name="Warnings", description="Of the last build, a line each")
-    stale: StringProperty(name="Out of Date", description="Why the model must be built again")
+    stale: StringProperty(name="Out of Date", description="Why the model must be built again, as the mesh says")
 
     def settings(self) -> ModelSettings:
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
@@ -388,6 +457,7 @@ class DynamorphBake(PropertyGroup):
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
+    animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
     gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
 
 
@@ -413,19 +483,17 @@ class DynamorphSettings(PropertyGroup):
         name="Soft",
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
         override=OVERRIDE,
-        update=_group_changed,
     )
     groups: StringProperty(name="Groups", description="Names of the vertex groups, a line each, to follow renames")
     stiffness_group: StringProperty(
         name="Stiffness",
         description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
         override=OVERRIDE,
-        update=_group_changed,
     )
     stiffness_factor: FloatProperty(
         name="Factor",
         description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
-        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE, update=_group_changed,
+        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
     )  # fmt: skip
     model: PointerProperty(type=DynamorphModel, override=OVERRIDE)
     modes: CollectionProperty(name="Modes", type=DynamorphMode, override=OVERRIDE_LIST)
@@ -442,13 +510,21 @@ class DynamorphSettings(PropertyGroup):
         return self.targets[self.active_target_index] if inside else None
 
 
+def _show_influence(display, _context):
+    from . import influence  # which reads what is authored here
+
+    if display.influence and not bpy.app.background:
+        influence.update_soon(0.0)
+
+
 class DynamorphDisplay(PropertyGroup):
     """What the 3D viewport shows besides; for the session, like Blender's own overlays of a window."""
 
     cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra, with the nodes that the bones hold")
     influence: BoolProperty(
-        name="Influence", description="Draw each target's weight over the frames, shading those far from every target"
-    )
+        name="Influence", description="Draw each target's weight over the frames, shading those far from every target",
+        update=_show_influence,
+    )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
 
@@ -458,11 +534,12 @@ class DynamorphDisplay(PropertyGroup):
 def plain(group, skip=()) -> dict:
     """The simple settings of a property group by name, fit for JSON: numbers, texts, enums and arrays of numbers.
 
-    Groups and lists within it are left out, and what `skip` names.
+    Groups and lists within it are left out, what follows from a built model, and what `skip` names.
     """
     out = {}
     for prop in group.bl_rna.properties:
-        if prop.identifier in ("rna_type", *skip) or prop.type in ("POINTER", "COLLECTION") or prop.is_readonly:
+        computed = prop.is_readonly or prop.is_skip_save
+        if prop.identifier in ("rna_type", *skip) or prop.type in ("POINTER", "COLLECTION") or computed:
             continue
         value = getattr(group, prop.identifier)
         out[prop.identifier] = list(value) if getattr(prop, "is_array", False) else value

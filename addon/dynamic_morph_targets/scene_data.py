@@ -230,6 +230,10 @@ VARIANTS: dict[str, dict[str, str]] = {
 }
 
 
+# Settings that a built model does not depend on: they are applied when it is simulated.
+FREE_SETTINGS = {"blending"}
+
+
 @dataclass(frozen=True)
 class ModelSettings:
     """What a built model depends on, apart from the character itself. method: see METHODS."""

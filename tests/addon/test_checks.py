@@ -401,9 +401,10 @@ def test_painting_makes_the_model_old(coarse_arm):
     with_target(coarse_arm)
     OPS.build()
     OPS.paint_group(which="STIFFNESS")
-    assert coarse_arm.dynamorph.model.stale == "model settings changed"
+    assert part("changes").model_changes(coarse_arm) == ["Stiffness group changed"]
     OPS.paint_group(which="STIFFNESS")
-    assert coarse_arm.dynamorph.model.stale == ""  # nothing is painted
+    OPS.bake()
+    assert part("changes").model_changes(coarse_arm) == []  # nothing is painted
     OPS.paint_group(which="STIFFNESS")
     coarse_arm.vertex_groups["Stiffness"].add([*range(100)], 1.0, "REPLACE")
     OPS.paint_group(which="STIFFNESS")

@@ -71,6 +71,21 @@ def test_model_settings_by_the_names_of_the_panel(shot, run, stand_in):
     assert code == 2 and "--modes: 0 is not between 1 and 200" in errors
 
 
+def test_loops_and_what_is_out_of_date(shot, run, stand_in):
+    output = shot.parent / "baked.blend"
+    code, out, _ = run("bake", shot, "--object", "Arm", "--loop", "--begin", "rest", "--preroll", 3, "-o", output)
+    assert code == 0 and "loop gap" in out and "0.03 mm" in out
+    bpy.ops.wm.open_mainfile(filepath=str(output))
+    arm = bpy.data.objects["Arm"]
+    assert arm.dynamorph.bake.gap == pytest.approx(3e-5)
+    assert (arm.dynamorph.simulation.begin, arm.dynamorph.simulation.preroll) == ("REST", 3)
+    assert "bake state: up to date" in run("info", output, "--object", "Arm")[1]
+    bpy.data.objects["Arm"].dynamorph.targets[1].stiffness = 5e5
+    bpy.data.objects["Arm Rig"].keyframe_insert("location", frame=3)
+    code, out, _ = run("info", "--object", "Arm", opens_file=False)
+    assert 'bake state: stiffness of "flexed" changed; animation of "Arm Rig" changed' in out
+
+
 def test_all_in_place(shot, run, stand_in):
     assert run("build", shot, "--all", "--in-place")[0] == 0
     assert stand_in.built == 2

@@ -116,11 +116,27 @@ def test_samples_equal_the_users_scene_and_leave_it_alone(scene, soft_arm, chang
             np.testing.assert_allclose(samples.pose[i, b], evaluated.pose.bones[bone].matrix, atol=1e-6)
 
 
-def test_sampling_cleans_up_when_cancelled(soft_arm):
+def test_sampling_in_slices_is_the_same_and_leaves_nothing_between_them(soft_arm):
+    extract = part("extract")
     before = (len(bpy.data.scenes), len(bpy.data.objects))
-    with pytest.raises(part("extract").Cancelled):
-        part("extract").sample_rig(soft_arm, 1, 20, 4, lambda fraction, _message: fraction < 0.3)
-    assert (len(bpy.data.scenes), len(bpy.data.objects)) == before
+    sampling, slices = extract.RigSampling(soft_arm, 1, 20, 4), 1
+    while not sampling.advance(soft_arm, 0.0):
+        slices += 1
+        assert (len(bpy.data.scenes), len(bpy.data.objects)) == before
+        assert sampling.done == slices - 1 and sampling.frame == 1 + (slices - 1) // 4
+    assert slices == 77
+    at_once = extract.sample_rig(soft_arm, 1, 20, 4)
+    np.testing.assert_array_equal(sampling.samples().pose, at_once.pose)
+    np.testing.assert_array_equal(sampling.samples().object_world, at_once.object_world)
+
+
+def test_sampling_notices_what_changed_between_slices(soft_arm):
+    extract = part("extract")
+    sampling = extract.RigSampling(soft_arm, 1, 20, 4)
+    sampling.advance(soft_arm, 0.0)
+    rig_of(soft_arm).data.bones["lower"].name = "forearm"
+    with pytest.raises(extract.SceneError, match="'Arm' or what moves it changed while it was read"):
+        sampling.advance(soft_arm, 0.0)
 
 
 def test_sampling_never_evaluates_the_mesh(scene, soft_arm, monkeypatch):

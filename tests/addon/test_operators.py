@@ -9,7 +9,7 @@ import types
 import addon_utils
 import bpy
 import pytest
-from builders import MODULE, activate, fingerprint, hand_made_bake, part, rig_of
+from builders import MODULE, activate, fingerprint, hand_made_bake, make_arm, make_soft, part, rig_of
 
 
 def refused(operator, words, **arguments):
@@ -114,8 +114,6 @@ def test_bake_builds_only_when_something_changed(soft_arm, stand_in):
     jobs.run(job)
     assert stand_in.built == 2 and job.reasons == ["shape of 'flexed' changed"]
     assert soft_arm.dynamorph.model.stale == ""
-    soft_arm.dynamorph.model.modes = 9
-    assert soft_arm.dynamorph.model.stale
 
 
 def test_model_survives_save_and_load(soft_arm, stand_in, tmp_path):
@@ -285,74 +283,211 @@ class Window:
     def modal_handler_add(self, _operator):
         pass
 
-    def cursor_set(self, _cursor):
-        pass
 
+class Pressed:
+    """A job's button pressed in a window: `events`, then timer ticks to the end."""
 
-def modal(obj, events):
-    """Plays the bake operator in a window: `events`, then timer ticks to the end. Returns (result, reports)."""
-    operators = part("operators")
+    def __init__(self, obj, events=(), operator="DYNAMORPH_OT_bake", before_tick=None):
+        operators = part("operators")
+        base = getattr(operators, operator)
 
-    class Bake(operators.JobOperator):
-        goal = "BAKE"
-        reports = []
+        class Button(operators.JobOperator):
+            goal = base.goal
+            _jobs = base._jobs
 
-        def report(self, kind, text):
-            self.reports.append((*kind, text))
+            def report(_self, kind, text):
+                self.reports.append((*kind, text))
 
-    operator, window = Bake(), Window(obj)
-    result = operators.guarded(operator, operator._begin, window)
-    events = iter(events)
-    while result == {"RUNNING_MODAL"} or result == {"PASS_THROUGH"}:
-        assert part("jobs").running is operator.job and window.timers == 1
-        result = operator.modal(window, types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS"))
-        time.sleep(0.01)
-    assert part("jobs").running is None and window.timers == 0 and window.status is None
-    return result, operator.reports
+        self.reports, self.seconds = [], []  # seconds: that each event held the window
+        self.button, window = Button(), Window(obj)
+        result = operators.guarded(self.button, self.button._begin, window)
+        events = iter(events)
+        while result in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}):
+            assert part("jobs").running is self.button.batch and window.timers == 1
+            if before_tick:
+                before_tick(self.button.batch)
+            began = time.perf_counter()
+            result = self.button.modal(window, types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS"))
+            self.seconds.append(time.perf_counter() - began)
+            time.sleep(0.01)
+        self.result = result
+        assert part("jobs").running is None and window.timers == 0 and window.status is None
 
 
 def test_modal_bake(soft_arm, stand_in):
     stand_in.patience = 0.1
-    result, reports = modal(soft_arm, ["MOUSEMOVE", "TIMER"])
-    assert result == {"FINISHED"} and len(soft_arm.dynamorph.bake.keys) == 3
-    assert "20 frames" in reports[-1][1] and "built first: not built yet" in reports[-1][1]
+    pressed = Pressed(soft_arm, ["MOUSEMOVE", "TIMER"])
+    assert pressed.result == {"FINISHED"} and len(soft_arm.dynamorph.bake.keys) == 3
+    assert "20 frames" in pressed.reports[-1][1] and "built first: not built yet" in pressed.reports[-1][1]
 
 
-def test_modal_bake_is_cancelled_by_escape(soft_arm, stand_in):
-    stand_in.patience = 5.0
+def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in):
+    jobs = part("jobs")
+    stand_in.deaf = 3.0
     before = fingerprint(soft_arm)
-    began = time.perf_counter()
-    result, reports = modal(soft_arm, ["TIMER", "ESC"])
-    assert result == {"CANCELLED"} and reports == [("WARNING", "Cancelled: nothing was changed")]
-    assert time.perf_counter() - began < 1.5
-    assert fingerprint(soft_arm) == before
+    pressed = Pressed(soft_arm, ["TIMER", "TIMER", "TIMER", "ESC"])
+    assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Cancelled: nothing was changed")]
+    print(f"Esc: {1000 * pressed.seconds[-1]:.1f} ms")
+    assert pressed.seconds[-1] < 0.2 and len(jobs.winding_down) == 1
+    stand_in.deaf = 0.0
+    assert Pressed(soft_arm).result == {"FINISHED"}  # while the other thread still computes
+    assert jobs.winding_down[0].is_alive() and len(soft_arm.dynamorph.bake.keys) == 3
+    part("sinks").free(soft_arm)
+    jobs.stop()
+    assert not jobs.winding_down and fingerprint(soft_arm) == before and not soft_arm.dynamorph.bake.keys
+
+
+@pytest.fixture
+def slow_rig(monkeypatch):
+    """A rig that takes 5 ms a sample."""
+    sampling = part("extract").RigSampling
+    read = sampling._read
+
+    def slowly(*arguments):
+        time.sleep(0.005)
+        read(*arguments)
+
+    monkeypatch.setattr(sampling, "_read", slowly)
+
+
+def test_reading_the_rig_does_not_hold_the_window(soft_arm, stand_in, slow_rig):
+    shown = []
+    pressed = Pressed(soft_arm, before_tick=lambda batch: shown.append((batch.fraction, batch.message)))
+    assert pressed.result == {"FINISHED"}
+    print(f"slices: {len(pressed.seconds)}, longest {1000 * max(pressed.seconds):.0f} ms")
+    assert max(pressed.seconds) < 0.15 and len(pressed.seconds) > 10  # 96 samples: half a second at once
+    fractions = [fraction for fraction, _ in shown]
+    assert fractions == sorted(fractions) and any("Reading frame" in message for _, message in shown)
+
+
+@pytest.mark.parametrize("ending", ["escape", "undo", "load", "an error"])
+def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, ending):
+    bpy.ops.ed.undo_push(message="before")
+    soft_arm.location.x = 1.0
+    bpy.ops.ed.undo_push(message="moved")
+    before = fingerprint(soft_arm)
+    events = ["TIMER"] * 4 + ["ESC"] * (ending == "escape")
+
+    def disturb(batch):
+        if not 0.05 < batch.fraction < 0.1:
+            return
+        if ending == "undo" and not batch.undone:
+            bpy.ops.ed.undo()
+        if ending == "an error":
+            bpy.data.objects["Arm"].modifiers.clear()
+        if ending == "load":
+            bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+            assert part("jobs").running is None
+            raise KeyboardInterrupt
+
+    if ending == "load":
+        with pytest.raises(KeyboardInterrupt):
+            Pressed(soft_arm, events, before_tick=disturb)
+        assert len(bpy.data.scenes) == 1 and not bpy.data.objects
+        return
+    pressed = Pressed(soft_arm, events, before_tick=disturb)
+    assert pressed.result == {"CANCELLED"}
+    words = {"escape": "Cancelled: nothing", "undo": "undone while 'Arm' was read", "an error": "no Armature modifier"}
+    assert words[ending] in pressed.reports[-1][1]
+    assert fingerprint(bpy.data.objects["Arm"]) == before
 
 
 def test_modal_bake_reports_errors(soft_arm, stand_in):
     stand_in.fail = ValueError("'Arm': too soft")
-    assert modal(soft_arm, []) == ({"CANCELLED"}, [("ERROR", "'Arm': too soft")])
+    pressed = Pressed(soft_arm)
+    assert pressed.result == {"CANCELLED"} and pressed.reports == [("ERROR", "'Arm': too soft")]
     soft_arm.modifiers.clear()
-    result, reports = modal(soft_arm, [])
-    assert result == {"CANCELLED"} and "no Armature modifier" in reports[0][1]
+    pressed = Pressed(soft_arm)
+    assert pressed.result == {"CANCELLED"} and "no Armature modifier" in pressed.reports[0][1]
 
 
 def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
     stand_in.fail = KeyError("bug")
     with pytest.raises(KeyError):
-        modal(soft_arm, [])
+        Pressed(soft_arm)
     assert part("jobs").running is None
 
 
 def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
     stand_in.patience = 5.0
     jobs = part("jobs")
-    job = jobs.running = jobs.Job(soft_arm, goal="BAKE")
+    job = jobs.Job(soft_arm, goal="BAKE")
+    jobs.running = jobs.Batch([job], "BAKE")
     job.prepare()
     job.start()
     began = time.perf_counter()
     addon_utils.disable(MODULE)
-    assert time.perf_counter() - began < 2.0 and not job._thread.is_alive() and jobs.running is None
+    assert time.perf_counter() - began < 2.0 and not job.thread.is_alive() and jobs.running is None
     addon_utils.enable(MODULE)
+
+
+# All soft skins of the scene ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def leg(scene, soft_arm):
+    """A second soft skin."""
+    return make_soft(make_arm(scene, "Leg"))
+
+
+def test_bake_all(soft_arm, leg, stand_in):
+    before = fingerprint(soft_arm), fingerprint(leg)
+    assert bpy.ops.dynamorph.bake_all() == {"FINISHED"}
+    assert soft_arm.dynamorph.bake.keys and leg.dynamorph.bake.keys
+    for obj in (soft_arm, leg):
+        part("sinks").free(obj)
+    assert (fingerprint(soft_arm), fingerprint(leg)) == before
+
+
+def test_bake_all_is_one_step(soft_arm, leg, stand_in):
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.dynamorph.bake_all()
+    bpy.ops.ed.undo_push(message="baked")
+    bpy.ops.ed.undo()
+    assert not any(bpy.data.objects[name].dynamorph.bake.keys for name in ("Arm", "Leg"))
+    bpy.ops.ed.redo()
+    assert all(bpy.data.objects[name].dynamorph.bake.keys for name in ("Arm", "Leg"))
+
+
+def test_one_progress_bar_for_all(soft_arm, leg, stand_in):
+    stand_in.patience = 0.2
+    seen = []
+    pressed = Pressed(
+        soft_arm, operator="DYNAMORPH_OT_bake_all", before_tick=lambda batch: seen.append((batch.name, batch.fraction))
+    )
+    assert pressed.result == {"FINISHED"} and {name for name, _ in seen} == {"Arm", "Leg"}
+    assert [fraction for _, fraction in seen] == sorted(fraction for _, fraction in seen)
+    assert ["20 frames" in text for _, text in pressed.reports] == [True, True]
+
+
+def test_none_is_baked_when_one_cannot_be_or_on_escape(soft_arm, leg, stand_in):
+    before = fingerprint(soft_arm), fingerprint(leg)
+    bake = stand_in.bake
+
+    def fails_for_the_leg(model, character, *arguments):
+        if character.name == "Leg":
+            raise ValueError("'Leg': too soft")
+        return bake(model, character, *arguments)
+
+    stand_in.bake = fails_for_the_leg
+    refused(bpy.ops.dynamorph.bake_all, "'Leg': too soft")
+    assert (fingerprint(soft_arm), fingerprint(leg)) == before
+    stand_in.bake, stand_in.patience = bake, 0.3
+
+    def escape(batch):
+        if batch.name == "Leg" and batch.fraction > 0.6:
+            batch.cancel()
+
+    assert Pressed(soft_arm, operator="DYNAMORPH_OT_bake_all", before_tick=escape).result == {"CANCELLED"}
+    assert (fingerprint(soft_arm), fingerprint(leg)) == before
+    leg.modifiers.clear()
+    built = stand_in.built
+    refused(bpy.ops.dynamorph.bake_all, "'Leg' has no Armature modifier")
+    assert stand_in.built == built  # seen before any work
+
+
+def test_bake_all_needs_a_soft_skin(arm):
+    assert not bpy.ops.dynamorph.bake_all.poll()
 
 
 def test_undo_of_a_bake(soft_arm, stand_in):

@@ -24,7 +24,7 @@ class Layout:
     def operator(self, name, text="", **_options):
         module, function = name.split(".")
         assert getattr(bpy.ops, module).__getattr__(function).get_rna_type()
-        self.drawn += [name, text]
+        self.drawn += [name, text] if text else [name]
         return types.SimpleNamespace()  # takes the operator's settings
 
     def operator_menu_enum(self, name, _property, **_options):
@@ -83,7 +83,7 @@ def test_through_the_workflow(arm, stand_in, panel):
     texts = drawn(arm, panel)
     assert "dynamorph.free_bake" in texts and arm.dynamorph.model.summary[:40] in " ".join(texts)
     arm.dynamorph.model.modes = 5
-    assert "Out of date: model settings changed" in drawn(arm, panel)
+    assert "Out of date: Modes changed" in drawn(arm, panel)
 
 
 def test_progress_replaces_the_button(soft_arm, stand_in):

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a model and a bake were made from, and what has changed since, as sentences for the panels.
+
+Compared are settings, which the panels may do whenever they draw; the mesh is looked at by `jobs.show_stale`, and the
+animation by `look_at_animation`, a while after an edit.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from functools import lru_cache
+from zlib import crc32
+
+import bpy
+import numpy as np
+
+from . import extract
+from .extract import SceneError
+from .properties import plain
+from .scene_data import FREE_SETTINGS, SimulationSettings
+
+
+def look_at_animation(obj):
+    """Look at the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
+    record = obj.dynamorph.bake
+    seen = json.dumps(extract.animation(obj)) if record.keys else ""
+    if record.animation != seen:
+        record.animation = seen
+
+
+def model_changes(obj) -> list[str]:
+    """The settings that have changed since the model of `obj` was built. Reads no mesh: fit for drawing."""
+    built = obj.dynamorph.model.built
+    return _changes(obj, _parsed(built), model_inputs(obj)) if built else []
+
+
+def outdated(obj) -> list[str]:
+    """What has changed since the bake of `obj`, as sentences. Reads no mesh and no animation: fit for drawing."""
+    record = obj.dynamorph.bake
+    if not (record.keys and record.inputs):
+        return []
+    try:
+        now = bake_inputs(obj, extract.simulation_settings(obj, bpy.context.scene))
+    except SceneError as error:
+        return [str(error)]
+    then = _parsed(record.inputs)
+    found = _changes(obj, then, now)
+    if obj.dynamorph.model.content_id != then["content_id"]:
+        found.append("the model was built again")
+    if obj.dynamorph.model.stale:
+        found.append(obj.dynamorph.model.stale)
+    seen = _parsed(record.animation or "[]")
+    found += [
+        f'animation of "{name}" changed'
+        for (name, digest), (_, before) in zip(seen, then["animation"], strict=False)
+        if digest != before
+    ]
+    if seen and len(seen) != len(then["animation"]):
+        found.append("parents changed")
+    return found
+
+
+@lru_cache(maxsize=64)
+def _parsed(text: str):
+    return json.loads(text)
+
+
+def model_inputs(obj) -> dict:
+    """The settings that a model depends on, by where they are."""
+    settings = obj.dynamorph
+    groups = {"soft_group": settings.soft_group, "stiffness_group": settings.stiffness_group}
+    if settings.stiffness_group:
+        groups["stiffness_factor"] = settings.stiffness_factor
+    model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
+    targets = {name: {"mute": target.mute, "region": target.region} for name, target in _by_name(settings)}
+    return {"targets": targets, "model": model, "groups": groups}
+
+
+def bake_inputs(obj, simulation: SimulationSettings) -> dict:
+    """The settings that a bake depends on, by where they are."""
+    settings = obj.dynamorph
+    inputs = model_inputs(obj)
+    inputs["model"] = asdict(settings.model.settings())
+    inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
+    for name, target in _by_name(settings):
+        pose = np.empty((len(target.pose), 16), np.float32)
+        target.pose.foreach_get("local", pose.ravel())
+        own = plain(target, skip=("name", "key_index", "key_hash", "rig_world"))
+        seen = crc32(pose.tobytes() + np.array(target.rig_world).tobytes())
+        inputs["targets"][name] = own | {"bones": target.bone_names(), "pose": seen}
+    return json.loads(json.dumps(inputs))
+
+
+def _by_name(settings) -> list:
+    """(name, target) of all targets; the neutral's name is empty, because a shape key may be called like it."""
+    return [(target.name if i else "", target) for i, target in enumerate(settings.targets)]
+
+
+def _changes(obj, then: dict, now: dict) -> list[str]:
+    """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
+    settings = obj.dynamorph
+    found = _target_changes(settings, then["targets"], now["targets"])
+    for part, group in (("model", settings.model), ("simulation", settings.simulation), ("groups", None)):
+        before, after = then.get(part, {}), now.get(part, {})
+        found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]
+    return found
+
+
+def _target_changes(settings, then: dict, now: dict) -> list[str]:
+    lost, new = [name for name in then if name not in now], [name for name in now if name not in then]
+    renamed = list(zip(new, lost, strict=False))
+    then = {**then, **{name: then[old] for name, old in renamed}}
+    found = [f'target "{name}" is new' for name in new[len(renamed) :]]
+    found += [f'target "{name}" is gone' for name in lost[len(renamed) :]]
+    for name, target in _by_name(settings):
+        before, after = then.get(name, {}), now[name]
+        if not (before.get("mute") and after["mute"]):
+            changed = [_title(target, field) for field in after if before.get(field, after[field]) != after[field]]
+            found += [f'{title.lower()} of "{target.name}" changed' for title in changed]
+    return found
+
+
+def _title(group, name: str) -> str:
+    """The name that the panels show for a setting."""
+    own = group and group.bl_rna.properties.get(name)
+    return own.name if own else {"fps": "Frame rate"}.get(name, name.replace("_", " ").capitalize())

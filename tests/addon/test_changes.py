@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Badges: what has changed since the build and the bake, in sentences that go when the change goes."""
+
+import time
+
+import bpy
+import pytest
+from builders import part, rig_of
+
+
+@pytest.fixture
+def baked(soft_arm, stand_in):
+    """The arm with a bake that is up to date."""
+    bpy.ops.dynamorph.bake()
+    assert outdated(soft_arm) == [] and model_changes(soft_arm) == []
+    return soft_arm
+
+
+def outdated(obj):
+    return part("changes").outdated(obj)
+
+
+def model_changes(obj):
+    return part("changes").model_changes(obj)
+
+
+def with_modes(obj):
+    for gain in (1.0, 1.0, 0.5):
+        obj.dynamorph.modes.add().gain = gain
+
+
+SETTINGS = [
+    ("targets[1].stiffness", 5e5, 'stiffness of "flexed" changed'),
+    ("targets[0].mass_damping", 3.0, 'mass damping of "Neutral" changed'),
+    ("targets[1].radius", 0.5, 'radius of "flexed" changed'),
+    ("targets[1].region", "lower", 'region of "flexed" changed'),
+    ("model.modes", 7, "Modes changed"),
+    ("model.blending", "FORCES", "Blending changed"),
+    ("soft_group", "lower", "Soft group changed"),
+    ("simulation.substeps", 9, "Substeps changed"),
+    ("simulation.scheme", "EULER", "Scheme changed"),
+    ("simulation.gravity", 0.5, "Gravity changed"),
+    ("simulation.fields", 0.5, "Force Fields changed"),
+    ("simulation.begin", "REST", "Begin changed"),
+    ("simulation.preroll", 9, "Pre-Roll changed"),
+    ("simulation.loop", True, "Loop changed"),
+]
+
+
+@pytest.mark.parametrize("path, value, sentence", SETTINGS)
+def test_a_setting_is_named_until_it_is_set_back(baked, path, value, sentence):
+    owner, _, name = path.rpartition(".")
+    group = baked.dynamorph.path_resolve(owner) if owner else baked.dynamorph
+    before = getattr(group, name)
+    setattr(group, name, value)
+    assert outdated(baked) == [sentence]
+    setattr(group, name, before)
+    assert outdated(baked) == []
+
+
+SCENE = [
+    ("frame_end", 30, "End changed"),
+    ("frame_start", -3, "Start changed"),
+    ("render.fps", 24_000, "Frame rate changed"),
+    ("use_gravity", False, "Gravity changed"),
+]
+
+
+@pytest.mark.parametrize("path, value, sentence", SCENE)
+def test_the_scene_counts(scene, baked, path, value, sentence):
+    owner, _, name = path.rpartition(".")
+    group = scene.path_resolve(owner) if owner else scene
+    before = getattr(group, name)
+    setattr(group, name, value)
+    assert sentence in outdated(baked)
+    setattr(group, name, before)
+    assert outdated(baked) == []
+
+
+def test_targets_that_come_go_are_renamed_or_muted(scene, baked):
+    baked.data.shape_keys.key_blocks["flexed"].name = "biceps"
+    bpy.context.view_layer.update()
+    assert baked.dynamorph.targets[1].name == "biceps" and outdated(baked) == []
+    scene.frame_set(15)
+    bpy.ops.dynamorph.add_target(key="smile")
+    assert outdated(baked) == ['target "smile" is new']
+    baked.dynamorph.active_target_index = 2
+    bpy.ops.dynamorph.remove_target()
+    assert outdated(baked) == []
+    baked.dynamorph.targets[1].mute = True
+    assert outdated(baked) == ['mute of "biceps" changed'] == model_changes(baked)
+    baked.dynamorph.targets[1].mute = False
+    baked.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.capture_pose()
+    assert outdated(baked) == ['pose of "biceps" changed']
+    bpy.ops.dynamorph.remove_target()
+    assert outdated(baked) == ['target "flexed" is gone']
+
+
+def test_gains_of_modes_count_once_they_are_not_one(baked):
+    with_modes(baked)
+    assert outdated(baked) == ["Gains changed"]
+    baked.dynamorph.modes[2].gain = 1.0
+    assert outdated(baked) == []
+
+
+def test_another_build_is_another_model(baked, stand_in):
+    stand_in.bytes = 1600
+    bpy.ops.dynamorph.build()
+    assert outdated(baked) == ["the model was built again"]
+    bpy.ops.dynamorph.bake()
+    assert outdated(baked) == []
+
+
+def test_a_sculpt_makes_both_old(baked):
+    block = baked.data.shape_keys.key_blocks["flexed"]
+    block.points[0].co.x += 0.1
+    part("jobs").show_stale(baked)
+    assert baked.dynamorph.model.stale == "shape of 'flexed' changed"
+    assert outdated(baked) == ["shape of 'flexed' changed"]
+    block.points[0].co.x -= 0.1
+    part("jobs").show_stale(baked)
+    assert outdated(baked) == [] and not baked.dynamorph.model.stale
+
+
+@pytest.mark.parametrize("name, value", [("modes", 7), ("solver", "FULL"), ("cage_nodes", 900)])
+def test_the_model_s_settings_are_named_until_they_are_set_back(baked, name, value):
+    model = baked.dynamorph.model
+    before = getattr(model, name)
+    setattr(model, name, value)
+    assert model_changes(baked) == [f"{model.bl_rna.properties[name].name} changed"]
+    setattr(model, name, before)
+    assert model_changes(baked) == []
+    model.blending = "FORCES"
+    baked.dynamorph.targets[1].stiffness = 1e5
+    assert model_changes(baked) == []
+
+
+# Animation ---------------------------------------------------------------------------------------------------------
+
+
+def curve_of(rig):
+    return part("extract")._curves(rig.animation_data.action, rig.animation_data.action_slot)[0]
+
+
+def looked(obj):
+    part("changes").look_at_animation(obj)
+    return outdated(obj)
+
+
+def test_the_rig_s_animation_is_named_until_it_is_as_before(baked):
+    rig = rig_of(baked)
+    point = curve_of(rig).keyframe_points[1]
+    before = point.co.y
+    point.co.y += 0.1
+    assert outdated(baked) == []  # drawing does not look
+    assert looked(baked) == ['animation of "Arm Rig" changed']
+    point.co.y = before
+    assert looked(baked) == []
+    rig.keyframe_insert("location", frame=3)
+    assert looked(baked) == ['animation of "Arm Rig" changed']
+    rig.keyframe_delete("location", frame=3)
+    assert looked(baked) == []
+
+
+def test_strips_count_and_so_do_parents(scene, soft_arm, stand_in):
+    rig = rig_of(soft_arm)
+    rig.parent = bpy.data.objects.new("Cart", None)
+    scene.collection.objects.link(rig.parent)
+    data = rig.animation_data
+    strip = data.nla_tracks.new().strips.new("walk", 1, data.action)
+    strip.action_slot = data.action_slot
+    data.action = None
+    bpy.ops.dynamorph.bake()
+    assert looked(soft_arm) == []
+    strip.scale = 1.5
+    assert looked(soft_arm) == ['animation of "Arm Rig" changed']
+    strip.scale = 1.0
+    strip.frame_end = 20
+    rig.parent.keyframe_insert("location", frame=1)
+    assert looked(soft_arm) == ['animation of "Cart" changed']
+    rig.parent = None
+    assert looked(soft_arm) == ["parents changed"]
+
+
+def test_a_renamed_rig_is_the_same(baked):
+    rig_of(baked).name = "Skeleton"
+    assert looked(baked) == []
+
+
+def test_edits_are_looked_at_soon(baked, monkeypatch):
+    """What the timer does that an edit of an Action starts; there are no timers without a window."""
+    operators, asked = part("operators"), []
+    monkeypatch.setattr(operators, "_soon", asked.append)
+    rig_of(baked).keyframe_insert("location", frame=3)
+    bpy.context.view_layer.update()
+    assert asked == [operators._look_at_animations]
+    asked[0]()
+    assert outdated(baked) == ['animation of "Arm Rig" changed']
+
+
+# Where it is shown, and kept ---------------------------------------------------------------------------------------
+
+
+def test_the_badge_names_three(baked):
+    from test_panels import drawn
+
+    badge = "Out of date: "
+    assert not any(text.startswith(badge) for text in drawn(baked))
+    baked.dynamorph.targets[1].stiffness = 5e5
+    assert 'Out of date: stiffness of "flexed" changed' in " ".join(drawn(baked))
+    simulation = baked.dynamorph.simulation
+    simulation.substeps, simulation.scheme, simulation.gravity, simulation.loop = 9, "EULER", 0.5, True
+    assert "Substeps changed, Scheme changed, and 2 more" in " ".join(drawn(baked))
+
+
+def test_a_bake_is_up_to_date_after_loading(baked, tmp_path):
+    for _ in range(2):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+        assert looked(bpy.data.objects["Arm"]) == []
+
+
+def test_free_bake_and_bakes_of_before_say_nothing(baked):
+    baked.dynamorph.bake.inputs = ""
+    assert outdated(baked) == []
+    bpy.ops.dynamorph.bake()
+    baked.dynamorph.targets[1].stiffness = 5e5
+    bpy.ops.dynamorph.free_bake()
+    assert outdated(baked) == []
+
+
+def test_drawing_is_cheap(baked):
+    outdated(baked)
+    began = time.perf_counter()
+    for _ in range(20):
+        outdated(baked)
+        model_changes(baked)
+    milliseconds = 1000 * (time.perf_counter() - began) / 20
+    print(f"badges: {milliseconds:.2f} ms")
+    assert milliseconds < 10
