@@ -40,7 +40,7 @@ def swing(shot: Shot, run: Run, first: int, last: int, patch=slice(None)) -> flo
 
 def give(shot: Shot, run: Run, frame: int) -> float:
     """How far the skin at rest in a frame's pose gives to the scene's force fields: the mean along the push."""
-    statics, k = Statics(run), shot.index(frame)
+    statics, k = Statics(run.model, run.character), shot.index(frame)
     weights, bones = run.bake.weights[k], shot.bones[k]
     before = shot.world(statics.surface(weights), frame)
     areas = measures.vertex_areas(shot.rest, shot.character.triangles)[:, None]

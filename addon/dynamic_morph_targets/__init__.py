@@ -11,9 +11,23 @@ _commands = []  # handles that Blender wants back
 
 
 def _modules():
-    from . import influence, operators, overlays, panels, properties, setup_operators, target_operators
+    from . import (
+        influence,
+        live,
+        live_operators,
+        operators,
+        overlays,
+        panels,
+        preferences,
+        presets,
+        properties,
+        setup_operators,
+        target_operators,
+        transfer_operators,
+    )
 
-    return properties, operators, setup_operators, target_operators, influence, overlays, panels
+    buttons = operators, setup_operators, target_operators, transfer_operators, presets, live_operators
+    return preferences, properties, *buttons, influence, live, overlays, panels
 
 
 def register():

@@ -45,7 +45,7 @@ class Problem:
 
 def problems(obj) -> Iterator[Problem]:
     """What keeps the mesh object `obj` from being simulated, in the order in which an artist would put it right."""
-    yield from _mesh(obj)
+    yield from mesh(obj)
     missing = list(skinning(obj))
     yield from missing
     if not missing:
@@ -153,7 +153,8 @@ def generating_before(obj, modifier) -> list:
     return [before for before in _modifiers_before(obj, modifier) if before.type in GENERATING]
 
 
-def _mesh(obj):
+def mesh(obj) -> Iterator[Problem]:
+    """Yields nothing when `obj` has a surface, and is not being edited."""
     if obj.mode == "EDIT":
         yield Problem(f"'{obj.name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE")
     elif not obj.data.polygons:

@@ -70,7 +70,7 @@ def character(obj, without_targets=False) -> Character:
     return Character(
         name=obj.name,
         vertices=key_points(basis).astype(np.float64),
-        triangles=_triangles(obj.data),
+        triangles=mesh_triangles(obj.data),
         to_bind=to_bind,
         weights=_skin_weights(obj, modifier, skeleton, groups),
         softness=_softness(obj, groups),
@@ -88,6 +88,11 @@ def armature_modifier(obj):
         raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
     _refuse(checks.skinning(obj))
     return checks.armature_modifiers(obj)[0]
+
+
+def check_mesh(obj):
+    """Raises SceneError about a mesh that has no surface, or is being edited."""
+    _refuse(checks.mesh(obj))
 
 
 def _refuse(problems):
@@ -155,19 +160,16 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
         if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
-    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else _shape(obj, target.name, groups)
+    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, groups)
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
     return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius)
 
 
-def target_shape(obj, key_name: str) -> np.ndarray:
-    """What the shape key adds at value 1: (V, 3), local space."""
-    return _shape(obj, key_name, VertexGroups(obj))
-
-
-def _shape(obj, key_name: str, groups: VertexGroups) -> np.ndarray:
+def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:
+    """What the shape key adds at value 1: (V, 3), local space. groups: those of `obj`, for who has read them."""
+    groups = groups or VertexGroups(obj)
     block = obj.data.shape_keys.key_blocks[key_name]
     shape = key_points(block).astype(np.float64) - key_points(block.relative_key)
     if block.vertex_group in obj.vertex_groups:  # Blender ignores the name of a group that is gone
@@ -249,7 +251,8 @@ def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     return (ends @ np.round(to_local, 5).T)[..., :3] @ to_bind.T + 0.0
 
 
-def _triangles(mesh) -> np.ndarray:
+def mesh_triangles(mesh) -> np.ndarray:
+    """The faces (T, 3), cut into triangles as Blender draws them."""
     mesh.calc_loop_triangles()
     triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
     mesh.loop_triangles.foreach_get("vertices", triangles.ravel())

@@ -19,12 +19,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, materials, model_file, sinks
+from . import changes, extract, live_key, materials, model_file, preferences, sinks
 from .extract import Cancelled, SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
-PACK_LIMIT = 32 * 2**20  # larger models go into a file beside the .blend
-FOLDER = "dynamorph_models"
+PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
@@ -82,20 +81,21 @@ def _engine_errors() -> tuple[type[Exception], ...]:
 
 
 def store_model(obj, packed: bytes, folder: Path | None = None):
-    """Keep a packed model with `obj`: in the .blend, or if it is large in `folder` (default: beside the .blend).
+    """Keep a packed model with `obj`: in the .blend, or if it is large in a file as the preferences say.
 
+    folder: of the .blend that the model belongs to; by default of the open one.
     Files are named by their content: a copy of the object shares its file, and a new build never overwrites one that
     another .blend may use.
     """
     content_id = model_file.content_id(packed)
     if len(packed) > PACK_LIMIT:
-        folder = folder or _blend_folder()
-        if folder is None:
+        folders = preferences.model_folders(folder or _blend_folder())
+        if not folders:
             raise SceneError(
                 f"The model of '{obj.name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
                 ".blend: save the .blend first"
             )
-        model_file.save(_model_path(folder, content_id), packed)
+        model_file.save(folders[0] / f"{content_id}.dynamorph", packed)
         obj.pop(PACKED, None)
     else:
         obj.pop(PACKED, None)  # Blender cuts bytes that replace other bytes at their first zero
@@ -113,14 +113,26 @@ def stored_model(obj) -> bytes | None:
     content_id = obj.dynamorph.model.content_id
     if not content_id:
         return None
-    folder = _blend_folder()
+    folders = preferences.model_folders(_blend_folder())
+    paths = [folder / f"{content_id}.dynamorph" for folder in folders]
     # The id comes from the .blend, which may be anybody's: it must not lead out of the folder.
-    path = _model_path(folder, content_id) if folder and re.fullmatch("[0-9a-f]{32}", content_id) else None
-    if path is None or not path.is_file():
+    path = next(filter(Path.is_file, paths), None) if re.fullmatch("[0-9a-f]{32}", content_id) else None
+    if path is None:
+        places = " and ".join(f"'{folder}'" for folder in folders) or "beside the .blend"
         raise model_file.ModelFileError(
-            f"The model of '{obj.name}' is missing (folder '{FOLDER}' beside the .blend): put it back or build again"
+            f"The model of '{obj.name}' is missing (looked for in {places}): put it back or build again"
         )
     return path.read_bytes()
+
+
+def fit_modes(obj, count: int):
+    """List the modes of a new model; those that there were keep their gain."""
+    modes = obj.dynamorph.modes
+    while len(modes) > count:
+        modes.remove(len(modes) - 1)
+    while len(modes) < count:
+        modes.add().name = f"Mode {len(modes) + 1:02d}"
+    obj.dynamorph.active_mode_index = min(obj.dynamorph.active_mode_index, max(count - 1, 0))
 
 
 def forget_model(obj):
@@ -157,19 +169,25 @@ def stale_reasons(obj, character) -> list[str]:
     return ["not built yet"] if model is None else build.stale_reasons(model, character)
 
 
+def current_model(obj):
+    """(model, character) of an object whose model is up to date. Raises SceneError."""
+    character = extract.character(obj)
+    reasons = stale_reasons(obj, character)
+    if reasons:
+        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    return load_model(obj), character
+
+
 def fit_input(obj, target):
     """What the fits of `materials` ask for: (model, character, index there) of one of the object's targets.
 
     Raises SceneError unless the model is up to date.
     """
-    character = extract.character(obj)
-    reasons = stale_reasons(obj, character)
-    if reasons:
-        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    model, character = current_model(obj)
     index = index_in(character, obj, target)
     if index is None:
         raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
-    return load_model(obj), character, index
+    return model, character, index
 
 
 def index_in(character, obj, target) -> int | None:
@@ -193,10 +211,6 @@ def show_stale(obj):
 
 def _blend_folder() -> Path | None:
     return Path(bpy.data.filepath).parent if bpy.data.filepath else None
-
-
-def _model_path(folder: Path, content_id: str) -> Path:
-    return folder / FOLDER / f"{content_id}.dynamorph"
 
 
 def find(session_uid: int):
@@ -245,14 +259,16 @@ class Job:
         self.thread = threading.Thread(target=self._work, name=f"dynamorph {obj.name}", daemon=True)
 
     def prepare(self):
-        """Check and read the scene; main thread."""
+        """Check and read the scene at once; main thread."""
         self.read()
         self.sample()
+        self._take_rig()
 
     def read(self):
         """Check and read the character and its settings."""
         self.message = "Reading the character"
         engine()
+        preferences.use_threads()
         obj = find(self.session_uid)
         sinks.check_local(obj)
         self.character = extract.character(obj, without_targets=self.only_cage)
@@ -280,11 +296,7 @@ class Job:
             return True
         with self._stage("sample rig"):
             done = sampling.advance(find(self.session_uid), seconds)
-            self._progress(0.0, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
-            if done:
-                self._sampling = None
-                self.rig, warnings = extract.hold_collapsed(sampling.samples(), self.character.skeleton)
-                self.warnings += warnings
+        self._progress(0.0, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
         return done
 
     def _reasons(self, obj) -> list[str]:
@@ -294,6 +306,13 @@ class Job:
             current = self.previous is not None and build.has_cage(self.previous, self.character)
             return [] if current else ["the cage is out of date"]
         return stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
+
+    def _take_rig(self):
+        """Check what was sampled; any thread. Raises SceneError."""
+        if self._sampling:
+            samples, self._sampling = self._sampling.samples(), None
+            self.rig, warnings = extract.hold_collapsed(samples, self.character.skeleton)
+            self.warnings += warnings
 
     def start(self):
         """Begin to compute, in a thread."""
@@ -325,6 +344,7 @@ class Job:
         if not self.bake:
             return
         with self._stage("write keys"):
+            live_key.remove(obj)
             self.size = sinks.write_modal_keys(obj, self.result)
         record = obj.dynamorph.bake
         record.summary = self.summary()
@@ -370,7 +390,9 @@ class Job:
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
         if self.reasons or not self.only_cage:
             record.stale, record.built = "only the cage is built" if self.only_cage else "", self.built
-        if self.references:
+        if self.reasons and not self.only_cage:
+            obj.dynamorph.live.checks = ""
+            fit_modes(obj, self.model.summary["modes"])
             self._store_references(obj)
 
     def _store_references(self, obj):
@@ -396,6 +418,7 @@ class Job:
                 with self._stage("build"):
                     self.model = build.build_cage(self.character, self._progress(0.0, 1.0), self.previous)
             return
+        self._take_rig()
         start = 0.2
         built = 0.95 if self.character.settings.fit_to_shot else 0.7
         if self.reasons:
@@ -424,7 +447,7 @@ class Job:
                 f"{self.report['inverted']} of {len(self.model.tets)} tetrahedra turn inside out at worst: raise "
                 "Stiffness or Cage Nodes, or smooth the sculpt"
             )
-        for name in ("coordinates", "weights", "modes", "details"):
+        for name in ("coordinates", "weights", "modes", "details", "dry"):
             if not np.isfinite(getattr(self.result, name)).all():
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
 

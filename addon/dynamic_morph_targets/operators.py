@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import time
+
 import bpy
 from bpy.app.handlers import persistent
 from bpy.types import Operator
@@ -11,7 +13,8 @@ from . import changes, jobs, properties, sinks
 from .extract import Cancelled
 
 TICK = 0.05  # seconds between two turns of a job
-SLICE = 0.03  # of which it may hold the window, about
+SLICE = 0.035  # of which it may hold the window, about
+SHOWN = 0.1  # seconds between two looks of its progress
 
 
 def guarded(operator, action, *args) -> set[str]:
@@ -104,6 +107,7 @@ class JobOperator(SoftSkinOperator):
     def _begin(self, context):
         self.batch = jobs.running = jobs.Batch(self._jobs(properties.mesh_in(context)), self.goal)
         self.steps = self.batch.steps(SLICE, 0.0)
+        self.shown = 0.0  # when
         self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -114,8 +118,10 @@ class JobOperator(SoftSkinOperator):
             next(self.steps)
         except StopIteration:
             return self._done(batch)
-        context.workspace.status_text_set(f"{batch.name}: {batch.message}  {batch.fraction:.0%}    Esc: cancel")
-        redraw(context)
+        if time.monotonic() - self.shown > SHOWN:
+            self.shown = time.monotonic()
+            context.workspace.status_text_set(f"{batch.name}: {batch.message}  {batch.fraction:.0%}    Esc: cancel")
+            redraw(context)
         return {"RUNNING_MODAL"}
 
     def _end(self, context):
@@ -146,7 +152,7 @@ class DYNAMORPH_OT_bake(JobOperator, Operator):
     """Simulate the frame range and write the motion as shape keys; builds the model first if it is out of date"""
 
     bl_idname = "dynamorph.bake"
-    bl_label = "Bake"
+    bl_label = "Bake Soft Skin"
     goal = "BAKE"
 
 
@@ -177,7 +183,7 @@ class DYNAMORPH_OT_cancel(Operator):
     """Stop the running build or bake; what was there before stays"""
 
     bl_idname = "dynamorph.cancel"
-    bl_label = "Cancel"
+    bl_label = "Cancel Soft Skin Job"
 
     def execute(self, _context):
         if jobs.running:

@@ -21,7 +21,8 @@ from .scene_data import RigSamples
 HEIGHT = 120.0  # of the graph; this and the other lengths are in pixels at a resolution scale of 1
 MARGIN, PADDING, TEXT, SQUARE = 8.0, 6.0, 11.0, 8.0
 NARROW = 160.0  # than this a graph is not worth drawing
-HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of the theme's collection colours, so that neighbours in the list differ
+PINNED = 2  # of the theme's collection colours: unlike those of selected and of unselected vertices
+HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of them, so that neighbours in the list differ
 
 
 # The cage ----------------------------------------------------------------------------------------------------------
@@ -123,11 +124,11 @@ def _draw_cage():
     if bones is None:
         return
     edges, pinned = _cage_batches(obj.session_uid, content_id, bones.tobytes())
-    theme = context.preferences.themes[0].view_3d
+    theme = context.preferences.themes[0]
     gpu.state.depth_test_set("LESS_EQUAL")
-    _draw_lines(edges, (*theme.bone_pose, 0.6), 1.0)
+    _draw_lines(edges, (*theme.view_3d.bone_pose, 0.6), 1.0)
     gpu.state.depth_test_set("NONE")  # they are near the bones, inside the body
-    _draw_points(pinned, (*theme.vertex_select, 0.8), 4.0)
+    _draw_points(pinned, (*theme.collection_color[PINNED].color, 0.9), 4.0)
 
 
 # The graph ---------------------------------------------------------------------------------------------------------
@@ -223,7 +224,7 @@ def _draw_graph_in(left, bottom, right, top, shot: influence.Shot, shown: influe
         now = context.scene.frame_current_final - shot.start
         if 0 <= now <= frames:
             playhead = _batch("LINES", np.array([[now, 0.0, 0.0], [now, 1.0, 0.0]]))
-            _draw_lines(playhead, (*theme.view_3d.object_active, 1.0), 1.0)
+            _draw_lines(playhead, theme.user_interface.wcol_regular.inner_sel, 2.0)
     _draw_legend(x, top - line, right - pad, shown, colors, box.text)
     _draw_text(str(shot.start), x, bottom + pad, box.text)
     _draw_text(str(shot.end), right - pad - _text_width(str(shot.end)), bottom + pad, box.text)

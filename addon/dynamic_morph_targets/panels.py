@@ -10,7 +10,7 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Menu, Panel, UIList
 
-from . import changes, checks, influence, jobs, properties, setup_operators, sinks
+from . import changes, checks, influence, jobs, live, live_operators, properties, setup_operators, sinks
 
 LINE = 36  # characters that fit into the sidebar at its default width
 
@@ -52,6 +52,16 @@ class DYNAMORPH_MT_targets(Menu):
         layout.operator("dynamorph.mirror_target", text="Mirror Target (Overwrite Key)").overwrite = True
         layout.separator()
         layout.operator("dynamorph.select_key", icon="SHAPEKEY_DATA")
+
+
+class DYNAMORPH_UL_modes(UIList):
+    """The modes of the built model."""
+
+    def draw_item(self, _context, layout, _data, item, _icon, _active_data, _active_property, _index):
+        row = layout.row(align=True)
+        row.label(text=item.name, translate=False)
+        row.prop(item, "gain", text="", slider=True)
+        row.prop(item, "solo", text="", icon="SOLO_ON" if item.solo else "SOLO_OFF", emboss=False)
 
 
 def draw_soft_skin(layout, context, obj):
@@ -188,7 +198,7 @@ def draw_material(layout, target):
     column = layout.column(align=True)
     column.enabled = jobs.running is None
     row = column.row(align=True)
-    row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
+    row.popover("DYNAMORPH_PT_material_presets", text="Material", icon="PRESET")
     row.operator("dynamorph.fit_material", text="Fit Bounce")
     units = column.column(align=True)
     units.enabled = target.is_measured
@@ -267,11 +277,42 @@ def draw_model(layout, obj):
 
 
 def draw_modes(layout, obj):
-    """The modes of the built model, to look at and to weigh."""
+    settings = obj.dynamorph
+    header, body = layout.panel("dynamorph_modes", default_closed=True)
+    header.label(text="Modes")
+    if not body:
+        return
+    if settings.modes:
+        body.template_list("DYNAMORPH_UL_modes", "", settings, "modes", settings, "active_mode_index", rows=4)
+        row = body.row(align=True)
+        playing = live_operators.is_running("dynamorph.play_mode")
+        row.operator("dynamorph.play_mode", icon="PAUSE" if playing else "PLAY", depress=playing)
+        row.operator("dynamorph.reset_gains", icon="LOOP_BACK")
+    body.operator("dynamorph.check_targets", icon="CHECKMARK")
+    for line in filter(None, settings.live.checks.split("\n")):
+        body.label(text=line, translate=False)
 
 
 def draw_live(layout, obj):
-    """Simulation during playback."""
+    header, body = layout.panel("dynamorph_live", default_closed=True)
+    header.label(text="Live")
+    if not body:
+        return
+    playing = live.is_on(obj)
+    body.operator("dynamorph.live", icon="PAUSE" if playing else "PLAY", depress=playing)
+    if playing and live.problem(obj):
+        draw_message(body, live.problem(obj))
+    elif playing and not bpy.context.scene.render.use_lock_interface:
+        draw_message(body, "To render, turn on Lock Interface (Render menu), or bake", icon="INFO")
+    column = body.column(align=True)
+    column.label(text="Shake Test")
+    row = column.row(align=True)
+    for kind in ("STOMP", "TWIST", "HOP"):
+        row.operator("dynamorph.shake_test", text=kind.capitalize()).kind = kind
+    row = body.row(align=True)
+    slot = obj.dynamorph.live.slot
+    row.operator("dynamorph.swap_slot", text=f"Settings {slot}", icon="FILE_REFRESH")
+    row.operator("dynamorph.copy_slot", text=f"Copy to {'A' if slot == 'B' else 'B'}", icon="COPYDOWN")
 
 
 def draw_bake(layout, obj):
@@ -288,13 +329,15 @@ def draw_bake(layout, obj):
         column.prop(simulation, "end")
         for name in ("substeps", "scheme", "gravity", "fields", "begin", "preroll", "loop"):
             body.prop(simulation, name)
-    draw_job(layout, "dynamorph.bake", "REC")
-    draw_job(layout, "dynamorph.bake_all", "NONE")
+    draw_job(layout, "dynamorph.bake", "REC", "Bake")
+    draw_job(layout, "dynamorph.bake_all", "NONE", "Bake All")
     if settings.bake.keys:
         draw_outdated(layout, changes.outdated(obj))
         strip = sinks.influence_strip(obj)
         if strip:
-            layout.prop(strip, "influence", slider=True)
+            row = layout.row()
+            row.use_property_decorate = True  # it is to be keyed
+            row.prop(strip, "influence", slider=True)
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
             draw_warnings(layout, settings.bake.warnings)
@@ -302,17 +345,25 @@ def draw_bake(layout, obj):
 
 
 def draw_setup(layout, obj):
-    """Set-ups as files and presets, and copies for other meshes."""
+    """Setups as files and presets, and copies for other meshes."""
+    header, body = layout.panel("dynamorph_setup", default_closed=True)
+    header.label(text="Setup")
+    if body:
+        body.popover("DYNAMORPH_PT_setup_presets", text="Presets", icon="PRESET")
+        body.operator("dynamorph.copy_to_selected", text="Copy to Selected", icon="COPYDOWN")
+        row = body.row(align=True)
+        row.operator("dynamorph.save_setup", icon="EXPORT")
+        row.operator("dynamorph.load_setup", icon="IMPORT")
 
 
 # Pieces ------------------------------------------------------------------------------------------------------------
 
 
-def draw_job(layout, operator: str, icon: str):
-    """The button, or in its place the progress of its job."""
+def draw_job(layout, operator: str, icon: str, text: str | None = None):
+    """The button, with its operator's label or `text`, or in its place the progress of its job."""
     job = jobs.running
     if job is None or operator != f"dynamorph.{job.goal.lower()}":
-        layout.operator(operator, icon=icon)
+        layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
     row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")
@@ -365,5 +416,11 @@ class DYNAMORPH_PT_object_data(SoftSkinPanel, Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
 
-CLASSES = (DYNAMORPH_UL_targets, DYNAMORPH_MT_targets, DYNAMORPH_PT_sidebar, DYNAMORPH_PT_object_data)
+CLASSES = (
+    DYNAMORPH_UL_targets,
+    DYNAMORPH_UL_modes,
+    DYNAMORPH_MT_targets,
+    DYNAMORPH_PT_sidebar,
+    DYNAMORPH_PT_object_data,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -369,26 +369,35 @@ class DynamorphModel(PropertyGroup):
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
 
 
+def _mode_changed(mode, _context):
+    from . import live
+
+    live.refresh(mode.id_data)
+
+
 class DynamorphMode(PropertyGroup):
     """One displacement mode of the built model, as the artist wants to see it."""
 
     gain: FloatProperty(
         name="Gain", description="Factor on this mode's motion about the targets' shapes, in Live and in the next bake",
-        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE,
+        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=_mode_changed,
     )  # fmt: skip
-    solo: BoolProperty(name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE)
+    solo: BoolProperty(
+        name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE, update=_mode_changed
+    )
 
 
 class DynamorphLive(PropertyGroup):
     """Simulation during playback, shown by one shape key that is rewritten at each frame."""
 
-    key: PointerProperty(type=DynamorphKey)
+    key: PointerProperty(name="Key", description="The shape key that Live rewrites", type=DynamorphKey)
     muted: CollectionProperty(name="Muted", description="Target keys that Live muted", type=DynamorphKey)
     slot: EnumProperty(
         name="Slot", description="Which of two sets of settings is in use",
         items=(("A", "A", "Settings A"), ("B", "B", "Settings B")), default="A",
     )  # fmt: skip
     other: StringProperty(name="Other Slot", description="The settings of the slot that is not in use, as JSON")
+    checks: StringProperty(name="Targets", description="How far each target is missed, a line each")
 
 
 class DynamorphSimulation(PropertyGroup):
@@ -451,8 +460,10 @@ class DynamorphBake(PropertyGroup):
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
-    had_animation_data: BoolProperty(name="Had Animation Data")
-    active_index: IntProperty(name="Active Key")
+    had_animation_data: BoolProperty(
+        name="Had Animation Data", description="Whether the shape keys were animated before the bake"
+    )
+    active_index: IntProperty(name="Active Key", description="Index of the active shape key before the bake")
     basis: StringProperty(name="Basis", description="Hash of the Basis that the keys belong to")
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
@@ -478,7 +489,9 @@ class DynamorphSettings(PropertyGroup):
         name="Targets", description="Dynamic morph targets; the first is the neutral one", type=DynamorphTarget,
         override=OVERRIDE_LIST,
     )  # fmt: skip
-    active_target_index: IntProperty(name="Active Target", override=OVERRIDE)
+    active_target_index: IntProperty(
+        name="Active Target", description="Index of the target selected in the list", override=OVERRIDE
+    )
     soft_group: StringProperty(
         name="Soft",
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
@@ -495,13 +508,21 @@ class DynamorphSettings(PropertyGroup):
         description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
         default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
     )  # fmt: skip
-    model: PointerProperty(type=DynamorphModel, override=OVERRIDE)
-    modes: CollectionProperty(name="Modes", type=DynamorphMode, override=OVERRIDE_LIST)
-    active_mode_index: IntProperty(name="Active Mode", override=OVERRIDE)
-    simulation: PointerProperty(type=DynamorphSimulation, override=OVERRIDE)
-    live: PointerProperty(type=DynamorphLive)
-    bake: PointerProperty(type=DynamorphBake)
-    sculpt: PointerProperty(type=DynamorphSculpt)
+    model: PointerProperty(
+        name="Model", description="How the model is built, and what came of it", type=DynamorphModel, override=OVERRIDE
+    )
+    modes: CollectionProperty(
+        name="Modes", description="Displacement modes of the built model", type=DynamorphMode, override=OVERRIDE_LIST
+    )
+    active_mode_index: IntProperty(
+        name="Active Mode", description="Index of the mode selected in the list", override=OVERRIDE
+    )
+    simulation: PointerProperty(
+        name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
+    )
+    live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
+    bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
+    sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
 
     @property
     def active_target(self):
@@ -567,6 +588,9 @@ def reconcile(obj):
         _follow_keys(blocks, settings.targets[1:])
         _follow_keys(blocks, settings.bake.muted)
         _follow_baked_keys(blocks, settings.bake)
+        _follow_keys(blocks, settings.live.muted)
+        if settings.live.key.name:
+            _follow_keys(blocks, [settings.live.key])
     _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind

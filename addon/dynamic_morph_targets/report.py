@@ -167,7 +167,7 @@ def figures(run: Run, authored: Character) -> dict:
         "inverted": run.report["inverted"],
         "dynamic_max": float(apart.max()),
         "dynamic_rms": _rms(apart),
-        "residuals": residuals(run),
+        "residuals": residuals(run.model, run.character),
         "warnings": [*made["warnings"], *run.report["warnings"]],
     }
     if run.character.settings.solver == "FULL" and run.report["steps"]:
@@ -178,32 +178,32 @@ def figures(run: Run, authored: Character) -> dict:
     return row
 
 
-def residuals(run: Run) -> dict[str, float]:
+def residuals(model: build.Model, authored: Character) -> dict[str, float]:
     """Of each authored target, how far the skin at rest in its captured pose is from what was sculpted for that pose.
 
     The largest distance over the surface, metres, without gravity.
     """
-    authored, simulated = run.character, run.character.by_method()
+    simulated = authored.by_method()
     poses = np.array([target.local for target in authored.targets])
     shapes = np.array([target.shape for target in authored.targets])
     sculpted = np.tensordot(simulate.pose_space(authored).weights(poses), shapes, 1)
     weights = simulate.pose_space(simulated).weights(poses)
-    statics = Statics(run)
+    statics, to_metres = Statics(model, authored), authored.to_bind.T
     return {
-        target.name: float(np.linalg.norm(statics.surface(weights[j]) - sculpted[j], axis=1).max())
+        target.name: float(np.linalg.norm((statics.surface(weights[j]) - sculpted[j]) @ to_metres, axis=1).max())
         for j, target in enumerate(authored.targets)
     }
 
 
 class Statics:
-    """Static solutions of a run's model, without gravity."""
+    """Static solutions of a model with the materials of a character, without gravity."""
 
-    def __init__(self, run: Run):
-        self.model = run.model
+    def __init__(self, model: build.Model, character: Character):
+        self.model = model
         self.simulation = None
-        if run.model.summary["tets"]:
-            self.engine = run.model.engine(run.character)
-            self.simulation = run.model.stepper(self.engine, 1.0)
+        if model.summary["tets"]:
+            self.engine = model.engine(character)
+            self.simulation = model.stepper(self.engine, 1.0)
 
     def surface(self, weights: np.ndarray, bones: np.ndarray | None = None, push: np.ndarray | None = None):
         """Displacement (V, 3) of the surface, local space, at target weights (J,).

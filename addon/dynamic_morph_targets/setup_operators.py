@@ -248,7 +248,7 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
     """Paint the vertex group in Weight Paint, made if there is none; press again to go back to the mode before"""
 
     bl_idname = "dynamorph.paint_group"
-    bl_label = "Paint"
+    bl_label = "Paint Soft Skin Group"
 
     which: EnumProperty(
         name="Which",

@@ -92,6 +92,15 @@ class Player:
             self.gains[:known] = settings.gains[:known]
 
     @property
+    def state(self):
+        """What it goes on from; to be kept, and set to go on from there again."""
+        return self._simulation.state
+
+    @state.setter
+    def state(self, state):
+        self._simulation.state = state
+
+    @property
     def size(self) -> float:
         """Diagonal of the body's bounding box, metres."""
         return float(np.linalg.norm(np.ptp(self._character.vertices @ self._character.to_bind.T, axis=0)))
@@ -106,7 +115,7 @@ class Player:
         self._hold_targets(rig[:1])
         bones, weights = self._posed(rig[:2])
         if self.settings.begin == "REST":
-            self._simulation.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
+            self.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
         else:
             held = self.settings.preroll > 0
@@ -124,11 +133,11 @@ class Player:
         """
         first, last = self._skinned(rig[:: len(rig) - 1])
         turn, shift = _rigid_fit(last, first)
-        coordinates, bones = self._simulation.state
+        coordinates, bones = self.state
         moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
         for past in moved:
             past[:, :, 3] += shift
-        self._simulation.state = coordinates, [past.reshape(-1, 12) for past in moved]
+        self.state = coordinates, [past.reshape(-1, 12) for past in moved]
         self.number, self.passes = self.settings.start, self.passes + 1
         return replace(frame, number=self.number, weights=self._posed(rig[:1])[1][0])
 
@@ -167,13 +176,16 @@ class Player:
                 report = self._simulation.advance(bones[steps], weights[steps], push)
                 yield Frame(self.number, self._simulation.coordinates, weights[last], report)
 
-    def exchange(self, character: Character) -> Player:
-        """A player that goes on from here with the materials, poses and blending of `character`."""
-        other = Player(self.model, character, self.settings, keep_going=self._keep_going)
+    def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
+        """A player that goes on from here with the materials, poses and blending of `character`.
+
+        settings: others with steps as long.
+        """
+        other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
         other.gains, other.number, other.passes = self.gains, self.number, self.passes
         if self._first is not None:
             other._hold_targets(self._first)
-            other._simulation.state = self._simulation.state
+            other.state = self.state
         return other
 
     def dry(self, weights: np.ndarray) -> np.ndarray:
@@ -215,7 +227,7 @@ class Player:
 
     def _push(self, fields, sample: int, bones: np.ndarray) -> np.ndarray | None:
         """What the force fields do to the nodes, from where the flesh is now; None without any."""
-        if not fields or isinstance(self._simulation, _NothingMoves):
+        if not fields or self.engine is None:
             return None
         return self._skin.push(fields, sample, bones, self.engine.displacement(self._simulation.coordinates))
 
@@ -319,7 +331,7 @@ def bake(
     elif model.settings.solver == "FULL":
         coordinates, dry, modes, report["compression_error"] = _compress(model, coordinates, dry)
     else:
-        modes = _surface_modes(model, model.basis.T)
+        modes = surface_modes(model, model.basis.T)
     report["seconds"] = time.perf_counter() - began
     names = tuple(target.name for target in character.by_method().targets)
     return Bake(settings.frames, coordinates, weights, modes, model.details, names, dry), report
@@ -435,7 +447,7 @@ def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return determinant(corners[:, 1:] - corners[:, :1])
 
 
-def _surface_modes(model: Model, free: np.ndarray) -> np.ndarray:
+def surface_modes(model: Model, free: np.ndarray) -> np.ndarray:
     """Displacement of the surface (r, V, 3), local space, from rows over the free nodes (r, 3 free)."""
     modes = np.zeros((len(free), len(model.nodes), 3))
     modes[:, ~model.pinned.astype(bool)] = free.reshape(len(free), -1, 3)
@@ -454,4 +466,4 @@ def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarra
     modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(dry)]])
     coordinates = wet @ modes.T
     error = float(np.abs(wet - coordinates @ modes).max())
-    return coordinates, dry @ modes.T, _surface_modes(model, modes), error
+    return coordinates, dry @ modes.T, surface_modes(model, modes), error

@@ -97,7 +97,7 @@ def write_modal_keys(obj, bake: Bake) -> int:
     _keep_influence(_strip(obj.data.shape_keys, record.action), _strip(obj.data.shape_keys, action))
     _free(obj, old)
     _record(obj, names, [key.name for key in keys], action, had_animation_data)
-    _mute_targets(obj, bake.target_names)
+    mute_targets(obj, record.muted, bake.target_names)
     return sum(key.bytes() for key in keys)
 
 
@@ -136,17 +136,14 @@ def _free(obj, names):
     if record.keys and keys:
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         _remove(obj, [keys.key_blocks[name] for name in names], record.action)
-        for key in record.muted:
-            if key.name in keys.key_blocks:
-                keys.key_blocks[key.name].mute = key.was_muted
         index = keys.key_blocks.find(active)
         obj.active_shape_key_index = index if index >= 0 else min(record.active_index, len(keys.key_blocks) - 1)
         animation = keys.animation_data
         unused = animation and not (animation.action or animation.nla_tracks or animation.drivers)
         if unused and not record.had_animation_data:
             keys.animation_data_clear()
+    unmute_targets(obj, record.muted)
     record.keys.clear()
-    record.muted.clear()
     record.action = None
     record.summary = record.warnings = ""
 
@@ -302,14 +299,23 @@ def _record(obj, names, wanted, action, had_animation_data):
     record.active_index = obj.active_shape_key_index
 
 
-def _mute_targets(obj, simulated):
-    """The modal keys contain the targets' shapes, so the targets' own keys rest until Free Bake."""
+def mute_targets(obj, muted, simulated):
+    """The result contains the targets' shapes, so their own keys rest. muted: the list that remembers them."""
     blocks = obj.data.shape_keys.key_blocks
     for target in obj.dynamorph.targets[1:]:
         index = blocks.find(target.name)
         if target.name not in simulated or index < 0:
             continue
-        key = obj.dynamorph.bake.muted.add()
+        key = muted.add()
         key.refer_to(blocks, index)
         key.was_muted = blocks[index].mute
         blocks[index].mute = True
+
+
+def unmute_targets(obj, muted):
+    """The inverse of `mute_targets`; the references must be reconciled."""
+    blocks = obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
+    for key in muted:
+        if key.name in blocks:
+            blocks[key.name].mute = key.was_muted
+    muted.clear()

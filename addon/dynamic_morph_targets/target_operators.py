@@ -113,9 +113,14 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
             settings.targets.remove(settings.active_target_index)
             settings.active_target_index -= 1
             return
-        sinks.free(obj)
-        settings.targets.clear()
-        jobs.forget_model(obj)
+        remove_soft_skin(obj)
+
+
+def remove_soft_skin(obj):
+    """Its targets, model and bake; shape keys and settings stay."""
+    sinks.free(obj)
+    obj.dynamorph.targets.clear()
+    jobs.forget_model(obj)
 
 
 class DYNAMORPH_OT_move_target(TargetOperator, Operator):
@@ -393,7 +398,7 @@ class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
     """Sculpt the selected target in its pose"""
 
     bl_idname = "dynamorph.sculpt_target"
-    bl_label = "Sculpt"
+    bl_label = "Sculpt Target"
 
     mode: SCULPT_MODE
 
@@ -430,7 +435,7 @@ class DYNAMORPH_OT_apply_material(SoftSkinOperator, Operator):
     """Give the selected target the properties of a measured material"""
 
     bl_idname = "dynamorph.apply_material"
-    bl_label = "Material"
+    bl_label = "Apply Material"
     on_override = True
 
     preset: EnumProperty(

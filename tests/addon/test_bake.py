@@ -83,6 +83,28 @@ def test_gains_scale_the_motion_about_the_targets(shot):
     assert player.shown(frame) == pytest.approx(dry)
 
 
+@pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 3}, {"method": "STATIC"}])
+def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
+    """Also an unreduced one, whose few modes are chosen for the motion."""
+    build, simulate = part("jobs").engine()
+    character = shot.character.with_settings(**change)
+    bake, _ = simulate.bake(build.build(character), character, shot.rig, shot.settings)
+    shapes = np.array([target.shape for target in character.targets])
+    still = replace(bake, coordinates=bake.dry)
+    for k in (0, 10, 19):
+        expected = np.tensordot(bake.weights[k], shapes, 1)
+        assert np.abs(still.displacement(k) - expected).max() < 1e-6 * size(shot)
+    if not change:
+        assert np.abs(bake.displacement(10) - still.displacement(10)).max() > 1e-3 * size(shot)
+
+
+def test_gains_are_baked(shot):
+    simulate = part("simulate")
+    bake, _ = simulate.bake(shot.model, shot.character, shot.rig, replace(shot.settings, gains=(0.0,) * 5 + (0.5,) * 9))
+    motion, before = bake.coordinates - bake.dry, shot.result.coordinates - shot.result.dry
+    assert np.allclose(motion, before * [0, 0, 0, 0, 0, 0.5, 0.5, 0.5])
+
+
 # How it begins -----------------------------------------------------------------------------------------------------
 
 

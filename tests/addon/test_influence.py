@@ -377,7 +377,7 @@ def test_the_graph_is_drawn(scene, soft_arm, picture):
     assert near(pixels, neutral, 70)[38:122, 20:30].nonzero()[0].mean() > 70
     inside, outside = pixels[80, 60].astype(int), pixels[80, 340].astype(int)
     assert (outside[0] - inside[0] > 10) and known[1].outside[-1, 0] and not known[1].outside[3, 0]
-    playhead = near(pixels, theme.view_3d.object_active)[70]
+    playhead = near(pixels, theme.user_interface.wcol_regular.inner_sel)[70]
     assert playhead.any() and abs(playhead.nonzero()[0].mean() - (16 + 368 * 7 / 19)) < 3
 
 
@@ -405,7 +405,9 @@ def test_the_cage_is_drawn(scene, built_arm, picture):
 
 def test_what_cannot_be_drawn_is_not(soft_arm, monkeypatch):
     """In the background there is no viewport: both callbacks fail inside, and say nothing."""
-    overlays = part("overlays")
+    overlays, display = part("overlays"), bpy.context.window_manager.dynamorph
+    monkeypatch.setattr(part("influence"), "update_soon", lambda _wait: None)
+    display.cage = display.influence = True
     for state in ("depth_test_set", "blend_set"):
         monkeypatch.setattr(f"gpu.state.{state}", lambda _value: None, raising=False)
     for draw in (overlays._draw_cage, overlays._draw_graph):

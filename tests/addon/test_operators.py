@@ -141,7 +141,7 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "one" / "arm.blend"))
     bpy.ops.dynamorph.build()
     assert jobs.PACKED not in soft_arm
-    files = list((tmp_path / "one" / jobs.FOLDER).iterdir())
+    files = list((tmp_path / "one" / "dynamorph_models").iterdir())
     assert [file.stem for file in files] == [soft_arm.dynamorph.model.content_id]
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 2  # the refused build and this one
@@ -150,7 +150,7 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "two" / "arm.blend"))
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 2
-    next((tmp_path / "two" / jobs.FOLDER).iterdir()).unlink()
+    next((tmp_path / "two" / "dynamorph_models").iterdir()).unlink()
     jobs._load.cache_clear()
     reasons = jobs.stale_reasons(bpy.data.objects["Arm"], None)
     assert "is missing" in reasons[0]
@@ -357,7 +357,7 @@ def test_reading_the_rig_does_not_hold_the_window(soft_arm, stand_in, slow_rig):
     print(f"slices: {len(pressed.seconds)}, longest {1000 * max(pressed.seconds):.0f} ms")
     assert max(pressed.seconds) < 0.15 and len(pressed.seconds) > 10  # 96 samples: half a second at once
     fractions = [fraction for fraction, _ in shown]
-    assert fractions == sorted(fractions) and any("Reading frame" in message for _, message in shown)
+    assert fractions == sorted(fractions) and any(text.startswith("Reading frame ") for _, text in shown)
 
 
 @pytest.mark.parametrize("ending", ["escape", "undo", "load", "an error"])

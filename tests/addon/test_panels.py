@@ -48,6 +48,10 @@ class Layout:
         assert getattr(bpy.types, name)
         self.drawn.append(name)
 
+    def popover(self, panel, **_options):
+        assert getattr(bpy.types, panel)
+        self.drawn.append(panel)
+
     def row(self, **_options):
         return self
 

@@ -205,4 +205,4 @@ def test_disable_and_enable_keeps_settings(soft_arm):
         addon_utils.enable(MODULE)
         assert names(soft_arm) == ["Neutral", "flexed"]
     handlers = [h for h in bpy.app.handlers.depsgraph_update_post if "dynamic_morph_targets" in h.__module__]
-    assert len(handlers) == 2
+    assert handlers and len({h.__name__ for h in handlers}) == len(handlers)

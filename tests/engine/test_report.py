@@ -127,7 +127,7 @@ def test_a_push_gives_as_the_pose_s_stiffness_says(character, rig):
     variants = {name: VARIANTS[name] for name in ("static morphs", "pose-dependent shape", "DMT linear full")}
     given = {}
     for name, run in report.runs(character, rig, SHOT, variants):
-        statics = report.Statics(run)
+        statics = report.Statics(run.model, run.character)
         given[name] = [
             np.abs(statics.surface(weights, bones, push) - statics.surface(weights)).max() for weights in np.eye(2)
         ]

@@ -1,0 +1,431 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Live: the soft skin is simulated while Blender plays, by the same Player as a bake, and shown by one shape key.
+
+A session is kept in this module by its object's session id. It never holds a reference into Blender, because undo and
+loading move everything there; what it needs to know it asks anew at each frame.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from . import extract, jobs, live_key, properties
+from .extract import SceneError
+from .scene_data import Character, RigSamples, SimulationSettings
+
+BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
+CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
+KEPT = 250  # latest frames from which it can go on again, when settings are changed there
+AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
+
+sessions: dict[int, Session] = {}  # by Object.session_uid
+_problems: dict[int, tuple] = {}  # why an object does not play, and the model of which that was said
+lent: set[int] = set()  # objects whose live key shows something else for a while
+_any_live: bool | None = None  # whether an object of this file is live; None: to be seen
+
+
+# What is played ----------------------------------------------------------------------------------------------------
+
+
+class Flesh:
+    """A built soft skin that can be stepped and shown. Raises SceneError when its model is not up to date."""
+
+    def __init__(self, obj, scene):
+        self.model, self.character = jobs.current_model(obj)
+        if self.model.settings.solver == "FULL":
+            raise SceneError(f"'{obj.name}' has an unreduced model, too slow to play: choose Solver Reduced and build")
+        _, simulate = jobs.engine()
+        self.player = simulate.Player(self.model, self.character, extract.simulation_settings(obj, scene))
+        modes = np.zeros((0, *self.character.vertices.shape))
+        if self.model.basis.size:
+            modes = simulate.surface_modes(self.model, self.model.basis.T)
+        shapes = np.concatenate([modes, self.model.details])
+        self.modes = len(modes)
+        self._rest = self.character.vertices.astype(np.float32).ravel()
+        self._shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
+
+    def values(self, frame) -> np.ndarray:
+        """What `points` asks for: (r + J,) coordinates as shown, and target weights."""
+        return np.concatenate([self.player.shown(frame), frame.weights])
+
+    def points(self, values: np.ndarray) -> np.ndarray:
+        """Points (3 V,) of the surface, float32, local space."""
+        return self._rest + values.astype(np.float32) @ self._shapes
+
+    def moved(self, values: np.ndarray) -> float:
+        """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
+        motion = values[: self.modes] - self.player.dry(values[self.modes :])
+        displacement = (motion.astype(np.float32) @ self._shapes[: self.modes]).reshape(-1, 3)
+        return float(np.linalg.norm(displacement @ self.character.to_bind.T, axis=1).max())
+
+
+class Rig:
+    """The rig at true sub-frames, as a bake reads it: a block of frames at a time, kept until it is edited."""
+
+    def __init__(self, start: int, substeps: int, skeleton):
+        self.start, self.substeps, self.skeleton = start, substeps, skeleton
+        self._blocks: dict[int, RigSamples] = {}
+
+    def after(self, obj, frame: int) -> RigSamples:
+        """1 + substeps samples, from `frame` to the next one. Raises SceneError."""
+        index, offset = divmod(frame - self.start, BLOCK)
+        if index not in self._blocks:
+            first = self.start + index * BLOCK
+            samples = extract.sample_rig(obj, first, first + BLOCK, self.substeps)
+            self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton)
+        return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
+
+    def forget(self):
+        self._blocks.clear()
+
+
+class Session:
+    """One object that plays: what is simulated of it since it last began, and how to go on."""
+
+    def __init__(self, obj, scene):
+        self.flesh = Flesh(obj, scene)
+        self.content_id = obj.dynamorph.model.content_id
+        self.written = None  # (3 V,) what the live key shows
+        self.first = self.last = self.now = None  # frames: simulated from, to; the one that shows, or just before
+        self._frames: dict[int, object] = {}
+        self._states: dict[int, tuple] = {}
+        self._placing, self._material = _placing(obj), _materials(obj)
+        self._pushed = obj.dynamorph.simulation.fields
+        settings = self.flesh.player.settings
+        self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton)
+
+    def fits(self, obj, settings: SimulationSettings) -> bool:
+        """Whether this is still a session of the object's model, with steps as long."""
+        mine = self.flesh.player.settings
+        same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
+        return same and self.content_id == obj.dynamorph.model.content_id
+
+    def points(self, obj, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
+        """The surface (3 V,) at a frame, or between two. arrives: the start of the range begins anew, else it shows.
+
+        Raises SceneError.
+        """
+        self._heed(obj, settings)
+        before, share = math.floor(time), time % 1.0
+        if share and before + 1 == self.first:  # a shutter that opens before the first frame
+            before, share = self.first, 0.0
+        elif not share or before not in self._frames:
+            self._reach(obj, before, arrives)
+        self.now = before
+        values = self.flesh.values(self._frames[before])
+        if share:  # as Blender goes between the keyframes of a bake
+            if before == self.last:
+                self._advance(obj)
+            values += share * (self.flesh.values(self._frames[before + 1]) - values)
+        return self.flesh.points(values)
+
+    def rig_changed(self):
+        """The rig moves otherwise from here on."""
+        self.rig.forget()
+        self._rewind()
+
+    def _heed(self, obj, settings: SimulationSettings):
+        """Take over what the artist has changed; what was simulated beyond the frame that shows is then forgotten."""
+        if obj.dynamorph.model.stale:
+            raise SceneError(f"The model is out of date ({obj.dynamorph.model.stale}): press Build Model")
+        if len(obj.data.vertices) != len(self.flesh.character.vertices):
+            raise SceneError(
+                f"The mesh has {len(obj.data.vertices)} vertices, its model {len(self.flesh.character.vertices)}: "
+                "press Build Model"
+            )
+        placing, materials, pushed = _placing(obj), _materials(obj), obj.dynamorph.simulation.fields
+        player = self.flesh.player
+        changed = (placing, materials) != (self._placing, self._material)
+        if changed or _physics(settings) != _physics(player.settings):
+            self._rewind()
+            if placing != self._placing:
+                _, self.flesh.character = jobs.current_model(obj)
+            else:
+                self.flesh.character = _with_materials(self.flesh.character, materials)
+            self._placing, self._material = placing, materials
+            player = player.exchange(self.flesh.character, settings)
+        if pushed != self._pushed:
+            self._pushed = pushed
+            self.rig_changed()
+        player.settings = settings
+        player.gains = _gains(obj, self.flesh.modes)
+        self.flesh.player = player
+
+    def _reach(self, obj, number: int, arrives: bool):
+        """Have a frame simulated: from the last one on, or where playback cannot have come from there, begin at it."""
+        settings = self.flesh.player.settings
+        starts = arrives and number == settings.start
+        if starts and settings.loop and self.last == settings.end:
+            self._begin_again(obj)
+        elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
+            self._start(number, self.flesh.player.begin(self.rig.after(obj, number)))
+        while self.last < number:
+            self._advance(obj)
+
+    def _begin_again(self, obj):
+        """From the end of a cycle to its start, without a jump."""
+        settings = self.flesh.player.settings
+        ends = [self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end)]
+        parts = zip(*((end.pose, end.rig_world, end.object_world) for end in ends), strict=True)
+        cycle = RigSamples(*(np.concatenate(part) for part in parts))
+        self._start(settings.start, self.flesh.player.begin_again(cycle, self._frames[settings.end]))
+
+    def _start(self, number: int, frame):
+        self._frames, self._states = {}, {}
+        self.first = number
+        self._keep(number, frame)
+
+    def _advance(self, obj):
+        number = self.last + 1
+        self._keep(number, self.flesh.player.advance(self.rig.after(obj, self.last)[1:], number))
+
+    def _keep(self, number: int, frame):
+        self._frames[number], self.last = frame, number
+        self._states[number % KEPT] = number, self.flesh.player.state
+
+    def _rewind(self):
+        """Forget the frames after the one that shows; if its state is no longer kept, all of them."""
+        if self.now == self.last:
+            return
+        number, state = self._states.get(self.now % KEPT, (None, None))
+        if number != self.now:
+            self.first, self._frames = None, {}
+            return
+        self.flesh.player.state = state
+        self._frames = {k: frame for k, frame in self._frames.items() if k <= self.now}
+        self.last = self.now
+
+
+def _physics(settings: SimulationSettings) -> SimulationSettings:
+    """What a step depends on."""
+    return replace(settings, start=0, end=0, gains=())
+
+
+def _gains(obj, count: int) -> np.ndarray:
+    """Factors (count,) on the modes' motion; of solo modes, if there are any, only theirs is not zero."""
+    modes = obj.dynamorph.modes[:count]
+    solo = any(mode.solo for mode in modes)
+    gains = np.ones(count)
+    gains[: len(modes)] = [mode.gain * (mode.solo or not solo) for mode in modes]
+    return gains
+
+
+def _materials(obj) -> list:
+    """The materials of all targets by name, that of the neutral one first."""
+    return [(target.name, target.material()) for target in obj.dynamorph.targets]
+
+
+def _placing(obj) -> tuple:
+    """All else that a running simulation takes from the targets: cheap to compare at each frame."""
+    poses = []
+    for target in obj.dynamorph.targets:
+        pose = np.empty(16 * len(target.pose), np.float32)
+        target.pose.foreach_get("local", pose)
+        described = target.name, target.mute, target.region, target.radius, target.bone_names()
+        poses.append((*described, tuple(target.rig_world), pose.tobytes()))
+    return obj.dynamorph.model.blending, tuple(poses)
+
+
+def _with_materials(character: Character, materials: list) -> Character:
+    (_, neutral), *others = materials
+    named = dict(others)
+    sets = []
+    for target_set in character.target_sets:
+        first, *rest = target_set.targets
+        rest = [replace(target, material=named[target.name]) for target in rest]
+        sets.append(replace(target_set, targets=(replace(first, material=neutral), *rest)))
+    return replace(character, target_sets=tuple(sets))
+
+
+# On, off, and the present frame ------------------------------------------------------------------------------------
+
+
+def is_on(obj) -> bool:
+    return bool(obj.dynamorph.live.key.name) and obj.session_uid not in lent
+
+
+def obstacle(obj) -> str:
+    """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
+    model = obj.dynamorph.model
+    if obj.dynamorph.bake.keys:
+        return "The bake shows the motion already: press Free Bake first"
+    if model.stale or not model.content_id:
+        return f"Press Build Model first: {model.stale or 'not built yet'}"
+    return ""
+
+
+def turn_on(obj, scene):
+    """Add the live key and show the present frame. Raises what keeps it from playing, before anything is changed.
+
+    There must be no `obstacle`.
+    """
+    global _any_live
+    session = Session(obj, scene)
+    live_key.add(obj, [target.name for target in session.flesh.character.targets])
+    sessions[obj.session_uid], _any_live = session, True
+    _problems.pop(obj.session_uid, None)
+    follow(obj, scene)
+
+
+def turn_off(obj):
+    sessions.pop(obj.session_uid, None)
+    _problems.pop(obj.session_uid, None)
+    live_key.remove(obj)
+
+
+def refresh(obj):
+    """Show at once what was changed in the settings of an object, if it is live."""
+    if is_on(obj):
+        follow(obj, bpy.context.scene, arrives=False)
+
+
+def problem(obj) -> str:
+    """Why a live object does not play, or ''."""
+    text, model = _problems.get(obj.session_uid, ("", None))
+    return text if model == _stated(obj.dynamorph.model) else ""
+
+
+def _stated(model) -> tuple:
+    return model.content_id, model.stale
+
+
+def follow(obj, scene, arrives=True):
+    """Show what the flesh does at the scene's time. What is in the way is kept, see `problem`."""
+    uid, rig = obj.session_uid, properties.rig_of(obj)
+    if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
+        return
+    try:
+        settings = extract.simulation_settings(obj, scene)
+        session = sessions.get(uid)
+        if session is None or not session.fits(obj, settings):
+            session = sessions[uid] = Session(obj, scene)
+        block = live_key.find(obj, session.written)
+        if block is None:
+            turn_off(obj)
+            return
+        session.written = session.points(obj, settings, scene.frame_float, arrives)
+        live_key.write(block, session.written)
+    except Exception as error:  # whatever it is: raised in a handler, it would be printed at every frame
+        sessions.pop(uid, None)
+        expected = isinstance(error, jobs.expected_errors())
+        text = str(error) if expected else f"{type(error).__name__}: {error}"
+        _problems[uid] = text, _stated(obj.dynamorph.model)
+
+
+def holds_still(scene) -> bool:
+    """Whether a render in the window reads what we would write."""
+    rendering = not bpy.app.background and bpy.app.is_job_running("RENDER")
+    return rendering and not scene.render.use_lock_interface
+
+
+# Handlers ----------------------------------------------------------------------------------------------------------
+
+
+@persistent
+def _frame_changed(scene, _depsgraph=None):
+    """frame_change_post. Reading the rig changes frames too, in a scene of its own."""
+    global _any_live
+    if _any_live is None:
+        _any_live = any(is_on(obj) for obj in properties.soft_skins(bpy.data.objects))
+    if not _any_live or scene != bpy.context.scene or holds_still(scene):
+        return
+    live = [obj for obj in properties.soft_skins(scene.objects) if is_on(obj)]
+    for gone in sessions.keys() - {obj.session_uid for obj in live} - lent:
+        del sessions[gone]
+    for obj in live:
+        follow(obj, scene)
+
+
+@persistent
+def _edited(scene, depsgraph):
+    """depsgraph_update_post, which changing the frame does not call."""
+    global _any_live
+    if depsgraph.id_type_updated("OBJECT"):
+        _any_live = None  # one may have been added
+    if not (sessions or _problems) or scene != bpy.context.scene:
+        return
+    updates = list(depsgraph.updates)
+    if updates:
+        _problems.clear()  # try again
+    moved = any(_moves(update) for update in updates)
+    bones = any(isinstance(update.id, bpy.types.Armature) for update in updates)
+    for obj in [obj for obj in properties.soft_skins(scene.objects) if obj.session_uid in sessions]:
+        session = sessions[obj.session_uid]
+        if moved:
+            session.rig_changed()
+        if bones and not _same_bones(obj, session.flesh.character.skeleton):
+            del sessions[obj.session_uid]
+        if is_on(obj) and live_key.find(obj, session.written) is None:
+            turn_off(obj)
+
+
+def _moves(update) -> bool:
+    """Whether an edit may have changed how rigs move. Posing is one, and so is any object: a rig may follow it."""
+    edited = update.id
+    if isinstance(edited, bpy.types.Object):
+        return update.is_updated_transform or (update.is_updated_geometry and edited.type != "MESH")
+    return isinstance(edited, bpy.types.Action)
+
+
+def _same_bones(obj, skeleton) -> bool:
+    rig = properties.rig_of(obj)
+    if rig is None:
+        return False
+    now = properties.rest_skeleton(rig.data)
+    return now.names == skeleton.names and np.array_equal(now.rest, skeleton.rest)
+
+
+@persistent
+def _undone(*_args):
+    """undo_post, redo_post. What was simulated stays true; how the rig moves may not."""
+    global _any_live
+    _any_live = None
+    _problems.clear()
+    for session in sessions.values():
+        session.rig_changed()
+
+
+@persistent
+def _loaded(*_args):
+    """load_post: the ids may be those of other objects now."""
+    global _any_live
+    _any_live = None
+    sessions.clear()
+    _problems.clear()
+
+
+@persistent
+def _before_save(*_args):
+    """save_pre: note what the live keys look like, by which they are found after a rename."""
+    for obj in properties.soft_skins(bpy.data.objects):
+        block = live_key.find(obj)
+        if block is not None and obj.library is None:
+            blocks = obj.data.shape_keys.key_blocks
+            obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
+
+
+HANDLERS = {
+    "frame_change_post": _frame_changed,
+    "depsgraph_update_post": _edited,
+    "undo_post": _undone,
+    "redo_post": _undone,
+    "load_post": _loaded,
+    "save_pre": _before_save,
+}
+
+
+def register():
+    for name, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
+    _loaded()
+
+
+def unregister():
+    for name, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(handler)
+    _loaded()

@@ -1,0 +1,463 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that show the flesh without a bake: Live, shake tests, single modes; and those that compare settings."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.props import EnumProperty
+from bpy.types import Operator
+from mathutils import Matrix
+
+from . import extract, jobs, live, live_key, properties
+from .extract import SceneError
+from .operators import SoftSkinOperator, guarded
+from .scene_data import Material, RigSamples
+
+SECONDS = 2.5  # a shake test
+REST = 0.1  # seconds of it before it moves
+STOMP, HOP, TWIST = 0.08, 0.12, math.radians(60)  # how far: body sizes, and an angle
+SWING = 0.05  # body sizes: a mode that plays
+DELTAS = ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion")
+NAVIGATION = {
+    "MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM",
+    "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION",
+}  # fmt: skip
+
+
+class FleshOperator(SoftSkinOperator):
+    """Mixin: shows the flesh of the built model, which nothing else may show meanwhile."""
+
+    @classmethod
+    def poll(cls, context):
+        if not super().poll(context):
+            return False
+        obstacle = live.obstacle(properties.mesh_in(context))
+        if obstacle:
+            cls.poll_message_set(obstacle)
+        return not obstacle
+
+
+class DYNAMORPH_OT_live(FleshOperator, Operator):
+    """Simulate while Blender plays, without a bake; again: stop that"""
+
+    bl_idname = "dynamorph.live"
+    bl_label = "Live"
+
+    @classmethod
+    def poll(cls, context):
+        obj = properties.mesh_in(context)
+        return super().poll(context) if obj is None or not live.is_on(obj) else True
+
+    def apply(self, obj):
+        end_preview()
+        if live.is_on(obj):
+            live.turn_off(obj)
+        else:
+            live.turn_on(obj, bpy.context.scene)
+
+
+# Previews ----------------------------------------------------------------------------------------------------------
+
+
+class Preview:
+    """The live key lent to something that shows the flesh in motion for a while; the rig may be moved along.
+
+    Raises SceneError or SinkError.
+    """
+
+    def __init__(self, obj, name: str):
+        self.name = name
+        self.session_uid = obj.session_uid
+        self.flesh = live.Flesh(obj, bpy.context.scene)
+        self._movers: list[_Mover] = []
+        self._was_live = live.is_on(obj)
+        if not self._was_live:
+            live_key.add(obj, [target.name for target in self.flesh.character.targets])
+        live.lent.add(self.session_uid)
+
+    def show(self, values: np.ndarray, transform: Matrix | None = None):
+        """values: see Flesh.points. transform: in world space, of the rig. Raises SceneError when the key is gone."""
+        obj = jobs.find(self.session_uid)
+        block = live_key.find(obj)
+        if block is None:
+            raise SceneError("The live key was removed: the test stops")
+        live_key.write(block, self.flesh.points(values))
+        if transform is not None:
+            self._movers = self._movers or [_Mover(moved) for moved in movers(obj)]
+            for mover in self._movers:
+                mover.move(transform)
+
+    def end(self):
+        """Put everything back."""
+        live.lent.discard(self.session_uid)
+        for mover in self._movers:
+            mover.restore()
+        with suppress(SceneError):  # it was deleted
+            obj = jobs.find(self.session_uid)
+            if self._was_live:
+                live.refresh(obj)
+            else:
+                live_key.remove(obj)
+
+
+class _Mover:
+    """Moves an object by its delta transform, which is neither keyed nor changed by changing the frame."""
+
+    def __init__(self, obj):
+        self.session_uid = obj.session_uid
+        self.before = [getattr(obj, name).copy() for name in DELTAS]
+        self.basis = obj.matrix_basis.copy()  # with the deltas
+        self.parent = obj.matrix_world @ self.basis.inverted()
+
+    def move(self, transform: Matrix):
+        """transform: in world space, of the object as it stood."""
+        obj = jobs.find(self.session_uid)
+        moved = self.parent.inverted() @ transform @ self.parent @ self.basis
+        turn = moved.to_quaternion() @ self.basis.to_quaternion().inverted()
+        _, euler, quaternion = self.before
+        obj.delta_location = moved.to_translation() - obj.location
+        if obj.rotation_mode == "QUATERNION":
+            obj.delta_rotation_quaternion = turn @ quaternion
+        elif obj.rotation_mode != "AXIS_ANGLE":  # which has no deltas that Python can set
+            turned = turn.to_matrix() @ _matrix(euler, obj.rotation_mode)
+            obj.delta_rotation_euler = turned.to_euler(obj.rotation_mode, euler)
+
+    def restore(self):
+        with suppress(SceneError):  # it was deleted
+            obj = jobs.find(self.session_uid)
+            for name, value in zip(DELTAS, self.before, strict=True):
+                setattr(obj, name, value)
+
+
+def _matrix(euler, order: str) -> Matrix:
+    """The rotation of an Euler property, which has the order of the object's own rotation whatever it says."""
+    euler = euler.copy()
+    euler.order = order
+    return euler.to_matrix()
+
+
+def movers(obj) -> list:
+    """The objects that a shake test moves: the rig, and the mesh if it does not follow the rig."""
+    rig = properties.rig_of(obj)
+    parent = obj.parent
+    while parent not in (None, rig):
+        parent = parent.parent
+    return [rig] if parent else [rig, obj]
+
+
+preview: Preview | None = None  # the one that runs in a window
+
+
+def is_running(operator: str) -> bool:
+    return preview is not None and preview.name == operator
+
+
+def end_preview():
+    global preview
+    if preview:
+        preview.end()
+    preview = None
+
+
+class PreviewOperator(FleshOperator):
+    """Mixin: shows a Preview, in a window by and by until it ends or is stopped with Esc, else all frames at once."""
+
+    bl_options = {"REGISTER"}  # nothing stays that could be undone
+
+    def apply(self, obj):
+        running = Preview(obj, type(self).bl_idname)
+        try:
+            shown = [self._show(running, *frame) for frame in self.frames(obj, running.flesh)]
+        finally:
+            running.end()
+        self._report(max(shown))
+
+    def invoke(self, context, _event):
+        if bpy.app.background:
+            return self.execute(context)
+        return guarded(self, self._begin, context)
+
+    def modal(self, context, event):
+        if self.running is not preview:  # stopped by its button, by undo, or by what else ends previews
+            return self._end(context)
+        if event.type == "ESC" and event.value == "PRESS":
+            return self._end(context)
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"} if self.passes(event) else {"RUNNING_MODAL"}
+        result = {"CANCELLED"}
+        try:
+            result = guarded(self, self._tick)
+        finally:
+            if result != {"RUNNING_MODAL"}:
+                self._end(context)
+        return result
+
+    def cancel(self, context):
+        self._end(context)
+
+    def _begin(self, context):
+        global preview
+        stopped = is_running(type(self).bl_idname)
+        end_preview()
+        if stopped:
+            return {"CANCELLED"}
+        if context.screen.is_animation_playing:
+            raise SceneError("Stop the playback first")
+        obj = properties.mesh_in(context)
+        self.running = Preview(obj, type(self).bl_idname)
+        preview = self.running
+        self.largest = 0.0
+        try:
+            self.left = self.frames(obj, self.running.flesh)
+        except BaseException:
+            end_preview()
+            raise
+        fps = self.running.flesh.player.settings.fps
+        self.timer = context.window_manager.event_timer_add(1.0 / fps, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def _tick(self):
+        frame = next(self.left, None)
+        if frame is None:
+            self._report(self.largest)
+            return {"FINISHED"}
+        self.largest = max(self.largest, self._show(self.running, *frame))
+        return {"RUNNING_MODAL"}
+
+    def _end(self, context):
+        if self.running is preview:
+            end_preview()
+        context.window_manager.event_timer_remove(self.timer)
+        return {"CANCELLED"}
+
+    def _show(self, running: Preview, values: np.ndarray, transform: Matrix | None) -> float:
+        running.show(values, transform)
+        return running.flesh.moved(values)
+
+    def _report(self, largest: float):
+        self.report({"INFO"}, f"The flesh moves by up to {1000 * largest:.1f} mm")
+
+
+class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
+    """Shake the armature in place, without keyframes, to see how the flesh swings; Esc stops"""
+
+    bl_idname = "dynamorph.shake_test"
+    bl_label = "Shake Test"
+
+    kind: EnumProperty(
+        name="Kind",
+        description="How the armature is moved",
+        items=(
+            ("STOMP", "Stomp", "Rise, drop and stop dead"),
+            ("TWIST", "Twist", "Turn about the armature's own Z axis, quickly, and back"),
+            ("HOP", "Hop", "Up and down, twice"),
+        ),
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+
+    def passes(self, event) -> bool:
+        """Not what may be undone: it would remember the rig where it is shaken to."""
+        return event.type in NAVIGATION
+
+    def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, Matrix]]:
+        for moved in movers(obj):
+            if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
+                raise SceneError(f"'{moved.name}' rotates by Axis Angle: choose another rotation mode to twist it")
+        return self._played(flesh, *shaken(obj, flesh, self.kind))
+
+    @staticmethod
+    def _played(flesh, samples, transforms):
+        player, substeps = flesh.player, flesh.player.settings.substeps
+        count = len(samples) // substeps
+        yield flesh.values(player.begin(samples[:2])), Matrix(transforms[0])
+        for k, frame in enumerate(player.play(samples[1:], range(1, count + 1)), 1):
+            yield flesh.values(frame), Matrix(transforms[k * substeps])
+
+
+def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Height, in body sizes, and angle (S,) at these times after the start."""
+
+    def smooth(t):
+        t = np.clip(t, 0.0, 1.0)
+        return t * t * (3.0 - 2.0 * t)
+
+    t, none = seconds - REST, np.zeros_like(seconds)
+    if kind == "STOMP":
+        fallen = np.clip((t - 0.4) / 0.2, 0.0, 1.0)
+        return STOMP * np.minimum(smooth(t / 0.4), 1.0 - fallen**2), none
+    if kind == "TWIST":
+        return none, TWIST * (smooth(t / 0.25) - smooth((t - 1.0) / 0.25))
+    airborne = np.where((t > 0.0) & (t < 1.0), t % 0.5 / 0.5, 0.0)
+    return HOP * 4.0 * airborne * (1.0 - airborne), none
+
+
+def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
+    """The rig in its present pose, shaken: samples at substeps, and the world transforms (S, 4, 4) that move it."""
+    skeleton, local, rig_world = extract.current_pose(obj)
+    object_world = np.array(obj.matrix_world)
+    settings = flesh.player.settings
+    count = 1 + round(SECONDS * settings.fps) * settings.substeps
+    heights, angles = shake(kind, np.arange(count) * settings.step)
+    axis = rig_world[:3, 2] / np.linalg.norm(rig_world[:3, 2])
+    transforms = np.array([Matrix.Rotation(angle, 4, axis) for angle in angles])
+    origin = rig_world[:3, 3]
+    transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
+    transforms[:, 2, 3] += heights * flesh.player.size
+    pose = np.broadcast_to(skeleton.pose(local), (count, *local.shape))
+    return RigSamples(pose, transforms @ rig_world, transforms @ object_world), transforms
+
+
+class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
+    """Swing the selected mode alone, about the targets' shape in the present pose; again, or Esc: stop"""
+
+    bl_idname = "dynamorph.play_mode"
+    bl_label = "Play Mode"
+
+    def passes(self, _event) -> bool:
+        return True  # to select other modes meanwhile
+
+    def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, None]]:
+        """A swing a second; in the background, one."""
+        if not flesh.modes:
+            raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
+        skeleton, local, rig_world = extract.current_pose(obj)
+        still = RigSamples(skeleton.pose(local)[None], rig_world[None], np.array(obj.matrix_world)[None])
+        weights = flesh.player.begin(still).weights
+        return self._swinging(obj.session_uid, flesh, weights)
+
+    @staticmethod
+    def _swinging(session_uid: int, flesh, weights):
+        fps = flesh.player.settings.fps
+        dry = np.concatenate([flesh.player.dry(weights), weights])
+        k = 0
+        while k < fps or not bpy.app.background:
+            settings = jobs.find(session_uid).dynamorph
+            index = min(settings.active_mode_index, flesh.modes - 1)
+            mode = np.zeros_like(dry)
+            mode[index] = 1.0
+            amplitude = SWING * flesh.player.size / flesh.moved(dry + mode)
+            if index < len(settings.modes):
+                amplitude *= settings.modes[index].gain
+            yield dry + amplitude * math.sin(2.0 * math.pi * k / fps) * mode, None
+            k += 1
+
+
+# Comparing ---------------------------------------------------------------------------------------------------------
+
+
+class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
+    """Set the gain of all modes to 1, and none solo"""
+
+    bl_idname = "dynamorph.reset_gains"
+    bl_label = "Reset Gains"
+
+    def apply(self, obj):
+        for mode in obj.dynamorph.modes:
+            mode.gain, mode.solo = 1.0, False
+
+
+class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
+    """Measure how far the soft skin at rest, in each target's pose, is from what was sculpted for it"""
+
+    bl_idname = "dynamorph.check_targets"
+    bl_label = "Check Targets"
+
+    def apply(self, obj):
+        model, character = jobs.current_model(obj)
+        from . import report  # needs the engine, which is there now
+
+        lines = [f"{name}: {1000 * miss:.2g} mm" for name, miss in report.residuals(model, character).items()]
+        obj.dynamorph.live.checks = "\n".join(lines)
+        self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
+
+
+class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
+    """Go to the other of two sets of settings, to compare them: materials, simulation, gains of modes"""
+
+    bl_idname = "dynamorph.swap_slot"
+    bl_label = "Swap A and B"
+
+    def apply(self, obj):
+        record = obj.dynamorph.live
+        left = slot_settings(obj)
+        put_slot(obj, json.loads(record.other) if record.other else left)
+        record.other = json.dumps(left)
+        record.slot = "B" if record.slot == "A" else "A"
+        live.refresh(obj)
+
+
+class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
+    """Make the other set of settings the same as this one"""
+
+    bl_idname = "dynamorph.copy_slot"
+    bl_label = "Copy to Other Slot"
+
+    def apply(self, obj):
+        obj.dynamorph.live.other = json.dumps(slot_settings(obj))
+
+
+def slot_settings(obj) -> dict:
+    """What one slot holds, fit for JSON. Targets are told apart by name; the neutral one is ''."""
+    settings = obj.dynamorph
+    return {
+        "materials": {name: asdict(target.material()) for name, target in _named_targets(obj)},
+        "simulation": properties.plain(settings.simulation),
+        "gains": [mode.gain for mode in settings.modes],
+    }
+
+
+def put_slot(obj, values: dict):
+    """The inverse of `slot_settings`; targets and modes that came since then stay as they are."""
+    for name, target in _named_targets(obj):
+        if name in values["materials"]:
+            target.set_material(Material(**values["materials"][name]))
+    properties.assign(obj.dynamorph.simulation, values["simulation"])
+    for mode, gain in zip(obj.dynamorph.modes, values["gains"], strict=False):
+        if mode.gain != gain:
+            mode.gain = gain
+
+
+def _named_targets(obj) -> list[tuple]:
+    return [("" if i == 0 else target.name, target) for i, target in enumerate(obj.dynamorph.targets)]
+
+
+@persistent
+def _before_change(*_args):
+    """undo_pre, redo_pre, load_pre, save_pre: what a preview moves must not be saved, nor stay where undo passes by."""
+    end_preview()
+
+
+HANDLERS = ("undo_pre", "redo_pre", "load_pre", "save_pre")
+CLASSES = (
+    DYNAMORPH_OT_live,
+    DYNAMORPH_OT_shake_test,
+    DYNAMORPH_OT_play_mode,
+    DYNAMORPH_OT_reset_gains,
+    DYNAMORPH_OT_check_targets,
+    DYNAMORPH_OT_swap_slot,
+    DYNAMORPH_OT_copy_slot,
+)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    for name in HANDLERS:
+        getattr(bpy.app.handlers, name).append(_before_change)
+
+
+def unregister():
+    end_preview()
+    for name in HANDLERS:
+        getattr(bpy.app.handlers, name).remove(_before_change)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

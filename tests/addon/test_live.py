@@ -1,0 +1,576 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Live shows what a bake would, goes on through edits, and leaves no trace; so do its previews."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from builders import activate, evaluated_points, fingerprint, part, rig_of
+from mathutils import Matrix
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+packed = {}  # the model of the arm, which all tests share
+
+
+@pytest.fixture
+def live_arm(soft_arm):
+    """The soft arm with a coarse model, built."""
+    settings = soft_arm.dynamorph
+    settings.model.cage_nodes, settings.model.modes = 200, 8
+    jobs = part("jobs")
+    if not packed:
+        job = jobs.Job(soft_arm, goal="BUILD")
+        jobs.run(job)
+        packed["model"] = jobs.stored_model(soft_arm)
+        packed["record"] = part("properties").plain(settings.model)
+    jobs.store_model(soft_arm, packed["model"])
+    part("properties").assign(settings.model, packed["record"])
+    settings.model.stale = ""
+    jobs.fit_modes(soft_arm, 8)
+    settings.simulation.gravity = 0.0
+    part("live")._loaded()  # session ids begin anew with each file
+    return soft_arm
+
+
+@pytest.fixture
+def playing(live_arm):
+    bpy.ops.dynamorph.live()
+    return live_arm
+
+
+def surface(obj) -> np.ndarray:
+    """Points (V, 3) that the shape keys make at the present frame."""
+    return part("properties").key_points(obj.data.shape_keys.key_blocks["Dynamorph Live"]).astype(float)
+
+
+def play(obj, frames) -> np.ndarray:
+    """The surface (F, V, 3) at frames that are played one after the other."""
+    shown = []
+    for frame in frames:
+        bpy.context.scene.frame_set(int(frame), subframe=frame % 1)
+        shown.append(surface(obj))
+        assert part("live").problem(obj) == ""
+    return np.array(shown)
+
+
+def session(obj):
+    return part("live").sessions[obj.session_uid]
+
+
+def baked(obj, **settings):
+    """The surface (F, V, 3) of a bake of the same scene, which is not written."""
+    jobs, extract = part("jobs"), part("extract")
+    job = jobs.Job(obj, goal="BAKE", **settings)
+    job.prepare()
+    job.start()
+    while not job.wait(1.0):
+        pass
+    assert job.reasons == []
+    rest = extract.character(obj).vertices
+    return np.array([rest + job.result.displacement(k) for k in range(len(job.result.frames))])
+
+
+def apart(first, second) -> float:
+    """The largest distance, as a part of the arm's length."""
+    return float(np.abs(first - second).max() / 2.0)
+
+
+# Playback ----------------------------------------------------------------------------------------------------------
+
+
+def sliding(obj):
+    """A rig that also travels, with its mesh."""
+    rig = rig_of(obj)
+    obj.parent = rig
+    for frame, x in ((1, 0.0), (8, 0.5), (20, 0.0)):
+        rig.location.x = x
+        rig.keyframe_insert("location", frame=frame)
+    obj.dynamorph.simulation.gravity = 1.0
+
+
+@pytest.mark.parametrize("change", [lambda obj: None, sliding])
+def test_playback_is_the_bake(live_arm, change):
+    change(live_arm)
+    bpy.ops.dynamorph.live()
+    assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
+
+
+def test_what_blender_shows_is_the_live_surface(playing):
+    bpy.context.scene.frame_set(1)
+    bpy.context.scene.frame_set(9)
+    shown = evaluated_points(playing)
+    playing.modifiers["Armature"].show_viewport = False
+    assert apart(evaluated_points(playing), surface(playing)) < 1e-6
+    assert apart(evaluated_points(playing), shown) > 0.01
+
+
+def test_sub_frames_are_those_of_the_bake(playing):
+    whole = baked(playing)
+    shown = play(playing, [1, 0.75, 1.25, 1, 2, 1.75, 2.25, 3, 3.5])
+    between = whole[2] + 0.5 * (whole[3] - whole[2])
+    assert apart(shown[0], whole[0]) < 1e-6 and apart(shown[1], whole[0]) < 1e-6
+    assert apart(shown[2], 0.75 * whole[0] + 0.25 * whole[1]) < 1e-6
+    assert apart(shown[5], 0.25 * whole[0] + 0.75 * whole[1]) < 1e-6
+    assert apart(shown[7], whole[2]) < 1e-6 and apart(shown[8], between) < 1e-6
+
+
+def test_begins_again_at_the_start_and_after_a_jump(playing):
+    whole = play(playing, range(1, 11))
+    assert apart(play(playing, range(1, 11)), whole) == 0.0
+    assert len(session(playing)._frames) == 10
+    bpy.context.scene.frame_set(40)  # too far to have been played
+    assert list(session(playing)._frames) == [40]
+    bpy.context.scene.frame_set(20)
+    assert list(session(playing)._frames) == [20]
+
+
+def test_dropped_frames_are_simulated_all_the_same(playing):
+    whole = baked(playing)
+    assert apart(play(playing, [1, 4, 5, 12, 20]), whole[[0, 3, 4, 11, 19]]) < 1e-6
+
+
+def test_scrubbing_back_shows_what_was(playing):
+    whole = play(playing, range(1, 13))
+    assert apart(play(playing, [7, 3, 9]), whole[[6, 2, 8]]) == 0.0
+    assert apart(play(playing, [13]), baked(playing)[[12]]) < 1e-6
+
+
+def test_a_loop_goes_on_without_a_jump(live_arm):
+    bone = rig_of(live_arm).pose.bones["lower"]
+    for frame, angle in ((1, 0.2), (10, 1.2), (20, 0.2)):
+        bone.rotation_euler.x = angle
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    live_arm.dynamorph.simulation.loop = True
+    bpy.ops.dynamorph.live()
+    first = play(live_arm, range(1, 21))
+    second = play(live_arm, range(1, 21))
+    assert apart(second[0], first[-1]) < 1e-6 and apart(second[0], first[0]) > 1e-4
+    for _ in range(15):
+        play(live_arm, range(1, 21))
+    assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 2e-4
+
+
+# Changes while it plays --------------------------------------------------------------------------------------------
+
+
+def test_other_materials_go_on_from_where_the_flesh_is(playing):
+    before = play(playing, range(1, 9))
+    play(playing, [9, 10, 8])  # two frames further, and back
+    playing.dynamorph.targets[0].stiffness = playing.dynamorph.targets[1].stiffness = 1500.0
+    after = play(playing, range(9, 19))
+    step = np.abs(np.diff(np.concatenate([before, after[:2]]), axis=0)).max(axis=(1, 2))
+    assert step[7] < 2 * step[:7].max()
+    rest = baked(playing)  # softer from the first frame on
+    playing.dynamorph.targets[0].stiffness = playing.dynamorph.targets[1].stiffness = 2e4
+    as_before = baked(playing)
+    assert apart(after, as_before[8:18]) > 1e-3 and apart(after[0], as_before[8]) < apart(after[0], rest[8])
+
+
+def test_the_same_settings_written_again_change_nothing(playing):
+    play(playing, range(1, 9))
+    player = session(playing).flesh.player
+    playing.dynamorph.targets[1].stiffness = playing.dynamorph.targets[1].stiffness
+    play(playing, [9])
+    assert session(playing).flesh.player is player
+
+
+def test_another_pose_of_a_target_counts_at_once(playing):
+    play(playing, range(1, 15))
+    weights = session(playing)._frames[14].weights
+    playing.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.capture_pose()  # of frame 14
+    play(playing, [15])
+    assert session(playing)._frames[14].weights == pytest.approx(weights)
+    assert session(playing)._frames[15].weights == pytest.approx([0, 1])
+
+
+def test_steps_of_another_length_begin_a_session(playing):
+    play(playing, range(1, 6))
+    playing.dynamorph.simulation.substeps = 2
+    play(playing, [6])
+    assert list(session(playing)._frames) == [6] and session(playing).rig.substeps == 2
+
+
+def test_edited_animation_is_read_anew(playing):
+    play(playing, range(1, 6))
+    bone = rig_of(playing).pose.bones["lower"]
+    bone.rotation_euler.x = -1.0
+    bone.keyframe_insert("rotation_euler", frame=8)
+    bpy.context.view_layer.update()
+    play(playing, range(6, 9))
+    assert session(playing)._frames[8].weights == pytest.approx([1, 0], abs=1e-6)
+
+
+def test_gains_and_solo_show_at_once(playing):
+    play(playing, range(1, 9))
+    dry = session(playing).flesh.player.dry(session(playing)._frames[8].weights)
+    modes, flesh = playing.dynamorph.modes, session(playing).flesh
+    assert [mode.name for mode in modes][:2] == ["Mode 01", "Mode 02"] and len(modes) == 8
+    modes[2].solo = True
+    modes[2].gain = 2.0
+    alone = dry.copy()
+    alone[2] += 2.0 * (session(playing)._frames[8].coordinates - dry)[2]
+    expected = flesh.points(np.concatenate([alone, session(playing)._frames[8].weights])).reshape(-1, 3)
+    assert apart(surface(playing), expected) < 1e-7
+    assert bpy.ops.dynamorph.reset_gains() == {"FINISHED"}
+    assert apart(surface(playing), baked(playing)[7]) < 1e-6
+
+
+def test_gains_are_in_the_bake_too(playing):
+    for mode in playing.dynamorph.modes:
+        mode.gain = 0.5
+    shown = play(playing, range(1, 21))
+    bpy.ops.dynamorph.bake()
+    bpy.context.scene.frame_set(12)
+    playing.modifiers["Armature"].show_viewport = False
+    assert apart(evaluated_points(playing), shown[11]) < 1e-5
+
+
+# On and off --------------------------------------------------------------------------------------------------------
+
+
+def test_off_leaves_no_trace(live_arm):
+    live_arm.data.shape_keys.key_blocks["flexed"].mute = True
+    live_arm.data.shape_keys.key_blocks["smile"].value = 0.3
+    live_arm.active_shape_key_index = 1
+    before = fingerprint(live_arm)
+    bpy.ops.dynamorph.live()
+    keys = live_arm.data.shape_keys.key_blocks
+    assert keys["Dynamorph Live"].value == 1.0 and keys["flexed"].mute and not keys["smile"].mute
+    play(live_arm, range(1, 5))
+    bpy.context.scene.frame_set(1)
+    bpy.ops.dynamorph.live()
+    assert fingerprint(live_arm) == before
+
+
+def test_undo_of_the_button(live_arm):
+    bpy.ops.ed.undo_push(message="before")
+    before = fingerprint(live_arm)
+    bpy.ops.dynamorph.live()
+    bpy.ops.ed.undo_push(message="live")
+    play(live_arm, range(1, 5))
+    bpy.ops.ed.undo()
+    obj = bpy.data.objects["Arm"]
+    bpy.context.scene.frame_set(1)
+    assert fingerprint(obj) == before and not part("live").is_on(obj)
+    bpy.ops.ed.redo()
+    obj = bpy.data.objects["Arm"]
+    assert part("live").is_on(obj)
+    assert apart(play(obj, range(1, 6)), baked(obj)[:5]) < 1e-6
+
+
+def test_undo_while_it_plays_goes_on(playing):
+    bpy.ops.ed.undo_push(message="live")
+    play(playing, range(1, 6))
+    playing.dynamorph.targets[1].density = 500.0
+    bpy.ops.ed.undo_push(message="denser")
+    bpy.ops.ed.undo()
+    obj = bpy.data.objects["Arm"]
+    assert apart(play(obj, [6, 7]), baked(obj)[5:7]) < 1e-6
+
+
+def test_it_goes_on_playing_after_save_and_load(playing, tmp_path):
+    whole = play(playing, range(1, 6))
+    path = str(tmp_path / "live.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    obj = bpy.data.objects["Arm"]
+    obj.data.shape_keys.key_blocks["Dynamorph Live"].name = "renamed"
+    bpy.context.view_layer.update()
+    assert obj.dynamorph.live.key.name == "renamed"
+    obj.data.shape_keys.key_blocks["renamed"].name = "Dynamorph Live"
+    bpy.context.view_layer.update()
+    assert apart(play(obj, range(1, 6)), whole) < 1e-6
+
+
+def test_renamed_and_moved_keys_are_followed(playing):
+    play(playing, range(1, 4))
+    keys = playing.data.shape_keys.key_blocks
+    keys["flexed"].name = "biceps"
+    keys["Dynamorph Live"].name = "wobble"
+    playing.active_shape_key_index = keys.find("wobble")
+    bpy.ops.object.shape_key_move(type="TOP")
+    bpy.context.view_layer.update()
+    bpy.context.scene.frame_set(4)
+    assert playing.dynamorph.live.key.name == "wobble" and part("live").problem(playing) == ""
+    bpy.ops.dynamorph.live()
+    assert [(key.name, key.mute) for key in keys] == [("Basis", False), ("biceps", False), ("smile", False)]
+
+
+def test_a_deleted_live_key_is_live_turned_off(playing):
+    play(playing, range(1, 4))
+    playing.shape_key_remove(playing.data.shape_keys.key_blocks["Dynamorph Live"])
+    bpy.context.view_layer.update()
+    assert not part("live").is_on(playing) and not playing.data.shape_keys.key_blocks["flexed"].mute
+    bpy.context.scene.frame_set(5)
+
+
+def test_a_bake_replaces_live(playing):
+    play(playing, range(1, 4))
+    assert bpy.ops.dynamorph.bake() == {"FINISHED"}
+    keys = playing.data.shape_keys.key_blocks
+    assert "Dynamorph Live" not in keys and keys["flexed"].mute and not part("live").is_on(playing)
+    assert not bpy.ops.dynamorph.live.poll() and not bpy.ops.dynamorph.shake_test.poll()
+    bpy.ops.dynamorph.free_bake()
+    assert not keys["flexed"].mute
+    assert bpy.ops.dynamorph.live() == {"FINISHED"}
+
+
+# What is in the way ------------------------------------------------------------------------------------------------
+
+
+def test_needs_a_model(soft_arm):
+    assert not bpy.ops.dynamorph.live.poll()
+
+
+def test_a_model_out_of_date_is_refused(live_arm):
+    live_arm.data.shape_keys.key_blocks["flexed"].points[3].co.x += 0.01
+    before = fingerprint(live_arm)
+    with pytest.raises(RuntimeError, match="out of date .*shape of 'flexed' changed"):
+        bpy.ops.dynamorph.live()
+    assert fingerprint(live_arm) == before
+
+
+def test_an_unreduced_model_is_refused(live_arm):
+    live_arm.dynamorph.model.solver = "FULL"
+    part("jobs").run(part("jobs").Job(live_arm, goal="BUILD"))
+    with pytest.raises(RuntimeError, match="choose Solver Reduced"):
+        bpy.ops.dynamorph.live()
+
+
+def stopped(obj, words):
+    bpy.context.scene.frame_set(bpy.context.scene.frame_current + 1)
+    assert words in part("live").problem(obj)
+
+
+def test_a_model_that_ages_stops_it_until_it_is_built(playing):
+    play(playing, range(1, 4))
+    playing.dynamorph.model.modes = 6
+    stopped(playing, "out of date")
+    part("jobs").run(part("jobs").Job(playing, goal="BUILD"))
+    play(playing, range(5, 7))
+    assert len(playing.dynamorph.modes) == 6 and session(playing).flesh.modes == 6
+
+
+def test_what_else_stops_it_says_so(playing):
+    play(playing, range(1, 4))
+    bpy.data.objects.remove(rig_of(playing))
+    bpy.context.view_layer.update()
+    stopped(playing, "no Armature modifier")
+    bpy.ops.dynamorph.live()
+    assert "Dynamorph Live" not in playing.data.shape_keys.key_blocks
+
+
+def test_a_mesh_with_other_vertices_stops_it(playing):
+    play(playing, range(1, 4))
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.context.scene.frame_set(5)
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.mesh.subdivide()
+    bpy.context.scene.frame_set(6)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    stopped(playing, "vertices, its model")
+
+
+def test_deleted_objects_and_other_scenes_are_left_alone(playing):
+    play(playing, range(1, 4))
+    other = bpy.data.scenes.new("Other")
+    other.collection.objects.link(playing)
+    shown = surface(playing)
+    other.frame_set(9)
+    assert apart(surface(playing), shown) == 0.0
+    bpy.data.objects.remove(playing)
+    bpy.context.scene.frame_set(5)
+    assert not part("live").sessions
+
+
+def test_two_characters_and_a_copy(playing):
+    play(playing, range(1, 4))
+    playing.select_set(True)
+    bpy.ops.object.duplicate()
+    copy = bpy.context.object
+    bpy.context.scene.frame_set(4)
+    assert copy != playing and len(part("live").sessions) == 2
+    activate(copy)
+    bpy.ops.dynamorph.live()
+    assert part("live").is_on(playing) and not part("live").is_on(copy)
+    assert apart(play(playing, [5]), baked(playing)[4]) < 1e-6
+
+
+def test_rendering_in_the_background_simulates(playing):
+    scene = bpy.context.scene
+    whole = baked(playing)
+    scene.frame_set(1)
+    play(playing, range(2, 6))
+    assert not part("live").holds_still(scene)
+    assert apart(surface(playing), whole[4]) < 1e-6
+
+
+# Previews ----------------------------------------------------------------------------------------------------------
+
+
+def deltas(obj):
+    return [tuple(getattr(obj, name)) for name in part("live_operators").DELTAS]
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """What previews show, frame by frame: a list of (points (V, 3), world position of the rig)."""
+    frames, operators = [], part("live_operators")
+    show = operators.Preview.show
+
+    def spy(preview, *frame):
+        show(preview, *frame)
+        obj = part("jobs").find(preview.session_uid)
+        bpy.context.view_layer.update()
+        frames.append((surface(obj), tuple(rig_of(obj).matrix_world.translation)))
+
+    monkeypatch.setattr(operators.Preview, "show", spy)
+    return frames
+
+
+@pytest.mark.parametrize("kind", ["STOMP", "TWIST", "HOP"])
+def test_a_shake_test_moves_the_flesh_and_nothing_stays(live_arm, shown, kind):
+    rig = rig_of(live_arm)
+    live_arm.parent = rig
+    rig.delta_location, rig.delta_rotation_euler = (0.1, 0.0, 0.2), (0.3, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    before = fingerprint(live_arm), deltas(rig), deltas(live_arm)
+    assert bpy.ops.dynamorph.shake_test(kind=kind) == {"FINISHED"}
+    assert (fingerprint(live_arm), deltas(rig), deltas(live_arm)) == before
+    points, places = np.array([frame[0] for frame in shown]), np.array([frame[1] for frame in shown])
+    assert len(points) == 61 and 1e-3 < np.abs(points - points[0]).max() < 0.3
+    rise = places[:, 2] - 0.2
+    assert rise.max() == pytest.approx({"STOMP": 0.08, "TWIST": 0.0, "HOP": 0.12}[kind] * 2.17, rel=0.05, abs=1e-6)
+    assert np.abs(places[-1] - places[0]).max() < 1e-6
+
+
+def test_a_shake_moves_the_rig_as_it_says(live_arm):
+    """Rig and mesh, each with a parent, a rotation and deltas of its own, by one world transform."""
+    operators = part("live_operators")
+    parent = bpy.data.objects.new("Parent", None)
+    bpy.context.scene.collection.objects.link(parent)
+    parent.rotation_euler, parent.location, parent.scale = (0.2, 0.5, 1.0), (1, 2, 3), (2, 2, 2)
+    rig = rig_of(live_arm)
+    rig.parent, rig.delta_location, rig.delta_rotation_euler = parent, (0.1, 0.2, 0.3), (0.4, 0.1, 0.0)
+    rig.rotation_mode = "ZXY"
+    live_arm.rotation_mode, live_arm.delta_rotation_quaternion = "QUATERNION", (0.8, 0.6, 0.0, 0.0)
+    live_arm.scale = (-1.0, 1.0, 1.0)
+    bpy.context.view_layer.update()
+    transform = Matrix.Translation((0.3, -0.2, 0.1)) @ Matrix.Rotation(0.7, 4, (0.6, 0.0, 0.8))
+    for obj in operators.movers(live_arm):
+        before, mover = np.array(obj.matrix_world), operators._Mover(obj)
+        mover.move(transform)
+        bpy.context.view_layer.update()
+        assert np.array(obj.matrix_world) == pytest.approx(np.array(transform) @ before, abs=1e-5)
+        mover.restore()
+        bpy.context.view_layer.update()
+        assert np.array(obj.matrix_world) == pytest.approx(before, abs=1e-6)
+    assert [obj.name for obj in operators.movers(live_arm)] == ["Arm Rig", "Arm"]
+    live_arm.parent = rig
+    assert [obj.name for obj in operators.movers(live_arm)] == ["Arm Rig"]
+
+
+@pytest.fixture
+def shaken(playing):
+    """A live arm in the middle of a shake test at frame 3, and how its rig stood before."""
+    operators = part("live_operators")
+    play(playing, range(1, 4))
+    bpy.ops.ed.undo_push(message="before")
+    bpy.context.scene.frame_set(3)
+    bpy.ops.ed.undo_push(message="another")
+    stood = deltas(rig_of(playing))
+    operators.preview = operators.Preview(playing, "dynamorph.shake_test")
+    values = np.concatenate([np.full(8, 0.01), [1.0, 0.0]])
+    operators.preview.show(values, Matrix.Translation((0, 0, 0.5)))
+    assert deltas(rig_of(playing)) != stood and part("live_operators").is_running("dynamorph.shake_test")
+    return playing, stood
+
+
+def test_frames_that_pass_do_not_disturb_a_preview(shaken):
+    obj, _ = shaken
+    swung = surface(obj)
+    bpy.context.scene.frame_set(4)
+    assert apart(surface(obj), swung) == 0.0
+    part("live_operators").end_preview()
+    assert apart(surface(obj), baked(obj)[3]) < 1e-6
+
+
+def test_undo_ends_a_preview(shaken):
+    _, stood = shaken
+    bpy.ops.ed.undo()
+    obj = bpy.data.objects["Arm"]
+    assert part("live_operators").preview is None and deltas(rig_of(obj)) == stood
+    assert apart(play(obj, [4]), baked(obj)[3]) < 1e-6
+
+
+def test_saving_and_loading_end_a_preview(shaken, tmp_path):
+    obj, stood = shaken
+    path = str(tmp_path / "shaken.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    assert part("live_operators").preview is None and deltas(rig_of(obj)) == stood
+    part("live_operators").preview = part("live_operators").Preview(obj, "dynamorph.play_mode")
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert part("live_operators").preview is None and not part("live").lent
+    assert deltas(rig_of(bpy.data.objects["Arm"])) == stood
+
+
+def test_a_mode_plays_alone(live_arm, shown):
+    bpy.context.scene.frame_set(20)
+    before = fingerprint(live_arm)
+    live_arm.dynamorph.active_mode_index = 1
+    live_arm.dynamorph.modes[1].gain = 2.0
+    assert bpy.ops.dynamorph.play_mode() == {"FINISHED"}
+    assert fingerprint(live_arm) == before
+    points = np.array([frame[0] for frame in shown])
+    sculpted = part("properties").key_points(live_arm.data.shape_keys.key_blocks["flexed"])
+    assert apart(points[0], sculpted) < 1e-5  # in its pose
+    swings = np.linalg.norm(points - points[0], axis=2).max(axis=1)
+    size = part("live").Flesh(live_arm, bpy.context.scene).player.size
+    assert swings.max() == pytest.approx(2.0 * 0.05 * size, rel=0.01)
+    assert apart(points[6] - points[0], points[0] - points[18]) < 1e-6  # a sine
+
+
+# Comparing ---------------------------------------------------------------------------------------------------------
+
+
+def test_slots_swap_and_come_back(playing):
+    settings = playing.dynamorph
+    play(playing, range(1, 4))
+    bpy.ops.dynamorph.swap_slot()
+    assert settings.live.slot == "B"
+    settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain = 5e3, 0.5, 1.5
+    bpy.ops.dynamorph.swap_slot()
+    now = settings.live.slot, settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain
+    assert now == ("A", 2e4, 0.0, 1.0)
+    assert session(playing).flesh.player.gains[3] == 1.0
+    bpy.ops.dynamorph.swap_slot()
+    now = settings.live.slot, settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain
+    assert now == ("B", 5e3, 0.5, 1.5)
+    assert session(playing).flesh.player.gains[3] == 1.5
+    assert session(playing).flesh.character.targets[0].material.stiffness == 5e3
+    bpy.ops.dynamorph.copy_slot()
+    bpy.ops.dynamorph.swap_slot()
+    assert settings.targets[0].stiffness == 5e3 and json.loads(settings.live.other)["gains"][3] == 1.5
+    play(playing, [4, 5])
+
+
+def test_check_targets(live_arm):
+    assert bpy.ops.dynamorph.check_targets() == {"FINISHED"}
+    lines = live_arm.dynamorph.live.checks.split("\n")
+    misses = {name: float(text.removesuffix(" mm")) for name, text in (line.split(": ") for line in lines)}
+    assert list(misses) == ["Neutral", "flexed"] and max(misses.values()) < 0.05
+
+
+def test_disabling_the_add_on_forgets_sessions(playing):
+    live = part("live")
+    play(playing, range(1, 4))
+    live.unregister()
+    shown = surface(playing)
+    bpy.context.scene.frame_set(4)
+    assert not live.sessions and apart(surface(playing), shown) == 0.0
+    live.register()
+    play(playing, [5])
+    assert all(list(getattr(bpy.app.handlers, name)).count(handler) == 1 for name, handler in live.HANDLERS.items())
