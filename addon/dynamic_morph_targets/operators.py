@@ -169,14 +169,20 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
         problem = ""
         if jobs.running:
             problem = f"Wait until '{jobs.running.name}' is done, or cancel it"
-        elif not properties.soft_skins(context.scene.objects):
-            problem = "The scene has no soft skin: press Add Soft Skin first"
+        elif not cls._own(context):
+            problem = "The scene has no soft skin of its own: press Add Soft Skin first, or make a linked one local"
         if problem:
             cls.poll_message_set(problem)
         return not problem
 
     def _jobs(self, _obj):
-        return [jobs.Job(skin, "BAKE") for skin in properties.soft_skins(bpy.context.scene.objects)]
+        return [jobs.Job(skin, "BAKE") for skin in self._own(bpy.context)]
+
+    @staticmethod
+    def _own(context) -> list:
+        """The soft skins whose bake would be saved."""
+        skins = properties.soft_skins(context.scene.objects)
+        return [skin for skin in skins if not (skin.library or skin.override_library)]
 
 
 class DYNAMORPH_OT_cancel(Operator):

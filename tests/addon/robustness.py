@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the tests of robustness share: coarse bakes, the state that buttons may change, and how to press each button."""
 
+import tempfile
+from pathlib import Path
+
 import bpy
 import numpy as np
 from builders import activate, evaluated_points, fingerprint, part, rig_of
@@ -47,7 +50,8 @@ def settings(group):
         if prop.type == "COLLECTION":
             value = [settings(item) for item in value]
         elif isinstance(value, bpy.types.PropertyGroup):
-            value = settings(value)
+            gone = isinstance(value, part("properties").DynamorphKey) and not value.name
+            value = None if gone else settings(value)  # of a key that is not there it does not matter what it was
         elif prop.type == "POINTER":
             value = value and value.name
         elif getattr(prop, "is_array", False):
@@ -146,29 +150,89 @@ def baked(obj):
     OPS.bake()
 
 
+def far_from_targets(obj):
+    for frame, angle in ((1, 0.0), (10, 1.5)):
+        rig_of(obj).pose.bones["upper"].rotation_euler.y = angle
+        rig_of(obj).pose.bones["upper"].keyframe_insert("rotation_euler", frame=frame)
+    bpy.context.view_layer.update()
+
+
+def gained(obj):
+    built(obj)
+    obj.dynamorph.modes[1].gain = 2.0
+
+
+def two_slots(obj):
+    OPS.copy_slot()
+    obj.dynamorph.targets[0].stiffness *= 2.0
+
+
+def setup_saved(obj):
+    OPS.save_setup(filepath=SETUP)
+    obj.dynamorph.targets[0].stiffness *= 2.0
+
+
+def preset_saved(obj):
+    target_selected(obj)
+    PRESET.write_text("import bpy\nbpy.context.object.dynamorph.active_target.stiffness = 777.0\n")
+
+
+def other_mesh_selected(obj):
+    other = bpy.data.objects.new("Sleeve", obj.data.copy())
+    bpy.context.scene.collection.objects.link(other)
+    other.shape_key_clear()
+    for group in obj.vertex_groups:
+        other.vertex_groups.new(name=group.name)
+    other.modifiers.new("Armature", "ARMATURE").object = rig_of(obj)
+    other.select_set(True)
+    obj.select_set(True)
+
+
+FOLDER = Path(tempfile.mkdtemp(prefix="dynamorph_test_"))
+SETUP, PRESET = str(FOLDER / "setup.json"), FOLDER / "preset.py"
+
+
 CALLS = {  # what a button needs before it, and what it is given
     "add_soft_skin": (no_soft_skin, {}),
     "add_target": (posed, {"key": "smile"}),
     "apply_material": (target_selected, {"preset": "FAT"}),
     "bake": (target_selected, {}),
+    "bake_all": (target_selected, {}),
     "build": (target_selected, {}),
     "build_cage": (target_selected, {}),
     "capture_pose": (posed, {}),
+    "check_targets": (built, {}),
+    "copy_slot": (target_selected, {}),
+    "copy_to_selected": (other_mesh_selected, {}),
     "duplicate_target": (target_selected, {}),
     "finish_sculpt": (sculpting, {}),
     "fit_material": (built, {"frequency": 5.0, "settle": 0.5}),
     "fix": (preserving_volume, {"problem": "PRESERVE_VOLUME"}),
     "free_bake": (baked, {}),
     "go_to_pose": (target_selected, {}),
+    "live": (built, {}),
+    "load_preset": (preset_saved, {"filepath": str(PRESET), "menu_idname": "DYNAMORPH_PT_material_presets"}),
+    "load_setup": (setup_saved, {"filepath": SETUP}),
     "mirror_target": (two_sides, {}),
     "move_target": (two_targets, {"direction": "DOWN"}),
     "new_from_pose": (posed, {"key": "Bent"}),
     "paint_group": (target_selected, {"which": "SOFT"}),
     "remove_bone": (target_selected, {"bone": "lower"}),
     "remove_target": (target_selected, {}),
+    "reset_gains": (gained, {}),
     "sculpt_target": (target_selected, {}),
     "select_key": (target_selected, {}),
+    "suggest_pose": (far_from_targets, {}),
     "suggest_targets": (driven, {}),
+    "swap_slot": (two_slots, {}),
     "use_selected_bones": (bones_selected, {}),
 }
-CHANGING_NOTHING = {"cancel"}  # of what is saved
+CHANGING_NOTHING = {  # of what is saved and undone
+    "cancel": (target_selected, {}),
+    "material_preset": (target_selected, {"name": "Test"}),
+    "play_mode": (built, {}),
+    "save_setup": (target_selected, {"filepath": SETUP}),
+    "setup_preset": (target_selected, {"name": "Test"}),
+    "shake_test": (built, {"kind": "TWIST"}),
+    "update_influence": (target_selected, {}),
+}
