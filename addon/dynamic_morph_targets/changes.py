@@ -35,6 +35,11 @@ def model_changes(obj) -> list[str]:
     return _changes(obj, _parsed(built), model_inputs(obj)) if built else []
 
 
+def model_age(obj) -> list[str]:
+    """Why the model of `obj` must be built again: its settings, else what its mesh was last seen to say."""
+    return model_changes(obj) or [text for text in [obj.dynamorph.model.stale] if text]
+
+
 def outdated(obj) -> list[str]:
     """What has changed since the bake of `obj`, as sentences. Reads no mesh and no animation: fit for drawing."""
     record = obj.dynamorph.bake

@@ -24,6 +24,7 @@ from .scene_data import Material, Skeleton, Target, TargetSet
 
 SLACK = 1.1  # on half the widest gap between neighbours
 PATIENCE = 0.5  # seconds without an edit, after which the graph is brought up to date
+SLICE = 0.02  # seconds of reading frames, between which Blender does other things
 
 
 # Pose space without a mesh -----------------------------------------------------------------------------------------
@@ -182,21 +183,40 @@ class Shot:
 shots: dict[int, Shot] = {}  # by the armature object's session_uid
 
 
+class Reading:
+    """An armature that is read frame after frame, from start to end, until it is a shot."""
+
+    def __init__(self, obj, start: int, end: int):
+        rig = extract.armature_modifier(obj).object
+        self.of = (obj.session_uid, start, end)
+        self._rig = rig.session_uid
+        self._skeleton = properties.rest_skeleton(rig.data)
+        self._shot = Shot(start, end, bones_key(rig.data), np.zeros((0, 0, 4, 4)))
+        self._sampling: extract.RigSampling | None = None
+
+    def advance(self, obj, seconds: float = np.inf) -> bool:
+        """Read on for about so long; True when all is read. Raises SceneError, which the shot remembers."""
+        try:
+            if self._sampling is None:
+                self._sampling = extract.RigSampling(obj, self._shot.start, self._shot.end, 1)
+            if not self._sampling.advance(obj, seconds):
+                return False
+            self._shot.pose = extract.hold_collapsed(self._sampling.samples(), self._skeleton)[0].pose
+        except SceneError as error:
+            self._shot.problem = str(error)
+            shots[self._rig] = self._shot
+            raise
+        shots[self._rig] = self._shot
+        return True
+
+
 def curves(obj, start: int, end: int) -> Influence:
     """At every frame from start to end, F = end - start + 1. Evaluates the rig there, and keeps its poses for `drawn`.
 
     Raises what `jobs.expected_errors` names.
     """
-    rig = extract.armature_modifier(obj).object
-    shot = shots[rig.session_uid] = Shot(start, end, bones_key(rig.data), np.zeros((0, 0, 4, 4)))
-    try:
-        space = space_of(obj)
-        samples, _ = extract.hold_collapsed(extract.sample_rig(obj, start, end, 1), space.skeleton)
-    except jobs.expected_errors() as error:
-        shot.problem = str(error)
-        raise
-    shot.pose = samples.pose
-    return _over(space, shot)
+    Reading(obj, start, end).advance(obj)
+    return drawn(obj)[1]
 
 
 def drawn(obj) -> tuple[Shot, Influence] | None:
@@ -261,11 +281,15 @@ class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
             return
         pose, s = worst
         scene.frame_set(scene.frame_start + pose)
-        text = rpt_("Frame {}: {:.0f} degrees from any target of {}. New from Pose adds one here")
-        self.report({"INFO"}, text.format(scene.frame_current, np.degrees(found.nearest[pose, s]), found.sets[s].name))
+        text = rpt_("Frame {frame}: {away:.0f} degrees from any target of {name}. New from Pose adds one here")
+        away, name = np.degrees(found.nearest[pose, s]), found.sets[s].name
+        self.report({"INFO"}, text.format(frame=scene.frame_current, away=away, name=name))
 
 
 # Keeping up --------------------------------------------------------------------------------------------------------
+
+
+_reading: Reading | None = None  # for the graph
 
 
 def update_soon(wait: float = PATIENCE):
@@ -285,13 +309,24 @@ def _update():
     moving = any(operator.bl_idname.startswith("TRANSFORM_OT") for operator in window.modal_operators)
     if moving or jobs.running or bpy.app.is_job_running("RENDER"):
         return PATIENCE
-    if _is_old(obj, window.scene):
-        try:
-            curves(obj, window.scene.frame_start, window.scene.frame_end)
-        except jobs.expected_errors():
-            pass  # the panel shows it: `problem`
-        redraw_views()
-    return None
+    if not _is_old(obj, window.scene):
+        return None
+    return None if _read_on(obj, window.scene.frame_start, window.scene.frame_end) else SLICE
+
+
+def _read_on(obj, start: int, end: int) -> bool:
+    """Read the frames for a moment; True when there is no more to read."""
+    global _reading
+    try:
+        if _reading is None or _reading.of != (obj.session_uid, start, end):
+            _reading = Reading(obj, start, end)
+        if not _reading.advance(obj, SLICE):
+            return False
+    except SceneError:
+        pass  # the panel shows it: `problem`
+    _reading = None
+    redraw_views()
+    return True
 
 
 def _is_old(obj, scene) -> bool:
@@ -308,10 +343,13 @@ def _note_changes(_scene, depsgraph):
     """depsgraph_update_post: any Action may move the rig; armatures, ranges and the selection are looked at later."""
     if not bpy.context.window_manager.dynamorph.influence:
         return
+    global _reading
     if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
+        _reading = None
         for shot in shots.values():
             shot.stale = True
-    update_soon()
+    if _reading is None:  # reading also updates the scene
+        update_soon()
 
 
 def redraw_views():
@@ -343,6 +381,8 @@ def _next_frame(*_args):
 @persistent
 def _forget(*_args):
     """load_pre."""
+    global _reading
+    _reading = None
     shots.clear()
 
 

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from . import extract, jobs, live_key, properties
+from . import changes, extract, jobs, live_key, properties
 from .extract import SceneError
 from .scene_data import Character, RigSamples, SimulationSettings
 
@@ -131,8 +131,9 @@ class Session:
 
     def _heed(self, obj, settings: SimulationSettings):
         """Take over what the artist has changed; what was simulated beyond the frame that shows is then forgotten."""
-        if obj.dynamorph.model.stale:
-            raise SceneError(f"The model is out of date ({obj.dynamorph.model.stale}): press Build Model")
+        age = changes.model_age(obj)
+        if age:
+            raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
         if len(obj.data.vertices) != len(self.flesh.character.vertices):
             raise SceneError(
                 f"The mesh has {len(obj.data.vertices)} vertices, its model {len(self.flesh.character.vertices)}: "
@@ -251,12 +252,10 @@ def is_on(obj) -> bool:
 
 def obstacle(obj) -> str:
     """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
-    model = obj.dynamorph.model
     if obj.dynamorph.bake.keys:
         return "The bake shows the motion already: press Free Bake first"
-    if model.stale or not model.content_id:
-        return f"Press Build Model first: {model.stale or 'not built yet'}"
-    return ""
+    age = changes.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
+    return f"Press Build Model first: {'; '.join(age)}" if age else ""
 
 
 def turn_on(obj, scene):
@@ -288,11 +287,11 @@ def refresh(obj):
 def problem(obj) -> str:
     """Why a live object does not play, or ''."""
     text, model = _problems.get(obj.session_uid, ("", None))
-    return text if model == _stated(obj.dynamorph.model) else ""
+    return text if model == _stated(obj) else ""
 
 
-def _stated(model) -> tuple:
-    return model.content_id, model.stale
+def _stated(obj) -> tuple:
+    return obj.dynamorph.model.content_id, *changes.model_age(obj)
 
 
 def follow(obj, scene, arrives=True):
@@ -315,7 +314,7 @@ def follow(obj, scene, arrives=True):
         sessions.pop(uid, None)
         expected = isinstance(error, jobs.expected_errors())
         text = str(error) if expected else f"{type(error).__name__}: {error}"
-        _problems[uid] = text, _stated(obj.dynamorph.model)
+        _problems[uid] = text, _stated(obj)
 
 
 def holds_still(scene) -> bool:

@@ -50,7 +50,7 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
     """Simulate while Blender plays, without a bake; again: stop that"""
 
     bl_idname = "dynamorph.live"
-    bl_label = "Live"
+    bl_label = "Live Soft Skin"
 
     @classmethod
     def poll(cls, context):

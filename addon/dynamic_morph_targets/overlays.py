@@ -128,7 +128,7 @@ def _draw_cage():
     gpu.state.depth_test_set("LESS_EQUAL")
     _draw_lines(edges, (*theme.view_3d.bone_pose, 0.6), 1.0)
     gpu.state.depth_test_set("NONE")  # they are near the bones, inside the body
-    _draw_points(pinned, (*theme.collection_color[PINNED].color, 0.9), 4.0)
+    _draw_points(pinned, (*theme.collection_color[PINNED].color, 0.9), 3.0)
 
 
 # The graph ---------------------------------------------------------------------------------------------------------

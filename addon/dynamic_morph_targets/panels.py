@@ -254,7 +254,7 @@ def draw_bars(layout, context, obj):
         for target, weight in zip(now.sets[s].targets, now.weights[0, targets.start : targets.stop], strict=True):
             column.progress(factor=weight, text=f"{target.name}  {weight:.2f}")
         if now.outside[0, s]:
-            text = iface_("Outside: {:.0f}° from the nearest target").format(np.degrees(now.nearest[0, s]))
+            text = iface_("Outside: {away:.0f}° from the nearest target").format(away=np.degrees(now.nearest[0, s]))
             column.label(text=text, icon="INFO", translate=False)
 
 
@@ -269,7 +269,7 @@ def draw_model(layout, obj):
         body.enabled = jobs.running is None
         for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot"):
             body.prop(model, name)
-    draw_outdated(layout, changes.model_changes(obj) or list(filter(None, [model.stale])))
+    draw_outdated(layout, changes.model_age(obj))
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")

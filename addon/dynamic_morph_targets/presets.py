@@ -15,7 +15,7 @@ from bl_ui.utils import PresetPanel
 from bpy.props import StringProperty
 from bpy.types import Menu, Operator, Panel
 
-from . import jobs, materials, properties, setups
+from . import materials, properties, setups
 from .operators import SoftSkinOperator
 from .scene_data import Material
 
@@ -80,8 +80,6 @@ class DYNAMORPH_OT_load_preset(SoftSkinOperator, Operator):
     def apply(self, obj):
         with bpy.context.temp_override(object=obj):
             bpy.ops.script.execute_preset(filepath=self.filepath, menu_idname=self.menu_idname)
-        if obj.dynamorph.model.stale:  # because a setting was written, though perhaps with the value it had
-            jobs.show_stale(obj)
 
 
 class PresetList(PresetPanel):

@@ -648,12 +648,10 @@ def _follow_groups(obj):
     settings.groups = "\n".join(now)
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
-    stale = settings.model.stale
     users = [(settings, "soft_group"), (settings, "stiffness_group"), *((each, "region") for each in settings.targets)]
     for user, name in users:
         if getattr(user, name) in renamed:
             setattr(user, name, renamed[getattr(user, name)])
-    settings.model.stale = stale  # another name is not another region
 
 
 def _follow_bones(skeleton: Skeleton, target):

@@ -37,7 +37,7 @@ VERSION = 1
 
 # Properties that are results, clues or a choice in the interface.
 NOT_AUTHORED = {
-    DynamorphSettings: ("name", "active_target_index", "active_mode_index", "groups"),
+    DynamorphSettings: ("name", "groups", "active_target_index", "active_mode_index"),
     DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
     DynamorphSimulation: ("name",),
     DynamorphMode: ("name",),

@@ -25,8 +25,7 @@ def model_changes(obj):
 
 
 def with_modes(obj):
-    for gain in (1.0, 1.0, 0.5):
-        obj.dynamorph.modes.add().gain = gain
+    obj.dynamorph.modes[2].gain = 0.5
 
 
 SETTINGS = [

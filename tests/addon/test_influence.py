@@ -110,7 +110,7 @@ def test_what_is_drawn_follows_poses_without_looking_at_the_frames_again(soft_ar
     influence.shots.clear()
     assert influence.drawn(soft_arm) is None
     first = over(soft_arm)
-    monkeypatch.setattr(extract, "sample_rig", None)
+    monkeypatch.setattr(extract, "RigSampling", None)
     shot, shown = influence.drawn(soft_arm)
     assert shown is first and (shot.start, shot.end) == (1, 20)
     soft_arm.dynamorph.targets[1].radius = radians(30.0)
@@ -145,6 +145,30 @@ def test_it_knows_when_the_frames_are_to_be_looked_at_again(scene, soft_arm):
         bpy.app.handlers.depsgraph_update_post.remove(influence._note_changes)
         bpy.app.timers.unregister(influence._update)
     assert OPS.update_influence() == {"FINISHED"} and not influence._is_old(soft_arm, scene)
+
+
+def test_frames_are_read_a_few_at_a_time(scene, soft_arm):
+    influence = part("influence")
+    whole = over(soft_arm).weights
+    influence.shots.clear()
+    reading, turns = influence.Reading(soft_arm, 1, 20), 1
+    while not reading.advance(soft_arm, 0.0):
+        assert influence.drawn(soft_arm) is None  # not before all is read
+        turns += 1
+    assert turns == 20
+    np.testing.assert_array_equal(influence.drawn(soft_arm)[1].weights, whole)
+
+
+def test_what_keeps_the_frames_from_being_read_is_shown(scene, soft_arm):
+    influence, display = part("influence"), bpy.context.window_manager.dynamorph
+    rig = rig_of(soft_arm)
+    rig.scale = (0.0, 0.0, 0.0)
+    rig.keyframe_insert("scale", frame=7)
+    assert influence._read_on(soft_arm, 1, 20)
+    assert not influence._is_old(soft_arm, scene)  # it is not tried again and again
+    display.influence = True
+    assert "scaled to zero" in " ".join(drawn(soft_arm))
+    display.influence = False
 
 
 def test_frames_outside_and_the_pose_to_add(scene, soft_arm, monkeypatch):

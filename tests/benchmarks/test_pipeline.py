@@ -149,7 +149,7 @@ def test_live(benchmark):
     player = simulate.Player(job.model, job.character, job.settings)
     player.begin(job.rig)
     rig = extract.armature_modifier(body).object
-    order = extract._pose_order(rig, job.character.skeleton)
+    order = extract.pose_order(rig, job.character.skeleton)
     between = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
     before = job.rig.pose[0]
     scene = bpy.context.scene
@@ -161,7 +161,7 @@ def test_live(benchmark):
 
     def share(evaluated_rig, evaluated_body):
         nonlocal before
-        pose = extract._pose_matrices(evaluated_rig, order)
+        pose = extract.pose_matrices(evaluated_rig, order)
         steps = before + between[:, None, None, None] * (pose - before)
         worlds = [
             np.repeat(np.array(moving.matrix_world)[None], SUBSTEPS, 0) for moving in (evaluated_rig, evaluated_body)
