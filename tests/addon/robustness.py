@@ -150,11 +150,12 @@ def baked(obj):
     OPS.bake()
 
 
-def far_from_targets(obj):
-    for frame, angle in ((1, 0.0), (10, 1.5)):
-        rig_of(obj).pose.bones["upper"].rotation_euler.y = angle
-        rig_of(obj).pose.bones["upper"].keyframe_insert("rotation_euler", frame=frame)
-    bpy.context.view_layer.update()
+def captured_on_the_way(obj):
+    """So that the end of the shot is far from the target."""
+    target_selected(obj)
+    bpy.context.scene.frame_set(8)
+    OPS.capture_pose()
+    bpy.context.scene.frame_set(1)
 
 
 def gained(obj):
@@ -222,7 +223,7 @@ CALLS = {  # what a button needs before it, and what it is given
     "reset_gains": (gained, {}),
     "sculpt_target": (target_selected, {}),
     "select_key": (target_selected, {}),
-    "suggest_pose": (far_from_targets, {}),
+    "suggest_pose": (captured_on_the_way, {}),
     "suggest_targets": (driven, {}),
     "swap_slot": (two_slots, {}),
     "use_selected_bones": (bones_selected, {}),
