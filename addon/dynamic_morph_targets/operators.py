@@ -169,14 +169,19 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
         problem = ""
         if jobs.running:
             problem = f"Wait until '{jobs.running.name}' is done, or cancel it"
-        elif not properties.soft_skins(context.scene.objects):
-            problem = "The scene has no soft skin: press Add Soft Skin first"
+        elif not _own_skins(context.scene):
+            problem = "The scene has no soft skin of its own: press Add Soft Skin first, or make a linked one local"
         if problem:
             cls.poll_message_set(problem)
         return not problem
 
     def _jobs(self, _obj):
-        return [jobs.Job(skin, "BAKE") for skin in properties.soft_skins(bpy.context.scene.objects)]
+        return [jobs.Job(skin, "BAKE") for skin in _own_skins(bpy.context.scene)]
+
+
+def _own_skins(scene) -> list:
+    """The soft skins whose bake would be saved."""
+    return [skin for skin in properties.soft_skins(scene.objects) if not (skin.library or skin.override_library)]
 
 
 class DYNAMORPH_OT_cancel(Operator):

@@ -8,7 +8,7 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy.types import Operator
 
-from . import checks, extract, jobs, materials, properties, sinks, suggest, targets
+from . import checks, extract, jobs, live, materials, properties, sinks, suggest, targets
 from .extract import SceneError
 from .operators import SoftSkinOperator, guarded
 from .properties import key_points, rest_skeleton
@@ -132,7 +132,8 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
 
 
 def remove_soft_skin(obj):
-    """Its targets, model and bake; shape keys and settings stay."""
+    """Its targets, model and bake; shape keys and settings stay. Raises SinkError."""
+    live.turn_off(obj)
     sinks.free(obj)
     obj.dynamorph.targets.clear()
     jobs.forget_model(obj)
