@@ -269,6 +269,7 @@ def turn_on(obj, scene):
 
 
 def turn_off(obj):
+    """Raises SinkError."""
     sessions.pop(obj.session_uid, None)
     _problems.pop(obj.session_uid, None)
     live_key.remove(obj)

@@ -26,11 +26,13 @@ def add(obj, target_names):
 
 
 def remove(obj):
-    """Remove the key, if it is there, and restore what it muted and the active key."""
+    """Remove the key, if it is there, and restore what it muted and the active key. Raises SinkError."""
     reconcile(obj)
     record = obj.dynamorph.live
     block = find(obj)
     if block is not None:
+        if obj.mode == "EDIT":  # where Blender removes no shape keys
+            raise sinks.SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
         blocks = obj.data.shape_keys.key_blocks
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         obj.shape_key_remove(block)

@@ -21,6 +21,7 @@ from . import events, extract, jobs, live, live_key, properties
 from .extract import SceneError
 from .operators import SoftSkinOperator, guarded
 from .scene_data import Material, RigSamples
+from .sinks import SinkError
 
 SECONDS = 2.5  # a shake test
 REST = 0.1  # seconds of it before it moves
@@ -96,7 +97,7 @@ class Preview:
         live.lent.discard(self.session_uid)
         for mover in self._movers:
             mover.restore()
-        with suppress(SceneError):  # it was deleted
+        with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
             obj = jobs.find(self.session_uid)
             if self._was_live:
                 live.refresh(obj)

@@ -140,9 +140,8 @@ class JobOperator(SoftSkinOperator):
             return self._done(batch)
         if time.monotonic() - self.shown > SHOWN:
             self.shown = time.monotonic()
-            text = iface_("{name}: {message}  {done:.0%}    Esc: cancel")
-            message = iface_(batch.message)
-            context.workspace.status_text_set(text.format(name=batch.name, message=message, done=batch.fraction))
+            text = iface_("{done:.0%}  {message}    Esc: cancel")
+            context.workspace.status_text_set(text.format(done=batch.fraction, message=iface_(batch.message)))
             events.redraw(events.PANELS)
         return {"RUNNING_MODAL"}
 
@@ -188,12 +187,17 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
 
     @classmethod
     def obstacle(cls, context):
-        if not properties.soft_skins(context.scene.objects):
-            return "The scene has no soft skin: press Add Soft Skin first"
+        if not _own_skins(context.scene):
+            return "The scene has no soft skin of its own: press Add Soft Skin first, or make a linked one local"
         return at_work()
 
     def _jobs(self, _obj):
-        return [jobs.Job(skin, "BAKE") for skin in properties.soft_skins(bpy.context.scene.objects)]
+        return [jobs.Job(skin, "BAKE") for skin in _own_skins(bpy.context.scene)]
+
+
+def _own_skins(scene) -> list:
+    """The soft skins whose bake would be saved."""
+    return [skin for skin in properties.soft_skins(scene.objects) if not (skin.library or skin.override_library)]
 
 
 class DYNAMORPH_OT_cancel(Operator):

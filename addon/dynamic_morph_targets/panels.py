@@ -213,8 +213,8 @@ def draw_material(layout, target):
         body.enabled = jobs.running is None
         for name in ("stiffness", "poisson", "density"):
             body.prop(target, name)
-        body.prop(target, "mass_damping", text="Damping Mass")
-        body.prop(target, "stiffness_damping", text="Stiffness")
+        body.prop(target, "mass_damping")
+        body.prop(target, "stiffness_damping")
 
 
 def draw_influence(layout, context, obj):
@@ -366,13 +366,13 @@ def draw_job(layout, operator: str, icon: str, text: str | None = None):
         layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
-    row.progress(factor=job.fraction, text=f"{job.name}: {iface_(job.message)}")
+    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {iface_(job.message)}")
     row.operator("dynamorph.cancel", text="", icon="X")
 
 
 def draw_outdated(layout, reasons: list[str]):
-    """Up to three of the reasons."""
-    if reasons:
+    """Up to three of the reasons; while a job runs they are those from before."""
+    if reasons and not jobs.running:
         more = len(reasons) - 3
         text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
         draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))

@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy.types import Operator
 
-from . import checks, extract, jobs, materials, properties, sinks, suggest, targets
+from . import checks, extract, jobs, live, materials, properties, sinks, suggest, targets
 from .extract import SceneError
 from .operators import SoftSkinOperator, guarded, listed
 from .properties import key_points, rest_skeleton
@@ -50,6 +50,21 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
     bl_label = "Add Target"
 
     key: StringProperty(name="Shape Key", description="The shape key; the active one if empty", options={"SKIP_SAVE"})
+
+    def invoke(self, context, _event):
+        """The only key that can be a target, or a menu of them: the sidebar shows no shape keys to select one in."""
+        names = [] if self.key else targets.eligible(properties.mesh_in(context))
+        if len(names) < 2:
+            self.key = names[0] if names else self.key
+            return self.execute(context)
+
+        def draw(menu, _context):
+            menu.layout.operator_context = "EXEC_DEFAULT"
+            for name in names:
+                menu.layout.operator(self.bl_idname, text=name, icon="SHAPEKEY_DATA", translate=False).key = name
+
+        context.window_manager.popup_menu(draw, title="Shape Key at This Pose")
+        return {"INTERFACE"}
 
     def apply(self, obj):
         settings = obj.dynamorph
@@ -111,7 +126,8 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
 
 
 def remove_soft_skin(obj):
-    """Its targets, model and bake; shape keys and settings stay."""
+    """Its targets, model and bake; shape keys and settings stay. Raises SinkError."""
+    live.turn_off(obj)
     sinks.free(obj)
     obj.dynamorph.targets.clear()
     jobs.forget_model(obj)

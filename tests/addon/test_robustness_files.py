@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 from builders import MODULE, activate, fingerprint, part, rig_of
-from robustness import OPS, bake, coarse, motion, names, settings, state
+from robustness import CALLS, CHANGING_NOTHING, OPS, bake, coarse, motion, names, settings, state
 from test_operators import refused
 from test_panels import drawn
 from test_sinks import assert_shows
@@ -26,65 +26,16 @@ def skin(soft_arm):
 # Undo and redo of every button -------------------------------------------------------------------------------------
 
 
-def no_soft_skin(obj):
-    obj.dynamorph.targets.clear()
-
-
-def target_selected(obj):
-    obj.dynamorph.active_target_index = 1
-
-
-def posed(obj):
-    target_selected(obj)
-    rig_of(obj).pose.bones["upper"].rotation_euler.y = 0.7
-    bpy.context.view_layer.update()
-
-
-def bones_selected(obj):
-    target_selected(obj)
-    for bone in rig_of(obj).pose.bones:
-        (bone if hasattr(bone, "select") else bone.bone).select = bone.name == "upper"
-
-
-def built(obj):
-    target_selected(obj)
-    OPS.build()
-
-
-def baked(obj):
-    OPS.bake()
-
-
-CALLS = {  # what a button needs before it, and what it is given
-    "add_soft_skin": (no_soft_skin, {}),
-    "add_target": (posed, {"key": "smile"}),
-    "apply_material": (target_selected, {"preset": "FAT"}),
-    "bake": (target_selected, {}),
-    "build": (target_selected, {}),
-    "capture_pose": (posed, {}),
-    "fit_material": (built, {"frequency": 5.0, "settle": 0.5}),
-    "free_bake": (baked, {}),
-    "remove_target": (target_selected, {}),
-    "use_selected_bones": (bones_selected, {}),
-}
-CHANGING_NOTHING = {"cancel"}  # of what is saved
-WITH_ENGINE = {"fit_material"}
-
-
 def test_every_button_is_tried(addon):
-    """A new operator must be listed above."""
-    assert set(dir(OPS)) == set(CALLS) | CHANGING_NOTHING
+    """A new operator must be listed in `robustness.CALLS`."""
+    assert set(dir(OPS)) == set(CALLS | CHANGING_NOTHING)
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_undo_and_redo(request, soft_arm, name):
-    if name in WITH_ENGINE:
-        pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
-    else:
-        request.getfixturevalue("stand_in")
+def test_undo_and_redo(skin, name):
     prepare, arguments = CALLS[name]
-    prepare(coarse(soft_arm))
-    part("properties").reconcile(soft_arm)
+    prepare(skin)
+    part("properties").reconcile(skin)
     bpy.ops.ed.undo_push(message="before")
     before = state()
     assert getattr(OPS, name)("EXEC_DEFAULT", True, **arguments) == {"FINISHED"}
@@ -96,10 +47,12 @@ def test_undo_and_redo(request, soft_arm, name):
     assert state() == after
 
 
-@pytest.mark.parametrize("name", sorted(CHANGING_NOTHING))
-def test_buttons_that_change_nothing(soft_arm, name):
+@pytest.mark.parametrize("name", CHANGING_NOTHING)
+def test_buttons_that_change_nothing(skin, name):
+    prepare, arguments = CHANGING_NOTHING[name]
+    prepare(skin)
     before = state()
-    assert getattr(OPS, name)() == {"FINISHED"}
+    assert getattr(OPS, name)(**arguments) == {"FINISHED"}
     assert state() == before
 
 
@@ -280,10 +233,11 @@ def test_the_remedy_for_overrides_works(asset, tmp_path):
 
 
 def handlers():
-    """How often each function of the add-on is called by Blender."""
-    lists = [value for name in dir(bpy.app.handlers) if isinstance(value := getattr(bpy.app.handlers, name), list)]
-    called = [function for functions in lists for function in functions]
-    return sorted(each.__qualname__ for each in called if "dynamic_morph_targets" in each.__module__)
+    """The functions of the add-on that Blender calls, each with when."""
+    lists = {name: getattr(bpy.app.handlers, name) for name in dir(bpy.app.handlers)}
+    called = [(name, each) for name, functions in lists.items() if isinstance(functions, list) for each in functions]
+    ours = [(name, each) for name, each in called if "dynamic_morph_targets" in each.__module__]
+    return sorted(f"{name} {each.__module__}.{each.__qualname__}" for name, each in ours)
 
 
 def test_add_on_off_and_on_again_with_a_bake(scene, skin, tmp_path):
