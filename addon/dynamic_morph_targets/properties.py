@@ -27,7 +27,7 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
-from . import materials
+from . import events, materials
 from .scene_data import METHODS, Material, ModelSettings, Skeleton
 
 NEUTRAL = "Neutral"
@@ -488,7 +488,6 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
-    gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
 
 
 class DynamorphSculpt(PropertyGroup):
@@ -739,6 +738,7 @@ def changed_objects(depsgraph) -> list:
     return [obj for obj in soft_skins(bpy.data.objects) if obj.library is None and obj.data.shape_keys in changed]
 
 
+HANDLERS = {"depsgraph_update_post": _follow_changes}
 CLASSES = (
     DynamorphKey,
     DynamorphBone,
@@ -760,11 +760,11 @@ def register():
     _register_classes()
     bpy.types.Object.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphSettings, override=OVERRIDE)
     bpy.types.WindowManager.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphDisplay)
-    bpy.app.handlers.depsgraph_update_post.append(_follow_changes)
+    events.add(HANDLERS)
 
 
 def unregister():
-    bpy.app.handlers.depsgraph_update_post.remove(_follow_changes)
+    events.remove(HANDLERS)
     del bpy.types.WindowManager.dynamorph
     del bpy.types.Object.dynamorph
     _unregister_classes()
