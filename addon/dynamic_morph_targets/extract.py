@@ -41,10 +41,6 @@ class SceneError(ValueError):
     """The scene cannot be simulated as it is. The message names the object and what to do."""
 
 
-class Cancelled(Exception):
-    """The user stopped the job."""
-
-
 # The character -----------------------------------------------------------------------------------------------------
 
 

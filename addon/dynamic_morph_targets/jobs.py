@@ -20,13 +20,17 @@ import bpy
 import numpy as np
 
 from . import changes, extract, live_key, materials, model_file, preferences, sinks
-from .extract import Cancelled, SceneError
+from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
+
+
+class Cancelled(Exception):
+    """The user stopped the job."""
 
 
 class NativeMissing(Exception):

@@ -11,7 +11,6 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
 from . import events, jobs, properties, sinks
-from .extract import Cancelled
 
 TICK = 0.05  # seconds between two turns of a job
 SLICE = 0.035  # of which it may hold the window, about
@@ -23,7 +22,7 @@ def guarded(operator, action, *args) -> set[str]:
     """Call `action`; what the artist can do something about becomes a report, and the operator is cancelled."""
     try:
         return action(*args) or {"FINISHED"}
-    except Cancelled:
+    except jobs.Cancelled:
         operator.report({"WARNING"}, "Cancelled: nothing was changed")
     except jobs.expected_errors() as error:
         operator.report({"ERROR"}, str(error))

@@ -6,6 +6,7 @@ import time
 import bpy
 import pytest
 from builders import part, rig_of
+from layout import drawn
 
 
 @pytest.fixture
@@ -202,8 +203,6 @@ def test_edits_are_looked_at_soon(baked, monkeypatch):
 
 
 def test_the_badge_names_three(baked):
-    from test_panels import drawn
-
     badge = "Out of date: "
     assert not any(text.startswith(badge) for text in drawn(baked))
     baked.dynamorph.targets[1].stiffness = 5e5

@@ -5,7 +5,8 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import activate, make_mesh, make_rig, part, rig_of
+from builders import activate, make_mesh, make_rig, part, refused, rig_of
+from layout import drawn
 from test_extract import (
     absolute_keys,
     bendy,
@@ -19,8 +20,6 @@ from test_extract import (
     rest_position,
     subdivided_first,
 )
-from test_operators import refused
-from test_panels import drawn
 
 OPS = bpy.ops.dynamorph
 

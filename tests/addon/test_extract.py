@@ -5,16 +5,19 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import activate, add_key, evaluated_points, make_arm, make_mesh, make_rig, make_soft, part, rig_of
+from builders import (
+    activate,
+    add_key,
+    evaluated_points,
+    make_arm,
+    make_mesh,
+    make_rig,
+    make_soft,
+    part,
+    rig_of,
+    skinned,
+)
 from mathutils import Matrix
-
-
-def skinned(character, samples, displacement=0.0):
-    """World positions (S, V, 3) by linear blend skinning of the extracted arrays."""
-    matrices = samples.skin_matrices(character.skeleton, character.to_bind)
-    blended = np.einsum("vb,sbij->svij", character.weights, matrices)
-    bind = (character.vertices + displacement) @ character.to_bind.T
-    return np.einsum("svij,vj->svi", blended[..., :3], bind) + blended[..., 3]
 
 
 def place(obj, location=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0), scale=(1.0, 1.0, 1.0)):

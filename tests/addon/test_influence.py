@@ -9,8 +9,8 @@ import gpu
 import numpy as np
 import pytest
 from builders import activate, add_key, evaluated_points, part, rig_of
+from layout import drawn
 from mathutils import Matrix
-from test_panels import drawn
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 

@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 import pytest
 from builders import activate, make_arm, make_soft, part
+from layout import Layout, drawn
 from robustness import CALLS, CHANGING_NOTHING, OPS, coarse, motion
-from test_panels import Layout, drawn
 
 
 def mesh():

@@ -11,10 +11,9 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import MODULE, activate, add_key, make_arm, make_mesh, make_soft, part, rig_of
+from builders import MODULE, activate, add_key, make_arm, make_mesh, make_soft, part, refused, rig_of
+from layout import Layout
 from mathutils import Matrix
-from test_operators import refused
-from test_panels import Layout
 
 OPS = bpy.ops.dynamorph
 

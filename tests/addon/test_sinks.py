@@ -10,30 +10,16 @@ import pytest
 from builders import (
     activate,
     add_key,
+    assert_shows,
     evaluated_points,
     fingerprint,
     hand_made_bake,
+    keys_of,
     make_arm,
     make_mesh,
     make_soft,
     part,
 )
-from test_extract import skinned
-
-
-def keys_of(obj):
-    return obj.data.shape_keys
-
-
-def assert_shows(obj, bake, extra=0.0):
-    """Blender's mesh at every frame is vertices + Bake.displacement, skinned."""
-    extract = part("extract")
-    character = extract.character(obj)
-    samples = extract.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)
-    for i, frame in enumerate(bake.frames):
-        bpy.context.scene.frame_set(int(frame))
-        ours = skinned(character, samples[i : i + 1], bake.displacement(i) + extra)[0]
-        assert np.abs(evaluated_points(obj) - ours).max() < 1e-5 * np.ptp(character.vertices, axis=0).max()
 
 
 def test_blender_shows_the_bake(soft_arm):

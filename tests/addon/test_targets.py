@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import real_character
 import scenes
-from builders import activate, add_key, evaluated_points, hand_made_bake, make_mesh, make_rig, part, rig_of
+from builders import activate, add_key, evaluated_points, hand_made_bake, make_mesh, make_rig, part, refused, rig_of
+from layout import Layout, drawn
 from mathutils import Matrix
-from test_operators import refused
-from test_panels import Layout, drawn
 
 OPS = bpy.ops.dynamorph
 
