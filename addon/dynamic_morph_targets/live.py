@@ -20,6 +20,7 @@ from .scene_data import Character, RigSamples, SimulationSettings
 
 BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
 CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
+RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
 KEPT = 250  # latest frames from which it can go on again, when settings are changed there
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 
@@ -65,7 +66,7 @@ class Flesh:
 
 
 class Rig:
-    """The rig at true sub-frames, as a bake reads it: a block of frames at a time, kept until it is edited."""
+    """The rig at true sub-frames, as a bake reads it: a block of frames at a time, the latest kept until it is edited."""
 
     def __init__(self, start: int, substeps: int, skeleton):
         self.start, self.substeps, self.skeleton = start, substeps, skeleton
@@ -77,7 +78,10 @@ class Rig:
         if index not in self._blocks:
             first = self.start + index * BLOCK
             samples = extract.sample_rig(obj, first, first + BLOCK, self.substeps)
-            self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton)
+            before = self._blocks.get(index - 1)
+            self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton, before and before.pose[-1])
+            while len(self._blocks) > max(2, RIG_BYTES // samples.pose.nbytes):
+                del self._blocks[next(iter(self._blocks))]
         return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
 
     def forget(self):
@@ -95,7 +99,7 @@ class Session:
         self._frames: dict[int, object] = {}
         self._states: dict[int, tuple] = {}
         self._placing, self._material = _placing(obj), _materials(obj)
-        self._pushed = obj.dynamorph.simulation.fields
+        self._sampled = _sampling(obj)
         settings = self.flesh.player.settings
         self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton)
 
@@ -139,7 +143,7 @@ class Session:
                 f"The mesh has {len(obj.data.vertices)} vertices, its model {len(self.flesh.character.vertices)}: "
                 "press Build Model"
             )
-        placing, materials, pushed = _placing(obj), _materials(obj), obj.dynamorph.simulation.fields
+        placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
         player = self.flesh.player
         changed = (placing, materials) != (self._placing, self._material)
         if changed or _physics(settings) != _physics(player.settings):
@@ -150,8 +154,8 @@ class Session:
                 self.flesh.character = _with_materials(self.flesh.character, materials)
             self._placing, self._material = placing, materials
             player = player.exchange(self.flesh.character, settings)
-        if pushed != self._pushed:
-            self._pushed = pushed
+        if sampled != self._sampled:
+            self._sampled = sampled
             self.rig_changed()
         player.settings = settings
         player.gains = _gains(obj, self.flesh.modes)
@@ -161,7 +165,9 @@ class Session:
         """Have a frame simulated: from the last one on, or where playback cannot have come from there, begin at it."""
         settings = self.flesh.player.settings
         starts = arrives and number == settings.start
-        if starts and settings.loop and self.last == settings.end:
+        if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
+            while self.last < settings.end:
+                self._advance(obj)
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
             self._start(number, self.flesh.player.begin(self.rig.after(obj, number)))
@@ -200,6 +206,12 @@ class Session:
         self.flesh.player.state = state
         self._frames = {k: frame for k, frame in self._frames.items() if k <= self.now}
         self.last = self.now
+
+
+def _sampling(obj) -> tuple:
+    """What the rig's samples depend on besides its animation."""
+    render = bpy.context.scene.render
+    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new
 
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:

@@ -152,6 +152,42 @@ def test_a_loop_goes_on_without_a_jump(live_arm):
     assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 2e-4
 
 
+def test_a_loop_whose_last_frames_are_dropped_goes_on(live_arm):
+    live_arm.dynamorph.simulation.loop = True
+    bpy.ops.dynamorph.live()
+    play(live_arm, range(1, 18))
+    play(live_arm, [1])
+    assert session(live_arm).flesh.player.passes == 1
+    play(live_arm, [2, 9, 1])  # that was no end
+    assert session(live_arm)._frames[1].steps["steps"] == 0
+
+
+def test_static_morph_targets_loop(live_arm):
+    live_arm.dynamorph.model.method = "STATIC"
+    live_arm.dynamorph.simulation.loop = True
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    assert apart(play(live_arm, range(1, 21)), play(live_arm, range(1, 21))) == 0.0
+
+
+def test_collapsed_bones_are_held_from_block_to_block(live_arm):
+    bone = rig_of(live_arm).pose.bones["lower"]
+    for frame, size in ((10, 1.0), (11, 0.0)):
+        bone.scale = (size, size, size)
+        bone.keyframe_insert("scale", frame=frame)
+    bpy.context.scene.frame_end = 20
+    bpy.ops.dynamorph.live()
+    assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
+
+
+def test_of_a_long_shot_the_latest_rig_is_kept(playing, monkeypatch):
+    whole = play(playing, range(1, 41))
+    monkeypatch.setattr(part("live"), "RIG_BYTES", 1)
+    session(playing).rig.forget()
+    assert apart(play(playing, range(1, 41)), whole) == 0.0
+    assert list(session(playing).rig._blocks) == [1, 2]
+
+
 # Changes while it plays --------------------------------------------------------------------------------------------
 
 
@@ -201,6 +237,12 @@ def test_edited_animation_is_read_anew(playing):
     bpy.context.view_layer.update()
     play(playing, range(6, 9))
     assert session(playing)._frames[8].weights == pytest.approx([1, 0], abs=1e-6)
+
+
+def test_another_frame_map_counts_at_once(playing):
+    play(playing, range(1, 6))
+    bpy.context.scene.render.frame_map_old, bpy.context.scene.render.frame_map_new = 100, 50
+    assert apart(play(playing, range(1, 9)), baked(playing)[:8]) < 1e-6
 
 
 def test_gains_and_solo_show_at_once(playing):
