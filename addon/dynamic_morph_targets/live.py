@@ -47,6 +47,7 @@ class Flesh:
             modes = simulate.surface_modes(self.model, self.model.basis.T)
         shapes = np.concatenate([modes, self.model.details])
         self.modes = len(modes)
+        self.target_names = [target.name for target in self.character.by_method().targets]
         self._rest = self.character.vertices.astype(np.float32).ravel()
         self._shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
 
@@ -66,7 +67,7 @@ class Flesh:
 
 
 class Rig:
-    """The rig at true sub-frames, as a bake reads it: a block of frames at a time, the latest kept until it is edited."""
+    """The rig at true sub-frames, as a bake reads it: blocks of frames, the latest of which are kept until it is edited."""
 
     def __init__(self, start: int, substeps: int, skeleton):
         self.start, self.substeps, self.skeleton = start, substeps, skeleton
@@ -277,7 +278,7 @@ def turn_on(obj, scene):
     """
     global _any_live
     session = Session(obj, scene)
-    live_key.add(obj, [target.name for target in session.flesh.character.targets])
+    live_key.add(obj, session.flesh.target_names)
     sessions[obj.session_uid], _any_live = session, True
     _problems.pop(obj.session_uid, None)
     follow(obj, scene)

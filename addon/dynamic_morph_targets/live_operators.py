@@ -81,7 +81,7 @@ class Preview:
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         if not self._was_live:
-            live_key.add(obj, [target.name for target in self.flesh.character.targets])
+            live_key.add(obj, self.flesh.target_names)
         live.lent.add(self.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None):
@@ -376,7 +376,7 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         model, character = jobs.current_model(obj)
         from . import report  # needs the engine, which is there now
 
-        lines = [f"{name}: {1000 * miss:.2g} mm" for name, miss in report.residuals(model, character).items()]
+        lines = [f"{name}: {1000 * miss:.3g} mm" for name, miss in report.residuals(model, character).items()]
         obj.dynamorph.live.checks = "\n".join(lines)
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 

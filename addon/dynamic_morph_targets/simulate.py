@@ -123,6 +123,7 @@ class Player:
             begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
         still = [np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights)]
         for _ in range(self.settings.preroll):
+            self._ask()
             self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
         self.number = self.settings.start
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
@@ -170,8 +171,7 @@ class Player:
             bones, weights = self._posed(samples)
             for k, number in enumerate(chunk):
                 self.number = int(number)
-                if self._keep_going and not self._keep_going():
-                    raise dynamorph.Cancelled("cancelled")
+                self._ask()
                 steps, last = slice(k * substeps, (k + 1) * substeps), (k + 1) * substeps - 1
                 push = self._push(samples.fields, last, bones[last])
                 report = self._simulation.advance(bones[steps], weights[steps], push)
@@ -196,6 +196,11 @@ class Player:
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with each mode's gain on its motion about the targets' shapes."""
         return frame.coordinates + (self.gains - 1.0) * (frame.coordinates - self.dry(frame.weights))
+
+    def _ask(self):
+        """Raises dynamorph.Cancelled when it is not to go on."""
+        if self._keep_going and not self._keep_going():
+            raise dynamorph.Cancelled("cancelled")
 
     def _ends(self, rig: RigSamples) -> np.ndarray:
         """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""

@@ -142,6 +142,17 @@ def test_rest_knows_no_motion_before_the_start(shot):
     assert np.abs(rest - rest[0]).max() > 100 * np.abs(settled - settled[0]).max() + 1e-4
 
 
+def test_a_pre_roll_can_be_cancelled(shot):
+    simulate, asked = part("simulate"), []
+    settings = replace(shot.settings, preroll=5000)
+    player = simulate.Player(
+        shot.model, shot.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
+    )
+    with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
+        player.begin(shot.rig[:2])
+    assert len(asked) == 9
+
+
 # Loops -------------------------------------------------------------------------------------------------------------
 
 

@@ -170,6 +170,19 @@ def test_static_morph_targets_loop(live_arm):
     assert apart(play(live_arm, range(1, 21)), play(live_arm, range(1, 21))) == 0.0
 
 
+@pytest.mark.parametrize("method", ["SINGLE", "SHAPE"])
+def test_other_methods_show_what_their_bake_does(live_arm, method):
+    """With the Method Single the targets' own keys go on playing."""
+    live_arm.dynamorph.model.method = method
+    live_arm.data.shape_keys.key_blocks["flexed"].value = 0.5
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    play(live_arm, range(1, 6))
+    shown = evaluated_points(live_arm)
+    bpy.ops.dynamorph.bake()
+    assert apart(evaluated_points(live_arm), shown) < 1e-5
+
+
 def test_collapsed_bones_are_held_from_block_to_block(live_arm):
     bone = rig_of(live_arm).pose.bones["lower"]
     for frame, size in ((10, 1.0), (11, 0.0)):
