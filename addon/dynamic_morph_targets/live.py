@@ -67,7 +67,7 @@ class Flesh:
 
 
 class Rig:
-    """The rig at true sub-frames, as a bake reads it: blocks of frames, the latest of which are kept until it is edited."""
+    """The rig at true sub-frames, as a bake reads it: blocks of frames, of which the latest are kept until an edit."""
 
     def __init__(self, start: int, substeps: int, skeleton):
         self.start, self.substeps, self.skeleton = start, substeps, skeleton
@@ -127,6 +127,8 @@ class Session:
             if before == self.last:
                 self._advance(obj)
             values += share * (self.flesh.values(self._frames[before + 1]) - values)
+        if not np.isfinite(values).all():  # Python and drivers can set a gain to anything
+            raise jobs.SelfCheckError(f"'{obj.name}': its motion is not numbers: reset the gains of its modes")
         return self.flesh.points(values)
 
     def rig_changed(self):

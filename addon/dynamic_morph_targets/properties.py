@@ -515,7 +515,7 @@ class DynamorphSettings(PropertyGroup):
         name="Modes", description="Displacement modes of the built model", type=DynamorphMode, override=OVERRIDE_LIST
     )
     active_mode_index: IntProperty(
-        name="Active Mode", description="Index of the mode selected in the list", override=OVERRIDE
+        name="Active Mode", description="Index of the mode selected in the list", min=0, override=OVERRIDE
     )
     simulation: PointerProperty(
         name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE

@@ -273,6 +273,16 @@ def test_gains_and_solo_show_at_once(playing):
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
 
 
+def test_a_gain_that_is_no_number_is_not_shown(playing):
+    play(playing, range(1, 4))
+    playing.dynamorph.modes[0].gain = float("nan")
+    stopped(playing, "reset the gains")
+    assert np.isfinite(surface(playing)).all()
+    bpy.ops.dynamorph.reset_gains()
+    bpy.context.view_layer.update()
+    play(playing, [5])
+
+
 def test_gains_are_in_the_bake_too(playing):
     for mode in playing.dynamorph.modes:
         mode.gain = 0.5
