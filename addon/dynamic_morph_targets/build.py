@@ -23,6 +23,7 @@ Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.nd
 
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
 REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
+FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
 HELD = 0.05  # nodes softer than this in the Soft group are free
 MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes", "pin radius")  # of the tetrahedra
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "Soft vertex group")  # of them and of what is held
@@ -164,12 +165,14 @@ def build(
                 basis = dynamorph.make_basis(full, character.settings.modes, report).U
         with stages("Polynomials", 0.20) as report:
             model = _reduced(model, full, basis, report)
+    fallbacks = _fallbacks(full, character.targets)
     model.summary.update(
         **_cage_summary(model),
         dofs=full.dofs,
         modes=model.basis.shape[1],
         targets=len(targets),
-        warnings=_fallback_warnings(full, character.targets, len(model.tets)),
+        fallbacks=fallbacks,
+        warnings=_fallback_warnings(fallbacks, len(model.tets)),
         seconds=stages.seconds,
     )
     return model
@@ -331,18 +334,20 @@ def _shape_targets(model: Model, body, embedding, targets: list[Target]):
         model.details[sculpted] = shapes - model.surface(model.displacements[sculpted])
 
 
-def _fallback_warnings(full, targets: list[Target], tets: int) -> list[str]:
-    """Says how many tetrahedra of each target's sculpt could not be used, with advice where it is more than a few."""
-    warnings = []
-    for j, target in enumerate(targets):
-        count = full.fallbacks(j)
-        if count:
-            advice = "; a finer cage or a smoother sculpt avoids it" if count > 1e-3 * tets else ""
-            warnings.append(
-                f"Target '{target.name}' would crush or invert {count} of {tets} tetrahedra, which stay as in the "
-                f"neutral shape{advice}"
-            )
-    return warnings
+def _fallbacks(full, targets: list[Target]) -> dict[str, int]:
+    """How many tetrahedra each target's sculpt would crush or invert: for it they stay as in the neutral shape."""
+    counts = {target.name: full.fallbacks(j) for j, target in enumerate(targets)}
+    return {name: count for name, count in counts.items() if count}
+
+
+def _fallback_warnings(fallbacks: dict[str, int], tets: int) -> list[str]:
+    """With advice, where it is more than a few."""
+    return [
+        f"Target '{name}' would crush or invert {count} of {tets} tetrahedra, which stay as in the neutral shape: "
+        "sculpt it smoother, or raise Cage Nodes"
+        for name, count in fallbacks.items()
+        if count > FEW * tets
+    ]
 
 
 def _morph_targets(character: Character, displacements: np.ndarray) -> list:

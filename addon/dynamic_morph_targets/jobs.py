@@ -362,13 +362,15 @@ class Job:
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
         gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if "gap" in self.report else ""
-        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s, {self.size / 2**20:.2f} MB{gap}"
+        return f"{frames} frames in {seconds:.1f} s, {self.size / 2**20:.1f} MB{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary
         if not made["tets"]:
             return f"{made['targets']} targets, nothing to simulate"
-        return f"{made['nodes']} nodes, {made['modes']} modes, {made['targets']} targets, {made['dofs']} DOF"
+        kept = sum(made.get("fallbacks", {}).values())  # models of older versions do not say
+        crushed = f", crushed tetrahedra: {kept}" if kept else ""
+        return f"{made['nodes']} nodes, {made['modes']} modes, {made['targets']} targets{crushed}"
 
     def cage_summary(self) -> str:
         made = self.model.summary
@@ -484,7 +486,7 @@ class Batch:
 
     @property
     def message(self) -> str:
-        return self._at.message
+        return f"{self.name}: {self._at.message}" if len(self.jobs) > 1 else self._at.message
 
     @property
     def fraction(self) -> float:

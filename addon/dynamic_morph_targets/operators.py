@@ -120,7 +120,7 @@ class JobOperator(SoftSkinOperator):
             return self._done(batch)
         if time.monotonic() - self.shown > SHOWN:
             self.shown = time.monotonic()
-            context.workspace.status_text_set(f"{batch.name}: {batch.message}  {batch.fraction:.0%}    Esc: cancel")
+            context.workspace.status_text_set(f"{batch.fraction:.0%}  {batch.message}    Esc: cancel")
             redraw(context)
         return {"RUNNING_MODAL"}
 

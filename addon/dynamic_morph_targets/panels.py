@@ -213,8 +213,8 @@ def draw_material(layout, target):
         body.enabled = jobs.running is None
         for name in ("stiffness", "poisson", "density"):
             body.prop(target, name)
-        body.prop(target, "mass_damping", text="Damping Mass")
-        body.prop(target, "stiffness_damping", text="Stiffness")
+        body.prop(target, "mass_damping")
+        body.prop(target, "stiffness_damping")
 
 
 def draw_influence(layout, context, obj):
@@ -366,12 +366,12 @@ def draw_job(layout, operator: str, icon: str, text: str | None = None):
         layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
-    row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")
+    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {job.message}")
     row.operator("dynamorph.cancel", text="", icon="X")
 
 
 def draw_outdated(layout, reasons: list[str]):
-    if reasons:
+    if reasons and not jobs.running:
         more = f", and {len(reasons) - 3} more" if len(reasons) > 3 else ""
         draw_message(layout, f"Out of date: {', '.join(reasons[:3])}{more}")
 

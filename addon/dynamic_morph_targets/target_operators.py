@@ -53,6 +53,21 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
 
     key: StringProperty(name="Shape Key", description="The shape key; the active one if empty", options={"SKIP_SAVE"})
 
+    def invoke(self, context, _event):
+        """The only key that can be a target, or a menu of them: the sidebar shows no shape keys to select one in."""
+        names = [] if self.key else targets.eligible(properties.mesh_in(context))
+        if len(names) < 2:
+            self.key = names[0] if names else self.key
+            return self.execute(context)
+
+        def draw(menu, _context):
+            menu.layout.operator_context = "EXEC_DEFAULT"
+            for name in names:
+                menu.layout.operator(self.bl_idname, text=name, icon="SHAPEKEY_DATA", translate=False).key = name
+
+        context.window_manager.popup_menu(draw, title="Shape Key at This Pose")
+        return {"INTERFACE"}
+
     def apply(self, obj):
         settings = obj.dynamorph
         keys = obj.data.shape_keys

@@ -79,6 +79,15 @@ def blended_shape(obj, local: np.ndarray) -> np.ndarray:
 # Targets -----------------------------------------------------------------------------------------------------------
 
 
+def eligible(obj) -> list[str]:
+    """Names of the shape keys that can become targets."""
+    keys, settings = obj.data.shape_keys, obj.dynamorph
+    blocks = keys.key_blocks[1:] if keys else []
+    references = (*settings.targets[1:], *settings.bake.keys, settings.live.key)
+    taken = {reference.name for reference in references}
+    return [block.name for block in blocks if block.name not in taken]
+
+
 def add(obj, block, after: int | None = None):
     """A target for a shape key, selected; at the end of the list, or after the target with that index."""
     settings, keys = obj.dynamorph, obj.data.shape_keys.key_blocks

@@ -96,7 +96,7 @@ def test_progress_replaces_the_button(soft_arm, stand_in):
     jobs.running.message = "Frame 7"
     try:
         texts = drawn(soft_arm)
-        assert "Arm: Frame 7" in texts and "dynamorph.cancel" in texts
+        assert "0%  Frame 7" in texts and "dynamorph.cancel" in texts
         assert "dynamorph.bake" not in texts and "dynamorph.build" in texts
         assert not bpy.ops.dynamorph.build.poll()
     finally:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import real_character
 import scenes
-from builders import activate, add_key, evaluated_points, make_mesh, make_rig, part, rig_of
+from builders import activate, add_key, evaluated_points, hand_made_bake, make_mesh, make_rig, part, rig_of
 from mathutils import Matrix
 from test_operators import refused
 from test_panels import Layout, drawn
@@ -579,3 +579,11 @@ def test_each_is_one_undo_step(arms, operator):
     assert state() == before
     bpy.ops.ed.redo()
     assert state() == after
+
+
+def test_adding_asks_for_the_key_only_where_there_are_several(soft_arm):
+    targets = part("targets")
+    add_key(soft_arm, "frown", 0.0)
+    assert targets.eligible(soft_arm) == ["smile", "frown"]
+    part("sinks").write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    assert targets.eligible(soft_arm) == ["smile", "frown"]
