@@ -55,7 +55,8 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
     @classmethod
     def poll(cls, context):
         obj = properties.mesh_in(context)
-        return super().poll(context) if obj is None or not live.is_on(obj) else True
+        playing = obj is not None and live.is_on(obj)
+        return super(FleshOperator, cls).poll(context) if playing else super().poll(context)
 
     def apply(self, obj):
         end_preview()
