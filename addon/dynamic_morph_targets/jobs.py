@@ -349,7 +349,6 @@ class Job:
         record = obj.dynamorph.bake
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
-        record.gap = self.report.get("gap", 0.0)
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
         changes.look_at_animation(obj)
 

@@ -13,10 +13,11 @@ from dataclasses import replace
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
 
-from . import changes, extract, jobs, live_key, properties
+from . import changes, events, extract, jobs, live_key, properties
 from .extract import SceneError
-from .scene_data import Character, RigSamples, SimulationSettings
+from .scene_data import Character, Material, RigSamples, SimulationSettings
 
 BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
 CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
@@ -99,6 +100,7 @@ class Session:
         self.first = self.last = self.now = None  # frames: simulated from, to; the one that shows, or just before
         self._frames: dict[int, object] = {}
         self._states: dict[int, tuple] = {}
+        self.bones = properties.bones_key(properties.rig_of(obj).data)
         self._placing, self._material = _placing(obj), _materials(obj)
         self._sampled = _sampling(obj)
         settings = self.flesh.player.settings
@@ -231,30 +233,25 @@ def _gains(obj, count: int) -> np.ndarray:
     return gains
 
 
-def _materials(obj) -> list:
-    """The materials of all targets by name, that of the neutral one first."""
-    return [(target.name, target.material()) for target in obj.dynamorph.targets]
+def _materials(obj) -> dict[str, Material]:
+    """The materials of all targets by name."""
+    return {name: target.material() for name, target in properties.named_targets(obj)}
 
 
 def _placing(obj) -> tuple:
     """All else that a running simulation takes from the targets: cheap to compare at each frame."""
-    poses = []
-    for target in obj.dynamorph.targets:
-        pose = np.empty(16 * len(target.pose), np.float32)
-        target.pose.foreach_get("local", pose)
-        described = target.name, target.mute, target.region, target.radius, target.bone_names()
-        poses.append((*described, tuple(target.rig_world), pose.tobytes()))
-    return obj.dynamorph.model.blending, tuple(poses)
+    targets = [
+        (target.name, target.mute, tuple(target.rig_world), target.placing()) for target in obj.dynamorph.targets
+    ]
+    return obj.dynamorph.model.blending, targets
 
 
-def _with_materials(character: Character, materials: list) -> Character:
-    (_, neutral), *others = materials
-    named = dict(others)
+def _with_materials(character: Character, materials: dict[str, Material]) -> Character:
     sets = []
     for target_set in character.target_sets:
-        first, *rest = target_set.targets
-        rest = [replace(target, material=named[target.name]) for target in rest]
-        sets.append(replace(target_set, targets=(replace(first, material=neutral), *rest)))
+        names = "", *(target.name for target in target_set.targets[1:])
+        targets = (replace(t, material=materials[name]) for name, t in zip(names, target_set.targets, strict=True))
+        sets.append(replace(target_set, targets=tuple(targets)))
     return replace(character, target_sets=tuple(sets))
 
 
@@ -270,7 +267,7 @@ def obstacle(obj) -> str:
     if obj.dynamorph.bake.keys:
         return "The bake shows the motion already: press Free Bake first"
     age = changes.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
-    return f"Press Build Model first: {'; '.join(age)}" if age else ""
+    return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 
 
 def turn_on(obj, scene):
@@ -373,7 +370,8 @@ def _edited(scene, depsgraph):
         session = sessions[obj.session_uid]
         if moved:
             session.rig_changed()
-        if bones and not _same_bones(obj, session.flesh.character.skeleton):
+        rig = bones and properties.rig_of(obj)
+        if bones and not (rig and properties.bones_key(rig.data) == session.bones):
             del sessions[obj.session_uid]
         if is_on(obj) and live_key.find(obj, session.written) is None:
             turn_off(obj)
@@ -385,14 +383,6 @@ def _moves(update) -> bool:
     if isinstance(edited, bpy.types.Object):
         return update.is_updated_transform or (update.is_updated_geometry and edited.type != "MESH")
     return isinstance(edited, bpy.types.Action)
-
-
-def _same_bones(obj, skeleton) -> bool:
-    rig = properties.rig_of(obj)
-    if rig is None:
-        return False
-    now = properties.rest_skeleton(rig.data)
-    return now.names == skeleton.names and np.array_equal(now.rest, skeleton.rest)
 
 
 @persistent
@@ -435,12 +425,10 @@ HANDLERS = {
 
 
 def register():
-    for name, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(handler)
+    events.add(HANDLERS)
     _loaded()
 
 
 def unregister():
-    for name, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(handler)
+    events.remove(HANDLERS)
     _loaded()

@@ -81,7 +81,7 @@ def draw_soft_skin(layout, context, obj):
     draw_modes(layout, obj)
     draw_live(layout, obj)
     draw_bake(layout, obj)
-    draw_setup(layout, obj)
+    draw_setup(layout)
 
 
 # Checks and cage ---------------------------------------------------------------------------------------------------
@@ -344,7 +344,7 @@ def draw_bake(layout, obj):
         layout.operator("dynamorph.free_bake", icon="X")
 
 
-def draw_setup(layout, obj):
+def draw_setup(layout):
     """Setups as files and presets, and copies for other meshes."""
     header, body = layout.panel("dynamorph_setup", default_closed=True)
     header.label(text="Setup")
@@ -366,14 +366,16 @@ def draw_job(layout, operator: str, icon: str, text: str | None = None):
         layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
-    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {job.message}")
+    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {iface_(job.message)}")
     row.operator("dynamorph.cancel", text="", icon="X")
 
 
 def draw_outdated(layout, reasons: list[str]):
+    """Up to three of the reasons; while a job runs they are those from before."""
     if reasons and not jobs.running:
-        more = f", and {len(reasons) - 3} more" if len(reasons) > 3 else ""
-        draw_message(layout, f"Out of date: {', '.join(reasons[:3])}{more}")
+        more = len(reasons) - 3
+        text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
+        draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))
 
 
 def draw_warnings(layout, warnings: str):
@@ -382,9 +384,9 @@ def draw_warnings(layout, warnings: str):
 
 
 def draw_message(layout, text: str, icon="ERROR", width=LINE):
-    """Text broken into lines, because labels do not wrap."""
+    """Text, translated unless it was put together, and broken into lines, because labels do not wrap."""
     column = layout.column(align=True)
-    for i, line in enumerate(textwrap.wrap(text, width)):
+    for i, line in enumerate(textwrap.wrap(iface_(text), width)):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
 
 

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
-from . import extract, setups
+from . import extract, setups, targets
 from .extract import SceneError
 from .properties import key_points, rig_of
 from .scene_data import determinant, inverse
@@ -73,11 +73,13 @@ def copy(source, obj) -> Copy:
 
 def write(obj, made: Copy, overwrite: bool):
     """Make the shape keys and vertex groups; those there with the same name stay as they are unless `overwrite`."""
-    if obj.data.shape_keys is None:
-        obj.shape_key_add(name="Basis", from_mix=False)
+    targets.ensure_basis(obj)
     for name, shape in made.shapes.items():
-        if overwrite or name not in obj.data.shape_keys.key_blocks:
-            _write_key(obj, name, shape)
+        block = obj.data.shape_keys.key_blocks.get(name)
+        if block is None:
+            targets.new_key(obj, name, shape)
+        elif overwrite:
+            targets.sculpt_anew(block, shape)
     for name, weights in made.weights.items():
         if overwrite or name not in obj.vertex_groups:
             _write_group(obj, name, weights)
@@ -106,16 +108,6 @@ def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
 
 def _moved(points: np.ndarray, world: np.ndarray) -> np.ndarray:
     return points @ world[:3, :3].T + world[:3, 3]
-
-
-def _write_key(obj, name: str, shape: np.ndarray):
-    keys = obj.data.shape_keys
-    block = keys.key_blocks.get(name)
-    if block is None:
-        block = obj.shape_key_add(name=name, from_mix=False)
-        block.value = 0.0
-    block.relative_key, block.vertex_group = keys.reference_key, ""
-    block.points.foreach_set("co", (key_points(keys.reference_key) + shape).astype(np.float32).ravel())
 
 
 def _own_groups(source) -> list[str]:
