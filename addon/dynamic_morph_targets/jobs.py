@@ -364,7 +364,7 @@ class Job:
             return self.model_summary()
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
-        gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if "gap" in self.report else ""
+        gap = f", loop gap {1000 * self.report['gap']:.3g} mm" if "gap" in self.report else ""
         return f"{frames} frames in {seconds:.1f} s, {self.size / 2**20:.1f} MB{gap}"
 
     def model_summary(self) -> str:

@@ -21,6 +21,7 @@ from .scene_data import Character, Material, RigSamples, SimulationSettings
 
 BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
 CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
+RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
 KEPT = 250  # latest frames from which it can go on again, when settings are changed there
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 
@@ -47,6 +48,7 @@ class Flesh:
             modes = simulate.surface_modes(self.model, self.model.basis.T)
         shapes = np.concatenate([modes, self.model.details])
         self.modes = len(modes)
+        self.target_names = [target.name for target in self.character.by_method().targets]
         self._rest = self.character.vertices.astype(np.float32).ravel()
         self._shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
 
@@ -66,7 +68,7 @@ class Flesh:
 
 
 class Rig:
-    """The rig at true sub-frames, as a bake reads it: a block of frames at a time, kept until it is edited."""
+    """The rig at true sub-frames, as a bake reads it: blocks of frames, of which the latest are kept until an edit."""
 
     def __init__(self, start: int, substeps: int, skeleton):
         self.start, self.substeps, self.skeleton = start, substeps, skeleton
@@ -78,7 +80,10 @@ class Rig:
         if index not in self._blocks:
             first = self.start + index * BLOCK
             samples = extract.sample_rig(obj, first, first + BLOCK, self.substeps)
-            self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton)
+            before = self._blocks.get(index - 1)
+            self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton, before and before.pose[-1])
+            while len(self._blocks) > max(2, RIG_BYTES // samples.pose.nbytes):
+                del self._blocks[next(iter(self._blocks))]
         return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
 
     def forget(self):
@@ -97,7 +102,7 @@ class Session:
         self._states: dict[int, tuple] = {}
         self.bones = properties.bones_key(properties.rig_of(obj).data)
         self._placing, self._material = _placing(obj), _materials(obj)
-        self._pushed = obj.dynamorph.simulation.fields
+        self._sampled = _sampling(obj)
         settings = self.flesh.player.settings
         self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton)
 
@@ -124,6 +129,8 @@ class Session:
             if before == self.last:
                 self._advance(obj)
             values += share * (self.flesh.values(self._frames[before + 1]) - values)
+        if not np.isfinite(values).all():  # Python and drivers can set a gain to anything
+            raise jobs.SelfCheckError(f"'{obj.name}': its motion is not numbers: reset the gains of its modes")
         return self.flesh.points(values)
 
     def rig_changed(self):
@@ -141,7 +148,7 @@ class Session:
                 f"The mesh has {len(obj.data.vertices)} vertices, its model {len(self.flesh.character.vertices)}: "
                 "press Build Model"
             )
-        placing, materials, pushed = _placing(obj), _materials(obj), obj.dynamorph.simulation.fields
+        placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
         player = self.flesh.player
         changed = (placing, materials) != (self._placing, self._material)
         if changed or _physics(settings) != _physics(player.settings):
@@ -152,8 +159,8 @@ class Session:
                 self.flesh.character = _with_materials(self.flesh.character, materials)
             self._placing, self._material = placing, materials
             player = player.exchange(self.flesh.character, settings)
-        if pushed != self._pushed:
-            self._pushed = pushed
+        if sampled != self._sampled:
+            self._sampled = sampled
             self.rig_changed()
         player.settings = settings
         player.gains = _gains(obj, self.flesh.modes)
@@ -163,7 +170,9 @@ class Session:
         """Have a frame simulated: from the last one on, or where playback cannot have come from there, begin at it."""
         settings = self.flesh.player.settings
         starts = arrives and number == settings.start
-        if starts and settings.loop and self.last == settings.end:
+        if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
+            while self.last < settings.end:
+                self._advance(obj)
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
             self._start(number, self.flesh.player.begin(self.rig.after(obj, number)))
@@ -202,6 +211,12 @@ class Session:
         self.flesh.player.state = state
         self._frames = {k: frame for k, frame in self._frames.items() if k <= self.now}
         self.last = self.now
+
+
+def _sampling(obj) -> tuple:
+    """What the rig's samples depend on besides its animation."""
+    render = bpy.context.scene.render
+    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new
 
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:
@@ -262,7 +277,7 @@ def turn_on(obj, scene):
     """
     global _any_live
     session = Session(obj, scene)
-    live_key.add(obj, [target.name for target in session.flesh.character.targets])
+    live_key.add(obj, session.flesh.target_names)
     sessions[obj.session_uid], _any_live = session, True
     _problems.pop(obj.session_uid, None)
     follow(obj, scene)

@@ -51,7 +51,8 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
     @classmethod
     def obstacle(cls, context):
         obj = properties.mesh_in(context)
-        return "" if obj is not None and live.is_on(obj) else super().obstacle(context)
+        playing = obj is not None and live.is_on(obj)
+        return super(FleshOperator, cls).obstacle(context) if playing else super().obstacle(context)
 
     def apply(self, obj):
         end_preview()
@@ -77,7 +78,7 @@ class Preview:
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         if not self._was_live:
-            live_key.add(obj, [target.name for target in self.flesh.character.targets])
+            live_key.add(obj, self.flesh.target_names)
         live.lent.add(self.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None):
@@ -373,7 +374,7 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         model, character = jobs.current_model(obj)
         from . import report  # needs the engine, which is there now
 
-        lines = [f"{name}: {1000 * miss:.2g} mm" for name, miss in report.residuals(model, character).items()]
+        lines = [f"{name}: {round(1000 * miss, 3):g} mm" for name, miss in report.residuals(model, character).items()]
         obj.dynamorph.live.checks = "\n".join(lines)
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 

@@ -533,7 +533,7 @@ class DynamorphSettings(PropertyGroup):
         name="Modes", description="Displacement modes of the built model", type=DynamorphMode, override=OVERRIDE_LIST
     )
     active_mode_index: IntProperty(
-        name="Active Mode", description="Index of the mode selected in the list", override=OVERRIDE
+        name="Active Mode", description="Index of the mode selected in the list", min=0, override=OVERRIDE
     )
     simulation: PointerProperty(
         name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
@@ -677,6 +677,7 @@ def _follow_bones(skeleton: Skeleton, target):
     rest = np.empty((len(target.pose), 4, 4), np.float32)
     target.pose.foreach_get("rest", rest.ravel())
     free = sorted(set(index.values()) - {index.get(bone.name) for bone in target.pose})
+    before, after = [], []
     for bone, stored in zip(target.pose, rest, strict=True):
         b = index.get(bone.name)
         if b is None:
@@ -688,8 +689,24 @@ def _follow_bones(skeleton: Skeleton, target):
                 if used.name == bone.name:
                     used.name = skeleton.names[b]
             bone.name = skeleton.names[b]
+        before.append(stored[:3, :3])
+        after.append(skeleton.rest[b, :3, :3])
         if not np.array_equal(skeleton.rest[b].astype(np.float32), stored):
             bone.rest = skeleton.rest[b].ravel()
+    _keep_tilt(target, np.array(before), np.array(after))
+
+
+def _keep_tilt(target, before: np.ndarray, after: np.ndarray):
+    """Bones (B, 3, 3) that at rest were all turned alike, as a rotation that is applied to the armature turns them,
+    still stood in the world as they stood when the pose was captured."""
+    if len(before) < 2:  # of a single bone it may be the roll
+        return
+    turn = after[0] @ before[0].T
+    if np.allclose(turn, np.eye(3), atol=1e-4) or not np.allclose(turn @ before, after, atol=1e-4):
+        return
+    world = np.array(target.rig_world).reshape(4, 4)
+    world[:3, :3] = world[:3, :3] @ turn.T
+    target.rig_world = world.ravel()
 
 
 def named_targets(obj) -> list[tuple]:

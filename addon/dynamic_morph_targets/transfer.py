@@ -154,15 +154,19 @@ def nearest(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> 
     tree = BVHTree.FromPolygons((vertices - centre).tolist(), triangles.tolist(), all_triangles=True)
     corners = triangles[[tree.find_nearest(point)[2] for point in (points - centre).tolist()]]
     weights = _closest(points, vertices[corners])
-    found = np.einsum("pc,pcx->px", weights, vertices[corners])
-    return SurfaceMap(corners, weights, np.linalg.norm(points - found, axis=1))
+    return SurfaceMap(corners, weights, _distances(points, vertices[corners], weights))
 
 
 def _closest(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Barycentric coordinates (P, 3) of the points nearest to (P, 3) on triangles (P, 3, 3)."""
-    on_plane = _on_plane(points, corners)
-    inside = (on_plane >= 0.0).all(axis=1)  # not where a triangle without area gives NaN
-    return np.where(inside[:, None], on_plane, _on_edges(points, corners))
+    on_plane, on_edges = _on_plane(points, corners), _on_edges(points, corners)
+    # Where a triangle has next to no area, those on its plane are anything, or NaN.
+    nearer = _distances(points, corners, on_plane) <= _distances(points, corners, on_edges)
+    return np.where(((on_plane >= 0.0).all(axis=1) & nearer)[:, None], on_plane, on_edges)
+
+
+def _distances(points, corners, weights) -> np.ndarray:
+    return np.linalg.norm(np.einsum("pc,pcx->px", weights, corners) - points, axis=1)
 
 
 def _on_plane(points, corners) -> np.ndarray:

@@ -576,6 +576,16 @@ def test_nearest_points_of_a_surface():
     np.testing.assert_array_equal(found.carry(vertices)[200:][used], vertices[used])
 
 
+def test_nearest_points_of_triangles_whose_corners_are_in_a_line():
+    """But for rounding, which leaves the coordinates on their planes to chance."""
+    rng = np.random.default_rng(4)
+    start, along = rng.uniform(-1.0, 1.0, (2000, 3)), 0.1 * rng.normal(size=(2000, 3))
+    corners = np.stack([start, start + along, start + 0.5 * along], axis=1)
+    points = start + rng.uniform(0.0, 1.0, (2000, 1)) * along
+    weights = part("transfer")._closest(points, corners)
+    np.testing.assert_allclose(np.einsum("pc,pcx->px", weights, corners), points, atol=1e-14)
+
+
 def test_a_character_of_13_thousand_vertices_takes_less_than_two_seconds(rich):
     """Of nearest points and shapes, which is what grows; the machine may be busy: the time of this process counts."""
     transfer = part("transfer")

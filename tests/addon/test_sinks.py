@@ -470,3 +470,10 @@ def test_writing_is_fast(scene):
     seconds = time.perf_counter() - began
     print(f"write_modal_keys: {seconds * 1e3:.0f} ms")
     assert seconds < 2.0
+
+
+def test_a_key_whose_mute_is_driven_is_refused(soft_arm):
+    soft_arm.data.shape_keys.key_blocks["flexed"].driver_add("mute")
+    with pytest.raises(part("sinks").SinkError, match="flexed.*has a driver"):
+        part("sinks").write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    assert not soft_arm.dynamorph.bake.keys
