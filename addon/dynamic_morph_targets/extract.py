@@ -7,6 +7,7 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 from __future__ import annotations
 
 import hashlib
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -480,6 +481,8 @@ def _rig_scene(obj, rig):
     An empty that copies the mesh object's transform makes the dependency graph evaluate that transform, with its
     parents, constraints and drivers, but not the mesh.
     """
+    if render_runs():
+        raise SceneError("Blender is rendering: wait until it is done")
     user = bpy.context.scene.render
     scene = bpy.data.scenes.new("Dynamorph Sampling")
     probe = bpy.data.objects.new("Dynamorph Sampling", None)
@@ -527,6 +530,11 @@ def _curves(action, slot) -> list:
         return []
     bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
     return [curve for bag in bags if bag for curve in bag.fcurves]
+
+
+def render_runs() -> bool:
+    """Whether Blender renders beside this thread. Data that is added or removed then makes it crash."""
+    return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")
 
 
 def hold_collapsed(samples: RigSamples, skeleton: Skeleton, before=None) -> tuple[RigSamples, list[str]]:

@@ -26,7 +26,7 @@ KEPT = 250  # latest frames from which it can go on again, when settings are cha
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 
 sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple] = {}  # why an object does not play, and the model of which that was said
+_problems: dict[int, tuple] = {}  # why an object does not play, and how its model stood then
 lent: set[int] = set()  # objects whose live key shows something else for a while
 _any_live: bool | None = None  # whether an object of this file is live; None: to be seen
 

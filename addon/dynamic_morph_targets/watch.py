@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from . import changes, events, jobs, properties, sinks
+from . import changes, events, extract, jobs, properties, sinks
 
 PATIENCE = 1.0  # seconds without an edit, after which it is looked at
 OWNER = object()  # of the subscriptions
@@ -36,9 +36,12 @@ def _check_changed(_scene, depsgraph):
 
 
 def _look_at_meshes():
+    if extract.render_runs():
+        return PATIENCE  # seconds from now
     for obj in properties.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not jobs.running:
             jobs.show_stale(obj)
+    return None
 
 
 def _look_at_animations():
