@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test demo docs figures bench bench-docs stubs format lint wheel extension clean
+.PHONY: setup build test gui-test demo docs figures bench bench-docs stubs format lint wheel extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -24,6 +24,10 @@ build: setup
 
 test: build
 	@$(python) tools/run_tests.py
+
+# The interface in a real Blender window, set up in build/gui on first use; skips where that cannot be done.
+gui-test: build
+	@$(python) tools/gui_test.py
 
 demo: build
 	@$(python) sample_blends/demo.py

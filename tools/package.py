@@ -42,13 +42,24 @@ def make_wheels() -> None:
 
 
 def make_extension() -> None:
-    """A staging copy of the add-on with the wheels in it and in its manifest, packed by Blender's own tool."""
-    stage = ROOT / "build/extension"
+    stage = stage_extension(ROOT / "build/extension")
+    build_native_wheels(stage / "wheels")
+    archive = pack_extension(stage, DIST)
+    print(f"{archive.relative_to(ROOT)} for {', '.join(python.parent.parent.name for python in pythons())}")
+
+
+def stage_extension(stage: Path) -> Path:
+    """A copy of the add-on, still without wheels; those belong into `stage`/wheels."""
     shutil.rmtree(stage, ignore_errors=True)
     shutil.copytree(ADDON, stage, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("LICENSE", "LICENSES.md"):
         shutil.copy2(ROOT / name, stage)
-    wheels = build_native_wheels(stage / "wheels")
+    return stage
+
+
+def pack_extension(stage: Path, folder: Path) -> Path:
+    """The staged add-on, with its wheels named in the manifest, as a zip in `folder`; by Blender's own tool."""
+    wheels = sorted((stage / "wheels").glob("*.whl"))
     manifest = stage / "blender_manifest.toml"
     platforms = sorted({PLATFORMS[wheel.stem.split("-")[-1]] for wheel in wheels})
     lines = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in wheels)
@@ -57,10 +68,10 @@ def make_extension() -> None:
     head, table, rest = text.partition("\n[")
     manifest.write_text(f"{head.rstrip()}\nplatforms = {json.dumps(platforms)}\nwheels = [\n{lines}]\n{table}{rest}")
 
-    archive = DIST / f"dynamic_morph_targets-{tomllib.loads(manifest.read_text())['version']}.zip"
+    archive = folder / f"dynamic_morph_targets-{tomllib.loads(manifest.read_text())['version']}.zip"
     blender_extension("build", "--source-dir", stage, "--output-filepath", archive)
     blender_extension("validate", archive)
-    print(f"{archive.relative_to(ROOT)} for {', '.join(python.parent.parent.name for python in pythons())}")
+    return archive
 
 
 def blender_extension(*arguments: str | Path) -> None:

@@ -11,9 +11,25 @@ _commands = []  # handles that Blender wants back
 
 
 def _modules():
-    from . import live, live_operators, operators, panels, properties, setup_operators, target_operators
+    from . import (
+        influence,
+        influence_operators,
+        live,
+        live_operators,
+        operators,
+        overlays,
+        panels,
+        preferences,
+        presets,
+        properties,
+        setup_operators,
+        target_operators,
+        transfer_operators,
+        watch,
+    )
 
-    return properties, operators, setup_operators, target_operators, live, live_operators, panels
+    buttons = operators, setup_operators, target_operators, transfer_operators, influence_operators, live_operators
+    return preferences, properties, *buttons, presets, influence, live, watch, overlays, panels
 
 
 def register():
@@ -31,6 +47,8 @@ def register():
 def unregister():
     import bpy
 
+    if not _commands:  # done by atexit: the wheel, as it ends, disables its add-ons once more
+        return
     atexit.unregister(unregister)
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())

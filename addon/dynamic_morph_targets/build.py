@@ -23,23 +23,28 @@ Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.nd
 
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
 REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
+FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
 HELD = 0.05  # nodes softer than this in the Soft group are free
 MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes", "pin radius")  # of the tetrahedra
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "Soft vertex group")  # of them and of what is held
+CAGE_SHARE = 0.35  # of the time of a build
 
 
 @dataclass(frozen=True)
 class Model:
     """A built soft skin: n nodes, m tets, V surface vertices, J targets, S sets, B bones, r modes. Bind space, metres.
 
-    nodes (n, 3), tets (m, 4), fill (m,), shares (m, S), pinned (n,), node_weights (n, B + 1), embedding_nodes and
-    embedding_weights (V, 4), displacements (J, n, 3), details (J, V, 3) local space; to_bind (3, 3); parents (B,), rest
-    (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
-    (dynamorph.ReducedTables), empty of a full one. Static morph targets have no nodes: their details are the shapes.
+    nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', shares (m, S), pinned (n,),
+    node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), details (J, V, 3)
+    local space; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and
+    table_mu (J, ...) of a reduced model (dynamorph.ReducedTables), empty of a full one. Static morph targets have no
+    nodes: their details are the shapes.
     """
 
     nodes: np.ndarray
     tets: np.ndarray
     fill: np.ndarray
+    stiffness: np.ndarray
     shares: np.ndarray
     pinned: np.ndarray
     node_weights: np.ndarray
@@ -92,8 +97,7 @@ class Model:
 
     def soft_body(self) -> dynamorph.SoftBody:
         mesh = dynamorph.TetMesh(self.nodes, self.tets)
-        stiffness = np.ones(len(self.tets))
-        return dynamorph.SoftBody(mesh, self.fill, stiffness, self.shares, self.pinned, self.node_weights)
+        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, self.node_weights)
 
     def engine(self, character: Character) -> dynamorph.ReducedModel | dynamorph.FullModel:
         """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another."""
@@ -146,9 +150,7 @@ def build(
     if character.settings.method == "STATIC":
         return _static_model(character, authored)
     stages = _Stages(progress)
-    fits = previous is not None and all(previous.dependencies.get(name) == authored[name] for name in MESH_DEPENDENCIES)
-    mesh = dynamorph.TetMesh(previous.nodes, previous.tets) if fits and len(previous.tets) else None
-    model, embedding = _volume(character, authored, mesh, stages)
+    model, embedding = _volume(character, authored, _reusable(previous, authored), stages)
     body = model.soft_body()
     with stages("Target shapes", 0.10):
         _shape_targets(model, body, embedding, character.targets)
@@ -163,16 +165,44 @@ def build(
                 basis = dynamorph.make_basis(full, character.settings.modes, report).U
         with stages("Polynomials", 0.20) as report:
             model = _reduced(model, full, basis, report)
+    fallbacks = _fallbacks(full, character.targets)
     model.summary.update(
-        nodes=len(model.nodes),
-        tets=len(model.tets),
+        **_cage_summary(model),
         dofs=full.dofs,
         modes=model.basis.shape[1],
         targets=len(targets),
-        warnings=_fallback_warnings(full, character.targets, len(model.tets)),
+        fallbacks=fallbacks,
+        warnings=_fallback_warnings(fallbacks, len(model.tets)),
         seconds=stages.seconds,
     )
     return model
+
+
+def build_cage(character: Character, progress: Progress | None = None, previous: Model | None = None) -> Model:
+    """The tetrahedra alone and what holds them: a model to look at, which `build` takes as its `previous`.
+
+    Arguments and errors as for `build`.
+    """
+    if character.settings.method == "STATIC":
+        raise ValueError(f"'{character.name}' needs no cage: with the Method Static nothing is simulated")
+    authored = dependencies(character)
+    stages = _Stages(progress, CAGE_SHARE)
+    mesh = _reusable(previous, authored)
+    model, _ = _volume(character.by_method(), {name: authored[name] for name in CAGE_DEPENDENCIES}, mesh, stages)
+    model.summary.update(_cage_summary(model), modes=0, warnings=[], seconds=stages.seconds)
+    return model
+
+
+def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.TetMesh | None:
+    """The tetrahedra of an earlier model, if there are any and nothing they depend on has changed."""
+    if previous is None or not len(previous.tets):
+        return None
+    fits = all(previous.dependencies.get(name) == authored[name] for name in MESH_DEPENDENCIES)
+    return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
+
+
+def _cage_summary(model: Model) -> dict[str, int]:
+    return {"nodes": len(model.nodes), "tets": len(model.tets), "pinned": int(model.pinned.sum())}
 
 
 def _reduced(model: Model, full, basis: np.ndarray, report) -> Model:
@@ -221,7 +251,12 @@ def _static_model(character: Character, authored: dict[str, str]) -> Model:
         authored,
         shares=np.zeros((0, len(character.target_sets))),
         details=np.array([target.shape for target in targets]),
-        summary={"nodes": 0, "tets": 0, "dofs": 0, "modes": 0, "targets": len(targets), "warnings": [], "seconds": {}},
+        summary={
+            **dict.fromkeys(("nodes", "tets", "pinned", "dofs", "modes"), 0),
+            "targets": len(targets),
+            "warnings": [],
+            "seconds": {},
+        },
     )
 
 
@@ -258,9 +293,14 @@ def _volume(character: Character, authored, mesh, stages: _Stages) -> tuple[Mode
         embedding = dynamorph.embed(mesh, surface)
         fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
         shares = [target_set.share for target_set in character.target_sets]
-        painted = np.column_stack([character.weights, character.softness, *shares])
-        inherited = dynamorph.extend_to_nodes(mesh, embedding, painted).clip(0.0)
-        weights, softness, shares = np.split(inherited, np.cumsum([character.weights.shape[1], 1]), axis=1)
+        # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and no further than painted.
+        painted = np.log(character.stiffness)
+        values = np.column_stack([painted, character.weights, character.softness, *shares])
+        inherited = dynamorph.extend_to_nodes(mesh, embedding, values)
+        stiffness = np.exp(inherited[:, 0].clip(painted.min(), painted.max()))[mesh.tets].mean(axis=1)
+        weights, softness, shares = np.split(
+            inherited[:, 1:].clip(0.0), np.cumsum([character.weights.shape[1], 1]), axis=1
+        )
         shares = shares[mesh.tets].mean(axis=1)
         heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
         pinned = dynamorph.pinned(mesh, surface, character.triangles, heads, tails, settings.pin_radius)
@@ -273,6 +313,7 @@ def _volume(character: Character, authored, mesh, stages: _Stages) -> tuple[Mode
         nodes=mesh.nodes,
         tets=mesh.tets,
         fill=fill,
+        stiffness=stiffness,
         shares=shares / shares.sum(axis=1, keepdims=True),
         pinned=pinned,
         node_weights=weights / weights.sum(axis=1, keepdims=True),
@@ -293,18 +334,20 @@ def _shape_targets(model: Model, body, embedding, targets: list[Target]):
         model.details[sculpted] = shapes - model.surface(model.displacements[sculpted])
 
 
-def _fallback_warnings(full, targets: list[Target], tets: int) -> list[str]:
-    """Says how many tetrahedra of each target's sculpt could not be used, with advice where it is more than a few."""
-    warnings = []
-    for j, target in enumerate(targets):
-        count = full.fallbacks(j)
-        if count:
-            advice = "; a finer cage or a smoother sculpt avoids it" if count > 1e-3 * tets else ""
-            warnings.append(
-                f"Target '{target.name}' would crush or invert {count} of {tets} tetrahedra, which stay as in the "
-                f"neutral shape{advice}"
-            )
-    return warnings
+def _fallbacks(full, targets: list[Target]) -> dict[str, int]:
+    """How many tetrahedra each target's sculpt would crush or invert: for it they stay as in the neutral shape."""
+    counts = {target.name: full.fallbacks(j) for j, target in enumerate(targets)}
+    return {name: count for name, count in counts.items() if count}
+
+
+def _fallback_warnings(fallbacks: dict[str, int], tets: int) -> list[str]:
+    """With advice, where it is more than a few."""
+    return [
+        f"Target '{name}' would crush or invert {count} of {tets} tetrahedra, which stay as in the neutral shape: "
+        "sculpt it smoother, or raise Cage Nodes"
+        for name, count in fallbacks.items()
+        if count > FEW * tets
+    ]
 
 
 def _morph_targets(character: Character, displacements: np.ndarray) -> list:
@@ -331,10 +374,11 @@ def _morph_targets(character: Character, displacements: np.ndarray) -> list:
 
 
 class _Stages:
-    """Times the stages of a build and maps each one's own 0..1 to a part of the whole."""
+    """Times the stages of a build and maps each one's own 0..1 to a part of the whole, which their shares sum to."""
 
-    def __init__(self, progress: Progress | None):
+    def __init__(self, progress: Progress | None, whole: float = 1.0):
         self.progress = progress
+        self.whole = whole
         self.done = 0.0
         self.seconds: dict[str, float] = {}
 
@@ -343,7 +387,8 @@ class _Stages:
         began, start = time.perf_counter(), self.done
 
         def report(fraction: float) -> bool:
-            going_on = self.progress is None or self.progress(start + share * fraction, message)
+            done = (start + share * fraction) / self.whole
+            going_on = self.progress is None or self.progress(done, message)
             if not going_on:
                 raise dynamorph.Cancelled("cancelled")
             return True
@@ -372,6 +417,8 @@ def dependencies(character: Character) -> dict[str, str]:
         ),
         "number of targets": (np.array([len(character.targets)]),),
     }
+    if (character.stiffness != 1.0).any():  # else there is none, as in the models from before there was
+        parts["Stiffness vertex group"] = (character.stiffness,)
     for j, target in enumerate(character.targets):
         parts[f"shape {j}"] = (target.shape,)
     for name, value in asdict(settings).items():
@@ -382,12 +429,23 @@ def dependencies(character: Character) -> dict[str, str]:
 
 def stale_reasons(model: Model, character: Character) -> list[str]:
     """Why `model` no longer fits `character`, for the artist; empty when it does."""
+    vertices, before = len(character.vertices), model.details.shape[1]
+    if vertices != before:  # and with them all else
+        return [f"the mesh has {vertices} vertices instead of {before}"]
     now, then = dependencies(character), model.dependencies
-    changed = [name for name in now if now[name] != then.get(name)]
+    only_cage = set(then) == set(CAGE_DEPENDENCIES)
+    considered = CAGE_DEPENDENCIES if only_cage else {**now, **then}
+    changed = [name for name in considered if now.get(name) != then.get(name)]
     names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
     if "number of targets" in changed:
-        changed = [name for name in changed if name not in names]
-    return [f"{names.get(name, name)} changed" for name in changed]
+        changed = [name for name in changed if not name.startswith("shape ")]
+    return ["only the cage is built"] * only_cage + [f"{names.get(name, name)} changed" for name in changed]
+
+
+def has_cage(model: Model, character: Character) -> bool:
+    """Whether `model` has the tetrahedra, and the nodes held by bones, that `character` asks for."""
+    now = dependencies(character)
+    return len(model.tets) > 0 and all(model.dependencies.get(name) == now[name] for name in CAGE_DEPENDENCIES)
 
 
 def _hash(arrays: tuple[np.ndarray, ...]) -> str:

@@ -15,6 +15,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
+from . import checks
 from .properties import key_points, reconcile, rest_skeleton, rig_of
 from .scene_data import (
     Character,
@@ -26,51 +27,39 @@ from .scene_data import (
     TargetSet,
     determinant,
     inverse,
+    turned,
 )
 
-SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
 MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
-PLAUSIBLE = (0.02, 20.0)  # metres from corner to corner; a body of another size is probably not meant
 STRIP_FIELDS = (
     "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
     "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
 )  # fmt: skip
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
-# Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
-GENERATING = {
-    "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
-    "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
-    "WIREFRAME",
-}  # fmt: skip
-DEFORMING = {
-    "CAST", "CLOTH", "CORRECTIVE_SMOOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE",
-    "MESH_CACHE", "MESH_DEFORM", "MESH_SEQUENCE_CACHE", "SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY",
-    "SURFACE_DEFORM", "VOLUME_DISPLACE", "WARP", "WAVE",
-}  # fmt: skip
-
 
 class SceneError(ValueError):
     """The scene cannot be simulated as it is. The message names the object and what to do."""
 
 
-class Cancelled(Exception):
-    """The user stopped the job."""
-
-
 # The character -----------------------------------------------------------------------------------------------------
 
 
-def character(obj) -> Character:
-    """The soft skin authored on `obj`. Raises SceneError."""
+def character(obj, without_targets=False) -> Character:
+    """The soft skin authored on `obj`. without_targets: the neutral one is enough. Raises SceneError."""
     modifier = armature_modifier(obj)
     reconcile(obj)
-    _check(obj, modifier)
+    if not obj.dynamorph.targets:
+        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
+    _refuse(checks.problems(obj))
+    if not without_targets:
+        _refuse(checks.next_steps(obj))
+    _refuse(checks.shapes(obj))
     skeleton = rest_skeleton(modifier.object.data)
     groups = VertexGroups(obj)
     target_sets = _target_sets(obj, skeleton, groups)
     for target_set in target_sets:
-        _check_poses(obj, target_set.targets, skeleton)
+        _refuse(checks.poses(obj.name, target_set.targets, skeleton))
     basis = obj.data.shape_keys.reference_key
     settings = obj.dynamorph
     world, rig_world = _worlds_at_start(obj, modifier.object)
@@ -78,10 +67,11 @@ def character(obj) -> Character:
     return Character(
         name=obj.name,
         vertices=key_points(basis).astype(np.float64),
-        triangles=_triangles(obj.data),
+        triangles=mesh_triangles(obj.data),
         to_bind=to_bind,
         weights=_skin_weights(obj, modifier, skeleton, groups),
         softness=_softness(obj, groups),
+        stiffness=_stiffness(obj, groups),
         bone_segments=_bone_segments(obj, modifier.object, inverse(world) @ rig_world, to_bind),
         skeleton=skeleton,
         target_sets=target_sets,
@@ -93,121 +83,41 @@ def armature_modifier(obj):
     """The one Armature modifier that skins `obj`. Raises SceneError."""
     if obj is None or obj.type != "MESH":
         raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
-    modifiers = [m for m in obj.modifiers if m.type == "ARMATURE" and m.object]
-    if not modifiers:
-        raise SceneError(f"'{obj.name}' has no Armature modifier with an armature: add one, or parent the mesh to it")
-    if len(modifiers) > 1:
-        names = " and ".join(f"'{m.name}'" for m in modifiers)
-        raise SceneError(f"'{obj.name}' has more than one Armature modifier ({names}): keep one")
-    return modifiers[0]
+    _refuse(checks.skinning(obj))
+    return checks.armature_modifiers(obj)[0]
+
+
+def check_mesh(obj):
+    """Raises SceneError about a mesh that has no surface, or is being edited."""
+    _refuse(checks.mesh(obj))
+
+
+def _refuse(problems):
+    """Raises SceneError about the first of `problems`."""
+    for problem in problems:
+        raise SceneError(problem.text)
 
 
 def warnings(obj, character: Character) -> list[str]:
     """What will be ignored, or is not likely to be meant."""
-    found = [
-        f"'{obj.name}': modifier '{modifier.name}' before the Armature is not simulated"
-        for modifier in _modifiers_before(obj, armature_modifier(obj))
-        if modifier.type in DEFORMING
-    ]
-    if obj.show_only_shape_key:
-        found.append(f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake")
-    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
-    if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
-        found.append(f"'{obj.name}' is {size:.3g} m long: check the scale, it will move like something of that size")
-    return found
+    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, character.weights))
+    return [problem.text for problem in found]
 
 
-def _check(obj, modifier):
-    """Raises SceneError about what makes `obj` impossible to simulate."""
-    _check_mesh(obj)
-    _check_rig(obj, modifier)
-    _check_keys(obj)
-    for before in _modifiers_before(obj, modifier):
-        if before.type in GENERATING:
-            raise SceneError(f"'{obj.name}': modifier '{before.name}' comes before the Armature: move it below")
-
-
-def _check_rig(obj, modifier):
-    rig = modifier.object
-    if rig.mode == "EDIT":
-        raise SceneError(f"Armature '{rig.name}' is in Edit Mode: leave it first")
-    if rig.data.pose_position == "REST":
-        raise SceneError(f"Armature '{rig.name}' is shown in rest position: choose Pose Position in its Data tab")
-    if rig.hide_viewport:
-        raise SceneError(f"Armature '{rig.name}' is disabled in viewports, so Blender does not move it: enable it")
-    if not modifier.show_viewport:
-        raise SceneError(f"'{obj.name}': Armature modifier '{modifier.name}' is disabled in viewports: enable it")
-    if modifier.use_deform_preserve_volume:
-        raise SceneError(f"'{obj.name}' uses Preserve Volume: turn it off in Armature modifier '{modifier.name}'")
-    if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
-        raise SceneError(
-            f"'{obj.name}' is skinned by bone envelopes: in Armature modifier '{modifier.name}' turn Bone Envelopes "
-            "off and Vertex Groups on"
-        )
-    if modifier.use_multi_modifier:
-        raise SceneError(f"'{obj.name}': turn Multi Modifier off in Armature modifier '{modifier.name}'")
-    bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
-    if not bones:
-        raise SceneError(
-            f"'{obj.name}' has no vertex group named after a deforming bone of '{rig.name}': weight it first"
-        )
-    longest = max(bone.length for bone in bones)
-    for bone in bones:
-        if bone.bbone_segments > 1:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}' is a bendy bone: set its Segments to 1")
-        if bone.use_envelope_multiply:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}': turn off Envelope Multiply in its Deform panel")
-        if bone.length <= 1e-5 * longest:
-            raise SceneError(f"Bone '{bone.name}' of '{rig.name}' has no length: move its tail, or turn off its Deform")
-
-
-def _check_mesh(obj):
-    mesh = obj.data
-    if obj.mode == "EDIT":
-        raise SceneError(f"'{obj.name}' is in Edit Mode: leave it first")
-    if not mesh.polygons:
-        raise SceneError(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
-
-
-def _check_keys(obj):
-    if not obj.dynamorph.targets:
-        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
-    keys = obj.data.shape_keys
-    if keys is None:
-        raise SceneError(f"'{obj.name}' has no shape keys: add a Basis and one key a target")
-    if not keys.use_relative:
-        raise SceneError(f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
-    targets = _active_targets(obj)
-    if len(targets) < 2 and obj.dynamorph.model.method != "SINGLE":
-        if len(obj.dynamorph.targets) > 1:
-            raise SceneError(f"'{obj.name}': all targets are muted: unmute one, or choose the Method Single")
-        raise SceneError(f"'{obj.name}' has no targets: select a shape key, pose the armature and press Add Target")
-    for target in targets[1:]:
-        if target.name not in keys.key_blocks:
-            raise SceneError(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
-        if keys.key_blocks[target.name] == keys.reference_key:
-            raise SceneError(
-                f"'{obj.name}': target '{target.name}' has become the Basis, which moves nothing: put a Basis above it "
-                "in the Shape Keys panel, or remove the target"
-            )
-    for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in targets[1:])):
-        bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
-        if len(bad):
-            raise SceneError(
-                f"'{obj.name}': shape key '{block.name}' has coordinates that are not numbers at vertices "
-                f"{', '.join(map(str, bad[:5]))}: delete or repair them"
-            )
-
-
-def _modifiers_before(obj, armature) -> list:
-    """The modifiers that change the mesh before its Armature modifier does."""
-    before = obj.modifiers[: obj.modifiers.find(armature.name)]
-    return [modifier for modifier in before if modifier.show_viewport or modifier.show_render]
-
-
-def _active_targets(obj):
-    """The neutral target and those that are not muted."""
-    return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
+def first_look(obj) -> list[str]:
+    """All that is in the way of simulating `obj`, or not likely to be meant, before it is a soft skin."""
+    modifier = checks.armature_modifiers(obj)[0]
+    found = [*checks.problems(obj), *checks.notes(obj)]
+    try:
+        to_bind = _stretch(_worlds_at_start(obj, modifier.object)[0])
+        weights = _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+    except SceneError as error:
+        return [*(problem.text for problem in found), str(error)]
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    obj.data.vertices.foreach_get("co", points.ravel())  # Edit Mode hides the attribute
+    if len(points):
+        found += checks.body(obj.name, points, to_bind, weights)
+    return [problem.text for problem in found]
 
 
 def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
@@ -215,7 +125,7 @@ def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[
 
     Regions share out the flesh: where their groups add up to less than one the body has the rest.
     """
-    neutral, *others = _active_targets(obj)
+    neutral, *others = checks.active_targets(obj)
     groups = list(dict.fromkeys(target.region for target in others if target.region))
     gone = [group for group in groups if group not in obj.vertex_groups]
     if gone:
@@ -247,38 +157,16 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
         if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
-    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else _shape(obj, target.name, groups)
+    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, groups)
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
-    return Target(target.name, shape, target.bone_names(), local, rig_world, material)
+    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius)
 
 
-def _check_poses(obj, targets, skeleton: Skeleton):
-    """Refuse targets that the rotations of the targets' bones, and of no others, cannot tell apart."""
-    for target in targets[1:]:
-        if not target.bones:
-            raise SceneError(
-                f"'{obj.name}': target '{target.name}' has no bones: pose the armature away from the neutral target "
-                "and press Capture Pose"
-            )
-    named = {bone for target in targets for bone in target.bones}
-    used = [name in named for name in skeleton.names]
-    for i, first in enumerate(targets):
-        for second in targets[i + 1 :]:
-            if np.linalg.norm(turned(first.local[used], second.local[used])) < SAME_POSE:
-                raise SceneError(
-                    f"'{obj.name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
-                    "place targets: capture one of them in another pose, choose its bones, or remove it"
-                )
-
-
-def target_shape(obj, key_name: str) -> np.ndarray:
-    """What the shape key adds at value 1: (V, 3), local space."""
-    return _shape(obj, key_name, VertexGroups(obj))
-
-
-def _shape(obj, key_name: str, groups: VertexGroups) -> np.ndarray:
+def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:
+    """What the shape key adds at value 1: (V, 3), local space. groups: those of `obj`, for who has read them."""
+    groups = groups or VertexGroups(obj)
     block = obj.data.shape_keys.key_blocks[key_name]
     shape = key_points(block).astype(np.float64) - key_points(block.relative_key)
     if block.vertex_group in obj.vertex_groups:  # Blender ignores the name of a group that is gone
@@ -331,24 +219,37 @@ def _skin_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np
     return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
 
 
+def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
+    """Weights (V,) of the vertex group that the artist chose for Soft or Stiffness. Raises SceneError."""
+    if group not in obj.vertex_groups:
+        raise SceneError(f"'{obj.name}': the vertex group '{group}' for {use} is gone: choose another")
+    return groups.weights([group])[:, 0].clip(0.0, 1.0)
+
+
 def _softness(obj, groups: VertexGroups) -> np.ndarray:
-    name = obj.dynamorph.soft_group
-    if not name:
+    group = obj.dynamorph.soft_group
+    return _painted(obj, groups, "Soft", group) if group else np.ones(len(obj.data.vertices))
+
+
+def _stiffness(obj, groups: VertexGroups) -> np.ndarray:
+    settings = obj.dynamorph
+    if not settings.stiffness_group:
         return np.ones(len(obj.data.vertices))
-    if name not in obj.vertex_groups:
-        raise SceneError(f"'{obj.name}': the vertex group '{name}' for Soft is gone: choose another")
-    return groups.weights([name])[:, 0]
+    if not np.isfinite(settings.stiffness_factor):
+        raise SceneError(f"'{obj.name}': the Factor of the Stiffness group is not a number: set it again")
+    return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 
 def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
-    bones = [bone for bone in rig.data.bones if bone.use_deform and bone.name in obj.vertex_groups]
+    bones = checks.deforming_bones(obj, rig)
     ends = np.array([(*bone.head_local, 1.0, *bone.tail_local, 1.0) for bone in bones]).reshape(-1, 2, 4)
     # Rounded like the stretch: the last digits of this product change when both objects are moved.
     return (ends @ np.round(to_local, 5).T)[..., :3] @ to_bind.T + 0.0
 
 
-def _triangles(mesh) -> np.ndarray:
+def mesh_triangles(mesh) -> np.ndarray:
+    """The faces (T, 3), cut into triangles as Blender draws them."""
     mesh.calc_loop_triangles()
     triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
     mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
@@ -389,34 +290,33 @@ def _stretch(world) -> np.ndarray:
 # The pose ----------------------------------------------------------------------------------------------------------
 
 
-def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angle, in radians, between the rotations of two arrays of transforms (B, 4, 4)."""
+def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4).
 
-    def rotation(transforms):
-        u, _, vt = np.linalg.svd(transforms[:, :3, :3])
-        return u @ vt
-
-    # From the chord, because the arc cosine of the trace loses small angles.
-    chord = np.linalg.norm(rotation(first) - rotation(second), axis=(1, 2)) / np.sqrt(8.0)
-    return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
-
-
-def current_pose(obj) -> tuple[Skeleton, np.ndarray, np.ndarray]:
-    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4)."""
+    depsgraph: where it is evaluated, if not where the artist sees it.
+    """
     modifier = armature_modifier(obj)
-    _check_rig(obj, modifier)
+    _refuse(checks.rig(obj, modifier))
     rig = modifier.object
     skeleton = rest_skeleton(rig.data)
-    evaluated = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    pose = _pose_matrices(evaluated, _pose_order(rig, skeleton))
-    rig_world = np.array(evaluated.matrix_world)
-    for name, matrix in ((rig.name, rig_world), *zip(skeleton.names, pose, strict=True)):
+    evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
+    pose = pose_matrices(evaluated, pose_order(rig, skeleton))
+    rig_world = world_now(rig, depsgraph)
+    for name, matrix in zip(skeleton.names, pose, strict=True):
         if not np.isfinite(matrix).all():
             raise SceneError(_not_a_number(name, bpy.context.scene.frame_current))
     flat = [name for name, matrix in zip(skeleton.names, pose, strict=True) if not _invertible(matrix)]
     if flat:
         raise SceneError(f"Bone '{flat[0]}' of '{rig.name}' is scaled to zero: give it a size to capture the pose")
     return skeleton, skeleton.local_transforms(pose), rig_world
+
+
+def world_now(rig, depsgraph=None) -> np.ndarray:
+    """The evaluated world transform (4, 4) of the armature; depsgraph: as `current_pose`. Raises SceneError."""
+    world = np.array(rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
+    if not np.isfinite(world).all():
+        raise SceneError(_not_a_number(rig.name, bpy.context.scene.frame_current))
+    return world
 
 
 def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
@@ -428,11 +328,12 @@ def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray)
     ]
 
 
-def _pose_order(rig, skeleton: Skeleton) -> list[int]:
+def pose_order(rig, skeleton: Skeleton) -> list[int]:
+    """Where the skeleton's bones are among those of the armature object's pose."""
     return [rig.pose.bones.find(name) for name in skeleton.names]
 
 
-def _pose_matrices(evaluated_rig, order) -> np.ndarray:
+def pose_matrices(evaluated_rig, order) -> np.ndarray:
     """Pose matrices (B, 4, 4), armature space."""
     columns = np.empty((len(order), 4, 4), np.float32)
     _read_pose(evaluated_rig, columns)
@@ -481,7 +382,7 @@ class RigSampling:
         self.start, self.substeps = start, substeps
         self.done, self.count = 0, 1 + (end - start) * substeps
         self._skeleton = rest_skeleton(rig.data)
-        self._order = _pose_order(rig, self._skeleton)
+        self._order = pose_order(rig, self._skeleton)
         self._moving = (rig.name, obj.name, *self._skeleton.names)
         sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
         self._sources = [source.name for source in sources]
@@ -636,21 +537,28 @@ def render_runs() -> bool:
     return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")
 
 
-def hold_collapsed(samples: RigSamples, skeleton: Skeleton) -> tuple[RigSamples, list[str]]:
-    """Replace bones scaled to zero (the pop-to-nothing trick) by their last size; returns warnings naming them."""
-    good = _invertible(samples.pose)
+def hold_collapsed(samples: RigSamples, skeleton: Skeleton, before=None) -> tuple[RigSamples, list[str]]:
+    """Bones scaled to zero (the pop-to-nothing trick) follow their parents as they last did; returns warnings naming
+    them. before (B, 4, 4): the pose ahead of the samples, without such bones, if it is known.
+    """
+    pose = samples.pose if before is None else np.concatenate([before[None], samples.pose])
+    good = _invertible(pose)
     if good.all():
         return samples, []
-    times = np.arange(len(samples))[:, None]
+    times = np.arange(len(pose))[:, None]
     last = np.maximum.accumulate(np.where(good, times, -1), axis=0)
     held = np.where(last >= 0, last, good.argmax(axis=0))  # before its first size: that first size
-    pose = samples.pose[held, np.arange(good.shape[1])]
-    never = ~good.any(axis=0)
-    pose[:, never] = skeleton.rest[never]
-    names = ", ".join(f"'{skeleton.names[b]}'" for b in np.flatnonzero(~good.all(axis=0)))
-    frames = int((~good).any(axis=1).sum())
+    pose = pose.copy()
+    collapsed = np.flatnonzero(~good.all(axis=0))
+    for b in collapsed:  # parents come first
+        parent = skeleton.parents[b]
+        joined = skeleton.rest[b] if parent < 0 else pose[:, parent] @ skeleton.rest_inverse[parent] @ skeleton.rest[b]
+        local = (inverse(joined) @ pose[:, b])[held[:, b]] if good[:, b].any() else np.eye(4)
+        pose[:, b] = np.where(good[:, b, None, None], pose[:, b], joined @ local)
+    names = ", ".join(f"'{skeleton.names[b]}'" for b in collapsed)
+    frames = int((~good[-len(samples) :]).any(axis=1).sum())
     warning = f"Bones scaled to zero are held at their last size ({frames} of {len(samples)} samples): {names}"
-    return replace(samples, pose=pose), [warning]
+    return replace(samples, pose=pose[-len(samples) :]), [warning]
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:

@@ -19,15 +19,18 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, live_key, model_file, sinks
-from .extract import Cancelled, SceneError
+from . import changes, extract, live_key, materials, model_file, preferences, sinks
+from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
-PACK_LIMIT = 32 * 2**20  # larger models go into a file beside the .blend
-FOLDER = "dynamorph_models"
+PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
+
+
+class Cancelled(Exception):
+    """The user stopped the job."""
 
 
 class NativeMissing(Exception):
@@ -82,20 +85,21 @@ def _engine_errors() -> tuple[type[Exception], ...]:
 
 
 def store_model(obj, packed: bytes, folder: Path | None = None):
-    """Keep a packed model with `obj`: in the .blend, or if it is large in `folder` (default: beside the .blend).
+    """Keep a packed model with `obj`: in the .blend, or if it is large in a file as the preferences say.
 
+    folder: of the .blend that the model belongs to; by default of the open one.
     Files are named by their content: a copy of the object shares its file, and a new build never overwrites one that
     another .blend may use.
     """
     content_id = model_file.content_id(packed)
     if len(packed) > PACK_LIMIT:
-        folder = folder or _blend_folder()
-        if folder is None:
+        folders = preferences.model_folders(folder or _blend_folder())
+        if not folders:
             raise SceneError(
                 f"The model of '{obj.name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
                 ".blend: save the .blend first"
             )
-        model_file.save(_model_path(folder, content_id), packed)
+        model_file.save(folders[0] / f"{content_id}.dynamorph", packed)
         obj.pop(PACKED, None)
     else:
         obj.pop(PACKED, None)  # Blender cuts bytes that replace other bytes at their first zero
@@ -113,12 +117,14 @@ def stored_model(obj) -> bytes | None:
     content_id = obj.dynamorph.model.content_id
     if not content_id:
         return None
-    folder = _blend_folder()
+    folders = preferences.model_folders(_blend_folder())
+    paths = [folder / f"{content_id}.dynamorph" for folder in folders]
     # The id comes from the .blend, which may be anybody's: it must not lead out of the folder.
-    path = _model_path(folder, content_id) if folder and re.fullmatch("[0-9a-f]{32}", content_id) else None
-    if path is None or not path.is_file():
+    path = next(filter(Path.is_file, paths), None) if re.fullmatch("[0-9a-f]{32}", content_id) else None
+    if path is None:
+        places = " and ".join(f"'{folder}'" for folder in folders) or "beside the .blend"
         raise model_file.ModelFileError(
-            f"The model of '{obj.name}' is missing (folder '{FOLDER}' beside the .blend): put it back or build again"
+            f"The model of '{obj.name}' is missing (looked for in {places}): put it back or build again"
         )
     return path.read_bytes()
 
@@ -137,7 +143,7 @@ def forget_model(obj):
     """Drop the model kept in the .blend. A file stays: another .blend may use it."""
     obj.pop(PACKED, None)
     record = obj.dynamorph.model
-    record.content_id = record.summary = record.stale = record.warnings = record.built = ""
+    record.content_id = record.summary = record.cage = record.stale = record.warnings = record.built = ""
 
 
 def load_model(obj):
@@ -182,11 +188,17 @@ def fit_input(obj, target):
     Raises SceneError unless the model is up to date.
     """
     model, character = current_model(obj)
+    index = index_in(character, obj, target)
+    if index is None:
+        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
+    return model, character, index
+
+
+def index_in(character, obj, target) -> int | None:
+    """Where one of the object's targets is among those of the character that is simulated; None if it is not."""
     names = [each.name for each in character.by_method().targets]
     first = 0 if target == obj.dynamorph.targets[0] else 1  # a shape key may be called like the neutral target
-    if target.name not in names[first:]:
-        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
-    return model, character, names.index(target.name, first)
+    return names.index(target.name, first) if target.name in names[first:] else None
 
 
 def show_stale(obj):
@@ -205,10 +217,6 @@ def _blend_folder() -> Path | None:
     return Path(bpy.data.filepath).parent if bpy.data.filepath else None
 
 
-def _model_path(folder: Path, content_id: str) -> Path:
-    return folder / FOLDER / f"{content_id}.dynamorph"
-
-
 def find(session_uid: int):
     """The object with this id, which outlives undo and renames; Python references do not. Raises SceneError."""
     obj = next((obj for obj in bpy.data.objects if obj.session_uid == session_uid), None)
@@ -223,8 +231,8 @@ def find(session_uid: int):
 class Job:
     """Builds the model of one object if that is necessary, and with the goal "BAKE" simulates and writes the shot.
 
-    goal: "BUILD" or "BAKE". frames: (start, end), substeps: override the object's settings. folder: where large models
-    go. rebuild: build even when the model is up to date.
+    goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE". frames: (start, end), substeps: override the
+    object's settings. folder: where large models go. rebuild: build even when the model is up to date.
     """
 
     def __init__(self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, rebuild=False):
@@ -232,6 +240,7 @@ class Job:
         self.name = obj.name
         self.goal = goal
         self.bake = goal == "BAKE"
+        self.only_cage = goal == "BUILD_CAGE"
         self.frames = frames
         self.substeps = substeps
         self.folder = folder
@@ -247,6 +256,7 @@ class Job:
         self.inputs: dict = {}  # of the bake
         self.settings = self.rig = self._sampling = None  # the shot
         self.model = None
+        self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
         self.result = None
         self.size = 0  # of the bake, in bytes
         self._error: BaseException | None = None
@@ -262,20 +272,22 @@ class Job:
         """Check and read the character and its settings."""
         self.message = "Reading the character"
         engine()
+        preferences.use_threads()
         obj = find(self.session_uid)
-        self.character = extract.character(obj)
+        sinks.check_local(obj)
+        self.character = extract.character(obj, without_targets=self.only_cage)
         if self.bake:
             sinks.check(obj)
         self.warnings = extract.warnings(obj, self.character)
-        self.reasons = stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
         with suppress(model_file.ModelFileError):  # then one of the reasons
             self.previous = load_model(obj)
+        self.reasons = self._reasons(obj)
         if not self.reasons:
             self.model = self.previous
         self.built = json.dumps(changes.model_inputs(obj))
         chosen = self.character.settings
         fits = bool(self.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
-        if not (self.bake or fits):
+        if self.only_cage or not (self.bake or fits):
             return
         self.settings = settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
@@ -290,6 +302,14 @@ class Job:
             done = sampling.advance(find(self.session_uid), seconds)
         self._progress(0.0, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
         return done
+
+    def _reasons(self, obj) -> list[str]:
+        """Why something is to be built."""
+        if self.only_cage:
+            build, _ = engine()
+            current = self.previous is not None and build.has_cage(self.previous, self.character)
+            return [] if current else ["the cage is out of date"]
+        return stale_reasons(obj, self.character) or ["asked for"] * self.rebuild
 
     def _take_rig(self):
         """Check what was sampled; any thread. Raises SceneError."""
@@ -333,38 +353,59 @@ class Job:
         record = obj.dynamorph.bake
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
-        record.gap = self.report.get("gap", 0.0)
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
         changes.look_at_animation(obj)
 
     def summary(self) -> str:
         """One line for the artist."""
+        if self.only_cage:
+            return self.cage_summary() if self.reasons else "the cage is up to date"
         if not self.bake:
             return self.model_summary()
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
-        gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if "gap" in self.report else ""
-        return f"{frames} frames, {frames / max(seconds, 1e-9):.0f} frames/s, {self.size / 2**20:.2f} MB{gap}"
+        gap = f", loop gap {1000 * self.report['gap']:.3g} mm" if "gap" in self.report else ""
+        return f"{frames} frames in {seconds:.1f} s, {self.size / 2**20:.1f} MB{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary
         if not made["tets"]:
             return f"{made['targets']} targets, nothing to simulate"
-        return f"{made['nodes']} nodes, {made['modes']} modes, {made['targets']} targets, {made['dofs']} DOF"
+        kept = sum(made.get("fallbacks", {}).values())  # models of older versions do not say
+        crushed = f", crushed tetrahedra: {kept}" if kept else ""
+        return f"{made['nodes']} nodes, {made['modes']} modes, {made['targets']} targets{crushed}"
+
+    def cage_summary(self) -> str:
+        made = self.model.summary
+        if not made["tets"]:
+            return ""
+        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {made['pinned'] / made['nodes']:.0%} held by bones"
 
     def _store_model(self, obj):
         record = obj.dynamorph.model
         if self.reasons:
             packed = model_file.pack(*self.model.to_arrays())
             store_model(obj, packed, self.folder)
-            record.summary = f"{self.model_summary()}, {len(packed) / 2**20:.1f} MB, {self.seconds['build']:.1f} s"
+            size = f"{len(packed) / 2**20:.1f} MB, {self.seconds['build']:.1f} s"
+            record.summary = "" if self.only_cage else f"{self.model_summary()}, {size}"
+            record.cage = self.cage_summary()
+            record.vertices = len(self.character.vertices)
+            record.warnings = "\n".join(self.model.summary["warnings"])
         elif PACKED not in obj and self.folder not in (None, _blend_folder()):
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
-        record.stale, record.built = "", self.built
-        if self.reasons:
-            record.warnings = "\n".join(self.model.summary["warnings"])
+        if self.reasons or not self.only_cage:
+            record.stale, record.built = "only the cage is built" if self.only_cage else "", self.built
+        if self.reasons and not self.only_cage:
             obj.dynamorph.live.checks = ""
             fit_modes(obj, self.model.summary["modes"])
+            self._store_references(obj)
+
+    def _store_references(self, obj):
+        measured = self.character.by_method().targets
+        for target in obj.dynamorph.targets:
+            index = index_in(self.character, obj, target)
+            bounce, volume = self.references[index] if index is not None else (0.0, 0.0)
+            target.set_references(bounce, volume, measured[index or 0].material.poisson)
 
     def _work(self):
         try:
@@ -376,7 +417,12 @@ class Job:
             self._error = error
 
     def _compute(self):
-        _, simulate = engine()
+        build, simulate = engine()
+        if self.only_cage:
+            if self.reasons:
+                with self._stage("build"):
+                    self.model = build.build_cage(self.character, self._progress(0.0, 1.0), self.previous)
+            return
         self._take_rig()
         start = 0.2
         built = 0.95 if self.character.settings.fit_to_shot else 0.7
@@ -384,6 +430,11 @@ class Job:
             with self._stage("build"):
                 progress = self._progress(start, built if self.bake else 1.0)
                 self.model = simulate.build_for(self.character, self.rig, self.settings, progress, self.previous)
+            with self._stage("measure"):
+                for reference in materials.references(self.model, self.character):
+                    self.references.append(reference)
+                    if self.cancelled:
+                        return
             start = built
             self.warnings += self.model.summary["warnings"]
         if not self.bake:
@@ -438,7 +489,7 @@ class Batch:
 
     @property
     def message(self) -> str:
-        return self._at.message
+        return f"{self.name}: {self._at.message}" if len(self.jobs) > 1 else self._at.message
 
     @property
     def fraction(self) -> float:

@@ -26,11 +26,12 @@ def add(obj, target_names):
 
 
 def remove(obj):
-    """Remove the key, if it is there, and restore what it muted and the active key."""
+    """Remove the key, if it is there, and restore what it muted and the active key. Raises SinkError."""
     reconcile(obj)
     record = obj.dynamorph.live
     block = find(obj)
     if block is not None:
+        sinks.check_not_edited(obj)
         blocks = obj.data.shape_keys.key_blocks
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         obj.shape_key_remove(block)

@@ -12,14 +12,16 @@ from dataclasses import asdict
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
-from . import extract, jobs, live, live_key, properties
+from . import events, extract, jobs, live, live_key, properties
 from .extract import SceneError
 from .operators import SoftSkinOperator, guarded
 from .scene_data import Material, RigSamples
+from .sinks import SinkError
 
 SECONDS = 2.5  # a shake test
 REST = 0.1  # seconds of it before it moves
@@ -36,25 +38,21 @@ class FleshOperator(SoftSkinOperator):
     """Mixin: shows the flesh of the built model, which nothing else may show meanwhile."""
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        obstacle = live.obstacle(properties.mesh_in(context))
-        if obstacle:
-            cls.poll_message_set(obstacle)
-        return not obstacle
+    def obstacle(cls, context):
+        return super().obstacle(context) or live.obstacle(properties.mesh_in(context))
 
 
 class DYNAMORPH_OT_live(FleshOperator, Operator):
     """Simulate while Blender plays, without a bake; again: stop that"""
 
     bl_idname = "dynamorph.live"
-    bl_label = "Live"
+    bl_label = "Live Soft Skin"
 
     @classmethod
-    def poll(cls, context):
+    def obstacle(cls, context):
         obj = properties.mesh_in(context)
-        return super().poll(context) if obj is None or not live.is_on(obj) else True
+        playing = obj is not None and live.is_on(obj)
+        return super(FleshOperator, cls).obstacle(context) if playing else super().obstacle(context)
 
     def apply(self, obj):
         end_preview()
@@ -80,7 +78,7 @@ class Preview:
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         if not self._was_live:
-            live_key.add(obj, [target.name for target in self.flesh.character.targets])
+            live_key.add(obj, self.flesh.target_names)
         live.lent.add(self.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None):
@@ -100,7 +98,7 @@ class Preview:
         live.lent.discard(self.session_uid)
         for mover in self._movers:
             mover.restore()
-        with suppress(SceneError):  # it was deleted
+        with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
             obj = jobs.find(self.session_uid)
             if self._was_live:
                 live.refresh(obj)
@@ -244,7 +242,8 @@ class PreviewOperator(FleshOperator):
         return running.flesh.moved(values)
 
     def _report(self, largest: float):
-        self.report({"INFO"}, f"The flesh moves by up to {1000 * largest:.1f} mm")
+        text = rpt_("The flesh moves by up to {distance:.1f} mm")
+        self.report({"INFO"}, text.format(distance=1000 * largest))
 
 
 class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
@@ -375,7 +374,7 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         model, character = jobs.current_model(obj)
         from . import report  # needs the engine, which is there now
 
-        lines = [f"{name}: {1000 * miss:.2g} mm" for name, miss in report.residuals(model, character).items()]
+        lines = [f"{name}: {round(1000 * miss, 3):g} mm" for name, miss in report.residuals(model, character).items()]
         obj.dynamorph.live.checks = "\n".join(lines)
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 
@@ -409,7 +408,7 @@ def slot_settings(obj) -> dict:
     """What one slot holds, fit for JSON. Targets are told apart by name; the neutral one is ''."""
     settings = obj.dynamorph
     return {
-        "materials": {name: asdict(target.material()) for name, target in _named_targets(obj)},
+        "materials": {name: asdict(target.material()) for name, target in properties.named_targets(obj)},
         "simulation": properties.plain(settings.simulation),
         "gains": [mode.gain for mode in settings.modes],
     }
@@ -417,7 +416,7 @@ def slot_settings(obj) -> dict:
 
 def put_slot(obj, values: dict):
     """The inverse of `slot_settings`; targets and modes that came since then stay as they are."""
-    for name, target in _named_targets(obj):
+    for name, target in properties.named_targets(obj):
         if name in values["materials"]:
             target.set_material(Material(**values["materials"][name]))
     properties.assign(obj.dynamorph.simulation, values["simulation"])
@@ -426,17 +425,13 @@ def put_slot(obj, values: dict):
             mode.gain = gain
 
 
-def _named_targets(obj) -> list[tuple]:
-    return [("" if i == 0 else target.name, target) for i, target in enumerate(obj.dynamorph.targets)]
-
-
 @persistent
 def _before_change(*_args):
-    """undo_pre, redo_pre, load_pre, save_pre: what a preview moves must not be saved, nor stay where undo passes by."""
+    """What a preview moves must not be saved, nor stay where undo passes by."""
     end_preview()
 
 
-HANDLERS = ("undo_pre", "redo_pre", "load_pre", "save_pre")
+HANDLERS = dict.fromkeys(("undo_pre", "redo_pre", "load_pre", "save_pre"), _before_change)
 CLASSES = (
     DYNAMORPH_OT_live,
     DYNAMORPH_OT_shake_test,
@@ -446,18 +441,15 @@ CLASSES = (
     DYNAMORPH_OT_swap_slot,
     DYNAMORPH_OT_copy_slot,
 )
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    for name in HANDLERS:
-        getattr(bpy.app.handlers, name).append(_before_change)
+    _register_classes()
+    events.add(HANDLERS)
 
 
 def unregister():
     end_preview()
-    for name in HANDLERS:
-        getattr(bpy.app.handlers, name).remove(_before_change)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    events.remove(HANDLERS)
+    _unregister_classes()

@@ -9,6 +9,9 @@ A free oscillation of one mode is x(t) = e^(-s t) (a cos w t + b sin w t) + c wi
 
 (e.g. Bathe, Finite Element Procedures, ch. 9). Stiffness is calibrated on the model's own cage, because a coarse cage
 of linear tetrahedra is too stiff: what is fitted is the Young's modulus that makes *this* cage move as observed.
+
+An artist's units: bounce is w / 2 pi, settle the time until a twentieth of the swing is left, weight the mass of the
+flesh. `references` measures a built model once, so that they can be shown and set without it.
 """
 
 from __future__ import annotations
@@ -16,14 +19,14 @@ from __future__ import annotations
 import csv
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import astuple, dataclass, replace
 from math import exp, hypot, inf, log, pi, sqrt
 from pathlib import Path
 
 import numpy as np
 
-from .scene_data import Character, Material
+from .scene_data import Character, Material, determinant
 
 REST = 0.05  # of the amplitude: an oscillation has settled when this much is left
 POISSON = 0.4  # real flesh is nearly incompressible, 0.5; linear tetrahedra lock above 0.4
@@ -320,8 +323,12 @@ def bounce(model, character: Character, target: int, patch: np.ndarray | None = 
     looked at, default the target's region. Raises ValueError or dynamorph.Error.
     """
     character, patch = _checked(model, character, target, patch)
-    omega = _natural_frequency(model, character, target, patch)
-    material = character.targets[target].material
+    engine = _unreduced(model).engine(character)
+    return _damped(_natural_frequency(model, engine, target, patch), character.targets[target].material)
+
+
+def _damped(omega: float, material: Material) -> Oscillation:
+    """Of a mode that would swing at omega, rad/s, without damping."""
     decay = (material.mass_damping + material.stiffness_damping * omega**2) / 2
     if decay >= omega:  # creeps back; the slower of the two exponentials is the one that shows
         return Oscillation(0.0, omega**2 / (decay + sqrt(decay**2 - omega**2)))
@@ -346,7 +353,7 @@ def fit_oscillation(
         raise ValueError(f"frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero")
     character, patch = _checked(model, character, target, patch)
     now = character.targets[target].material
-    omega_now = _natural_frequency(model, character, target, patch)
+    omega_now = _natural_frequency(model, _unreduced(model).engine(character), target, patch)
     if mass_share is None:
         total = now.mass_damping + now.stiffness_damping * omega_now**2
         mass_share = now.mass_damping / total if total else 0.0
@@ -374,7 +381,7 @@ def _stiffness_for(model, character: Character, target: int, omega: float, omega
         if not log(SOFTEST) < stiffness + step < log(STIFFEST):
             break
         stiffer = _with_stiffness(character, target, exp(stiffness + step))
-        now = 2 * log(_natural_frequency(model, stiffer, target, patch))
+        now = 2 * log(_natural_frequency(model, _unreduced(model).engine(stiffer), target, patch))
         slope = max((now - reached) / step, 0.05)
         stiffness, reached = stiffness + step, now
     raise ValueError(
@@ -477,6 +484,76 @@ def _least_squares(residual: Callable[[float], np.ndarray], x: float) -> tuple[f
     return x, r
 
 
+# What the artist sees of a material --------------------------------------------------------------------------------
+
+
+def references(model, character: Character) -> Iterator[tuple[float, float]]:
+    """For each target: its undamped bounce in Hz per square root of stiffness over density, and its flesh in m^3.
+
+    At another stiffness or density it follows as `swing` says, exactly where the target has the flesh to itself.
+    Zeros for a target without flesh of its own, or whose modes cannot be found.
+    """
+    character = character.by_method()
+    if not len(model.tets):
+        yield from [(0.0, 0.0)] * len(character.targets)
+        return
+    engine = _unreduced(model).engine(character)
+    corners = model.nodes[model.tets]
+    volumes = model.fill * determinant(corners[:, 1:] - corners[:, :1]) / 6.0
+    neutral_only = character.settings.method == "SHAPE"
+    for s, indices in enumerate(_indices(character)):
+        for target in indices:
+            neutral = target == indices[0]
+            if neutral_only and not neutral:
+                yield 0.0, 0.0
+                continue
+            try:
+                omega = _natural_frequency(model, engine, target, _checked(model, character, target, None)[1])
+            except RuntimeError:  # the engine's, about a sculpt that no mode can be found of
+                omega = 0.0
+            material = character.targets[target].material
+            share = 1.0 if neutral else model.shares[:, s]
+            yield omega / (2 * pi) / sqrt(material.stiffness / material.density), float((volumes * share).sum())
+
+
+def swing(reference: float, material: Material) -> Oscillation:
+    """How flesh with a reference of `references` swings when it is of this material."""
+    return _damped(_omega(reference, material), material)
+
+
+def stiffness_for(reference: float, material: Material, frequency: float) -> float:
+    """Young's modulus with which such flesh swings `frequency` times a second, or as often as its damping lets it.
+
+    With x = w0^2: x - (alpha + beta x)^2 / 4 = (2 pi frequency)^2, of whose two roots the upper is nearly overdamped.
+    """
+    alpha, beta = material.mass_damping, material.stiffness_damping
+    if alpha * beta >= 1.0:  # overdamped whatever the stiffness
+        return material.stiffness
+    half = 1.0 - alpha * beta / 2
+    wanted = (2 * pi * frequency) ** 2 + alpha**2 / 4
+    if beta:
+        wanted = min(wanted, (half / beta) ** 2)
+    x = 2 * wanted / (half + sqrt(max(half**2 - beta**2 * wanted, 0.0)))
+    return material.density * x / (2 * pi * reference) ** 2
+
+
+def damping_for(reference: float, material: Material, settle: float) -> tuple[float, float]:
+    """Mass and stiffness damping, in their present proportion, with which such flesh settles within so many seconds.
+
+    Critical damping settles soonest: more only makes it creep.
+    """
+    omega = _omega(reference, material)
+    wanted = min(decay_of(settle), omega)
+    now = (material.mass_damping + material.stiffness_damping * omega**2) / 2
+    if not now:
+        return wanted, wanted / omega**2  # the flattest about this frequency
+    return material.mass_damping * wanted / now, material.stiffness_damping * wanted / now
+
+
+def _omega(reference: float, material: Material) -> float:
+    return 2 * pi * reference * sqrt(material.stiffness / material.density)
+
+
 # What both fits share ----------------------------------------------------------------------------------------------
 
 
@@ -535,12 +612,12 @@ def _unreduced(model, **settings):
     return replace(model, settings=replace(model.settings, solver="FULL", **settings))
 
 
-def _natural_frequency(model, character: Character, target: int, patch: np.ndarray) -> float:
+def _natural_frequency(model, engine, target: int, patch: np.ndarray) -> float:
     """Undamped angular frequency, rad/s, of the mode that answers most to a push on the patch.
 
-    A mode phi of unit mass moves by |phi|^2 / omega^2 for a unit force: modes are compared by that, over the patch.
+    engine: of the unreduced model. A mode phi of unit mass moves by |phi|^2 / omega^2 for a unit force: modes are
+    compared by that, over the patch.
     """
-    engine = _unreduced(model).engine(character)
     omega, shapes = engine.linear_modes(target, min(MODES, engine.dofs - 1))
     at_nodes = np.zeros((len(model.nodes), 3, len(omega)))
     at_nodes[engine.body.free_nodes] = shapes.reshape(-1, 3, len(omega))

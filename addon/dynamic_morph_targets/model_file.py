@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 FORMAT = "dynamorph model"
-VERSION = 3  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only
+VERSION = 4  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only; 4: stiffness
 OLDEST = 2  # that can be read
 MAX_HEADER = 16 * 2**20
 DTYPES = {
@@ -86,6 +86,8 @@ def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
         raise ModelFileError("The model is damaged: there are bytes after its end. Build it again")
     if metadata["version"] == "2":
         _keep_distinct(arrays)
+    if metadata["version"] in ("2", "3") and "tets" in arrays:
+        arrays["stiffness"] = np.ones(len(arrays["tets"]))  # nothing could be painted
     return arrays, _parse(metadata["meta"])
 
 

@@ -6,27 +6,52 @@ from __future__ import annotations
 import textwrap
 
 import bpy
-from bpy.types import Panel, UIList
+import numpy as np
+from bpy.app.translations import pgettext_iface as iface_
+from bpy.types import Menu, Panel, UIList
 
-from . import changes, jobs, live, live_operators, properties, sinks
+from . import changes, checks, influence, jobs, live, live_operators, properties, setup_operators, sinks
 
 LINE = 36  # characters that fit into the sidebar at its default width
 
 
 class DYNAMORPH_UL_targets(UIList):
-    """Dynamic morph targets, as Blender lists shape keys."""
+    """Dynamic morph targets, as Blender lists shape keys. Renaming one here renames its shape key."""
 
     def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, index):
         neutral = index == 0
         keys = data.id_data.data.shape_keys
-        gone = not neutral and (keys is None or item.name not in keys.key_blocks)
-        icon = "ERROR" if gone else "ARMATURE_DATA" if neutral else "SHAPEKEY_DATA"
-        row = layout.row()
+        block = keys.key_blocks.get(item.name) if keys and not neutral else None
+        row = layout.row(align=True)
+        row.enabled = jobs.running is None
         row.active = not item.mute
-        row.label(text=item.name, icon=icon, translate=False)
-        if not neutral:
-            row.enabled = jobs.running is None
+        split = row.split(factor=0.66)
+        if block:
+            split.prop(block, "name", text="", icon="SHAPEKEY_DATA", emboss=False)
+        else:  # without its key a target cannot be built
+            split.label(text=item.name, icon="ARMATURE_DATA" if neutral else "ERROR", translate=False)
+        split.label(text=f"{item.stiffness / 1000:.3g} kPa", translate=False)
+        if neutral:
+            row.label(text="", icon="BLANK1")
+        else:
             row.prop(item, "mute", text="", icon="CHECKBOX_DEHLT" if item.mute else "CHECKBOX_HLT", emboss=False)
+
+
+class DYNAMORPH_MT_targets(Menu):
+    """What is done to targets less often."""
+
+    bl_label = "Target Specials"
+
+    def draw(self, _context):
+        layout = self.layout
+        layout.operator_context = "INVOKE_DEFAULT"
+        layout.operator("dynamorph.suggest_targets", icon="DRIVER")
+        layout.separator()
+        layout.operator("dynamorph.duplicate_target", icon="DUPLICATE")
+        layout.operator("dynamorph.mirror_target", icon="ARROW_LEFTRIGHT")
+        layout.operator("dynamorph.mirror_target", text="Mirror Target (Overwrite Key)").overwrite = True
+        layout.separator()
+        layout.operator("dynamorph.select_key", icon="SHAPEKEY_DATA")
 
 
 class DYNAMORPH_UL_modes(UIList):
@@ -56,7 +81,7 @@ def draw_soft_skin(layout, context, obj):
     draw_modes(layout, obj)
     draw_live(layout, obj)
     draw_bake(layout, obj)
-    draw_setup(layout, obj)
+    draw_setup(layout)
 
 
 # Checks and cage ---------------------------------------------------------------------------------------------------
@@ -64,17 +89,54 @@ def draw_soft_skin(layout, context, obj):
 
 def draw_problems(layout, obj):
     """What keeps this mesh from being a soft skin, each with its Fix."""
+    for problem in checks.problems(obj):
+        draw_problem(layout, problem, "ERROR")
+    if not obj.dynamorph.targets:
+        return
+    for problem in (*checks.next_steps(obj), *checks.notes(obj)):
+        draw_problem(layout, problem, "INFO")
+    outgrown = checks.outgrown(obj)
+    if outgrown:
+        draw_message(layout, outgrown)
+        draw_job(layout, "dynamorph.build", "MOD_LATTICE")
+
+
+def draw_problem(layout, problem, icon: str):
+    row = layout.row()
+    draw_message(row, problem.text, icon=icon, width=LINE - 10 if problem.fix else LINE)
+    if problem.fix:
+        button = row.column()
+        button.alignment = "RIGHT"
+        button.operator("dynamorph.fix").problem = problem.fix
 
 
 def draw_cage(layout, context, obj):
     settings = obj.dynamorph
     header, body = layout.panel("dynamorph_cage", default_closed=True)
     header.label(text="Cage")
-    if body:
-        body.enabled = jobs.running is None
-        body.prop(settings.model, "cage_nodes")
-        body.prop(settings.model, "pin_radius")
-        body.prop_search(settings, "soft_group", obj, "vertex_groups")
+    if not body:
+        return
+    column = body.column()
+    column.enabled = jobs.running is None
+    column.prop(settings.model, "cage_nodes")
+    column.prop(settings.model, "pin_radius")
+    draw_painted_group(column, obj, "SOFT")
+    draw_painted_group(column, obj, "STIFFNESS")
+    if settings.stiffness_group:
+        column.prop(settings, "stiffness_factor")
+    draw_job(body, "dynamorph.build_cage", "MESH_ICOSPHERE")
+    if settings.model.cage:
+        draw_message(body, settings.model.cage, icon="CHECKMARK")
+        body.prop(context.window_manager.dynamorph, "cage", text="Show Cage")
+
+
+def draw_painted_group(layout, obj, which: str):
+    row = layout.row(align=True)
+    row.prop_search(obj.dynamorph, setup_operators.PAINTED[which].field, obj, "vertex_groups")
+    text = "Done" if setup_operators.is_painting(obj, which) else "Paint"
+    button = row.row(align=True)
+    button.ui_units_x = 2.5  # the name of the group needs the rest
+    button.operator("dynamorph.paint_group", text=text).which = which
 
 
 # Targets -----------------------------------------------------------------------------------------------------------
@@ -92,39 +154,108 @@ def draw_targets(layout, obj):
 
 def draw_target_list(layout, settings):
     row = layout.row()
-    row.template_list("DYNAMORPH_UL_targets", "", settings, "targets", settings, "active_target_index", rows=4)
+    row.template_list("DYNAMORPH_UL_targets", "", settings, "targets", settings, "active_target_index", rows=5)
     column = row.column(align=True)
     column.operator("dynamorph.add_target", text="", icon="ADD")
     column.operator("dynamorph.remove_target", text="", icon="REMOVE")
+    column.separator()
+    column.menu("DYNAMORPH_MT_targets", text="", icon="DOWNARROW_HLT")
+    if len(settings.targets) > 2:
+        column.separator()
+        column.operator("dynamorph.move_target", text="", icon="TRIA_UP").direction = "UP"
+        column.operator("dynamorph.move_target", text="", icon="TRIA_DOWN").direction = "DOWN"
+    if settings.sculpt.active:
+        layout.operator("dynamorph.finish_sculpt", icon="CHECKMARK")
+    else:
+        layout.operator("dynamorph.new_from_pose", icon="SCULPTMODE_HLT")
 
 
 def draw_target(layout, obj, target):
     neutral = target == obj.dynamorph.targets[0]
-    column = layout.column(align=True)
-    column.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
+    row = layout.row(align=True)
+    row.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
+    row.operator("dynamorph.go_to_pose", icon="POSE_HLT")
     if not neutral:
-        column.operator("dynamorph.use_selected_bones", icon="BONE_DATA")
-        draw_message(layout, "Bones: " + (", ".join(target.bone_names()) or "none"), icon="BONE_DATA")
+        row.operator("dynamorph.sculpt_target", text="", icon="SCULPTMODE_HLT")
+        draw_bones(layout, target)
     column = layout.column(align=True)
     column.enabled = jobs.running is None
     if not neutral:
         column.prop_search(target, "region", obj, "vertex_groups")
         column.prop(target, "radius")
-    draw_material(column, target)
+    draw_material(layout, target)
 
 
-def draw_material(column, target):
+def draw_bones(layout, target):
+    """The bones that place a target; a click on one takes it away."""
+    flow = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
+    for bone in target.bone_names():
+        flow.operator("dynamorph.remove_bone", text=bone, icon="X", translate=False).bone = bone
+    flow.operator("dynamorph.use_selected_bones", text="Selected Bones", icon="ADD")
+
+
+def draw_material(layout, target):
+    column = layout.column(align=True)
+    column.enabled = jobs.running is None
     row = column.row(align=True)
-    row.operator_menu_enum("dynamorph.apply_material", "preset", text="Material")
-    row.operator("dynamorph.fit_material", text="Bounce")
-    for name in ("stiffness", "poisson", "density"):
-        column.prop(target, name)
-    column.prop(target, "mass_damping", text="Damping Mass")
-    column.prop(target, "stiffness_damping", text="Stiffness")
+    row.popover("DYNAMORPH_PT_material_presets", text="Material", icon="PRESET")
+    row.operator("dynamorph.fit_material", text="Fit Bounce")
+    units = column.column(align=True)
+    units.enabled = target.is_measured
+    for name in ("bounce", "settle", "weight"):
+        units.prop(target, name)
+    if not target.is_measured:
+        column.label(text="Build Model first", icon="INFO")
+    header, body = layout.panel("dynamorph_material", default_closed=True)
+    header.label(text="Advanced")
+    if body:
+        body = body.column(align=True)
+        body.enabled = jobs.running is None
+        for name in ("stiffness", "poisson", "density"):
+            body.prop(target, name)
+        body.prop(target, "mass_damping")
+        body.prop(target, "stiffness_damping")
 
 
 def draw_influence(layout, context, obj):
     """How much each target counts in the present pose, and over the frames."""
+    if jobs.engine_problem() or len(obj.dynamorph.targets) < 2:
+        return
+    header, body = layout.panel("dynamorph_influence", default_closed=True)
+    header.label(text="Influence")
+    if not body:
+        return
+    draw_bars(body, context, obj)
+    row = body.row(align=True)
+    row.use_property_split = False
+    row.prop(context.window_manager.dynamorph, "influence", text="Graph", icon="FCURVE", toggle=True)
+    row.operator("dynamorph.update_influence", text="", icon="FILE_REFRESH")
+    if context.window_manager.dynamorph.influence and influence.problem(obj):
+        draw_message(body, influence.problem(obj))
+    body.operator("dynamorph.suggest_pose", icon="VIEWZOOM")
+
+
+def draw_bars(layout, context, obj):
+    """Each target's weight now, set by set."""
+    depsgraph = context.view_layer.depsgraph
+    if depsgraph is None:  # nothing is evaluated yet
+        return
+    influence.follow_frames()
+    try:
+        now = influence.weights_now(obj, depsgraph)
+    except jobs.expected_errors() as error:
+        draw_message(layout, str(error))
+        return
+    shown = now.by_set()
+    for s, targets in shown:
+        column = layout.column(align=True)
+        if len(shown) > 1:
+            column.label(text=now.sets[s].name, icon="GROUP_VERTEX", translate=False)
+        for target, weight in zip(now.sets[s].targets, now.weights[0, targets.start : targets.stop], strict=True):
+            column.progress(factor=weight, text=f"{target.name}  {weight:.2f}")
+        if now.outside[0, s]:
+            text = iface_("Outside: {away:.0f}° from the nearest target").format(away=np.degrees(now.nearest[0, s]))
+            column.label(text=text, icon="INFO", translate=False)
 
 
 # Model, Live, bake -------------------------------------------------------------------------------------------------
@@ -138,7 +269,7 @@ def draw_model(layout, obj):
         body.enabled = jobs.running is None
         for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot"):
             body.prop(model, name)
-    draw_outdated(layout, changes.model_changes(obj) or list(filter(None, [model.stale])))
+    draw_outdated(layout, changes.model_age(obj))
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
@@ -198,8 +329,8 @@ def draw_bake(layout, obj):
         column.prop(simulation, "end")
         for name in ("substeps", "scheme", "gravity", "fields", "begin", "preroll", "loop"):
             body.prop(simulation, name)
-    draw_job(layout, "dynamorph.bake", "REC")
-    draw_job(layout, "dynamorph.bake_all", "NONE")
+    draw_job(layout, "dynamorph.bake", "REC", "Bake")
+    draw_job(layout, "dynamorph.bake_all", "NONE", "Bake All")
     if settings.bake.keys:
         draw_outdated(layout, changes.outdated(obj))
         strip = sinks.influence_strip(obj)
@@ -213,28 +344,38 @@ def draw_bake(layout, obj):
         layout.operator("dynamorph.free_bake", icon="X")
 
 
-def draw_setup(layout, obj):
-    """Set-ups as files and presets, and copies for other meshes."""
+def draw_setup(layout):
+    """Setups as files and presets, and copies for other meshes."""
+    header, body = layout.panel("dynamorph_setup", default_closed=True)
+    header.label(text="Setup")
+    if body:
+        body.popover("DYNAMORPH_PT_setup_presets", text="Presets", icon="PRESET")
+        body.operator("dynamorph.copy_to_selected", text="Copy to Selected", icon="COPYDOWN")
+        row = body.row(align=True)
+        row.operator("dynamorph.save_setup", icon="EXPORT")
+        row.operator("dynamorph.load_setup", icon="IMPORT")
 
 
 # Pieces ------------------------------------------------------------------------------------------------------------
 
 
-def draw_job(layout, operator: str, icon: str):
-    """The button, or in its place the progress of its job."""
+def draw_job(layout, operator: str, icon: str, text: str | None = None):
+    """The button, with its operator's label or `text`, or in its place the progress of its job."""
     job = jobs.running
     if job is None or operator != f"dynamorph.{job.goal.lower()}":
-        layout.operator(operator, icon=icon)
+        layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
-    row.progress(factor=job.fraction, text=f"{job.name}: {job.message}")
+    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {iface_(job.message)}")
     row.operator("dynamorph.cancel", text="", icon="X")
 
 
 def draw_outdated(layout, reasons: list[str]):
-    if reasons:
-        more = f", and {len(reasons) - 3} more" if len(reasons) > 3 else ""
-        draw_message(layout, f"Out of date: {', '.join(reasons[:3])}{more}")
+    """Up to three of the reasons; while a job runs they are those from before."""
+    if reasons and not jobs.running:
+        more = len(reasons) - 3
+        text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
+        draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))
 
 
 def draw_warnings(layout, warnings: str):
@@ -242,10 +383,10 @@ def draw_warnings(layout, warnings: str):
         draw_message(layout, warning)
 
 
-def draw_message(layout, text: str, icon="ERROR"):
-    """Text broken into lines, because labels do not wrap."""
+def draw_message(layout, text: str, icon="ERROR", width=LINE):
+    """Text, translated unless it was put together, and broken into lines, because labels do not wrap."""
     column = layout.column(align=True)
-    for i, line in enumerate(textwrap.wrap(text, LINE)):
+    for i, line in enumerate(textwrap.wrap(iface_(text), width)):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
 
 
@@ -277,5 +418,11 @@ class DYNAMORPH_PT_object_data(SoftSkinPanel, Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
 
-CLASSES = (DYNAMORPH_UL_targets, DYNAMORPH_UL_modes, DYNAMORPH_PT_sidebar, DYNAMORPH_PT_object_data)
+CLASSES = (
+    DYNAMORPH_UL_targets,
+    DYNAMORPH_UL_modes,
+    DYNAMORPH_MT_targets,
+    DYNAMORPH_PT_sidebar,
+    DYNAMORPH_PT_object_data,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

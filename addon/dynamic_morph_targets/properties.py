@@ -27,12 +27,14 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
+from . import events, materials
 from .scene_data import METHODS, Material, ModelSettings, Skeleton
 
 NEUTRAL = "Neutral"
 OVERRIDE = {"LIBRARY_OVERRIDABLE"}
 OVERRIDE_LIST = {"LIBRARY_OVERRIDABLE", "USE_INSERTION"}
 IDENTITY = tuple(np.eye(4).ravel())
+NEVER = 1e5  # frames: of a swing that nothing damps
 
 
 # Reading the two things that references point at -------------------------------------------------------------------
@@ -52,6 +54,13 @@ def rest_skeleton(armature) -> Skeleton:
     return Skeleton(names, parents, rest)
 
 
+def bones_key(armature) -> tuple:
+    """The bones' names and where they rest, to be compared."""
+    rest = np.empty(16 * len(armature.bones), np.float32)
+    armature.bones.foreach_get("matrix_local", rest)
+    return tuple(armature.bones.keys()), rest.tobytes()
+
+
 def key_points(block) -> np.ndarray:
     """The points of a shape key, (V, 3) float32, local space. float32 because Blender then copies in one piece."""
     points = np.empty((len(block.points), 3), np.float32)
@@ -61,7 +70,16 @@ def key_points(block) -> np.ndarray:
 
 def key_hash(block) -> str:
     """Identifies a shape key by what it sculpts, whatever its name or place in the list."""
-    return hashlib.blake2b(_key_shape(block).tobytes(), digest_size=8).hexdigest()
+    return _hash(_key_shape(block))
+
+
+def basis_hash(blocks) -> str:
+    """Tells when the mesh itself was edited, which changes all its shape keys."""
+    return _hash(key_points(blocks[0]))
+
+
+def _hash(points: np.ndarray) -> str:
+    return hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
 
 
 def key_reach(block) -> float:
@@ -90,6 +108,9 @@ class KeyReference:
                 setattr(self, field, value)
 
 
+KEY_REFERENCE = ("name", *KeyReference.__annotations__)
+
+
 class DynamorphKey(KeyReference, PropertyGroup):
     """A shape key that a bake added or muted. A key of the bake that is gone leaves a reference without a name."""
 
@@ -113,6 +134,42 @@ class DynamorphBonePose(PropertyGroup):
     local: FloatVectorProperty(
         name="Local", description="Transform relative to the evaluated parent", size=16, override=OVERRIDE
     )
+
+
+def _seconds_a_frame() -> float:
+    render = bpy.context.scene.render
+    return render.fps_base / render.fps
+
+
+def _get_bounce(target) -> float:
+    return materials.swing(target.bounce_reference, target.material()).frequency if target.is_measured else 0.0
+
+
+def _set_bounce(target, frequency: float):
+    if target.is_measured:
+        target.stiffness = materials.stiffness_for(target.bounce_reference, target.material(), frequency)
+
+
+def _get_settle(target) -> float:
+    if not target.is_measured:
+        return 0.0
+    return min(materials.swing(target.bounce_reference, target.material()).settle / _seconds_a_frame(), NEVER)
+
+
+def _set_settle(target, frames: float):
+    if target.is_measured:
+        target.mass_damping, target.stiffness_damping = materials.damping_for(
+            target.bounce_reference, target.material(), frames * _seconds_a_frame()
+        )
+
+
+def _get_weight(target) -> float:
+    return target.density * target.volume if target.is_measured else 0.0
+
+
+def _set_weight(target, weight: float):
+    if target.is_measured:
+        target.density = weight / target.volume
 
 
 class DynamorphTarget(KeyReference, PropertyGroup):
@@ -174,6 +231,50 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         size=16, default=IDENTITY, override=OVERRIDE,
     )  # fmt: skip
 
+    # What artists call it. Computed from the properties above and from what the last build measured.
+    bounce: FloatProperty(
+        name="Bounce (Hz)",
+        description="How often a second the flesh swings after a push, in this pose. Sets the stiffness; heavy damping "
+        "limits it",
+        min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, options={"SKIP_SAVE"},
+        get=_get_bounce, set=_set_bounce,
+    )  # fmt: skip
+    settle: FloatProperty(
+        name="Settle (Frames)",
+        description="Frames until a twentieth of a swing is left, in this pose. Sets both dampings, in the proportion "
+        "they have",
+        min=0.1, max=NEVER, soft_min=1.0, soft_max=100.0, step=100, precision=1, options={"SKIP_SAVE"},
+        get=_get_settle, set=_set_settle,
+    )  # fmt: skip
+    weight: FloatProperty(
+        name="Weight (kg)",
+        description="Of the flesh in the target's region, with what the bones hold. Sets the density and nothing else: "
+        "heavier flesh bounces slower",
+        min=1e-6, max=1e6, soft_max=100.0, step=10, precision=3, options={"SKIP_SAVE"},
+        get=_get_weight, set=_set_weight,
+    )  # fmt: skip
+    bounce_reference: FloatProperty(
+        name="Bounce Reference", description="Undamped, in Hz, where stiffness over density is 1; by the last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+    poisson_reference: FloatProperty(
+        name="Poisson Reference", description="Poisson's ratio that it was measured at", options={"SKIP_SAVE"}
+    )
+    volume: FloatProperty(
+        name="Volume", description="Of the flesh in the target's region, in m³, by the last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the last build knows how the flesh swings at this target; else bounce, settle and weight are 0."""
+        measured = self.bounce_reference > 0.0 and self.volume > 0.0
+        return measured and math.isclose(self.poisson, self.poisson_reference, rel_tol=1e-5)
+
+    def set_references(self, bounce: float, volume: float, poisson: float):
+        """As `materials.references` gives them, measured at this Poisson's ratio."""
+        self.bounce_reference, self.volume, self.poisson_reference = bounce, volume, poisson
+
     def material(self) -> Material:
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
 
@@ -197,11 +298,20 @@ class DynamorphTarget(KeyReference, PropertyGroup):
             bone.name, bone.rest, bone.local = name, rest.ravel(), transform.ravel()
         self.rig_world = rig_world.ravel()
 
+    def placing(self) -> tuple:
+        """All that places the target among others, to be compared: cheap enough for every frame."""
+        return self.region, self.radius, self.bone_names(), self.pose_bytes()
+
+    def pose_bytes(self) -> bytes:
+        """The captured transforms, float32."""
+        stored = np.empty(16 * len(self.pose), np.float32)
+        self.pose.foreach_get("local", stored)
+        return stored.tobytes()
+
     def local(self, skeleton: Skeleton) -> np.ndarray:
         """The captured pose (B, 4, 4) in the skeleton's order; bones added since then are at rest."""
-        stored = np.empty((len(self.pose), 4, 4), np.float32)
-        self.pose.foreach_get("local", stored.ravel())
-        by_name = dict(zip((bone.name for bone in self.pose), stored.astype(np.float64), strict=True))
+        stored = np.frombuffer(self.pose_bytes(), np.float32).reshape(-1, 4, 4).astype(np.float64)
+        by_name = dict(zip((bone.name for bone in self.pose), stored, strict=True))
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
@@ -266,6 +376,8 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE,
     )  # fmt: skip
+    vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
+    cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
     content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
     summary: StringProperty(name="Result", description="What the last build made")
@@ -297,7 +409,7 @@ class DynamorphMode(PropertyGroup):
 class DynamorphLive(PropertyGroup):
     """Simulation during playback, shown by one shape key that is rewritten at each frame."""
 
-    key: PointerProperty(type=DynamorphKey)
+    key: PointerProperty(name="Key", description="The shape key that Live rewrites", type=DynamorphKey)
     muted: CollectionProperty(name="Muted", description="Target keys that Live muted", type=DynamorphKey)
     slot: EnumProperty(
         name="Slot", description="Which of two sets of settings is in use",
@@ -367,13 +479,25 @@ class DynamorphBake(PropertyGroup):
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
-    had_animation_data: BoolProperty(name="Had Animation Data")
-    active_index: IntProperty(name="Active Key")
+    had_animation_data: BoolProperty(
+        name="Had Animation Data", description="Whether the shape keys were animated before the bake"
+    )
+    active_index: IntProperty(name="Active Key", description="Index of the active shape key before the bake")
+    basis: StringProperty(name="Basis", description="Hash of the Basis that the keys belong to")
     summary: StringProperty(name="Result", description="What the last bake made")
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
-    gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
+
+
+class DynamorphSculpt(PropertyGroup):
+    """What sculpting a target in its pose changed, so that Finish Sculpting can put it back."""
+
+    active: BoolProperty(name="Sculpting", description="Whether a target is being sculpted")
+    was_pinned: BoolProperty(name="Was Pinned", description="Whether the active shape key was shown alone before")
+    was_posing: BoolProperty(name="Was Posing", description="Whether the armature was in Pose Mode before")
+    in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
+    on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
 
 
 class DynamorphSettings(PropertyGroup):
@@ -383,12 +507,15 @@ class DynamorphSettings(PropertyGroup):
         name="Targets", description="Dynamic morph targets; the first is the neutral one", type=DynamorphTarget,
         override=OVERRIDE_LIST,
     )  # fmt: skip
-    active_target_index: IntProperty(name="Active Target", override=OVERRIDE)
+    active_target_index: IntProperty(
+        name="Active Target", description="Index of the target selected in the list", override=OVERRIDE
+    )
     soft_group: StringProperty(
         name="Soft",
         description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
         override=OVERRIDE,
     )
+    groups: StringProperty(name="Groups", description="Names of the vertex groups, a line each, to follow renames")
     stiffness_group: StringProperty(
         name="Stiffness",
         description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
@@ -399,12 +526,21 @@ class DynamorphSettings(PropertyGroup):
         description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
         default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
     )  # fmt: skip
-    model: PointerProperty(type=DynamorphModel, override=OVERRIDE)
-    modes: CollectionProperty(name="Modes", type=DynamorphMode, override=OVERRIDE_LIST)
-    active_mode_index: IntProperty(name="Active Mode", override=OVERRIDE)
-    simulation: PointerProperty(type=DynamorphSimulation, override=OVERRIDE)
-    live: PointerProperty(type=DynamorphLive)
-    bake: PointerProperty(type=DynamorphBake)
+    model: PointerProperty(
+        name="Model", description="How the model is built, and what came of it", type=DynamorphModel, override=OVERRIDE
+    )
+    modes: CollectionProperty(
+        name="Modes", description="Displacement modes of the built model", type=DynamorphMode, override=OVERRIDE_LIST
+    )
+    active_mode_index: IntProperty(
+        name="Active Mode", description="Index of the mode selected in the list", min=0, override=OVERRIDE
+    )
+    simulation: PointerProperty(
+        name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
+    )
+    live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
+    bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
+    sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
 
     @property
     def active_target(self):
@@ -413,13 +549,22 @@ class DynamorphSettings(PropertyGroup):
         return self.targets[self.active_target_index] if inside else None
 
 
+def _show_influence(display, _context):
+    from . import influence  # which reads what is authored here
+
+    if display.influence and not bpy.app.background:
+        influence.update_soon(0.0)
+
+
 class DynamorphDisplay(PropertyGroup):
     """What the 3D viewport shows besides; for the session, like Blender's own overlays of a window."""
 
     cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra, with the nodes that the bones hold")
     influence: BoolProperty(
-        name="Influence", description="Draw each target's weight over the frames, shading those far from every target"
-    )
+        name="Influence", description="Draw each target's weight over the frames, shading those far from every target",
+        update=_show_influence,
+    )  # fmt: skip
+    posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
 
 # Settings as plain data --------------------------------------------------------------------------------------------
@@ -428,11 +573,12 @@ class DynamorphDisplay(PropertyGroup):
 def plain(group, skip=()) -> dict:
     """The simple settings of a property group by name, fit for JSON: numbers, texts, enums and arrays of numbers.
 
-    Groups and lists within it are left out, and what `skip` names.
+    Groups and lists within it are left out, what follows from a built model, and what `skip` names.
     """
     out = {}
     for prop in group.bl_rna.properties:
-        if prop.identifier in ("rna_type", *skip) or prop.type in ("POINTER", "COLLECTION") or prop.is_readonly:
+        computed = prop.is_readonly or prop.is_skip_save
+        if prop.identifier in ("rna_type", *skip) or prop.type in ("POINTER", "COLLECTION") or computed:
             continue
         value = getattr(group, prop.identifier)
         out[prop.identifier] = list(value) if getattr(prop, "is_array", False) else value
@@ -459,10 +605,11 @@ def reconcile(obj):
         blocks = obj.data.shape_keys.key_blocks
         _follow_keys(blocks, settings.targets[1:])
         _follow_keys(blocks, settings.bake.muted)
-        _follow_baked_keys(blocks, settings.bake.keys)
+        _follow_baked_keys(blocks, settings.bake)
         _follow_keys(blocks, settings.live.muted)
         if settings.live.key.name:
             _follow_keys(blocks, [settings.live.key])
+    _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
         skeleton = rest_skeleton(rig.data)
@@ -470,13 +617,20 @@ def reconcile(obj):
             _follow_bones(skeleton, target)
 
 
-def _follow_baked_keys(blocks, references):
-    """Free Bake deletes these keys: one that only has the name of a key of ours is somebody else's."""
-    for reference in references:
-        block = blocks.get(reference.name)
-        if block and not reference.looks_like(block):
-            reference.name = ""
-    for reference in _follow_keys(blocks, references):
+def _follow_baked_keys(blocks, bake):
+    """Free Bake deletes these keys: one that only has the name of a key of ours is somebody else's.
+
+    Unless the mesh itself was edited, or its scale applied: then none looks as it did, and the name has to do.
+    """
+    basis = basis_hash(blocks) if bake.keys else bake.basis
+    if bake.basis == basis:
+        for reference in bake.keys:
+            block = blocks.get(reference.name)
+            if block and not reference.looks_like(block):
+                reference.name = ""
+    else:
+        bake.basis = basis
+    for reference in _follow_keys(blocks, bake.keys):
         reference.name = ""
 
 
@@ -503,11 +657,27 @@ def _follow_keys(blocks, references) -> list:
     return gone
 
 
+def _follow_groups(obj):
+    """Vertex groups have no other identity than their place among the others."""
+    settings = obj.dynamorph
+    now, then = obj.vertex_groups.keys(), settings.groups.split("\n")
+    if now == then:
+        return
+    settings.groups = "\n".join(now)
+    moved = zip(then, now, strict=True) if len(now) == len(then) else ()
+    renamed = {old: new for old, new in moved if old not in now and new not in then}
+    users = [(settings, "soft_group"), (settings, "stiffness_group"), *((each, "region") for each in settings.targets)]
+    for user, name in users:
+        if getattr(user, name) in renamed:
+            setattr(user, name, renamed[getattr(user, name)])
+
+
 def _follow_bones(skeleton: Skeleton, target):
     index = {name: b for b, name in enumerate(skeleton.names)}
     rest = np.empty((len(target.pose), 4, 4), np.float32)
     target.pose.foreach_get("rest", rest.ravel())
     free = sorted(set(index.values()) - {index.get(bone.name) for bone in target.pose})
+    before, after = [], []
     for bone, stored in zip(target.pose, rest, strict=True):
         b = index.get(bone.name)
         if b is None:
@@ -519,8 +689,29 @@ def _follow_bones(skeleton: Skeleton, target):
                 if used.name == bone.name:
                     used.name = skeleton.names[b]
             bone.name = skeleton.names[b]
+        before.append(stored[:3, :3])
+        after.append(skeleton.rest[b, :3, :3])
         if not np.array_equal(skeleton.rest[b].astype(np.float32), stored):
             bone.rest = skeleton.rest[b].ravel()
+    _keep_tilt(target, np.array(before), np.array(after))
+
+
+def _keep_tilt(target, before: np.ndarray, after: np.ndarray):
+    """Bones (B, 3, 3) that at rest were all turned alike, as a rotation that is applied to the armature turns them,
+    still stood in the world as they stood when the pose was captured."""
+    if len(before) < 2:  # of a single bone it may be the roll
+        return
+    turn = after[0] @ before[0].T
+    if np.allclose(turn, np.eye(3), atol=1e-4) or not np.allclose(turn @ before, after, atol=1e-4):
+        return
+    world = np.array(target.rig_world).reshape(4, 4)
+    world[:3, :3] = world[:3, :3] @ turn.T
+    target.rig_world = world.ravel()
+
+
+def named_targets(obj) -> list[tuple]:
+    """(name, target) of all targets; the neutral's name is empty, because a shape key may be called like it."""
+    return [(target.name if i else "", target) for i, target in enumerate(obj.dynamorph.targets)]
 
 
 def soft_skins(objects):
@@ -564,6 +755,7 @@ def changed_objects(depsgraph) -> list:
     return [obj for obj in soft_skins(bpy.data.objects) if obj.library is None and obj.data.shape_keys in changed]
 
 
+HANDLERS = {"depsgraph_update_post": _follow_changes}
 CLASSES = (
     DynamorphKey,
     DynamorphBone,
@@ -574,22 +766,22 @@ CLASSES = (
     DynamorphLive,
     DynamorphSimulation,
     DynamorphBake,
+    DynamorphSculpt,
     DynamorphSettings,
     DynamorphDisplay,
 )
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     bpy.types.Object.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphSettings, override=OVERRIDE)
     bpy.types.WindowManager.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphDisplay)
-    bpy.app.handlers.depsgraph_update_post.append(_follow_changes)
+    events.add(HANDLERS)
 
 
 def unregister():
-    bpy.app.handlers.depsgraph_update_post.remove(_follow_changes)
+    events.remove(HANDLERS)
     del bpy.types.WindowManager.dynamorph
     del bpy.types.Object.dynamorph
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

@@ -41,6 +41,18 @@ def inverse(transforms: np.ndarray) -> np.ndarray:
     return out
 
 
+def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angle (B,), in radians, between the rotations of two arrays of transforms (B, 4, 4)."""
+
+    def rotation(transforms):
+        u, _, vt = np.linalg.svd(transforms[:, :3, :3])
+        return u @ vt
+
+    # From the chord, because the arc cosine of the trace loses small angles.
+    chord = np.linalg.norm(rotation(first) - rotation(second), axis=(1, 2)) / np.sqrt(8.0)
+    return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+
+
 @dataclass(frozen=True)
 class Skeleton:
     """The armature at rest: B bones, parents before children.
@@ -172,7 +184,8 @@ class Target:
 
     name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
-    the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then.
+    the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
+    angle from its pose, radians, at which the target has faded out; 0 for never.
     """
 
     name: str
@@ -181,6 +194,7 @@ class Target:
     local: np.ndarray
     rig_world: np.ndarray
     material: Material
+    radius: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -240,7 +254,8 @@ class Character:
 
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
-    the bones; bone_segments (D, 2, 3): heads and tails of the deforming bones, bind space.
+    the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
+    deforming bones, bind space.
     """
 
     name: str
@@ -249,6 +264,7 @@ class Character:
     to_bind: np.ndarray
     weights: np.ndarray
     softness: np.ndarray
+    stiffness: np.ndarray
     bone_segments: np.ndarray
     skeleton: Skeleton
     target_sets: tuple[TargetSet, ...]

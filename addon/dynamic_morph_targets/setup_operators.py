@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that make a mesh a soft skin and put right what is in the way."""
+"""Buttons that make a mesh a soft skin, put right what is in the way, and prepare its cage."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
+from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from . import extract, properties
+from . import checks, extract, jobs, properties, targets
 from .extract import SceneError
-from .operators import SoftSkinOperator
+from .operators import JobOperator, SoftSkinOperator
 
 
 class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
@@ -19,16 +23,280 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
     bl_label = "Add Soft Skin"
     needs_soft_skin = False
 
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not checks.armature_modifiers(properties.mesh_in(context)):
+            return "The mesh needs an Armature modifier with an armature"
+        return obstacle
+
     def apply(self, obj):
         if obj.dynamorph.targets:
             raise SceneError(f"'{obj.name}' has a soft skin already")
-        skeleton, _, rig_world = extract.current_pose(obj)
-        if obj.data.shape_keys is None:
-            obj.shape_key_add(name="Basis", from_mix=False)
+        in_the_way = extract.first_look(obj)
+        rig = properties.rig_of(obj)
+        skeleton, rig_world = properties.rest_skeleton(rig.data), extract.world_now(rig)
+        if obj.mode != "EDIT":
+            targets.ensure_basis(obj)
         target = obj.dynamorph.targets.add()
         target.name = properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
+        for text in in_the_way:
+            self.report({"WARNING"}, text)
 
 
-CLASSES = (DYNAMORPH_OT_add_soft_skin,)
+# Fixes of checks.Problem -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Fix:
+    """label, tooltip: for the artist; apply(obj): puts it right. Raises SceneError."""
+
+    label: str
+    tooltip: str
+    apply: Callable
+
+
+def _owned(data):
+    """`data`, if changes of it are saved. Raises SceneError."""
+    if not data.is_editable:
+        raise SceneError(f"{data.bl_rna.name} '{data.name}' is linked, so the change would be lost: make it local")
+    return data
+
+
+def _in_modifier(**values) -> Callable:
+    """A fix that sets properties of the Armature modifier."""
+
+    def apply(obj):
+        (modifier,) = checks.armature_modifiers(obj)
+        for name, value in values.items():
+            setattr(modifier, name, value)
+
+    return apply
+
+
+def _in_bones(name: str, value) -> Callable:
+    """A fix that sets a property of every bone that skins the mesh."""
+
+    def apply(obj):
+        rig = properties.rig_of(obj)
+        _owned(rig.data)
+        for bone in checks.deforming_bones(obj, rig):
+            setattr(bone, name, value)
+
+    return apply
+
+
+def _leave_edit_mode(obj):
+    objects = bpy.context.view_layer.objects
+    active = objects.active
+    for edited in (obj, properties.rig_of(obj)):
+        if edited and edited.mode == "EDIT":
+            objects.active = edited
+            bpy.ops.object.mode_set(mode="OBJECT")
+    objects.active = active
+
+
+def _make_single_user(obj):
+    obj.data = obj.data.copy()
+
+
+def _add_armature_modifier(obj):
+    """In the first place: what comes before an Armature modifier must not add vertices."""
+    empty = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
+    modifier = empty[0] if empty else obj.modifiers.new("Armature", "ARMATURE")
+    modifier.object = checks.armature_for(obj)
+    obj.modifiers.move(obj.modifiers.find(modifier.name), 0)
+
+
+def _move_below(obj):
+    (armature,) = checks.armature_modifiers(obj)
+    for modifier in reversed(checks.generating_before(obj, armature)):  # each to the place next to it: keeps the order
+        obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
+
+
+def _pose_position(obj):
+    _owned(properties.rig_of(obj).data).pose_position = "POSE"
+
+
+def _enable_armature(obj):
+    _owned(properties.rig_of(obj)).hide_viewport = False
+
+
+def _add_basis(obj):
+    _owned(obj.data)
+    targets.ensure_basis(obj)
+
+
+def _relative_keys(obj):
+    _owned(obj.data.shape_keys).use_relative = True
+
+
+def _unpin(obj):
+    obj.show_only_shape_key = False
+
+
+FIXES = {
+    "LEAVE_EDIT_MODE": Fix("Leave Edit Mode", "Go back to Object Mode", _leave_edit_mode),
+    "SINGLE_USER": Fix(
+        "Make Mesh Single-User", "Give this object a copy of the mesh; the others keep the one they had",
+        _make_single_user,
+    ),
+    "ADD_ARMATURE": Fix(
+        "Add Armature Modifier",
+        "Add an Armature modifier with the parent, or the only armature that has bones named like the vertex groups",
+        _add_armature_modifier,
+    ),
+    "MOVE_BELOW": Fix(
+        "Move below Armature",
+        "Move the modifiers that change the number of vertices below the Armature modifier, where they work on the "
+        "posed mesh",
+        _move_below,
+    ),
+    "ENABLE_MODIFIER": Fix(
+        "Enable Modifier", "Show the Armature modifier in viewports", _in_modifier(show_viewport=True)
+    ),
+    "PRESERVE_VOLUME": Fix(
+        "Turn off Preserve Volume", "Turn Preserve Volume off. This changes how the skin looks where bones twist",
+        _in_modifier(use_deform_preserve_volume=False),
+    ),
+    "ENVELOPES": Fix(
+        "Skin by Vertex Groups", "Turn Bone Envelopes off and Vertex Groups on in the Armature modifier",
+        _in_modifier(use_bone_envelopes=False, use_vertex_groups=True),
+    ),
+    "MULTI_MODIFIER": Fix(
+        "Turn off Multi Modifier", "Let the Armature modifier deform what comes out of the modifiers before it",
+        _in_modifier(use_multi_modifier=False),
+    ),
+    "POSE_POSITION": Fix("Pose Position", "Let the armature show its pose, not its rest position", _pose_position),
+    "ENABLE_ARMATURE": Fix("Enable Armature", "Enable the armature in viewports", _enable_armature),
+    "BENDY_BONES": Fix(
+        "Straighten Bendy Bones", "Give every bone that deforms the mesh a single segment",
+        _in_bones("bbone_segments", 1),
+    ),
+    "ENVELOPE_MULTIPLY": Fix(
+        "Turn off Envelope Multiply", "Turn Envelope Multiply off for every bone that deforms the mesh",
+        _in_bones("use_envelope_multiply", False),
+    ),
+    "ADD_BASIS": Fix("Add Basis", "Add the shape key that the others are relative to", _add_basis),
+    "RELATIVE_KEYS": Fix("Relative Shape Keys", "Make the shape keys relative to their Basis", _relative_keys),
+    "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
+}  # fmt: skip
+
+
+class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
+    """Put right what is in the way of a soft skin"""
+
+    bl_idname = "dynamorph.fix"
+    bl_label = "Fix"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}  # a search would offer only the first problem
+    needs_soft_skin = False
+
+    problem: EnumProperty(
+        name="Problem",
+        description="What to put right",
+        items=[(key, fix.label, fix.tooltip) for key, fix in FIXES.items()],
+    )
+
+    @classmethod
+    def description(cls, _context, given):
+        return FIXES[given.problem].tooltip
+
+    def apply(self, obj):
+        if self.problem not in [problem.fix for problem in (*checks.problems(obj), *checks.notes(obj))]:
+            raise SceneError(f"'{obj.name}' does not have this problem: {FIXES[self.problem].label} is not needed")
+        FIXES[self.problem].apply(obj)
+
+
+# Cage --------------------------------------------------------------------------------------------------------------
+
+
+class DYNAMORPH_OT_build_cage(JobOperator, Operator):
+    """Build only the cage of tetrahedra and what the bones hold of it, to look at; Build Model goes on from there"""
+
+    bl_idname = "dynamorph.build_cage"
+    bl_label = "Build Cage"
+    goal = "BUILD_CAGE"
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A vertex group that the artist paints. field: of DynamorphSettings; start: weight of a new group everywhere."""
+
+    name: str
+    field: str
+    start: float
+
+
+PAINTED = {"SOFT": Painted("Soft", "soft_group", 1.0), "STIFFNESS": Painted("Stiffness", "stiffness_group", 0.0)}
+
+
+def is_painting(obj, which: str) -> bool:
+    """Whether this vertex group of `obj` is the one being painted."""
+    active = obj.vertex_groups.active
+    return (
+        obj.mode == "WEIGHT_PAINT"
+        and active is not None
+        and active.name == getattr(obj.dynamorph, PAINTED[which].field)
+    )
+
+
+class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
+    """Paint the vertex group in Weight Paint, made if there is none; press again to go back to the mode before"""
+
+    bl_idname = "dynamorph.paint_group"
+    bl_label = "Paint Soft Skin Group"
+
+    which: EnumProperty(
+        name="Which",
+        description="What the painted weights say",
+        items=[(key, painted.name, f"Where the skin is painted {painted.name}") for key, painted in PAINTED.items()],
+    )
+
+    def apply(self, obj):
+        if is_painting(obj, self.which):
+            self._leave(obj)
+        else:
+            self._enter(obj)
+
+    def _enter(self, obj):
+        if not obj.visible_get():
+            raise SceneError(f"'{obj.name}' is hidden: show it to paint on it")
+        _owned(obj.data)
+        active, display = bpy.context.object, bpy.context.window_manager.dynamorph
+        if obj.mode != "WEIGHT_PAINT":
+            display.posed = active.name if active.mode == "POSE" else ""
+            bpy.context.view_layer.objects.active = obj
+            obj.select_set(True)
+            bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)  # remembers the mesh's own mode
+        obj.vertex_groups.active_index = self._group(obj).index
+
+    def _group(self, obj):
+        painted, settings = PAINTED[self.which], obj.dynamorph
+        name = getattr(settings, painted.field) or painted.name
+        group = obj.vertex_groups.get(name)
+        if group is None:
+            group = obj.vertex_groups.new(name=name)
+            group.add(range(len(obj.data.vertices)), painted.start, "REPLACE")
+        if getattr(settings, painted.field) != group.name:
+            setattr(settings, painted.field, group.name)
+        return group
+
+    def _leave(self, obj):
+        display, objects = bpy.context.window_manager.dynamorph, bpy.context.view_layer.objects
+        bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)
+        posed, display.posed = objects.get(display.posed), ""
+        if posed:
+            objects.active = posed
+            bpy.ops.object.mode_set(mode="POSE")
+        if obj.dynamorph.model.content_id:
+            jobs.show_stale(obj)
+
+
+CLASSES = (
+    DYNAMORPH_OT_add_soft_skin,
+    DYNAMORPH_OT_fix,
+    DYNAMORPH_OT_build_cage,
+    DYNAMORPH_OT_paint_group,
+)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -14,12 +14,14 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from .properties import key_points, key_reach, reconcile
+from . import checks
+from .properties import basis_hash, key_points, key_reach, reconcile
 from .scene_data import Bake
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
 NEGLIGIBLE = 1e-7  # of the bounding box: displacements that no key is made for
 KEYFRAME_BYTES = 72  # that Blender takes for one
+NAME_BYTES = 59  # Blender has room for 63, cuts within a letter, and may add ".001"
 LINEAR = 1  # Keyframe.interpolation as foreach_set knows it
 
 
@@ -32,21 +34,12 @@ def check(obj):
     if obj.type != "MESH":
         raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
     keys = obj.data.shape_keys
-    for data in (obj, obj.data, keys):
-        if data is None:
-            raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
-        if not data.is_editable or (data.override_library and data is not obj):
-            raise SinkError(
-                f"{data.bl_rna.name} '{data.name}' is linked, so the bake would be lost on save: make it local "
-                "(Object > Relations > Make Local > Selected Objects and Data)"
-            )
-    if obj.data.users > 1:
-        raise SinkError(
-            f"Mesh '{obj.data.name}' is shared by {obj.data.users} objects, which would all move alike: "
-            "make it single-user (Object > Relations > Make Single User > Object & Data)"
-        )
-    if obj.mode == "EDIT":
-        raise SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
+    if keys is None:
+        raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
+    check_local(obj, obj.data, keys)
+    for problem in checks.shared_mesh(obj):
+        raise SinkError(problem.text)
+    check_not_edited(obj)
     animation = keys.animation_data
     if animation is None:
         return
@@ -57,6 +50,27 @@ def check(obj):
     solo = next((track.name for track in animation.nla_tracks if track.is_solo), None)
     if solo is not None:
         raise SinkError(f"NLA track '{solo}' of the shape keys of '{obj.name}' is solo: turn its star off")
+    paths = {f'key_blocks["{bpy.utils.escape_identifier(target.name)}"].mute' for target in obj.dynamorph.targets[1:]}
+    driven = next((driver.data_path for driver in animation.drivers if driver.data_path in paths), None)
+    if driven is not None:
+        raise SinkError(f"'{obj.name}': {driven} has a driver, so a bake cannot mute the key: remove the driver")
+
+
+def check_not_edited(obj):
+    """Refuse Edit Mode, in which Blender removes no shape keys. Raises SinkError."""
+    if obj.mode == "EDIT":
+        raise SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
+
+
+def check_local(*blocks):
+    """Refuse data-blocks whose changes would not be saved. Raises SinkError."""
+    for block in blocks:
+        if block.library or block.override_library:
+            how = "linked" if block.library else "a library override"
+            raise SinkError(
+                f"{block.bl_rna.name} '{block.name}' is {how}, so what is made here would be lost on save: make it "
+                "local (Object > Relations > Make Local > Selected Objects and Data)"
+            )
 
 
 def write_modal_keys(obj, bake: Bake) -> int:
@@ -110,7 +124,12 @@ def show_influence(obj):
 
 
 def free(obj):
-    """Remove the bake of `obj`, if any, and restore what it changed: keys, order, active key, mute, animation data."""
+    """Remove the bake of `obj`, if any, and restore what it changed: keys, order, active key, mute, animation data.
+
+    Raises SinkError.
+    """
+    if obj.dynamorph.bake.keys and obj.data.shape_keys:  # else the artist has removed all there was
+        check(obj)
     reconcile(obj)
     _free(obj, _baked_names(obj))
 
@@ -123,7 +142,7 @@ def _baked_names(obj) -> list[str]:
 def _free(obj, names):
     record = obj.dynamorph.bake
     keys = obj.data.shape_keys
-    if record.keys and keys:  # without a Key the artist has removed all there was
+    if record.keys and keys:
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         _remove(obj, [keys.key_blocks[name] for name in names], record.action)
         index = keys.key_blocks.find(active)
@@ -174,7 +193,7 @@ def _scaled_keys(bake: Bake, basis: np.ndarray) -> list[_Key]:
         weights = bake.weights[:, j]
         largest = np.abs(weights).max()
         if np.abs(detail).max() * largest > negligible:
-            name = f"Dynamorph Detail {bake.target_names[j]}"
+            name = f"Dynamorph Detail {bake.target_names[j]}".encode()[:NAME_BYTES].decode(errors="ignore")
             keys.append(_Key(name, points(largest * detail), 0.0, None, weights / largest))
     return keys
 
@@ -190,6 +209,8 @@ def _add_key(obj, key: _Key):
 
 def _add_curves(keys, names, frames, values: list[_Key]):
     """An Action with the curves, on NLA tracks above the artist's: without the motion, and with it. Returns it."""
+    render = bpy.context.scene.render
+    times = frames * (render.frame_map_old / render.frame_map_new)  # at frame 10 of a remapped scene it may be time 5
     animation = keys.animation_data or keys.animation_data_create()
     action = bpy.data.actions.new(f"{MOTION} {keys.user.name}")
     strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
@@ -200,26 +221,27 @@ def _add_curves(keys, names, frames, values: list[_Key]):
         channels = strip.channelbag(slot, ensure=True)
         for name, curve in zip(names, curves, strict=True):
             if curve is not None:
-                _add_curve(channels, name, frames, curve)
-        _add_track(animation, title, action, slot, frames)
+                _add_curve(channels, name, times, curve)
+        _add_track(animation, title, action, slot, times)
     return action
 
 
-def _add_curve(channels, name: str, frames, values):
-    points = np.column_stack([frames, values]).astype(np.float32)
+def _add_curve(channels, name: str, times, values):
+    points = np.column_stack([times, values]).astype(np.float32)
     curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
-    curve.keyframe_points.add(len(frames))
+    curve.keyframe_points.add(len(times))
     curve.keyframe_points.foreach_set("co", points.ravel())
-    curve.keyframe_points.foreach_set("interpolation", np.full(len(frames), LINEAR, np.int32))
+    curve.keyframe_points.foreach_set("interpolation", np.full(len(times), LINEAR, np.int32))
     curve.update()
 
 
-def _add_track(animation, title: str, action, slot, frames):
+def _add_track(animation, title: str, action, slot, times):
     track = animation.nla_tracks.new()
     track.name = title
-    strip = track.strips.new(title, int(frames[0]), action)
+    strip = track.strips.new(title, int(times[0]), action)
     strip.action_slot = slot
-    strip.action_frame_start, strip.action_frame_end = frames[0], max(frames[-1], frames[0] + 1)
+    strip.action_frame_start, strip.action_frame_end = times[0], max(times[-1], times[0] + 1)
+    strip.frame_start, strip.frame_end = strip.action_frame_start, strip.action_frame_end  # it was made at whole frames
     strip.extrapolation = "HOLD"  # the ends hold; other keys have no curve here, so they are left alone
     strip.blend_type = "REPLACE"
     if title == MOTION:
@@ -280,6 +302,7 @@ def _record(obj, names, wanted, action, had_animation_data):
         key = record.keys.add()
         key.refer_to(blocks, index)
         key.reach = key_reach(blocks[index])
+    record.basis = basis_hash(blocks)
     record.action = action
     record.had_animation_data = had_animation_data
     record.active_index = obj.active_shape_key_index

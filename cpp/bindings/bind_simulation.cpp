@@ -321,41 +321,52 @@ void bind_pose_space(py::module_& m) {
   };
   py::class_<TargetSet>(m, "TargetSet", "Targets whose weights sum to one.")
       .def(py::init([rotations](std::vector<int> bones, std::vector<std::string> names, const std::vector<Array>& poses,
-                                Kernel kernel) {
-             TargetSet set{std::move(bones), std::move(names), {}, kernel};
+                                Kernel kernel, std::vector<double> radii) {
+             TargetSet set{std::move(bones), std::move(names), {}, kernel, std::move(radii)};
              for (const Array& pose : poses) set.poses.push_back(rotations("poses", pose));
              return set;
            }),
-           "bones"_a, "names"_a, "poses"_a, "kernel"_a = Kernel::linear,
+           "bones"_a, "names"_a, "poses"_a, "kernel"_a = Kernel::linear, "radii"_a = std::vector<double>(),
            "bones: indices whose local rotations place the targets; poses: per target the local transforms (B, 4, 4) "
-           "of the whole skeleton.");
+           "of the whole skeleton; radii: per target the joint angle, radians, at which it has faded out, 0 for "
+           "never, which all are by default. What has faded goes to the first target, whose own radius is ignored.");
+  // answer(space, pose, (J) out) at every sample of local transforms (S, B, 4, 4).
+  const auto sampled = [](const PoseSpace& space, const Array& local, auto answer) {
+    check_shape("local", local, {-1, -1, 4, 4});
+    const py::ssize_t bones = local.shape(1);
+    if (!space.bones().empty() && space.bones().back() >= bones)
+      throw std::invalid_argument("local: expected at least " + std::to_string(space.bones().back() + 1) +
+                                  " bones, got " + std::to_string(bones));
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> out(local.shape(0), space.targets());
+    py::gil_scoped_release release;
+    VectorXd at(space.targets());
+    Rotations pose = Rotations::Zero(bones, 4);
+    for (py::ssize_t i = 0; i < local.shape(0); ++i) {
+      const LocalTransforms transforms(local.data() + i * bones * 16, bones, 16);
+      for (int bone : space.bones()) rotation_of(transforms, bone, pose);
+      answer(space, pose, at);
+      out.row(i) = at;
+    }
+    return out;
+  };
+  const auto weights = [](const PoseSpace& space, const Rotations& pose, VectorXd& w) { space.weights(pose, w); };
+  const auto distances = [](const PoseSpace& space, const Rotations& pose, VectorXd& d) { space.distances(pose, d); };
   py::class_<PoseSpace>(m, "PoseSpace", "Interpolates target weights over pose space.")
       .def(py::init<std::vector<TargetSet>>(), "sets"_a,
            "Raises Error, naming both, when two targets of a set have the same pose.")
       .def_property_readonly("targets", &PoseSpace::targets)
       .def(
           "weights",
-          [](const PoseSpace& space, const Array& local) {
-            check_shape("local", local, {-1, -1, 4, 4});
-            const py::ssize_t bones = local.shape(1);
-            if (!space.bones().empty() && space.bones().back() >= bones)
-              throw std::invalid_argument("local: expected at least " + std::to_string(space.bones().back() + 1) +
-                                          " bones, got " + std::to_string(bones));
-            Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> out(local.shape(0), space.targets());
-            py::gil_scoped_release release;
-            VectorXd w(space.targets());
-            Rotations pose = Rotations::Zero(bones, 4);
-            for (py::ssize_t i = 0; i < local.shape(0); ++i) {
-              const LocalTransforms transforms(local.data() + i * bones * 16, bones, 16);
-              for (int bone : space.bones()) rotation_of(transforms, bone, pose);
-              space.weights(pose, w);
-              out.row(i) = w;
-            }
-            return out;
-          },
+          [sampled, weights](const PoseSpace& space, const Array& local) { return sampled(space, local, weights); },
           "local"_a,
           "Weights (S, J) at the local transforms (S, B, 4, 4): each set's are >= 0, sum to 1, and are one at a "
-          "target's own pose.");
+          "target's own pose.")
+      .def(
+          "distances",
+          [sampled, distances](const PoseSpace& space, const Array& local) { return sampled(space, local, distances); },
+          "local"_a,
+          "Distances (S, J) in radians of the local transforms (S, B, 4, 4) to each target's pose: the root of the "
+          "summed squares of the joint angles that its set names.");
 }
 
 void bind_models(py::module_& m) {

@@ -2,6 +2,7 @@
 // dynamorph._core: the engine as NumPy sees it. Thin: shapes are checked here, everything else is the engine's.
 #include "bindings.hpp"
 
+#include "dynamorph/parallel.hpp"
 #include "dynamorph/types.hpp"
 
 namespace py = pybind11;
@@ -10,6 +11,8 @@ PYBIND11_MODULE(_core, m) {
   m.doc() = "Dynamorph engine: soft skins from dynamic morph targets.";
   py::register_exception<dynamorph::Error>(m, "Error", PyExc_RuntimeError);
   py::register_exception<dynamorph::Cancelled>(m, "Cancelled", PyExc_RuntimeError);
+  m.def("set_threads", &dynamorph::set_threads, py::arg("most"),
+        "Use at most so many cores from now on; 0: all that the process may use. Results do not depend on it.");
   bind_meshing(m);
   bind_simulation(m);
 }

@@ -17,8 +17,11 @@
 
 namespace dynamorph {
 
-/// How many cores this process may use: a farm's scheduler gives fewer than the machine has.
+/// How many cores this process may use: a farm's scheduler gives fewer than the machine has, and so may `set_threads`.
 int usable_cores();
+
+/// At most so many cores from now on; 0: all that the system gives.
+void set_threads(int most);
 
 /// work(i, progress) for i = 0..count-1, each with a progress of its own that asks to stop once a work has failed. The
 /// caller's `progress` hears the mean and is called from the calling thread alone. Rethrows what a work threw.

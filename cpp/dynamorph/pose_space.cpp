@@ -34,6 +34,12 @@ Vector3d rotation_vector(const Rotations& reference, const Eigen::Ref<const Rota
   return sine > 0 ? Vector3d(q.vec() * (2 * std::atan2(sine, q.w()) / sine)) : Vector3d::Zero();
 }
 
+/// How much of its weight a target keeps at a distance; a radius of 0 is none.
+double fade(double distance, double radius) {
+  const double t = radius > 0 ? std::clamp(2 * distance / radius - 1, 0.0, 1.0) : 0;
+  return 1 - t * t * (3 - 2 * t);
+}
+
 }  // namespace
 
 void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations) {
@@ -77,6 +83,11 @@ PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
         if (bone < 0 || bone >= pose.rows())
           throw std::invalid_argument("sets: bone index " + std::to_string(bone) + " is not in a pose of " +
                                       std::to_string(pose.rows()) + " bones");
+    if (!set.radii.empty() && set.radii.size() != set.poses.size())
+      throw std::invalid_argument("sets: expected a radius for each of " + std::to_string(set.poses.size()) +
+                                  " targets, got " + std::to_string(set.radii.size()));
+    for (double radius : set.radii)
+      if (!(radius >= 0)) throw std::invalid_argument("sets: a radius must be 0, for unlimited, or more");
     targets_ += int(set.poses.size());
     bones_.insert(bones_.end(), set.bones.begin(), set.bones.end());
     sets_.push_back(interpolate(std::move(set)));
@@ -170,8 +181,19 @@ void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<Vect
     }
     out = out.cwiseMax(0.0);
     out /= out.sum();  // >= 1: clamping only adds to a sum of one
+    for (size_t k = 1; k < set.radii.size(); ++k) {
+      const double kept = out(k) * fade(pose_distance(set.bones, set.poses[k], pose), set.radii[k]);
+      out(0) += out(k) - kept;
+      out(k) = kept;
+    }
     first += out.size();
   }
+}
+
+void PoseSpace::distances(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> d) const {
+  Eigen::Index target = 0;
+  for (const Interpolant& in : sets_)
+    for (const Rotations& own : in.set.poses) d(target++) = pose_distance(in.set.bones, own, pose);
 }
 
 }  // namespace dynamorph

@@ -5,11 +5,14 @@
 //
 //   w(q) = C^T phi(q) + P^T p(q),   w_j(q_k) = delta_jk,   sum_j w_j = 1,
 //
-// then negatives are clamped and the rest renormalised, so that the blended stiffness stays positive definite.
+// then negatives are clamped and the rest renormalised, so that the blended stiffness stays positive definite. A target
+// of limited radius r_j fades out with its distance d_j, and the set's first target gets what is taken from it:
+//
+//   w_j <- w_j s(d_j / r_j),   s = 1 up to a half, then 1 - t^2 (3 - 2 t) with t = 2 d_j / r_j - 1, 0 from one on.
 //
 // Distances are joint angles, which make the linear kernel a driver's hat function. Poses right round a joint (0, 90,
 // 180, -90 degrees) are no set of points in a flat space by their angles, and weights would jump: those sets use
-// chords, which are.
+// chords, which are. A radius is a joint angle there too.
 #pragma once
 
 #include <string>
@@ -31,6 +34,7 @@ struct TargetSet {
   std::vector<std::string> names;  ///< of the targets, for messages
   std::vector<Rotations> poses;    ///< per target, (bones of the skeleton, 4)
   Kernel kernel = Kernel::linear;
+  std::vector<double> radii = {};  ///< per target, radians, 0 unlimited, or none at all; the first one's is ignored
 };
 
 /// Local transforms, one row-major 4 x 4 a row.
@@ -59,6 +63,9 @@ class PoseSpace {
   /// Weights (J), set after set: each set's are >= 0 and sum to 1, and are a unit vector at a target's pose.
   /// Allocates nothing. `pose` (B, 4).
   void weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const;
+
+  /// Distances (J) in radians to each target's pose over the joint angles of its set. Allocates nothing.
+  void distances(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> d) const;
 
  private:
   struct Interpolant {

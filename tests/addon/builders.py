@@ -8,6 +8,7 @@ from math import pi
 
 import bpy
 import numpy as np
+import pytest
 import scenes
 
 MODULE = "bl_ext.user_default.dynamic_morph_targets"
@@ -121,6 +122,35 @@ def evaluated_points(obj) -> np.ndarray:
     return points @ world[:3, :3].T + world[:3, 3]
 
 
+def keys_of(obj):
+    return obj.data.shape_keys
+
+
+def skinned(character, samples, displacement=0.0):
+    """World positions (S, V, 3) by linear blend skinning of the extracted arrays."""
+    matrices = samples.skin_matrices(character.skeleton, character.to_bind)
+    blended = np.einsum("vb,sbij->svij", character.weights, matrices)
+    bind = (character.vertices + displacement) @ character.to_bind.T
+    return np.einsum("svij,vj->svi", blended[..., :3], bind) + blended[..., 3]
+
+
+def assert_shows(obj, bake, extra=0.0):
+    """Blender's mesh at every frame is vertices + Bake.displacement, skinned."""
+    extract = part("extract")
+    character = extract.character(obj)
+    samples = extract.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)
+    for i, frame in enumerate(bake.frames):
+        bpy.context.scene.frame_set(int(frame))
+        ours = skinned(character, samples[i : i + 1], bake.displacement(i) + extra)[0]
+        assert np.abs(evaluated_points(obj) - ours).max() < 1e-5 * np.ptp(character.vertices, axis=0).max()
+
+
+def refused(operator, words, **arguments):
+    """The operator must report an error with these words, which Python sees as RuntimeError."""
+    with pytest.raises(RuntimeError, match=words):
+        operator(**arguments)
+
+
 class StandIn:
     """Takes the place of the modules build and simulate, to test what surrounds them."""
 
@@ -132,6 +162,8 @@ class StandIn:
         self.deaf = 0.0  # seconds before it looks whether it is
 
     class Model:
+        tets = ()
+
         def __init__(self, arrays, meta):
             self.arrays, self.meta = arrays, meta
             self.summary = meta["summary"]
@@ -155,7 +187,7 @@ class StandIn:
         self.built += 1
         for i in range(5):
             assert progress(i / 5, "Modes")
-        counts = {"nodes": 10, "tets": 20, "dofs": 30, "modes": 3, "targets": len(character.targets)}
+        counts = {"nodes": 10, "tets": 20, "pinned": 4, "dofs": 30, "modes": 3, "targets": len(character.targets)}
         summary = {**counts, "seconds": {"modes": 0.5}, "warnings": []}
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)

@@ -49,3 +49,26 @@ TEST_CASE("chunks are all done once, from several threads at a time and one loop
   thread.join();
   CHECK(other);
 }
+
+TEST_CASE("a limit on the threads holds for both kinds of work, and can be raised again") {
+  const auto most_at_once = [](auto&& loop) {
+    std::atomic<int> now{0}, most{0};
+    loop([&](int) {
+      const int together = ++now;
+      for (int seen = most; seen < together && !most.compare_exchange_weak(seen, together);) {
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+      --now;
+    });
+    return int(most);
+  };
+  for (int limit : {1, 2, 0}) {
+    set_threads(limit);
+    CHECK(usable_cores() >= 1);
+    if (limit) CHECK(usable_cores() <= limit);
+    CHECK(most_at_once([](const auto& work) { for_chunks(20, work); }) <= usable_cores());
+    CHECK(most_at_once([](const auto& work) { in_parallel(20, {}, [&](int i, const ProgressFn&) { work(i); }); }) <=
+          usable_cores());
+  }
+  CHECK_THROWS_AS(set_threads(-1), std::invalid_argument);
+}

@@ -7,6 +7,7 @@
 
 #include "dynamorph/crowd.hpp"
 #include "dynamorph/integrator.hpp"
+#include "dynamorph/pose_space.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;
@@ -48,6 +49,21 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
         if (i > 6) CHECK(allocations == 0);  // once it has seen what there is to allocate for
       }
     }
+}
+
+TEST_CASE("weights and distances in pose space allocate nothing, with radii or without") {
+  Rotations rest(1, 4), bent(1, 4), turned(1, 4);
+  rest << 1, 0, 0, 0;
+  bent << std::sqrt(0.5), std::sqrt(0.5), 0, 0;
+  turned << std::sqrt(0.5), 0, std::sqrt(0.5), 0;
+  for (Kernel kernel : {Kernel::linear, Kernel::gaussian, Kernel::thin_plate}) {
+    const PoseSpace space({{{0}, {"rest", "bent", "turned"}, {rest, bent, turned}, kernel, {0, 1, 2}}});
+    VectorXd out(3);
+    allocations = 0;
+    space.weights(bent, out);
+    space.distances(turned, out);
+    CHECK(allocations == 0);
+  }
 }
 
 TEST_CASE("a step of a crowd allocates nothing") {

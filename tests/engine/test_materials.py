@@ -125,6 +125,7 @@ def limb(law="STABLE_STVK", solver="REDUCED", regions=False):
         to_bind=np.eye(3),
         weights=np.tile([1.0, 0.0], (len(vertices), 1)),
         softness=np.where(vertices[:, 2] < 0.02, 0.0, 1.0),
+        stiffness=np.ones(len(vertices)),
         bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.015]]]),
         skeleton=Skeleton(("root",), np.array([-1]), AT_REST),
         target_sets=sets,

@@ -35,8 +35,8 @@ def digest() -> str:
 
 @pytest.mark.skipif(len(CORES) < 2, reason="one core, or a system that does not pin threads")
 def test_one_core_and_all_make_the_same_bytes():
-    def on(cores) -> tuple[str, int]:
-        code = f"import os; os.sched_setaffinity(0, {set(cores)!r}); import test_threads; test_threads.report()"
+    def on(cores, most=0) -> tuple[str, int]:
+        code = f"import os; os.sched_setaffinity(0, {set(cores)!r}); import test_threads; test_threads.report({most})"
         path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
         done = subprocess.run(
             [sys.executable, "-c", code],
@@ -48,12 +48,13 @@ def test_one_core_and_all_make_the_same_bytes():
         found, threads = done.stdout.split()
         return found, int(threads)
 
-    (alone, one), (together, several) = on([min(CORES)]), on(CORES)
-    assert several > one  # or nothing was compared
-    assert alone == together
+    (alone, one), (limited, few), (together, several) = on([min(CORES)]), on(CORES, 1), on(CORES)
+    assert several > one == few  # or nothing was compared
+    assert alone == limited == together
 
 
-def report():
-    """The digest, and how many threads are there to do the work."""
+def report(most: int):
+    """The digest, and how many threads are there to do the work, limited to `most`."""
+    dynamorph.set_threads(most)
     found = digest()
     print(found, len(list(Path("/proc/self/task").iterdir())))

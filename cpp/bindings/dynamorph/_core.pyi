@@ -7,7 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'tetrahedralize']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -113,9 +113,9 @@ class TargetSet:
     """
     Targets whose weights sum to one.
     """
-    def __init__(self, bones: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], names: collections.abc.Sequence[str], poses: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], kernel: Kernel = Kernel.LINEAR) -> None:
+    def __init__(self, bones: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], names: collections.abc.Sequence[str], poses: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], kernel: Kernel = Kernel.LINEAR, radii: collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex] = []) -> None:
         """
-        bones: indices whose local rotations place the targets; poses: per target the local transforms (B, 4, 4) of the whole skeleton.
+        bones: indices whose local rotations place the targets; poses: per target the local transforms (B, 4, 4) of the whole skeleton; radii: per target the joint angle, radians, at which it has faded out, 0 for never, which all are by default. What has faded goes to the first target, whose own radius is ignored.
         """
 class PoseSpace:
     """
@@ -124,6 +124,10 @@ class PoseSpace:
     def __init__(self, sets: collections.abc.Sequence[TargetSet]) -> None:
         """
         Raises Error, naming both, when two targets of a set have the same pose.
+        """
+    def distances(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        Distances (S, J) in radians of the local transforms (S, B, 4, 4) to each target's pose: the root of the summed squares of the joint angles that its set names.
         """
     def weights(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
@@ -587,6 +591,10 @@ def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.flo
 def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], progress: typing.Any = None) -> ReducedTables:
     """
     Energy polynomials of every target in the basis U (3 free, r).
+    """
+def set_threads(most: typing.SupportsInt | typing.SupportsIndex) -> None:
+    """
+    Use at most so many cores from now on; 0: all that the process may use. Results do not depend on it.
     """
 def tetrahedralize(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_nodes: typing.SupportsInt | typing.SupportsIndex, inner: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] = ...) -> TetMesh:
     """

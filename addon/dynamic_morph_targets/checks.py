@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What keeps a mesh from being simulated, and what is not likely to be meant, as data. Reads only.
+
+`problems`, `next_steps` and `notes` take a fraction of a millisecond, so that a panel asks them whenever it draws. What
+reads points, weights or poses is asked when a soft skin is added or built. What a fix does is in `setup_operators`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from .properties import key_points
+from .scene_data import Skeleton, Target, turned
+
+SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
+PLAUSIBLE = (0.02, 20.0)  # metres from corner to corner; a body of another size is probably not meant
+
+# Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
+GENERATING = {
+    "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
+    "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
+    "WIREFRAME",
+}  # fmt: skip
+DEFORMING = {
+    "CAST", "CLOTH", "CORRECTIVE_SMOOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE",
+    "MESH_CACHE", "MESH_DEFORM", "MESH_SEQUENCE_CACHE", "SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY",
+    "SURFACE_DEFORM", "VOLUME_DISPLACE", "WARP", "WAVE",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Problem:
+    """text: what is wrong, with the object's name, and the remedy; fix: the key of `setup_operators.FIXES`, or ''."""
+
+    text: str
+    fix: str = ""
+
+
+# At every draw -----------------------------------------------------------------------------------------------------
+
+
+def problems(obj) -> Iterator[Problem]:
+    """What keeps the mesh object `obj` from being simulated, in the order in which an artist would put it right."""
+    yield from mesh(obj)
+    missing = list(skinning(obj))
+    yield from missing
+    if not missing:
+        (modifier,) = armature_modifiers(obj)
+        yield from _order(obj, modifier)
+        yield from rig(obj, modifier)
+    yield from _keys(obj)
+
+
+def next_steps(obj) -> Iterator[Problem]:
+    """What a soft skin needs besides before it can be built."""
+    if len(active_targets(obj)) >= 2 or obj.dynamorph.model.method == "SINGLE":
+        return
+    if len(obj.dynamorph.targets) > 1:
+        yield Problem(f"'{obj.name}': all targets are muted: unmute one, or choose the Method Single")
+    else:
+        yield Problem(f"'{obj.name}' has no targets: select a shape key, pose the armature and press Add Target")
+
+
+def notes(obj) -> Iterator[Problem]:
+    """What does not hinder a simulation, but will be ignored or will hide its result."""
+    for modifier in armature_modifiers(obj)[:1]:
+        for before in _modifiers_before(obj, modifier):
+            if before.type in DEFORMING:
+                yield Problem(f"'{obj.name}': modifier '{before.name}' before the Armature is not simulated")
+    yield from shared_mesh(obj)
+    if obj.show_only_shape_key:
+        yield Problem(
+            f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake", "UNPIN"
+        )
+
+
+def outgrown(obj) -> str:
+    """Says that the mesh was edited since its model was built, as far as the number of vertices tells; or ''."""
+    model, count = obj.dynamorph.model, len(obj.data.vertices)
+    if not model.content_id or model.vertices in (0, count):
+        return ""
+    return (
+        f"'{obj.name}' has {count} vertices now, its model was built for {model.vertices}. Targets and settings are "
+        "kept: build the model again"
+    )
+
+
+def skinning(obj) -> Iterator[Problem]:
+    """Yields nothing when there is one Armature modifier with an armature."""
+    modifiers = armature_modifiers(obj)
+    if not modifiers:
+        yield Problem(
+            f"'{obj.name}' has no Armature modifier with an armature: add one, or parent the mesh to it",
+            "ADD_ARMATURE" if armature_for(obj) else "",
+        )
+    elif len(modifiers) > 1:
+        names = " and ".join(f"'{m.name}'" for m in modifiers)
+        yield Problem(f"'{obj.name}' has more than one Armature modifier ({names}): keep one")
+
+
+def armature_modifiers(obj) -> list:
+    """The Armature modifiers of `obj` that have an armature."""
+    return [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE" and modifier.object]
+
+
+def armature_for(obj):
+    """The armature that `obj` was most likely weighted for: its parent, or the only one of the scene with bones named
+    like its vertex groups; or None."""
+    parent = obj.parent
+    if parent and parent.type == "ARMATURE" and obj.parent_type in {"OBJECT", "ARMATURE"}:
+        return parent
+    groups = set(obj.vertex_groups.keys())
+    armatures = [other for other in bpy.context.scene.objects if other.type == "ARMATURE"]
+    fitting = [armature for armature in armatures if not groups.isdisjoint(armature.data.bones.keys())]
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def rig(obj, modifier) -> Iterator[Problem]:
+    """Whether Blender skins `obj` as it will be simulated: the Armature modifier, its armature and its bones."""
+    yield from _modifier(obj, modifier)
+    yield from _armature(modifier.object)
+    yield from _bones(obj, modifier.object)
+
+
+def shared_mesh(obj) -> Iterator[Problem]:
+    """Yields nothing when `obj` has its mesh for itself."""
+    users = obj.data.users - obj.data.use_fake_user
+    if users > 1:
+        yield Problem(
+            f"Mesh '{obj.data.name}' is shared by {users} objects, which would all move alike: "
+            "make it single-user (Object > Relations > Make Single User > Object & Data)",
+            "SINGLE_USER",
+        )
+
+
+def active_targets(obj) -> list:
+    """The neutral target and those that are not muted."""
+    return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
+
+
+def deforming_bones(obj, armature) -> list:
+    """The bones of the armature object that skin `obj`."""
+    groups = set(obj.vertex_groups.keys())
+    return [bone for bone in armature.data.bones if bone.use_deform and bone.name in groups]
+
+
+def generating_before(obj, modifier) -> list:
+    """The modifiers before the Armature that may change the number of vertices."""
+    return [before for before in _modifiers_before(obj, modifier) if before.type in GENERATING]
+
+
+def mesh(obj) -> Iterator[Problem]:
+    """Yields nothing when `obj` has a surface, and is not being edited."""
+    if obj.mode == "EDIT":
+        yield Problem(f"'{obj.name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE")
+    elif not obj.data.polygons:
+        yield Problem(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
+
+
+def _order(obj, modifier):
+    for before in generating_before(obj, modifier):
+        yield Problem(f"'{obj.name}': modifier '{before.name}' comes before the Armature: move it below", "MOVE_BELOW")
+
+
+def _modifiers_before(obj, modifier) -> list:
+    """The modifiers that change the mesh before the Armature modifier does."""
+    before = obj.modifiers[: obj.modifiers.find(modifier.name)]
+    return [modifier for modifier in before if modifier.show_viewport or modifier.show_render]
+
+
+def _modifier(obj, modifier):
+    if not modifier.show_viewport:
+        yield Problem(
+            f"'{obj.name}': Armature modifier '{modifier.name}' is disabled in viewports: enable it", "ENABLE_MODIFIER"
+        )
+    if modifier.use_deform_preserve_volume:
+        yield Problem(
+            f"'{obj.name}' uses Preserve Volume: turn it off in Armature modifier '{modifier.name}'", "PRESERVE_VOLUME"
+        )
+    if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
+        yield Problem(
+            f"'{obj.name}' is skinned by bone envelopes: in Armature modifier '{modifier.name}' turn Bone Envelopes "
+            "off and Vertex Groups on",
+            "ENVELOPES",
+        )
+    if modifier.use_multi_modifier:
+        yield Problem(f"'{obj.name}': turn Multi Modifier off in Armature modifier '{modifier.name}'", "MULTI_MODIFIER")
+
+
+def _armature(armature):
+    name = armature.name
+    if armature.mode == "EDIT":
+        yield Problem(f"Armature '{name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE")
+    if armature.data.pose_position == "REST":
+        yield Problem(
+            f"Armature '{name}' is shown in rest position: choose Pose Position in its Data tab", "POSE_POSITION"
+        )
+    if armature.hide_viewport:
+        yield Problem(
+            f"Armature '{name}' is disabled in viewports, so Blender does not move it: enable it", "ENABLE_ARMATURE"
+        )
+
+
+def _bones(obj, armature):
+    """Of each kind of problem only the first bone: its fix repairs all."""
+    bones = deforming_bones(obj, armature)
+    if not bones:
+        yield Problem(
+            f"'{obj.name}' has no vertex group named after a deforming bone of '{armature.name}': weight it first"
+        )
+        return
+    bendy = next((bone for bone in bones if bone.bbone_segments > 1), None)
+    if bendy:
+        yield Problem(f"Bone '{bendy.name}' of '{armature.name}' is a bendy bone: set its Segments to 1", "BENDY_BONES")
+    multiplied = next((bone for bone in bones if bone.use_envelope_multiply), None)
+    if multiplied:
+        yield Problem(
+            f"Bone '{multiplied.name}' of '{armature.name}': turn off Envelope Multiply in its Deform panel",
+            "ENVELOPE_MULTIPLY",
+        )
+    lengths = [bone.length for bone in bones]
+    if min(lengths) <= 1e-5 * max(lengths):
+        point = bones[lengths.index(min(lengths))]
+        yield Problem(f"Bone '{point.name}' of '{armature.name}' has no length: move its tail, or turn off its Deform")
+
+
+def _keys(obj):
+    keys = obj.data.shape_keys
+    targets = active_targets(obj)
+    if keys is None:
+        if targets:  # else Add Soft Skin makes the Basis
+            yield Problem(f"'{obj.name}' has no shape keys: add a Basis and one key a target", "ADD_BASIS")
+        return
+    if not keys.use_relative:
+        yield Problem(
+            f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel", "RELATIVE_KEYS"
+        )
+    for target in targets[1:]:
+        if target.name not in keys.key_blocks:
+            yield Problem(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
+        elif keys.key_blocks[target.name] == keys.reference_key:
+            yield Problem(
+                f"'{obj.name}': target '{target.name}' has become the Basis, which moves nothing: put a Basis above it "
+                "in the Shape Keys panel, or remove the target"
+            )
+
+
+# Once: these read points, weights and poses ------------------------------------------------------------------------
+
+
+def shapes(obj) -> Iterator[Problem]:
+    """Coordinates that are not numbers, in the Basis and the targets' keys."""
+    keys = obj.data.shape_keys
+    for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in active_targets(obj)[1:])):
+        bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
+        if len(bad):
+            yield Problem(
+                f"'{obj.name}': shape key '{block.name}' has coordinates that are not numbers at vertices "
+                f"{', '.join(map(str, bad[:5]))}: delete or repair them"
+            )
+
+
+def poses(name: str, targets: tuple[Target, ...], skeleton: Skeleton) -> Iterator[Problem]:
+    """Targets of one set that the rotations of the targets' bones, and of no others, cannot tell apart."""
+    for target in targets[1:]:
+        if not target.bones:
+            yield Problem(
+                f"'{name}': target '{target.name}' has no bones: pose the armature away from the neutral target "
+                "and press Capture Pose"
+            )
+    named = {bone for target in targets for bone in target.bones}
+    used = [bone in named for bone in skeleton.names]
+    for i, first in enumerate(targets):
+        for second in targets[i + 1 :]:
+            if same_pose(first.local[used], second.local[used]):
+                yield Problem(
+                    f"'{name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
+                    "place targets: capture one of them in another pose, choose its bones, or remove it"
+                )
+
+
+def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether targets with these transforms (B, 4, 4) of the bones that place them cannot be told apart."""
+    return bool(np.linalg.norm(turned(first, second)) < SAME_POSE)
+
+
+def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, weights: np.ndarray) -> Iterator[Problem]:
+    """Whether a body is likely to be meant as it is, from what `Character` calls by the same names."""
+    size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
+    if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
+        yield Problem(f"'{name}' is {size:.3g} m long: check the scale, it will move like something of that size")
+    left = int((weights[:, -1] >= 1.0).sum())
+    if left:
+        yield Problem(
+            f"{left} of the {len(vertices)} vertices of '{name}' have no bone weight: they stay behind when the "
+            "armature moves; weight them"
+        )

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the buttons of the list of targets do to shape keys and poses: blend, mirror, copy, pose the armature."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+from mathutils.kdtree import KDTree
+
+from . import checks, extract, jobs
+from .extract import SceneError
+from .properties import KEY_REFERENCE, assign, key_points, plain, rig_of
+from .scene_data import Skeleton, turned
+
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+MIRROR_TOLERANCE = 1e-3  # of the mesh's size: how far from its mirror image a vertex's partner may be
+
+
+# Shape keys --------------------------------------------------------------------------------------------------------
+
+
+def ensure_basis(obj):
+    """Make the shape key that the others are relative to, unless there is one."""
+    if obj.data.shape_keys is None:
+        obj.shape_key_add(name="Basis", from_mix=False)
+
+
+def new_key(obj, name: str, shape: np.ndarray):
+    """A shape key, so called if that is free, which at value 1 adds `shape` (V, 3), local space, to the Basis.
+
+    Raises SceneError.
+    """
+    extract.check_mesh(obj)
+    ensure_basis(obj)
+    block = obj.shape_key_add(name=name, from_mix=False)
+    set_shape(block, shape)
+    block.value = 0.0
+    return block
+
+
+def set_shape(block, shape: np.ndarray):
+    points = key_points(block.relative_key) + shape
+    block.points.foreach_set("co", points.astype(np.float32).ravel())
+    block.id_data.update_tag()
+
+
+def sculpt_anew(block, shape: np.ndarray):
+    """Let a shape key add `shape` (V, 3), local space, to the Basis, whatever it did before."""
+    block.relative_key, block.vertex_group = block.id_data.reference_key, ""
+    set_shape(block, shape)
+
+
+def copy_key(obj, name: str):
+    """A copy of a shape key, not its drivers and curves, called "name copy"."""
+    block = new_key(obj, f"{name} copy", np.zeros((len(obj.data.vertices), 3)))
+    source = obj.data.shape_keys.key_blocks[name]
+    block.points.foreach_set("co", key_points(source).ravel())
+    for field in ("relative_key", "vertex_group", "slider_min", "slider_max"):
+        setattr(block, field, getattr(source, field))
+    return block
+
+
+def free_name(taken, stem: str) -> str:
+    """The first of "stem 1", "stem 2", ... that is not taken."""
+    return next(name for number in range(1, len(taken) + 2) if (name := f"{stem} {number}") not in taken)
+
+
+def blended_shape(obj, local: np.ndarray) -> np.ndarray:
+    """The shape (V, 3), local space, that the targets have together at a pose (B, 4, 4); zero without the engine.
+
+    Raises SceneError.
+    """
+    active = [target for target in obj.dynamorph.targets[1:] if not target.mute]
+    if not active or jobs.engine_problem():
+        return np.zeros((len(obj.data.vertices), 3))
+    _, simulate = jobs.engine()
+    character = extract.character(obj)
+    weights = simulate.pose_space(character).weights(local[None])[0]
+    return np.tensordot(weights, [target.shape for target in character.targets], 1)
+
+
+# Targets -----------------------------------------------------------------------------------------------------------
+
+
+def eligible(obj) -> list[str]:
+    """Names of the shape keys that can become targets."""
+    keys, settings = obj.data.shape_keys, obj.dynamorph
+    blocks = keys.key_blocks[1:] if keys else []
+    references = (*settings.targets[1:], *settings.bake.keys, settings.live.key)
+    taken = {reference.name for reference in references}
+    return [block.name for block in blocks if block.name not in taken]
+
+
+def add(obj, block, after: int | None = None):
+    """A target for a shape key, selected; at the end of the list, or after the target with that index."""
+    settings, keys = obj.dynamorph, obj.data.shape_keys.key_blocks
+    settings.targets.add().refer_to(keys, keys.find(block.name))
+    settings.active_target_index = len(settings.targets) - 1
+    if after is not None:
+        settings.targets.move(settings.active_target_index, after + 1)
+        settings.active_target_index = after + 1
+    return settings.active_target
+
+
+def copy_settings(source, target):
+    """Everything but the shape key, the captured bones' transforms and the bones."""
+    assign(target, plain(source, skip=KEY_REFERENCE))
+
+
+def at_pose_of(obj, skeleton: Skeleton, local: np.ndarray, bones):
+    """The target, other than the neutral one, that a pose (B, 4, 4) with these bones cannot be told apart from."""
+    for target in obj.dynamorph.targets[1:]:
+        used = [name in {*bones, *target.bone_names()} for name in skeleton.names]
+        if checks.same_pose(target.local(skeleton)[used], local[used]):
+            return target
+    return None
+
+
+# Mirroring ---------------------------------------------------------------------------------------------------------
+
+
+def mirrored_pose(skeleton: Skeleton, local: np.ndarray) -> np.ndarray:
+    """A pose (B, 4, 4) with left and right exchanged, about the armature's local x, whatever the rolls of the bones.
+
+    What is mirrored is how each bone carries the flesh, D = P R^-1: D' = S D S of the bone on the other side.
+    """
+    other = [other_side(skeleton, b) for b in range(len(skeleton.names))]
+    carried = skeleton.pose(local) @ skeleton.rest_inverse
+    return skeleton.local_transforms(MIRROR @ carried[other] @ MIRROR @ skeleton.rest)
+
+
+def mirrored_world(rig_world) -> np.ndarray:
+    """Where the armature stands (4, 4) for a mirrored pose: gravity, along world z, is then mirrored in its space."""
+    return MIRROR @ np.array(rig_world).reshape(4, 4) @ MIRROR
+
+
+def other_side(skeleton: Skeleton, b: int) -> int:
+    """The index of the bone on the other side; a bone of the middle is its own."""
+    flipped = bpy.utils.flip_name(skeleton.names[b])
+    return skeleton.names.index(flipped) if flipped in skeleton.names else b
+
+
+def mirror_partners(points: np.ndarray) -> np.ndarray:
+    """For each point (V, 3) the index of the one at its mirror image about x, or -1."""
+    tree = KDTree(len(points))
+    for index, point in enumerate(points):
+        tree.insert(point, index)
+    tree.balance()
+    tolerance = MIRROR_TOLERANCE * np.linalg.norm(np.ptp(points, axis=0))
+    found = [tree.find(point) for point in points * MIRROR.diagonal()[:3]]
+    return np.array([index if distance <= tolerance else -1 for _, index, distance in found])
+
+
+def mirrored_shape(shape: np.ndarray, partners: np.ndarray) -> np.ndarray:
+    """A displacement (V, 3) mirrored about x; zero at vertices without a partner."""
+    return shape[partners] * MIRROR.diagonal()[:3] * (partners >= 0)[:, None]
+
+
+# The armature ------------------------------------------------------------------------------------------------------
+
+
+def pose_rig(rig, skeleton: Skeleton, local: np.ndarray):
+    """Turn the bones of the armature so that, without constraints, they have the local transforms (B, 4, 4)."""
+    pose = [Matrix(matrix) for matrix in skeleton.pose(local)]
+    for b, (name, parent) in enumerate(zip(skeleton.names, skeleton.parents, strict=True)):
+        bone = rig.data.bones[name]
+        above = {"parent_matrix": pose[parent], "parent_matrix_local": bone.parent.matrix_local} if bone.parent else {}
+        # Blender's own conversion, because a bone may not inherit its parent's rotation or scale.
+        rig.pose.bones[name].matrix_basis = bone.convert_local_to_pose(pose[b], bone.matrix_local, invert=True, **above)
+
+
+def held_elsewhere(obj, skeleton: Skeleton, local: np.ndarray) -> list[str]:
+    """Bones that constraints or drivers keep more than a degree from the local transforms (B, 4, 4)."""
+    angles = turned(extract.current_pose(obj)[1], local)
+    return [name for name, angle in zip(skeleton.names, angles, strict=True) if angle > np.radians(1.0)]
+
+
+def selected_bones(rig) -> list[str]:
+    # 5.0 moved the selection from the bone to the pose bone.
+    return [bone.name for bone in rig.pose.bones if (bone if hasattr(bone, "select") else bone.bone).select]
+
+
+# Sculpting ---------------------------------------------------------------------------------------------------------
+
+
+def begin_sculpting(obj, block, mode: str):
+    """Show the shape key alone, in the pose as it is, and enter "SCULPT" or "EDIT" mode.
+
+    Blender carries strokes back through the Armature modifier, in Edit Mode if that shows there. Raises SceneError.
+    """
+    check_can_sculpt(obj)
+    if block.mute:
+        raise SceneError(f"Shape key '{block.name}' is muted and would not show: unmute it, or free the bake")
+    modifier, remembered = extract.armature_modifier(obj), obj.dynamorph.sculpt
+    remembered.active = True
+    remembered.was_posing = bpy.context.mode == "POSE"
+    remembered.was_pinned = obj.show_only_shape_key
+    remembered.in_editmode, remembered.on_cage = modifier.show_in_editmode, modifier.show_on_cage
+    _make_active(obj)
+    obj.show_only_shape_key = True
+    obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(block.name)
+    modifier.show_in_editmode = modifier.show_on_cage = True
+    bpy.ops.object.mode_set(mode=mode)
+
+
+def check_can_sculpt(obj):
+    """Raises SceneError."""
+    extract.check_mesh(obj)
+    if not obj.visible_get():
+        raise SceneError(f"'{obj.name}' is hidden: show it to sculpt")
+
+
+def finish_sculpting(obj):
+    """Leave the mode, and show what was shown before `begin_sculpting`."""
+    remembered, rig = obj.dynamorph.sculpt, rig_of(obj)
+    _make_active(obj)
+    obj.show_only_shape_key = remembered.was_pinned
+    for modifier in obj.modifiers:
+        if modifier.type == "ARMATURE":
+            modifier.show_in_editmode, modifier.show_on_cage = remembered.in_editmode, remembered.on_cage
+    if remembered.was_posing and rig and rig.visible_get():
+        _make_active(rig)
+        bpy.ops.object.mode_set(mode="POSE")
+    remembered.active = False
+
+
+def _make_active(obj):
+    """In Object Mode."""
+    objects = bpy.context.view_layer.objects
+    for other in (objects.active, obj):  # each may be in a mode of its own
+        objects.active = other
+        if other and other.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+    obj.select_set(True)

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A soft skin brought to another mesh on the same armature, such as another resolution of the body, or tight clothes.
+
+Both stand in the world as at rest: shape keys and vertex groups go by the nearest point of the source's Basis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from mathutils.bvhtree import BVHTree
+
+from . import extract, setups, targets
+from .extract import SceneError
+from .properties import key_points, rig_of
+from .scene_data import determinant, inverse
+
+
+@dataclass(frozen=True)
+class Copy:
+    """What one mesh of V vertices gets from another.
+
+    shapes: displacements (V, 3) in its local space by the name of their shape key; weights (V,) by the name of their
+    vertex group; distance: how far it is from the source's surface at most, in metres.
+    """
+
+    shapes: dict[str, np.ndarray]
+    weights: dict[str, np.ndarray]
+    distance: float
+
+
+def check(source, others, replace: bool):
+    """Raises SceneError unless the soft skin of `source` can be written to each of `others`."""
+    rig = extract.armature_modifier(source).object
+    names = [target.name for target in source.dynamorph.targets[1:]]
+    keys = source.data.shape_keys
+    gone = [name for name in names if keys is None or name not in keys.key_blocks]
+    if gone:
+        raise SceneError(f"'{source.name}': the shape key of target '{gone[0]}' is gone: remove the target")
+    for obj in (source, *others):
+        extract.check_mesh(obj)
+        if extract.armature_modifier(obj).object != rig:
+            raise SceneError(f"'{obj.name}' is moved by another armature: choose '{rig.name}' in its Armature modifier")
+    for obj in others:
+        if not (obj.is_editable and obj.data.is_editable):
+            raise SceneError(f"'{obj.name}' is linked: make it and its mesh local (Object > Relations > Make Local)")
+        if obj.dynamorph.targets and not replace:
+            raise SceneError(f"'{obj.name}' has a soft skin already: turn on Replace Soft Skins, or deselect it")
+        basis = obj.data.shape_keys and obj.data.shape_keys.reference_key.name
+        if basis in names:
+            raise SceneError(f"'{obj.name}': its Basis is called '{basis}' like a target: rename it")
+
+
+def copy(source, obj) -> Copy:
+    """The shapes and groups of the soft skin `source` for the mesh of `obj`. Reads only; raises SceneError."""
+    (from_basis, from_world), (to_basis, to_world) = _at_rest(source), _at_rest(obj)
+    triangles = extract.mesh_triangles(source.data)
+    found = nearest(_moved(to_basis, to_world), _moved(from_basis, from_world), triangles)
+    to_local = (inverse(to_world) @ from_world)[:3, :3]
+    groups = extract.VertexGroups(source)
+    names = _own_groups(source)
+    return Copy(
+        {
+            target.name: found.carry(extract.target_shape(source, target.name, groups)) @ to_local.T
+            for target in source.dynamorph.targets[1:]
+        },
+        dict(zip(names, found.carry(groups.weights(names)).T, strict=True)),
+        float(found.distances.max()),
+    )
+
+
+def write(obj, made: Copy, overwrite: bool):
+    """Make the shape keys and vertex groups; those there with the same name stay as they are unless `overwrite`."""
+    targets.ensure_basis(obj)
+    for name, shape in made.shapes.items():
+        block = obj.data.shape_keys.key_blocks.get(name)
+        if block is None:
+            targets.new_key(obj, name, shape)
+        elif overwrite:
+            targets.sculpt_anew(block, shape)
+    for name, weights in made.weights.items():
+        if overwrite or name not in obj.vertex_groups:
+            _write_group(obj, name, weights)
+    obj.data.update_tag()
+
+
+def size(obj) -> float:
+    """From corner to corner at rest, in metres. Raises SceneError."""
+    return float(np.linalg.norm(np.ptp(_moved(*_at_rest(obj)), axis=0)))
+
+
+def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
+    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now. Raises SceneError."""
+    world = np.array(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world)
+    if not np.isfinite(world).all() or determinant(world[:3, :3]) == 0:
+        raise SceneError(f"'{obj.name}' is scaled to zero, or has a transform that is not a number: check its scale")
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    if obj.data.shape_keys:
+        points = key_points(obj.data.shape_keys.reference_key)
+    else:
+        obj.data.attributes["position"].data.foreach_get("vector", points.ravel())
+    if not np.isfinite(points).all():
+        raise SceneError(f"'{obj.name}' has vertices whose coordinates are not numbers: delete or repair them")
+    return points.astype(np.float64), world
+
+
+def _moved(points: np.ndarray, world: np.ndarray) -> np.ndarray:
+    return points @ world[:3, :3].T + world[:3, 3]
+
+
+def _own_groups(source) -> list[str]:
+    """Names of the vertex groups that the soft skin uses, without those that tie the mesh to bones."""
+    settings = source.dynamorph
+    names = [getattr(settings, field) for field in setups.GROUPS] + [target.region for target in settings.targets]
+    skinned = {bone.name for bone in rig_of(source).data.bones if bone.use_deform}
+    return [name for name in dict.fromkeys(names) if name in source.vertex_groups and name not in skinned]
+
+
+def _write_group(obj, name: str, weights: np.ndarray):
+    group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+    group.remove(range(len(weights)))
+    for vertex in np.flatnonzero(weights).tolist():
+        group.add([vertex], weights[vertex], "REPLACE")
+
+
+# Nearest points of a surface ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """The nearest points of a triangle mesh to P points.
+
+    corners (P, 3): vertices of the triangle each lies on; weights (P, 3): its barycentric coordinates there;
+    distances (P,): to it.
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    distances: np.ndarray
+
+    def carry(self, values: np.ndarray) -> np.ndarray:
+        """The values (V, ...) of the mesh's vertices at the points: (P, ...)."""
+        return np.einsum("pc,pc...->p...", self.weights, values[self.corners])
+
+
+def nearest(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> SurfaceMap:
+    """points (P, 3), vertices (V, 3) in one space, all finite; triangles (T, 3), at least one.
+
+    A point that is a vertex of the mesh gets that vertex's values exactly.
+    """
+    centre = vertices.mean(axis=0)  # the tree has single precision
+    tree = BVHTree.FromPolygons((vertices - centre).tolist(), triangles.tolist(), all_triangles=True)
+    corners = triangles[[tree.find_nearest(point)[2] for point in (points - centre).tolist()]]
+    weights = _closest(points, vertices[corners])
+    return SurfaceMap(corners, weights, _distances(points, vertices[corners], weights))
+
+
+def _closest(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates (P, 3) of the points nearest to (P, 3) on triangles (P, 3, 3)."""
+    on_plane, on_edges = _on_plane(points, corners), _on_edges(points, corners)
+    # Where a triangle has next to no area, those on its plane are anything, or NaN.
+    nearer = _distances(points, corners, on_plane) <= _distances(points, corners, on_edges)
+    return np.where(((on_plane >= 0.0).all(axis=1) & nearer)[:, None], on_plane, on_edges)
+
+
+def _distances(points, corners, weights) -> np.ndarray:
+    return np.linalg.norm(np.einsum("pc,pcx->px", weights, corners) - points, axis=1)
+
+
+def _on_plane(points, corners) -> np.ndarray:
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    offset = points - corners[:, 0]
+    ff, fs, ss = _dot(first, first), _dot(first, second), _dot(second, second)
+    of, os = _dot(offset, first), _dot(offset, second)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = np.array([ss * of - fs * os, ff * os - fs * of]) / (ff * ss - fs * fs)
+        return np.stack([1.0 - u - v, u, v], axis=1)
+
+
+def _on_edges(points, corners) -> np.ndarray:
+    choices = np.zeros((3, *corners.shape[:2]))
+    for k in range(3):
+        start, edge = corners[:, k], corners[:, k - 2] - corners[:, k]
+        along = np.clip(_dot(points - start, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
+        choices[k, :, k], choices[k, :, k - 2] = 1.0 - along, along
+    distances = np.linalg.norm(np.einsum("kpc,pcx->kpx", choices, corners) - points, axis=-1)
+    return choices[distances.argmin(axis=0), np.arange(len(points))]
+
+
+def _dot(first, second) -> np.ndarray:
+    return np.einsum("px,px->p", first, second)

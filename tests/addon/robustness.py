@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the tests of robustness share: coarse bakes, the state that buttons may change, and how to press each button."""
+
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+from builders import activate, evaluated_points, fingerprint, part, rig_of
+from test_sinks import keys_of
+from test_targets import drive
+
+OPS = bpy.ops.dynamorph
+
+
+def coarse(obj):
+    """A cage that is built in a fraction of a second."""
+    obj.dynamorph.model.cage_nodes = 200
+    obj.dynamorph.model.modes = 6
+    obj.dynamorph.model.pin_radius = 0.5
+    return obj
+
+
+def bake(obj, **options):
+    job = part("jobs").Job(obj, goal="BAKE", **options)
+    part("jobs").run(job)
+    return job
+
+
+def names(obj):
+    return [block.name for block in keys_of(obj).key_blocks]
+
+
+def motion(obj, frames=(1, 7, 13, 20)):
+    """Where Blender shows the mesh at some frames."""
+    shown = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        shown.append(evaluated_points(obj))
+    return np.array(shown)
+
+
+def settings(group):
+    """All properties of a property group, and of the groups in it, as comparable data."""
+    out = {}
+    for prop in group.bl_rna.properties:
+        value = getattr(group, prop.identifier)
+        if prop.identifier == "rna_type":
+            continue
+        if prop.type == "COLLECTION":
+            value = [settings(item) for item in value]
+        elif isinstance(value, bpy.types.PropertyGroup):
+            gone = isinstance(value, part("properties").DynamorphKey) and not value.name
+            value = None if gone else settings(value)  # of a key that is not there it does not matter what it was
+        elif prop.type == "POINTER":
+            value = value and value.name
+        elif getattr(prop, "is_array", False):
+            value = tuple(value)
+        out[prop.identifier] = value
+    return out
+
+
+def plain(data):
+    """The simple properties of a modifier, say."""
+    given = {prop.identifier: getattr(data, prop.identifier) for prop in data.bl_rna.properties}
+    return {name: value for name, value in given.items() if isinstance(value, bool | int | float | str)}
+
+
+def state():
+    """All that a button of the add-on may change, of every mesh and rig of the scene."""
+    out = {"frame": bpy.context.scene.frame_current, "active": bpy.context.object and bpy.context.object.name}
+    for obj in bpy.context.scene.objects:
+        mine = out[obj.name] = {"mode": obj.mode, "world": [tuple(row) for row in obj.matrix_world]}
+        if obj.type == "ARMATURE":
+            mine["pose"] = [tuple(map(tuple, bone.matrix_basis)) for bone in obj.pose.bones]
+            mine["segments"] = [bone.bbone_segments for bone in obj.data.bones]
+        if obj.type == "MESH":
+            mine["settings"] = settings(obj.dynamorph)
+            mine["modifiers"] = [plain(modifier) for modifier in obj.modifiers]
+            mine["pinned"] = obj.show_only_shape_key
+            mine["model"] = obj.get(part("jobs").PACKED)
+            mine["keys"] = fingerprint(obj) if keys_of(obj) else None
+            mine["groups"] = obj.vertex_groups.keys()
+            mine["weights"] = [[(g.group, g.weight) for g in vertex.groups] for vertex in obj.data.vertices]
+    return out
+
+
+# Every button ------------------------------------------------------------------------------------------------------
+
+
+def no_soft_skin(obj):
+    obj.dynamorph.targets.clear()
+
+
+def target_selected(obj):
+    obj.dynamorph.active_target_index = 1
+
+
+def posed(obj):
+    target_selected(obj)
+    rig_of(obj).pose.bones["upper"].rotation_euler.y = 0.7
+    bpy.context.view_layer.update()
+
+
+def bones_selected(obj):
+    target_selected(obj)
+    for bone in rig_of(obj).pose.bones:
+        (bone if hasattr(bone, "select") else bone.bone).select = bone.name == "upper"
+
+
+def two_targets(obj):
+    posed(obj)
+    OPS.add_target(key="smile")
+    target_selected(obj)
+
+
+def two_sides(obj):
+    """A bone on the other side, and a target whose name says its side."""
+    rig = rig_of(obj)
+    activate(rig)
+    bpy.ops.object.mode_set(mode="EDIT")
+    rig.data.edit_bones["lower"].name = "lower.L"
+    other = rig.data.edit_bones.new("lower.R")
+    other.head, other.tail, other.parent = (0, 0, 1), (0, 0, 2), rig.data.edit_bones["upper"]
+    bpy.ops.object.mode_set(mode="OBJECT")
+    activate(obj)
+    keys_of(obj).key_blocks["flexed"].name = "flexed.L"
+    target_selected(obj)
+
+
+def driven(obj):
+    drive(obj, "smile", "angle", angle=("ROT_X", "upper"))
+
+
+def preserving_volume(obj):
+    obj.modifiers["Armature"].use_deform_preserve_volume = True
+
+
+def sculpting(obj):
+    target_selected(obj)
+    OPS.sculpt_target(mode="SCULPT")
+
+
+def built(obj):
+    target_selected(obj)
+    OPS.build()
+
+
+def baked(obj):
+    OPS.bake()
+
+
+def captured_on_the_way(obj):
+    """So that the end of the shot is far from the target."""
+    target_selected(obj)
+    bpy.context.scene.frame_set(8)
+    OPS.capture_pose()
+    bpy.context.scene.frame_set(1)
+
+
+def gained(obj):
+    built(obj)
+    obj.dynamorph.modes[1].gain = 2.0
+
+
+def two_slots(obj):
+    OPS.copy_slot()
+    obj.dynamorph.targets[0].stiffness *= 2.0
+
+
+def setup_saved(obj):
+    OPS.save_setup(filepath=SETUP)
+    obj.dynamorph.targets[0].stiffness *= 2.0
+
+
+def preset_saved(obj):
+    target_selected(obj)
+    PRESET.write_text("import bpy\nbpy.context.object.dynamorph.active_target.stiffness = 777.0\n")
+
+
+def other_mesh_selected(obj):
+    other = bpy.data.objects.new("Sleeve", obj.data.copy())
+    bpy.context.scene.collection.objects.link(other)
+    other.shape_key_clear()
+    for group in obj.vertex_groups:
+        other.vertex_groups.new(name=group.name)
+    other.modifiers.new("Armature", "ARMATURE").object = rig_of(obj)
+    other.select_set(True)
+    obj.select_set(True)
+
+
+FOLDER = Path(tempfile.mkdtemp(prefix="dynamorph_test_"))
+SETUP, PRESET = str(FOLDER / "setup.json"), FOLDER / "preset.py"
+
+
+CALLS = {  # what a button needs before it, and what it is given
+    "add_soft_skin": (no_soft_skin, {}),
+    "add_target": (posed, {"key": "smile"}),
+    "apply_material": (target_selected, {"preset": "FAT"}),
+    "bake": (target_selected, {}),
+    "bake_all": (target_selected, {}),
+    "build": (target_selected, {}),
+    "build_cage": (target_selected, {}),
+    "capture_pose": (posed, {}),
+    "check_targets": (built, {}),
+    "copy_slot": (target_selected, {}),
+    "copy_to_selected": (other_mesh_selected, {}),
+    "duplicate_target": (target_selected, {}),
+    "finish_sculpt": (sculpting, {}),
+    "fit_material": (built, {"frequency": 5.0, "settle": 0.5}),
+    "fix": (preserving_volume, {"problem": "PRESERVE_VOLUME"}),
+    "free_bake": (baked, {}),
+    "go_to_pose": (target_selected, {}),
+    "live": (built, {}),
+    "load_preset": (preset_saved, {"filepath": str(PRESET), "menu_idname": "DYNAMORPH_PT_material_presets"}),
+    "load_setup": (setup_saved, {"filepath": SETUP}),
+    "mirror_target": (two_sides, {}),
+    "move_target": (two_targets, {"direction": "DOWN"}),
+    "new_from_pose": (posed, {"key": "Bent"}),
+    "paint_group": (target_selected, {"which": "SOFT"}),
+    "remove_bone": (target_selected, {"bone": "lower"}),
+    "remove_target": (target_selected, {}),
+    "reset_gains": (gained, {}),
+    "sculpt_target": (target_selected, {}),
+    "select_key": (target_selected, {}),
+    "suggest_pose": (captured_on_the_way, {}),
+    "suggest_targets": (driven, {}),
+    "swap_slot": (two_slots, {}),
+    "use_selected_bones": (bones_selected, {}),
+}
+CHANGING_NOTHING = {  # of what is saved and undone
+    "cancel": (target_selected, {}),
+    "material_preset": (target_selected, {"name": "Test"}),
+    "play_mode": (built, {}),
+    "save_setup": (target_selected, {"filepath": SETUP}),
+    "setup_preset": (target_selected, {"name": "Test"}),
+    "shake_test": (built, {"kind": "TWIST"}),
+    "update_influence": (target_selected, {}),
+}

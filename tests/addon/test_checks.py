@@ -1,0 +1,414 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in the way is named, and what a button can put right it does; the cage and its painted groups."""
+
+import bpy
+import numpy as np
+import pytest
+import scenes
+from builders import activate, make_mesh, make_rig, part, refused, rig_of
+from layout import drawn
+from test_extract import (
+    absolute_keys,
+    bendy,
+    edit_mode,
+    empty_armature_modifier,
+    envelopes,
+    hidden_modifier,
+    no_armature,
+    no_keys,
+    preserve_volume,
+    rest_position,
+    subdivided_first,
+)
+
+OPS = bpy.ops.dynamorph
+
+
+def found(obj):
+    checks = part("checks")
+    return [*checks.problems(obj), *checks.next_steps(obj), *checks.notes(obj)]
+
+
+def fixes(obj):
+    return [problem.fix for problem in found(obj) if problem.fix]
+
+
+# What a button puts right ------------------------------------------------------------------------------------------
+
+
+def rig_in_edit_mode(obj):
+    activate(rig_of(obj))
+    bpy.ops.object.mode_set(mode="EDIT")
+    activate(obj)
+
+
+def disabled_armature(obj):
+    rig_of(obj).hide_viewport = True
+
+
+def multi_modifier(obj):
+    obj.modifiers["Armature"].use_multi_modifier = True
+
+
+def envelope_multiply(obj):
+    for bone in rig_of(obj).data.bones:
+        bone.use_envelope_multiply = True
+
+
+def shared_mesh(obj):
+    other = bpy.data.objects.new("Other", obj.data)
+    bpy.context.scene.collection.objects.link(other)
+
+
+def pinned_key(obj):
+    obj.show_only_shape_key = True
+
+
+PUT_RIGHT = [
+    (edit_mode, "LEAVE_EDIT_MODE"),
+    (rig_in_edit_mode, "LEAVE_EDIT_MODE"),
+    (rest_position, "POSE_POSITION"),
+    (disabled_armature, "ENABLE_ARMATURE"),
+    (hidden_modifier, "ENABLE_MODIFIER"),
+    (preserve_volume, "PRESERVE_VOLUME"),
+    (envelopes, "ENVELOPES"),
+    (multi_modifier, "MULTI_MODIFIER"),
+    (bendy, "BENDY_BONES"),
+    (envelope_multiply, "ENVELOPE_MULTIPLY"),
+    (subdivided_first, "MOVE_BELOW"),
+    (absolute_keys, "RELATIVE_KEYS"),
+    (no_armature, "ADD_ARMATURE"),
+    (empty_armature_modifier, "ADD_ARMATURE"),
+    (shared_mesh, "SINGLE_USER"),
+    (pinned_key, "UNPIN"),
+]
+
+
+@pytest.mark.parametrize("spoil, fix", PUT_RIGHT, ids=lambda value: getattr(value, "__name__", ""))
+def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):
+    before = part("extract").character(soft_arm)
+    spoil(soft_arm)
+    assert fixes(soft_arm) == [fix]
+    assert drawn(soft_arm).count("dynamorph.fix") == 1
+    bpy.ops.ed.undo_push(message="spoiled")
+    assert OPS.fix(problem=fix) == {"FINISHED"}
+    assert found(soft_arm) == [] and "dynamorph.fix" not in drawn(soft_arm)
+    after = part("extract").character(soft_arm)
+    for name in ("vertices", "weights", "to_bind", "bone_segments"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    bpy.ops.ed.undo_push(message="fixed")
+    bpy.ops.ed.undo()
+    if fix != "LEAVE_EDIT_MODE":  # Blender undoes within Edit Mode by other steps
+        assert fixes(bpy.data.objects["Arm"]) == [fix]
+
+
+def test_every_fix_is_tried_here():
+    tried = {fix for _, fix in PUT_RIGHT} | {"ADD_BASIS"}
+    assert tried == set(part("setup_operators").FIXES)
+
+
+def test_a_missing_basis_is_added(soft_arm):
+    no_keys(soft_arm)
+    assert fixes(soft_arm) == ["ADD_BASIS"]
+    OPS.fix(problem="ADD_BASIS")
+    assert soft_arm.data.shape_keys.reference_key.name == "Basis"
+    assert [problem.text for problem in found(soft_arm)] == [
+        "'Arm': the shape key of target 'flexed' is gone: remove the target"
+    ]
+
+
+def test_fixes_without_their_problem_do_nothing(soft_arm):
+    for fix in part("setup_operators").FIXES:
+        refused(OPS.fix, "does not have this problem", problem=fix)
+    assert len(soft_arm.modifiers) == 1 and len(soft_arm.data.shape_keys.key_blocks) == 3
+
+
+def test_moving_below_keeps_the_order_of_the_others(soft_arm):
+    for name, kind in (("Mirror", "MIRROR"), ("Squeeze", "CAST"), ("Subdivision", "SUBSURF")):
+        soft_arm.modifiers.new(name, kind)
+        soft_arm.modifiers.move(len(soft_arm.modifiers) - 1, len(soft_arm.modifiers) - 2)
+    soft_arm.modifiers.new("Last", "SUBSURF")
+    assert [m.name for m in soft_arm.modifiers] == ["Mirror", "Squeeze", "Subdivision", "Armature", "Last"]
+    OPS.fix(problem="MOVE_BELOW")
+    assert [m.name for m in soft_arm.modifiers] == ["Squeeze", "Armature", "Mirror", "Subdivision", "Last"]
+    assert [problem.text for problem in found(soft_arm)] == [
+        "'Arm': modifier 'Squeeze' before the Armature is not simulated"
+    ]
+
+
+def test_the_armature_is_found_by_parent_or_by_bones_of_the_groups_names(scene, arm):
+    checks = part("checks")
+    other = make_rig(scene, "Other", bones=1)
+    activate(arm)
+    no_armature(arm)
+    assert checks.armature_for(arm) is None and fixes(arm) == []  # either may be meant
+    assert not OPS.add_soft_skin.poll() and "dynamorph.add_soft_skin" in drawn(arm)
+    arm.parent = other
+    assert checks.armature_for(arm) == other
+    arm.parent_type, arm.parent_bone = "BONE", "upper"  # moves with it already
+    assert checks.armature_for(arm) is None
+    arm.parent = None
+    other.data.bones["upper"].name = "pole"
+    assert checks.armature_for(arm) == bpy.data.objects["Arm Rig"]
+    arm.modifiers.new("Subdivision", "SUBSURF")
+    OPS.fix(problem="ADD_ARMATURE")
+    assert [m.name for m in arm.modifiers] == ["Armature", "Subdivision"] and OPS.add_soft_skin.poll()
+
+
+def test_a_linked_armature_is_left_alone(scene, soft_arm, tmp_path):
+    rest_position(soft_arm)
+    bendy(soft_arm)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "arm.blend"), link=True) as (_, data):
+        data.objects = ["Arm"]
+    obj = data.objects[0].make_local()
+    bpy.context.scene.collection.objects.link(obj)
+    activate(obj)
+    for fix in fixes(obj):
+        refused(OPS.fix, "Armature 'Arm Rig' is linked.*make it local", problem=fix)
+    assert fixes(obj) == ["POSE_POSITION", "BENDY_BONES"]
+
+
+# Order, cost, and the button that begins ---------------------------------------------------------------------------
+
+
+def test_problems_come_in_the_order_of_work(soft_arm):
+    for spoil in (pinned_key, absolute_keys, bendy, rest_position, preserve_volume, subdivided_first, edit_mode):
+        spoil(soft_arm)
+    assert fixes(soft_arm) == [
+        "LEAVE_EDIT_MODE", "MOVE_BELOW", "PRESERVE_VOLUME", "POSE_POSITION", "BENDY_BONES", "RELATIVE_KEYS", "UNPIN",
+    ]  # fmt: skip
+    while fixes(soft_arm):
+        OPS.fix(problem=fixes(soft_arm)[0])
+    assert found(soft_arm) == []
+
+
+def test_drawing_reads_no_points_and_no_weights(soft_arm, monkeypatch):
+    checks = part("checks")
+    monkeypatch.setattr(checks, "key_points", None)
+    monkeypatch.setattr(part("extract").VertexGroups, "__init__", None)
+    assert found(soft_arm) == [] and checks.outgrown(soft_arm) == ""
+
+
+def test_nothing_but_the_button_where_nothing_is_wrong(arm):
+    assert drawn(arm) == ["dynamorph.add_soft_skin"]
+    assert len(drawn(make_mesh(bpy.context.scene, "Stone", *scenes.tube()))) > 1
+
+
+def added(obj):
+    """The warnings of Add Soft Skin."""
+
+    class Add(part("operators").SoftSkinOperator):
+        apply = part("setup_operators").DYNAMORPH_OT_add_soft_skin.apply
+        warnings = []
+
+        def report(self, kind, text):
+            assert kind == {"WARNING"}
+            self.warnings.append(text)
+
+    Add().apply(obj)
+    return Add.warnings
+
+
+def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
+    for spoil in (preserve_volume, rest_position, bendy):
+        spoil(arm)
+    for group in arm.vertex_groups:
+        group.remove([3, 4, 5])
+    arm.scale = (100.0, 100.0, 100.0)
+    bpy.context.view_layer.update()
+    warnings = " ".join(added(arm))
+    for words in (
+        "Preserve Volume",
+        "rest position",
+        "bendy",
+        " m long: check the scale",
+        "3 of the 272 vertices of 'Arm' have no",
+    ):
+        assert words in warnings
+    assert len(arm.dynamorph.targets) == 1
+
+
+def test_a_sound_mesh_is_added_without_a_word(arm):
+    assert added(arm) == []
+
+
+def test_a_soft_skin_is_added_in_edit_mode(arm):
+    arm.shape_key_clear()
+    edit_mode(arm)
+    assert added(arm) == ["'Arm' is in Edit Mode: leave it first"]
+    assert fixes(arm) == ["LEAVE_EDIT_MODE", "ADD_BASIS"]
+    for fix in fixes(arm):
+        OPS.fix(problem=fix)
+    assert [problem.text for problem in found(arm)] == [
+        "'Arm' has no targets: select a shape key, pose the armature and press Add Target"
+    ]
+
+
+def test_vertices_that_stay_behind_are_counted(soft_arm):
+    extract = part("extract")
+    for group in soft_arm.vertex_groups:
+        group.remove([3, 4, 5])
+    (warning,) = extract.warnings(soft_arm, extract.character(soft_arm))
+    assert warning.startswith("3 of the 272 vertices of 'Arm' have no bone weight: they stay behind")
+
+
+# The mesh edited after the build -----------------------------------------------------------------------------------
+
+
+def test_a_mesh_with_other_vertices_is_built_again_and_loses_nothing(soft_arm, stand_in):
+    OPS.build()
+    assert part("checks").outgrown(soft_arm) == ""
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.mesh.subdivide()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    texts = drawn(soft_arm)
+    assert f"'Arm' has {len(soft_arm.data.vertices)} vertices now, its model was built for 272." in " ".join(texts)
+    assert texts.count("dynamorph.build") == 2
+    assert [target.name for target in soft_arm.dynamorph.targets] == ["Neutral", "flexed"]
+    assert soft_arm.dynamorph.model.content_id
+    OPS.build()
+    assert part("checks").outgrown(soft_arm) == "" and drawn(soft_arm).count("dynamorph.build") == 1
+
+
+# The cage ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def coarse_arm(arm):
+    """A soft skin without targets, with a coarse cage that builds in a second."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    activate(arm)
+    OPS.add_soft_skin()
+    arm.dynamorph.model.cage_nodes = 200
+    arm.dynamorph.model.modes = 6
+    return arm
+
+
+def with_target(obj):
+    bpy.context.scene.frame_set(20)
+    OPS.add_target(key="flexed")
+    bpy.context.scene.frame_set(1)
+
+
+def test_cage_then_model_then_bake(coarse_arm):
+    jobs, record = part("jobs"), coarse_arm.dynamorph.model
+    refused(OPS.build, "has no targets")
+    assert OPS.build_cage() == {"FINISHED"}
+    cage = jobs.load_model(coarse_arm)
+    assert 150 < len(cage.nodes) < 250 and 0 < cage.pinned.sum() < len(cage.nodes)
+    assert record.cage.startswith(f"{len(cage.nodes)} nodes, {len(cage.tets)} tetrahedra, ")
+    assert record.cage in " ".join(drawn(coarse_arm)) and record.stale == "only the cage is built"
+    with_target(coarse_arm)
+    assert jobs.stale_reasons(coarse_arm, part("extract").character(coarse_arm)) == ["only the cage is built"]
+    with pytest.raises(part("extract").SceneError, match="only the cage is built.*press Build Model"):
+        jobs.fit_input(coarse_arm, coarse_arm.dynamorph.targets[1])
+    assert OPS.bake() == {"FINISHED"}
+    np.testing.assert_array_equal(jobs.load_model(coarse_arm).tets, cage.tets)
+    assert record.stale == "" and len(coarse_arm.dynamorph.bake.keys) > 0
+
+
+def test_a_finished_model_outlives_build_cage(coarse_arm):
+    jobs, record = part("jobs"), coarse_arm.dynamorph.model
+    with_target(coarse_arm)
+    OPS.build()
+    content_id, summary = record.content_id, record.summary
+    job = jobs.Job(coarse_arm, goal="BUILD_CAGE")
+    jobs.run(job)
+    assert job.summary() == "the cage is up to date"
+    assert (record.content_id, record.summary, record.stale) == (content_id, summary, "")
+    record.cage_nodes = 300
+    OPS.build_cage()
+    assert record.content_id != content_id and record.summary == "" and record.stale == "only the cage is built"
+
+
+def test_fitting_to_the_shot_needs_no_shot_for_the_cage(coarse_arm):
+    with_target(coarse_arm)
+    coarse_arm.dynamorph.model.fit_to_shot = True
+    job = part("jobs").Job(coarse_arm, goal="BUILD_CAGE")
+    job.prepare()
+    assert job.rig is None
+
+
+# Painted groups ----------------------------------------------------------------------------------------------------
+
+
+def weights(obj, name):
+    return part("extract").group_weights(obj, [name])[:, 0]
+
+
+@pytest.mark.parametrize("which, name, start", [("SOFT", "Soft", 1.0), ("STIFFNESS", "Stiffness", 0.0)])
+@pytest.mark.parametrize("mode", ["OBJECT", "SCULPT", "EDIT"])
+def test_paint_and_back(soft_arm, which, name, start, mode):
+    bpy.ops.object.mode_set(mode=mode)
+    groups = [*soft_arm.vertex_groups.keys()]
+    assert OPS.paint_group(which=which) == {"FINISHED"}
+    assert soft_arm.mode == "WEIGHT_PAINT" and soft_arm.vertex_groups.active.name == name
+    assert [*soft_arm.vertex_groups.keys()] == [*groups, name]
+    assert getattr(soft_arm.dynamorph, name.lower() + "_group") == name
+    assert (weights(soft_arm, name) == start).all()
+    assert OPS.paint_group(which=which) == {"FINISHED"}
+    assert soft_arm.mode == mode
+    OPS.paint_group(which=which)  # the group that is there
+    assert [*soft_arm.vertex_groups.keys()] == [*groups, name]
+
+
+def test_paint_from_pose_mode_and_back(soft_arm):
+    rig = rig_of(soft_arm)
+    activate(rig)
+    bpy.ops.object.mode_set(mode="POSE")
+    OPS.paint_group(which="SOFT")
+    assert bpy.context.object == soft_arm and soft_arm.mode == "WEIGHT_PAINT"
+    OPS.paint_group(which="STIFFNESS")
+    assert soft_arm.mode == "WEIGHT_PAINT" and soft_arm.vertex_groups.active.name == "Stiffness"
+    OPS.paint_group(which="STIFFNESS")
+    assert bpy.context.object == rig and rig.mode == "POSE" and soft_arm.mode == "OBJECT"
+    activate(soft_arm)
+    OPS.paint_group(which="SOFT")
+    OPS.paint_group(which="SOFT")
+    assert bpy.context.object == soft_arm and soft_arm.mode == "OBJECT"
+
+
+def test_a_hidden_mesh_is_not_painted(soft_arm):
+    activate(rig_of(soft_arm))
+    soft_arm.hide_viewport = True
+    refused(OPS.paint_group, "'Arm' is hidden: show it")
+    assert "Soft" not in soft_arm.vertex_groups
+
+
+def test_stiffness_group(soft_arm):
+    extract = part("extract")
+    np.testing.assert_array_equal(extract.character(soft_arm).stiffness, 1.0)
+    soft_arm.vertex_groups.new(name="Firm").add([1, 2], 0.5, "REPLACE")
+    soft_arm.vertex_groups["Firm"].add([3], 1.0, "REPLACE")
+    soft_arm.dynamorph.stiffness_group = "Firm"
+    soft_arm.dynamorph.stiffness_factor = 9.0
+    stiffness = extract.character(soft_arm).stiffness
+    np.testing.assert_allclose(stiffness[:5], [1.0, 3.0, 3.0, 9.0, 1.0])
+    soft_arm.dynamorph.stiffness_factor = float("nan")
+    with pytest.raises(extract.SceneError, match="Factor of the Stiffness group is not a number"):
+        extract.character(soft_arm)
+    soft_arm.dynamorph.stiffness_group = "Gone"
+    soft_arm.dynamorph.stiffness_factor = 4.0
+    with pytest.raises(extract.SceneError, match="'Arm'.*'Gone' for Stiffness is gone"):
+        extract.character(soft_arm)
+
+
+def test_painting_makes_the_model_old(coarse_arm):
+    with_target(coarse_arm)
+    OPS.build()
+    OPS.paint_group(which="STIFFNESS")
+    assert part("changes").model_changes(coarse_arm) == ["Stiffness group changed"]
+    OPS.paint_group(which="STIFFNESS")
+    OPS.bake()
+    assert part("changes").model_changes(coarse_arm) == []  # nothing is painted
+    OPS.paint_group(which="STIFFNESS")
+    coarse_arm.vertex_groups["Stiffness"].add([*range(100)], 1.0, "REPLACE")
+    OPS.paint_group(which="STIFFNESS")
+    assert coarse_arm.dynamorph.model.stale == "Stiffness vertex group changed"
+    OPS.build()
+    model = part("jobs").load_model(coarse_arm)
+    assert model.stiffness.min() == pytest.approx(1.0, rel=0.1)
+    assert model.stiffness.max() == pytest.approx(4.0, rel=0.1) and (model.stiffness <= 4.0 + 1e-12).all()

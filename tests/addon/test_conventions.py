@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What all of the interface has in common: names, descriptions, texts that can be translated."""
+
+import inspect
+
+import bpy
+import pytest
+from builders import MODULE, part
+
+
+def ours(*kinds):
+    """The registered classes of the add-on of these kinds, whichever module they are in."""
+    found, pending = set(), list(kinds)
+    while pending:
+        for kind in pending.pop().__subclasses__():
+            pending.append(kind)
+            if kind.__module__.startswith(MODULE) and getattr(kind, "is_registered", False):
+                found.add(kind)
+    return sorted(found, key=lambda kind: kind.__name__)
+
+
+def rna(kind):
+    """What Blender knows of a class; of an operator that is not in the class."""
+    if not issubclass(kind, bpy.types.Operator):
+        return kind.bl_rna
+    module, name = kind.bl_idname.split(".")
+    return getattr(getattr(bpy.ops, module), name).get_rna_type()
+
+
+def own_properties(kind):
+    """Its properties, without those that come from Blender's own classes."""
+    foreign = [base for base in kind.__mro__ if not base.__module__.startswith(MODULE)]
+    inherited = {"rna_type", "name"}.union(*map(inspect.get_annotations, foreign), *map(dir, foreign))
+    return [prop for prop in rna(kind).properties if prop.identifier not in inherited and prop.identifier[:3] != "bl_"]
+
+
+def is_good_description(text):
+    return len(text.split()) > 1 and not text.endswith(".") and text[0].isupper() and "\n" not in text
+
+
+@pytest.fixture
+def operators(addon):
+    return ours(bpy.types.Operator)
+
+
+def test_operators_are_found(operators):
+    names = {operator.bl_idname for operator in operators}
+    assert {"dynamorph.bake", "dynamorph.save_setup", "dynamorph.add_target"} <= names
+    assert len(names) == len(operators)
+
+
+def test_every_operator_has_a_label_that_makes_sense_alone(operators):
+    """In the search, which leaves out those that are internal, there is no panel around it."""
+    found = [operator for operator in operators if "INTERNAL" not in getattr(operator, "bl_options", ())]
+    assert not [operator.bl_idname for operator in found if len(operator.bl_label.split()) < 2]
+    labels = [operator.bl_label for operator in operators]
+    assert len(set(labels)) == len(labels)
+
+
+def test_every_operator_has_a_description(operators):
+    texts = {operator.bl_idname: rna(operator).description for operator in operators}
+    assert {name: text for name, text in texts.items() if not is_good_description(text)} == {}
+
+
+def test_every_property_has_a_description(addon):
+    kinds = ours(bpy.types.Operator, bpy.types.PropertyGroup, bpy.types.AddonPreferences)
+    assert {
+        f"{kind.__name__}.{prop.identifier}": prop.description
+        for kind in kinds
+        for prop in own_properties(kind)
+        if not is_good_description(prop.description)
+    } == {}
+
+
+def test_names_are_in_title_case(operators):
+    small = {"a", "an", "and", "at", "by", "for", "from", "in", "of", "on", "or", "the", "to", "with"}
+    for operator in operators:
+        assert [w for w in operator.bl_label.split() if w[0].islower() and w not in small] == [], operator.bl_label
+
+
+def test_operators_that_change_data_are_undone(operators):
+    """All but those that only write files, start or stop something, or look at the animation."""
+    without = {operator.bl_idname for operator in operators if "UNDO" not in getattr(operator, "bl_options", ())}
+    assert without <= {
+        "dynamorph.cancel",
+        "dynamorph.play_mode",
+        "dynamorph.save_setup",
+        "dynamorph.shake_test",
+        "dynamorph.material_preset",
+        "dynamorph.setup_preset",
+        "dynamorph.update_influence",
+    }
+
+
+def test_there_are_no_key_bindings(addon):
+    configurations = bpy.context.window_manager.keyconfigs
+    for configuration in filter(None, (configurations.addon, configurations.user)):
+        for keymap in configuration.keymaps:
+            assert not [item.idname for item in keymap.keymap_items if item.idname.startswith("dynamorph.")]
+
+
+# Translation: Blender translates literal texts itself; those that are formatted go through its functions first. The
+# wheels come without languages, so that these functions are replaced here.
+
+
+def translate(monkeypatch, module, function, texts):
+    monkeypatch.setattr(part(module), function, lambda text: texts.get(text, text))
+
+
+def test_reports_can_be_translated(soft_arm, monkeypatch, tmp_path, capfd):
+    german = {"Setup of '{name}' saved as '{file}'": "'{file}' enthält die Einstellungen von '{name}'"}
+    translate(monkeypatch, "transfer_operators", "rpt_", german)
+    bpy.ops.dynamorph.save_setup(filepath=str(tmp_path / "arm.json"))
+    assert "'arm.json' enthält die Einstellungen von 'Arm'" in capfd.readouterr().out
+
+
+def test_labels_can_be_translated(addon, monkeypatch):
+    preferences = part("preferences")
+    translate(monkeypatch, "preferences", "iface_", {"Engine: version {version}": "Rechenkern {version}"})
+    monkeypatch.setattr(preferences.metadata, "version", lambda _name: "1.2.3")
+    assert preferences._engine_version() == "Rechenkern 1.2.3"

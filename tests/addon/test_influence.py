@@ -1,0 +1,551 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much each target counts, now and over the frames; what is drawn of it and of the cage; the artist's units."""
+
+import types
+from math import degrees, pi, radians
+
+import bpy
+import gpu
+import numpy as np
+import pytest
+from builders import activate, add_key, evaluated_points, part, rig_of
+from layout import drawn
+from mathutils import Matrix
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+OPS = bpy.ops.dynamorph
+
+
+def now(obj):
+    return part("influence").weights_now(obj, bpy.context.evaluated_depsgraph_get())
+
+
+def over(obj, start=1, end=20):
+    return part("influence").curves(obj, start, end)
+
+
+def bend_of(frame):
+    """Radians at the elbow of `make_arm`."""
+    curve = rig_of(bpy.data.objects["Arm"]).animation_data.action.layers[0].strips[0].channelbags[0].fcurves
+    return next(c for c in curve if c.array_index == 0).evaluate(frame)
+
+
+# Weights -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_pose_now(scene, soft_arm):
+    """The linear kernel between two targets: weight and distance follow the angle."""
+    for frame in (1, 7, 20):
+        scene.frame_set(frame)
+        found, angle = now(soft_arm), bend_of(frame)
+        np.testing.assert_allclose(found.weights, [[1 - angle / (pi / 2), angle / (pi / 2)]], atol=1e-5)
+        np.testing.assert_allclose(found.nearest, [[min(angle, pi / 2 - angle)]], atol=1e-5)
+        assert found.limits == pytest.approx([1.1 * pi / 4]) and not found.outside.any()
+
+
+def test_what_an_artist_changes_shows_at_once(scene, soft_arm):
+    flexed = soft_arm.dynamorph.targets[1]
+    scene.frame_set(12)
+    between = now(soft_arm).weights[0, 1]
+    assert 0.3 < between < 0.9
+    flexed.radius = radians(10.0)
+    assert now(soft_arm).weights[0, 1] == 0.0
+    flexed.radius = 0.0
+    assert now(soft_arm).weights[0, 1] == between
+    soft_arm.dynamorph.active_target_index = 1
+    OPS.capture_pose()
+    assert now(soft_arm).weights[0, 1] == pytest.approx(1.0)
+    flexed.mute = True
+    assert now(soft_arm).weights.tolist() == [[1.0]]
+    flexed.mute = False
+    rig_of(soft_arm).data.bones["lower"].name = "forearm"
+    bpy.context.view_layer.update()
+    assert now(soft_arm).weights[0, 1] == pytest.approx(1.0)
+
+
+def test_it_is_what_a_bake_uses(scene, soft_arm):
+    """The same weights as the simulation's, with a region and a radius, at every frame."""
+    scene.frame_set(10)
+    OPS.add_target(key="smile")
+    soft_arm.dynamorph.targets[2].region = "upper"
+    soft_arm.dynamorph.targets[1].radius = radians(60.0)
+    extract, simulate = part("extract"), part("simulate")
+    character = extract.character(soft_arm)
+    pose = extract.sample_rig(soft_arm, 1, 20, 1).pose
+    expected = simulate.pose_space(character).weights(character.skeleton.local_transforms(pose))
+    found = over(soft_arm)
+    np.testing.assert_array_equal(found.weights, expected)
+    assert [target_set.name for target_set in found.sets] == ["Arm", "upper"]
+    assert found.by_set() == [(0, range(0, 2)), (1, range(2, 4))]
+    for frame in (1, 6, 20):
+        scene.frame_set(frame)
+        np.testing.assert_allclose(now(soft_arm).weights[0], expected[frame - 1], atol=1e-6)
+
+
+def test_poses_that_cannot_be_told_apart_are_named(scene, soft_arm):
+    scene.frame_set(20)
+    OPS.add_target(key="smile")
+    with pytest.raises(Exception, match="'flexed' and 'smile' have the same pose") as error:
+        now(soft_arm)
+    assert isinstance(error.value, part("jobs").expected_errors())
+    assert "have the same pose" in " ".join(drawn(soft_arm))
+
+
+# Over the frames ---------------------------------------------------------------------------------------------------
+
+
+def test_curves_reach_over_the_frames_and_leave_the_scene_alone(scene, soft_arm):
+    scene.frame_set(5)
+    known = {kind: sorted(thing.name for thing in getattr(bpy.data, kind)) for kind in ("scenes", "objects", "actions")}
+    found = over(soft_arm, 3, 18)
+    angles = np.array([bend_of(frame) for frame in range(3, 19)])
+    np.testing.assert_allclose(found.weights[:, 1], angles / (pi / 2), atol=1e-5)
+    assert scene.frame_current == 5
+    assert known == {kind: sorted(t.name for t in getattr(bpy.data, kind)) for kind in known}
+
+
+def test_what_is_drawn_follows_poses_without_looking_at_the_frames_again(soft_arm, monkeypatch):
+    influence, extract = part("influence"), part("extract")
+    influence.shots.clear()
+    assert influence.drawn(soft_arm) is None
+    first = over(soft_arm)
+    monkeypatch.setattr(extract, "RigSampling", None)
+    shot, shown = influence.drawn(soft_arm)
+    assert shown is first and (shot.start, shot.end) == (1, 20)
+    soft_arm.dynamorph.targets[1].radius = radians(30.0)
+    assert not np.array_equal(influence.drawn(soft_arm)[1].weights, first.weights)
+    rig = rig_of(soft_arm)
+    activate(rig)
+    bpy.ops.object.mode_set(mode="EDIT")
+    rig.data.edit_bones["lower"].roll = 0.3
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert influence.drawn(soft_arm) is None  # its poses are of another skeleton
+
+
+def test_it_knows_when_the_frames_are_to_be_looked_at_again(scene, soft_arm):
+    influence = part("influence")
+    display = bpy.context.window_manager.dynamorph
+    over(soft_arm)
+    assert not influence._is_old(soft_arm, scene)
+    scene.frame_end = 21
+    assert influence._is_old(soft_arm, scene)
+    over(soft_arm, 1, 21)
+    bpy.app.handlers.depsgraph_update_post.append(influence._note_changes)
+    display.influence = True
+    try:
+        over(soft_arm, 1, 21)
+        bpy.context.view_layer.update()
+        assert not influence._is_old(soft_arm, scene)  # looking at them is no edit
+        rig_of(soft_arm).pose.bones["upper"].keyframe_insert("rotation_euler", frame=3)
+        bpy.context.view_layer.update()
+        assert influence._is_old(soft_arm, scene) and bpy.app.timers.is_registered(influence._update)
+    finally:
+        display.influence = False
+        bpy.app.handlers.depsgraph_update_post.remove(influence._note_changes)
+        bpy.app.timers.unregister(influence._update)
+    assert OPS.update_influence() == {"FINISHED"} and not influence._is_old(soft_arm, scene)
+
+
+def test_frames_are_read_a_few_at_a_time(scene, soft_arm):
+    influence = part("influence")
+    whole = over(soft_arm).weights
+    influence.shots.clear()
+    reading, turns = influence.Reading(soft_arm, 1, 20), 1
+    while not reading.advance(soft_arm, 0.0):
+        assert influence.drawn(soft_arm) is None  # not before all is read
+        turns += 1
+    assert turns == 20
+    np.testing.assert_array_equal(influence.drawn(soft_arm)[1].weights, whole)
+
+
+def test_what_keeps_the_frames_from_being_read_is_shown(scene, soft_arm):
+    influence, display = part("influence"), bpy.context.window_manager.dynamorph
+    rig = rig_of(soft_arm)
+    rig.scale = (0.0, 0.0, 0.0)
+    rig.keyframe_insert("scale", frame=7)
+    while not influence._read_on(soft_arm, 1, 20):
+        pass
+    assert not influence._is_old(soft_arm, scene)  # it is not tried again and again
+    display.influence = True
+    assert "scaled to zero" in " ".join(drawn(soft_arm))
+    display.influence = False
+
+
+def test_frames_outside_and_the_pose_to_add(scene, soft_arm, monkeypatch):
+    """With targets at 0 and 30 degrees of a bend to 90, the outside begins at 30 + 16.5."""
+    soft_arm.dynamorph.active_target_index = 1
+    frame = next(f for f in range(1, 21) if bend_of(f) > radians(30.0))
+    scene.frame_set(frame)
+    OPS.capture_pose()
+    captured, found = bend_of(frame), over(soft_arm)
+    np.testing.assert_allclose(found.limits, 0.55 * captured, rtol=1e-5)
+    expected = [bend_of(f) - captured > 0.55 * captured for f in range(1, 21)]
+    assert found.outside[:, 0].tolist() == expected and 3 < sum(expected) < 15
+    assert found.worst() == (19, 0)
+    said = reports(monkeypatch)
+    assert OPS.suggest_pose() == {"FINISHED"}
+    assert scene.frame_current == 20
+    away = degrees(pi / 2 - captured)
+    assert said() == [f"Frame 20: {away:.0f} degrees from any target of Arm. New from Pose adds one here"]
+    assert any(text.startswith(f"Outside: {away:.0f}°") for text in drawn(soft_arm))
+    OPS.capture_pose()
+    assert OPS.suggest_pose() == {"FINISHED"} and "no pose is poorly covered" in said()[-1]
+    assert not any(text.startswith("Outside") for text in drawn(soft_arm))
+
+
+def reports(monkeypatch):
+    """What operators report from now on; Blender prints it in the background, and keeps it to itself."""
+    kept = []
+    suggest = part("influence_operators").DYNAMORPH_OT_suggest_pose._suggest
+
+    def listen(self, obj, scene):
+        listener = types.SimpleNamespace(report=lambda kind, text: kept.append(text))
+        return suggest(listener, obj, scene)
+
+    monkeypatch.setattr(part("influence_operators").DYNAMORPH_OT_suggest_pose, "_suggest", listen)
+    return lambda: kept
+
+
+def test_a_pose_is_suggested_where_there_is_a_target(arm):
+    OPS.add_soft_skin()
+    assert not OPS.suggest_pose.poll() and OPS.update_influence.poll()
+
+
+def test_bones_scaled_to_zero_do_not_spoil_the_curves(soft_arm):
+    bone = rig_of(soft_arm).pose.bones["upper"]
+    bone.scale = (1.0, 1.0, 1.0)
+    bone.keyframe_insert("scale", frame=9)
+    bone.scale = (0.0, 0.0, 0.0)
+    bone.keyframe_insert("scale", frame=10)
+    assert np.isfinite(over(soft_arm).weights).all()
+
+
+# The panel ---------------------------------------------------------------------------------------------------------
+
+
+def test_bars_in_the_panel(scene, soft_arm):
+    scene.frame_set(20)
+    assert {"Neutral  0.00", "flexed  1.00", "influence", "dynamorph.suggest_pose"} <= set(drawn(soft_arm))
+    scene.frame_set(10)
+    OPS.add_target(key="smile")
+    soft_arm.dynamorph.targets[2].region = "lower"
+    texts = drawn(soft_arm)
+    assert {"Arm", "lower", "smile  1.00"} <= set(texts)
+    soft_arm.dynamorph.targets.clear()
+    assert "dynamorph.suggest_pose" not in drawn(soft_arm)
+
+
+def test_the_sidebar_is_drawn_again_at_the_next_frame_only_where_bars_are(soft_arm, monkeypatch):
+    influence, calls = part("influence"), []
+    monkeypatch.setattr(influence.events, "redraw", calls.append)
+    influence._next_frame()
+    calls.clear()
+    influence._next_frame()
+    assert not calls
+    drawn(soft_arm)
+    influence._next_frame()
+    influence._next_frame()
+    assert len(calls) == 1
+
+
+# Overlays ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def built_arm(soft_arm):
+    """With a coarse cage, so that it builds in a second."""
+    soft_arm.dynamorph.model.cage_nodes = 200
+    soft_arm.dynamorph.model.modes = 8
+    soft_arm.dynamorph.active_target_index = 1
+    OPS.build()
+    return soft_arm
+
+
+def test_the_surface_of_tetrahedra():
+    edges = part("overlays").surface_edges(np.array([[0, 1, 2, 3], [1, 2, 3, 4]]))
+    assert edges.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [1, 4], [2, 3], [2, 4], [3, 4]]
+    around = np.array([[4, 0, 1, 2], [4, 0, 1, 3], [4, 0, 2, 3], [4, 1, 2, 3]])  # four about node 4
+    assert part("overlays").surface_edges(around).max() == 3
+
+
+def test_the_cage_is_posed_as_the_mesh_is(scene, built_arm):
+    """The mesh's vertices lie in the tetrahedra: nodes move as its skin does where one bone has all the weight."""
+    overlays, jobs = part("overlays"), part("jobs")
+    rig_of(built_arm).location = (1.0, 2.0, 3.0)
+    rig_of(built_arm).scale = (1.5, 1.5, 1.5)
+    scene.frame_set(20)
+    model = jobs.load_model(built_arm)
+    cage = overlays.cage_of(model)
+    assert len(cage.pinned) == model.pinned.sum() and len(cage.rest) < len(model.nodes)
+    bones = overlays.skin_matrices(built_arm, bpy.context.evaluated_depsgraph_get())
+    posed = cage.posed(bones)
+    pose = rig_of(built_arm).evaluated_get(bpy.context.evaluated_depsgraph_get())
+    for name, column in (("upper", 0), ("lower", 1)):
+        alone = cage.weights[:, column] > 0.9999
+        bone = pose.pose.bones[name]
+        moved = np.array(pose.matrix_world @ bone.matrix @ bone.bone.matrix_local.inverted())
+        there = np.array(rig_of(built_arm).matrix_world.inverted() @ built_arm.matrix_world)
+        expected = cage.rest[alone] @ (moved @ there)[:3, :3].T + (moved @ there)[:3, 3]
+        assert alone.any()
+        np.testing.assert_allclose(posed[alone], expected, atol=2e-3)
+    points = evaluated_points(built_arm)
+    assert (posed.min(axis=0) < points.min(axis=0) + 0.05).all() and (
+        posed.max(axis=0) > points.max(axis=0) - 0.05
+    ).all()
+
+
+def test_in_edit_mode_the_cage_is_at_rest(scene, built_arm):
+    overlays = part("overlays")
+    scene.frame_set(20)
+    built_arm.location = (0.5, 0.0, 0.0)
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        bones = overlays.skin_matrices(built_arm, bpy.context.evaluated_depsgraph_get())
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    cage = overlays.cage_of(part("jobs").load_model(built_arm))
+    np.testing.assert_allclose(cage.posed(bones), cage.rest + np.array([0.5, 0.0, 0.0]), atol=1e-5)
+
+
+def test_no_cage_of_another_skeleton(built_arm):
+    activate(rig_of(built_arm))
+    bpy.ops.object.mode_set(mode="EDIT")
+    rig_of(built_arm).data.edit_bones.new("more").tail = (0, 0, 1)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert part("overlays").skin_matrices(built_arm, bpy.context.evaluated_depsgraph_get()) is None
+
+
+def test_the_graph_keeps_clear_of_what_lies_over_the_viewport():
+    def region(x, y, width, height, alignment="NONE"):
+        return types.SimpleNamespace(x=x, y=y, width=width, height=height, alignment=alignment)
+
+    view = region(100, 50, 800, 600)
+    over_it = [
+        region(100, 100, 50, 400, "LEFT"),
+        region(700, 50, 200, 600, "RIGHT"),
+        region(100, 624, 800, 26, "TOP"),
+        region(100, 50, 800, 30, "BOTTOM"),
+        region(100, 50, 1, 600, "RIGHT"),  # hidden
+        region(100, 650, 800, 26, "BOTTOM"),  # the header above it, where nothing overlaps
+        region(120, 60, 200, 90, "FLOAT"),
+    ]
+    assert part("overlays").free_rectangle(view, over_it) == (50, 30, 600, 574)
+    assert part("overlays").free_rectangle(view, []) == (0, 0, 800, 600)
+
+
+def test_runs_of_frames():
+    runs = part("overlays").runs
+    assert runs(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
+    assert runs(np.zeros(3, bool)) == [] and runs(np.ones(3, bool)) == [(0, 2)]
+
+
+def test_curves_have_colours_of_their_own(scene, soft_arm):
+    for frame, name in zip(range(3, 19, 2), "abcdefgh", strict=True):
+        add_key(soft_arm, name, np.zeros((len(soft_arm.data.vertices), 3)))
+        scene.frame_set(frame)
+        OPS.add_target(key=name)
+    colors = part("overlays").curve_colors(now(soft_arm), bpy.context.preferences.themes[0])
+    assert list(colors) == list(range(10))
+    assert len({colors[target] for target in range(9)}) == 9
+
+
+@pytest.fixture
+def picture(monkeypatch):
+    """picture(draw): draws into a picture of 400 x 200 pixels, (200, 400, 4) bytes. Blender 5 can without a window."""
+    if not hasattr(gpu, "init"):
+        pytest.skip("this Blender draws in a window only")
+    try:
+        gpu.init()
+    except SystemError as error:
+        pytest.skip(f"no graphics context without a screen: {error}")
+
+    monkeypatch.setattr(part("overlays"), "pixels", lambda length: length)  # without a window there is no resolution
+
+    def picture(draw):
+        target = gpu.types.GPUOffScreen(400, 200)
+        with target.bind():
+            gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
+            gpu.matrix.load_matrix(Matrix.Identity(4))
+            gpu.matrix.load_projection_matrix(
+                Matrix(((1 / 200, 0, 0, -1), (0, 1 / 100, 0, -1), (0, 0, 1e-3, 0), (0, 0, 0, 1)))
+            )
+            draw()
+            pixels = gpu.state.active_framebuffer_get().read_color(0, 0, 400, 200, 4, 0, "UBYTE")
+        target.free()
+        return np.array(pixels.to_list(), np.uint8).reshape(200, 400, 4)
+
+    yield picture
+    part("overlays").forget()
+
+
+def near(pixels, color, by=40):
+    return (np.abs(pixels[..., :3].astype(int) - np.round(np.array(color[:3]) * 255)) < by).all(axis=-1)
+
+
+def test_the_graph_is_drawn(scene, soft_arm, picture):
+    overlays = part("overlays")
+    soft_arm.dynamorph.active_target_index = 1
+    scene.frame_set(8)
+    OPS.capture_pose()
+    over(soft_arm)
+    known = part("influence").drawn(soft_arm)
+    pixels = picture(lambda: overlays._draw_graph_in(10, 20, 390, 140, *known))
+    assert not pixels[:18].any() and not pixels[142:].any() and not pixels[:, :8].any()
+    theme = bpy.context.preferences.themes[0]
+    flexed, neutral = (overlays.curve_colors(known[1], theme)[target] for target in (1, 0))
+    curve = near(pixels, flexed, 70)[38:122]
+    columns = np.flatnonzero(curve.any(axis=0))
+    assert columns.min() < 30 and columns.max() > 370
+    top, bottom = curve[:, 360:380].nonzero()[0].mean(), curve[:, 20:30].nonzero()[0].mean()
+    assert top > bottom + 60  # rows go up
+    assert near(pixels, neutral, 70)[38:122, 20:30].nonzero()[0].mean() > 70
+    inside, outside = pixels[80, 60].astype(int), pixels[80, 340].astype(int)
+    assert (outside[0] - inside[0] > 10) and known[1].outside[-1, 0] and not known[1].outside[3, 0]
+    playhead = near(pixels, theme.user_interface.wcol_regular.inner_sel)[70]
+    assert playhead.any() and abs(playhead.nonzero()[0].mean() - (16 + 368 * 7 / 19)) < 3
+
+
+def test_the_cage_is_drawn(scene, built_arm, picture):
+    overlays = part("overlays")
+    scene.frame_set(20)
+    bones = overlays.skin_matrices(built_arm, bpy.context.evaluated_depsgraph_get())
+    content_id = built_arm.dynamorph.model.content_id
+    theme = bpy.context.preferences.themes[0].view_3d
+
+    def draw():
+        edges, pinned = overlays._cage_batches(built_arm.session_uid, content_id, bones.tobytes())
+        gpu.matrix.load_matrix(Matrix(((0, 80, 0, 200), (0, 0, 80, 20), (80, 0, 0, 0), (0, 0, 0, 1))))
+        overlays._draw_lines(edges, (*theme.bone_pose, 1.0), 1.0)
+        overlays._draw_points(pinned, (*theme.vertex_select, 1.0), 4.0)
+
+    pixels = picture(draw)
+    lines, points = near(pixels, theme.bone_pose), near(pixels, theme.vertex_select)
+    assert lines.sum() > 500 and points.sum() > 100
+    posed = overlays.cage_of(part("jobs").load_model(built_arm)).posed(bones)
+    columns = np.flatnonzero(lines.any(axis=0))
+    assert abs(columns.min() - (200 + 80 * posed[:, 1].min())) < 4
+    assert abs(columns.max() - (200 + 80 * posed[:, 1].max())) < 4
+
+
+def test_what_cannot_be_drawn_is_not(soft_arm, monkeypatch):
+    """In the background there is no viewport: both callbacks fail inside, and say nothing."""
+    overlays, display = part("overlays"), bpy.context.window_manager.dynamorph
+    monkeypatch.setattr(part("influence"), "update_soon", lambda _wait: None)
+    display.cage = display.influence = True
+    for state in ("depth_test_set", "blend_set"):
+        monkeypatch.setattr(f"gpu.state.{state}", lambda _value: None, raising=False)
+    for draw in (overlays._draw_cage, overlays._draw_graph):
+        overlays._quietly(draw)()
+
+
+# The artist's units --------------------------------------------------------------------------------------------------
+
+
+def bounce(obj, target):
+    return part("materials").bounce(*part("jobs").fit_input(obj, target))
+
+
+def test_bounce_is_the_flesh_s_own(built_arm):
+    """Shown and set without the model, and yet what the model does."""
+    content = built_arm.dynamorph.model.content_id
+    for target in built_arm.dynamorph.targets:
+        assert target.bounce == pytest.approx(bounce(built_arm, target).frequency, rel=1e-5)
+        damping = (target.mass_damping, target.stiffness_damping)
+        target.bounce = 4.0
+        assert bounce(built_arm, target).frequency == pytest.approx(4.0, rel=1e-3)
+        assert target.bounce == pytest.approx(4.0, rel=1e-4)
+        assert (target.mass_damping, target.stiffness_damping) == damping
+    assert built_arm.dynamorph.model.content_id == content and not built_arm.dynamorph.model.stale
+
+
+def test_settle_is_in_frames_of_the_scene(scene, built_arm):
+    target = built_arm.dynamorph.targets[1]
+    proportion, stiffness = target.mass_damping / target.stiffness_damping, target.stiffness
+    target.settle = 30.0
+    assert bounce(built_arm, target).settle * 24.0 == pytest.approx(30.0, rel=1e-3)
+    assert target.mass_damping / target.stiffness_damping == pytest.approx(proportion, rel=1e-5)
+    assert target.stiffness == stiffness
+    scene.render.fps = 60
+    assert target.settle == pytest.approx(75.0, rel=1e-3)
+
+
+def test_what_damping_forbids(built_arm):
+    target = built_arm.dynamorph.targets[1]
+    target.mass_damping, target.stiffness_damping = 0.0, 0.02
+    target.bounce = 500.0  # 1 / (2 pi beta) is the most
+    assert target.bounce == pytest.approx(1 / (2 * pi * 0.02), rel=1e-3)
+    target.settle = 0.2
+    critical = bounce(built_arm, target)
+    assert critical.frequency < 0.1 and target.settle > 0.2
+    target.mass_damping, target.stiffness_damping = 200.0, 0.02  # it creeps at any stiffness
+    stiffness = target.stiffness
+    target.bounce = 3.0
+    assert target.bounce == 0.0 and target.stiffness == stiffness
+    target.mass_damping = target.stiffness_damping = 0.0
+    assert target.settle == pytest.approx(1e5)
+    target.settle = 20.0
+    assert target.settle == pytest.approx(20.0, rel=1e-3)
+
+
+def test_weight_is_density_by_volume(scene, soft_arm):
+    soft_arm.dynamorph.targets[1].region = "lower"
+    soft_arm.dynamorph.model.cage_nodes = 300
+    soft_arm.dynamorph.model.modes = 8
+    OPS.build()
+    neutral, flexed = soft_arm.dynamorph.targets
+    assert neutral.weight == pytest.approx(1000.0 * volume_of(soft_arm), rel=0.05)
+    assert 0.3 * neutral.weight < flexed.weight < 0.7 * neutral.weight
+    stiffness, before = flexed.stiffness, flexed.bounce
+    flexed.weight = 4 * flexed.weight
+    assert flexed.density == pytest.approx(4000.0, rel=1e-5) and flexed.stiffness == stiffness
+    flexed.mass_damping = flexed.stiffness_damping = 0.0
+    assert flexed.bounce < 0.55 * before
+    assert neutral.density == 1000.0
+
+
+def volume_of(obj):
+    """Of the closed mesh, by the divergence theorem."""
+    character = part("extract").character(obj)
+    a, b, c = character.vertices[character.triangles].swapaxes(0, 1)
+    return abs(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
+
+
+def test_before_a_build_they_are_greyed(soft_arm):
+    target = soft_arm.dynamorph.targets[1]
+    assert not target.is_measured and (target.bounce, target.settle, target.weight) == (0.0, 0.0, 0.0)
+    material = target.material()
+    target.bounce, target.settle, target.weight = 4.0, 20.0, 1.0
+    assert target.material() == material
+    assert "Build Model first" in drawn(soft_arm)
+
+
+def test_after_a_build_until_poisson_s_ratio_changes(built_arm):
+    assert "Build Model first" not in drawn(built_arm)
+    target = built_arm.dynamorph.targets[1]
+    target.poisson = 0.3
+    assert not target.is_measured and "Build Model first" in drawn(built_arm)
+    built_arm.dynamorph.model.method = "SINGLE"
+    OPS.build()
+    assert built_arm.dynamorph.targets[0].is_measured and not target.is_measured
+
+
+def test_undo(built_arm):
+    stiffness = built_arm.dynamorph.targets[1].stiffness
+    bpy.ops.ed.undo_push(message="before")
+    built_arm.dynamorph.targets[1].bounce = 9.0
+    bpy.ops.ed.undo_push(message="bounce")
+    bpy.ops.ed.undo()
+    target = bpy.data.objects["Arm"].dynamorph.targets[1]
+    assert target.stiffness == stiffness and target.is_measured
+    bpy.ops.ed.redo()
+    assert bpy.data.objects["Arm"].dynamorph.targets[1].bounce == pytest.approx(9.0, rel=1e-4)
+
+
+def test_they_are_kept_in_the_file_but_not_in_set_ups(built_arm, tmp_path):
+    before = built_arm.dynamorph.targets[1].bounce
+    names = set(part("properties").plain(built_arm.dynamorph.targets[1]))
+    assert "stiffness" in names and not names & {"bounce", "settle", "weight", "bounce_reference", "volume"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "arm.blend"))
+    assert bpy.data.objects["Arm"].dynamorph.targets[1].bounce == before > 0.0

@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Undo, save, append, link, library override, the add-on off and on: nothing of a soft skin is lost by them."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import addon_utils
+import bpy
+import numpy as np
+import pytest
+from builders import MODULE, activate, fingerprint, part, rig_of
+from robustness import CALLS, CHANGING_NOTHING, OPS, bake, coarse, motion, names, settings, state
+from test_operators import refused
+from test_panels import drawn
+from test_sinks import assert_shows
+
+
+@pytest.fixture
+def skin(soft_arm):
+    """A soft arm for the real engine."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    return coarse(soft_arm)
+
+
+# Undo and redo of every button -------------------------------------------------------------------------------------
+
+
+def test_every_button_is_tried(addon):
+    """A new operator must be listed in `robustness.CALLS`."""
+    assert set(dir(OPS)) == set(CALLS | CHANGING_NOTHING)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_undo_and_redo(skin, name):
+    prepare, arguments = CALLS[name]
+    prepare(skin)
+    part("properties").reconcile(skin)
+    bpy.ops.ed.undo_push(message="before")
+    before = state()
+    assert getattr(OPS, name)("EXEC_DEFAULT", True, **arguments) == {"FINISHED"}
+    after = state()
+    assert after != before
+    bpy.ops.ed.undo()
+    assert state() == before
+    bpy.ops.ed.redo()
+    assert state() == after
+
+
+@pytest.mark.parametrize("name", CHANGING_NOTHING)
+def test_buttons_that_change_nothing(skin, name):
+    prepare, arguments = CHANGING_NOTHING[name]
+    prepare(skin)
+    before = state()
+    assert getattr(OPS, name)(**arguments) == {"FINISHED"}
+    assert state() == before
+
+
+def test_many_steps_undone_and_redone(skin):
+    """A session: add a target, change settings, build, bake, free; then all the way back and forth."""
+    bpy.ops.ed.undo_push(message="start")
+    steps = [state()]
+    for name, arguments in (("apply_material", {"preset": "SKIN"}), ("build", {}), ("bake", {}), ("free_bake", {})):
+        getattr(OPS, name)("EXEC_DEFAULT", True, **arguments)
+        steps.append(state())
+    for expected in steps[-2::-1]:
+        bpy.ops.ed.undo()
+        assert state() == expected
+    for expected in steps[1:]:
+        bpy.ops.ed.redo()
+        assert state() == expected
+    assert bake(bpy.data.objects["Arm"]).reasons == []
+
+
+# Save, append, link, override --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def asset(skin, tmp_path):
+    """Saves the character, built, baked or live, in a collection: where, how it moves, what Free Bake restores."""
+
+    def save(goal):
+        before = fingerprint(skin)
+        if goal == "live":
+            OPS.build()
+        getattr(OPS, goal)()
+        character = bpy.data.collections.new("Character")
+        for obj in (skin, rig_of(skin)):
+            bpy.context.scene.collection.objects.unlink(obj)
+            character.objects.link(obj)
+        bpy.context.scene.collection.children.link(character)
+        shown = motion(skin)
+        bpy.context.scene.frame_set(1)
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "asset.blend"))
+        return SimpleNamespace(path=tmp_path / "asset.blend", shown=shown, before=before)
+
+    return save
+
+
+def open_shot(asset, link: bool):
+    """The character in a new file; returns its mesh object."""
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    with bpy.data.libraries.load(str(asset.path), link=link) as (_, wanted):
+        wanted.collections = ["Character"]
+    scene = bpy.context.scene
+    scene.collection.children.link(wanted.collections[0])
+    scene.frame_end = 20
+    activate(bpy.data.objects["Arm"])
+    return bpy.data.objects["Arm"]
+
+
+def open_override(asset):
+    open_shot(asset, link=True)
+    return override()
+
+
+def override():
+    """Of the whole character; returns its mesh object."""
+    character = bpy.data.collections["Character"]
+    character.override_hierarchy_create(bpy.context.scene, bpy.context.view_layer, do_fully_editable=True)
+    return the_override()
+
+
+def the_override():
+    obj = next(obj for obj in bpy.data.objects if obj.override_library and obj.type == "MESH")
+    activate(obj)
+    return obj
+
+
+def reload(tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+
+
+def test_an_appended_character_plays_and_is_freed(asset, tmp_path):
+    saved = asset("bake")
+    obj = open_shot(saved, link=False)
+    np.testing.assert_allclose(motion(obj), saved.shown, atol=1e-6)
+    bpy.context.scene.frame_set(1)
+    reload(tmp_path)
+    obj = bpy.data.objects["Arm"]
+    np.testing.assert_allclose(motion(obj), saved.shown, atol=1e-6)
+    bpy.context.scene.frame_set(1)
+    OPS.free_bake()
+    assert {**fingerprint(obj), "scenes": 0} == {**saved.before, "scenes": 0}
+
+
+def test_an_appended_model_needs_no_new_build(asset):
+    job = bake(open_shot(asset("build"), link=False))
+    assert job.reasons == []
+    assert_shows(bpy.data.objects["Arm"], job.result)
+
+
+def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypatch):
+    """Its file lies beside the .blend that it came from."""
+    monkeypatch.setattr(part("jobs"), "PACK_LIMIT", 100)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "asset.blend"))
+    obj = open_shot(asset("build"), link=False)
+    refused(OPS.bake, "'Arm' is large.*save the .blend first")
+    assert obj.dynamorph.model.content_id and not obj.dynamorph.bake.keys
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "elsewhere.blend"))  # beside it after all
+    assert bake(obj).reasons == []
+    (tmp_path / "far").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "far" / "shot.blend"))
+    part("jobs")._load.cache_clear()
+    assert "is missing" in bake(obj).reasons[0]
+
+
+def test_a_linked_character_plays_and_cannot_be_changed(asset):
+    saved = asset("bake")
+    obj = open_shot(saved, link=True)
+    np.testing.assert_allclose(motion(obj), saved.shown, atol=1e-6)
+    bpy.context.scene.frame_set(1)
+    before = state()
+    assert "flexed" in drawn(obj)
+    for name in CALLS:
+        assert not getattr(OPS, name).poll(), name
+    for goal in ("BUILD", "BAKE"):  # as the command line does it
+        with pytest.raises(part("sinks").SinkError, match="Object 'Arm' is linked.*make it local"):
+            part("jobs").run(part("jobs").Job(obj, goal=goal, rebuild=True))
+    assert state() == before
+
+
+def test_a_linked_character_that_is_live_plays(asset):
+    """As it is, an override too; to turn it off is for the file that it comes from."""
+    obj = open_shot(asset("live"), link=True)
+    for overridden in (False, True):
+        playing = override() if overridden else obj
+        moved = motion(playing, frames=range(1, 12))
+        assert part("live").is_on(playing) and not part("live").problem(playing)
+        assert np.isfinite(moved).all() and np.abs(np.diff(moved, axis=0)).max() > 1e-3
+        assert not OPS.live.poll() and names(playing)[-1] == "Dynamorph Live"
+
+
+def test_an_override_keeps_materials_alone(asset, tmp_path):
+    saved = asset("build")
+    obj = open_override(saved)
+    stored = bytes(obj[part("jobs").PACKED])
+    obj.dynamorph.active_target_index = 1
+    assert OPS.apply_material(preset="FAT") == {"FINISHED"}
+    obj.dynamorph.targets[0].stiffness = 4321.0
+    obj.dynamorph.simulation.preroll = 7
+    before = state()
+    assert {"flexed", "stiffness"} <= set(drawn(obj))
+    for name in set(CALLS) - {"apply_material", "fit_material"}:
+        assert not getattr(OPS, name).poll(), name
+    for goal in ("BUILD", "BAKE"):
+        with pytest.raises(part("sinks").SinkError, match="'Arm' is a library override.*make it local"):
+            part("jobs").run(part("jobs").Job(obj, goal=goal, rebuild=True))
+    assert state() == before
+    reload(tmp_path)
+    obj = the_override()
+    neutral, flexed = obj.dynamorph.targets
+    assert (neutral.name, flexed.name, flexed.bone_names()) == ("Neutral", "flexed", ("lower",))
+    assert vars(flexed.material()) == pytest.approx(vars(part("materials").PRESETS["FAT"].material))
+    assert (neutral.stiffness, obj.dynamorph.simulation.preroll) == (4321.0, 7)
+    assert bytes(obj[part("jobs").PACKED]) == stored
+    assert part("jobs").stale_reasons(obj, part("extract").character(obj)) == []
+
+
+def test_a_mesh_of_its_own_does_not_make_an_override_safe(asset):
+    """The record of the bake would be lost, and Free Bake with it."""
+    obj = open_override(asset("build"))
+    obj.data = obj.data.copy()
+    before = fingerprint(obj)
+    assert not OPS.bake.poll()
+    with pytest.raises(part("sinks").SinkError, match="'Arm' is a library override"):
+        bake(obj)
+    assert fingerprint(obj) == before
+
+
+def test_the_remedy_for_overrides_works(asset, tmp_path):
+    obj = open_override(asset("build"))
+    for each in bpy.context.scene.objects:
+        each.select_set(each == obj)
+    bpy.ops.object.make_local(type="SELECT_OBDATA")
+    obj = bpy.context.object
+    before = names(obj)
+    job = bake(obj)
+    assert job.reasons == []
+    assert_shows(obj, job.result)
+    name = obj.name
+    reload(tmp_path)
+    obj = bpy.data.objects[name]
+    assert_shows(obj, job.result)
+    part("sinks").free(obj)
+    assert names(obj) == before
+
+
+# The add-on itself -------------------------------------------------------------------------------------------------
+
+
+def handlers():
+    """The functions of the add-on that Blender calls, each with when."""
+    lists = {name: getattr(bpy.app.handlers, name) for name in dir(bpy.app.handlers)}
+    called = [(name, each) for name, functions in lists.items() if isinstance(functions, list) for each in functions]
+    ours = [(name, each) for name, each in called if "dynamic_morph_targets" in each.__module__]
+    return sorted(f"{name} {each.__module__}.{each.__qualname__}" for name, each in ours)
+
+
+def test_add_on_off_and_on_again_with_a_bake(scene, skin, tmp_path):
+    before, installed = fingerprint(skin), handlers()
+    job = bake(skin)
+    shown, kept = motion(skin), settings(skin.dynamorph)
+    addon_utils.disable(MODULE)
+    assert handlers() == []
+    np.testing.assert_array_equal(motion(skin), shown)
+    reload(tmp_path)  # saved and opened without the add-on
+    for _ in range(3):
+        addon_utils.disable(MODULE)
+        addon_utils.enable(MODULE)
+    assert handlers() == installed
+    obj = bpy.data.objects["Arm"]
+    assert settings(obj.dynamorph) == kept
+    assert bake(obj).reasons == []
+    assert_shows(obj, job.result)
+    bpy.context.scene.frame_set(1)
+    assert bpy.ops.dynamorph.free_bake() == {"FINISHED"}
+    assert fingerprint(obj) == before
+
+
+def test_opening_files_does_not_add_handlers(scene, skin, tmp_path):
+    installed = handlers()
+    assert len(installed) == len(set(installed)) > 0
+    for _ in range(3):
+        reload(tmp_path)
+    assert handlers() == installed
+
+
+ENABLE_AND_END = """
+import sys
+from pathlib import Path
+import bpy, addon_utils
+folder = Path(bpy.utils.user_resource("EXTENSIONS", path="user_default", create=True))
+(folder / "dynamic_morph_targets").symlink_to(sys.argv[1])
+assert addon_utils.enable("bl_ext.user_default.dynamic_morph_targets", default_set=True)
+"""
+
+
+def test_python_ends_quietly_with_the_add_on_enabled(tmp_path, monkeypatch):
+    monkeypatch.setenv("BLENDER_USER_RESOURCES", str(tmp_path))
+    source = part("jobs").__spec__.origin.rpartition("/")[0]
+    run = subprocess.run([sys.executable, "-c", ENABLE_AND_END, source], capture_output=True, text=True, check=False)
+    assert run.returncode == 0 and "Traceback" not in run.stdout + run.stderr, run.stdout + run.stderr

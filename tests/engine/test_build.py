@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What building makes of a character: the cage alone first, painted stiffness, and why a model is out of date."""
+
+from dataclasses import replace
+from functools import partial
+
+import dynamorph
+import numpy as np
+import pytest
+import scenes
+from dynamic_morph_targets import build as building
+from dynamic_morph_targets import model_file
+from dynamic_morph_targets.build import build, build_cage, has_cage, stale_reasons
+from dynamic_morph_targets.scene_data import Character, Material, ModelSettings, Skeleton, Target, TargetSet
+
+LENGTH, HELD = 0.8, 0.1  # metres; the bar is held up to this height
+BONES = np.tile(np.eye(3, 4), (2, 1, 1))
+FLESH = Material(stiffness=2e4, poisson=0.0)
+
+
+def bar(stiffness=1.0, material=FLESH, **settings):
+    """A bar along z that stands on its held foot. stiffness: painted, a number or a function of the height."""
+    vertices, faces = scenes.tube(rings=33, around=16, radius=0.08, length=LENGTH)
+    every = np.ones(len(vertices))
+    at_rest = np.eye(4)[None]
+    neutral = Target("Neutral", 0 * vertices, (), at_rest, np.eye(4), material)
+    return Character(
+        name="Bar",
+        vertices=vertices,
+        triangles=np.array([[f[0], f[k], f[k + 1]] for f in faces for k in range(1, len(f) - 1)], np.int32),
+        to_bind=np.eye(3),
+        weights=np.tile([1.0, 0.0], (len(vertices), 1)),
+        softness=np.where(vertices[:, 2] <= HELD, 0.0, 1.0),
+        stiffness=every * (stiffness(vertices[:, 2]) if callable(stiffness) else stiffness),
+        bone_segments=np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.05]]]),
+        skeleton=Skeleton(("root",), np.array([-1]), at_rest),
+        target_sets=(TargetSet("Bar", (neutral,), every),),
+        settings=ModelSettings(**{"law": "LINEAR", "solver": "FULL", "cage_nodes": 900, "modes": 8, **settings}),
+    )
+
+
+@pytest.fixture(scope="module")
+def cage():
+    return build_cage(bar())
+
+
+def pulled(character, cage, direction):
+    """Displacement (V, 3) of the bar by 1 N on its top; the cage is that of `cage`."""
+    model = build(character, previous=cage)
+    engine = model.engine(character)
+    simulation = model.stepper(engine, 1.0, tolerance=1e-10, max_iterations=100)
+    top = character.vertices[:, 2] > LENGTH - 1e-6
+    force = np.zeros_like(character.vertices)
+    force[top, direction] = 1.0 / top.sum()
+    coordinates, report = simulation.solve_static(BONES, np.ones(1), model.on_nodes(force))
+    assert report["converged"]
+    return model.surface(engine.displacement(coordinates))
+
+
+# Painted stiffness -------------------------------------------------------------------------------------------------
+
+
+def test_nothing_painted_is_exactly_one(cage):
+    model = build(bar(), previous=cage)
+    np.testing.assert_array_equal(model.stiffness, np.ones(len(model.tets)))
+    assert "Stiffness vertex group" not in model.dependencies
+
+
+@pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
+def test_painted_everywhere_is_a_stiffer_material(cage, solver):
+    painted = pulled(bar(stiffness=4.0, solver=solver), cage, 0)
+    stiffer = pulled(bar(material=replace(FLESH, stiffness=8e4), solver=solver), cage, 0)
+    np.testing.assert_allclose(painted, stiffer, rtol=1e-6, atol=1e-9 * np.abs(stiffer).max())
+
+
+def test_the_painted_half_stretches_by_its_own_stiffness(cage):
+    """A pulled bar has the same force in each section: the upper half, painted 4, stretches by a quarter."""
+    plain = pulled(bar(), cage, 2)
+    half = pulled(bar(stiffness=lambda z: np.where(z > 0.45, 4.0, 1.0)), cage, 2)
+
+    def stretch(displacement, low, high):
+        height = bar().vertices[:, 2]
+        ends = [displacement[np.isclose(height, z), 2].mean() for z in (low, high)]
+        return ends[1] - ends[0]
+
+    assert stretch(half, 0.2, 0.35) == pytest.approx(stretch(plain, 0.2, 0.35), rel=0.01)
+    assert stretch(half, 0.6, 0.75) == pytest.approx(stretch(plain, 0.6, 0.75) / 4, rel=0.03)
+    # The bar is soft up to the paint, in between the cage interpolates.
+    assert stretch(half, 0.2, 0.7) / stretch(plain, 0.2, 0.7) == pytest.approx((0.25 + 0.25 / 4) / 0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("method", ["DYNAMIC", "SHAPE", "SINGLE"])
+def test_every_method_and_region_keeps_the_paint(cage, method):
+    upper = np.clip(bar().vertices[:, 2] / LENGTH, 0.0, 1.0)
+    (whole,) = bar().target_sets
+    regions = (replace(whole, share=1.0 - upper), replace(whole, name="upper", share=upper))
+    character = replace(bar(stiffness=lambda z: 4.0 ** (z / LENGTH), method=method), target_sets=regions)
+    model = build(character, previous=cage)
+    assert model.stiffness.min() < 1.5 and model.stiffness.max() > 3.5
+    assert model.engine(character).dofs == 3 * (len(model.nodes) - model.pinned.sum())
+
+
+def test_paint_is_a_reason_to_build_again(cage):
+    plain, painted = bar(), bar(stiffness=4.0)
+    for first, second in ((plain, painted), (painted, plain), (painted, bar(stiffness=2.0))):
+        model = build(first, previous=cage)
+        assert stale_reasons(model, first) == []
+        assert stale_reasons(model, second) == ["Stiffness vertex group changed"]
+
+
+def test_models_from_before_stiffness_could_be_painted_stay_up_to_date(cage, monkeypatch):
+    model = build(bar(), previous=cage)
+    arrays, meta = model.to_arrays()
+    del arrays["stiffness"]
+    monkeypatch.setattr(model_file, "_header_bytes", partial(model_file._header_bytes, version="3"))
+    old = model_file.pack(arrays, meta)
+    monkeypatch.undo()
+    again = building.Model.from_arrays(*model_file.unpack(old))
+    np.testing.assert_array_equal(again.stiffness, np.ones(len(model.tets)))
+    assert stale_reasons(again, bar()) == []
+
+
+# The cage alone ----------------------------------------------------------------------------------------------------
+
+
+def test_only_the_cage_is_built_and_then_built_on(cage, monkeypatch):
+    assert len(cage.tets) and cage.summary["nodes"] == len(cage.nodes) and 0 < cage.summary["pinned"] < len(cage.nodes)
+    assert stale_reasons(cage, bar()) == ["only the cage is built"]
+    stored = building.Model.from_arrays(*model_file.unpack(model_file.pack(*cage.to_arrays())))
+    monkeypatch.setattr(dynamorph, "mesh_body", None)  # must not be needed
+    model = build(bar(), previous=stored)
+    np.testing.assert_array_equal(model.tets, cage.tets)
+    np.testing.assert_array_equal(model.pinned, cage.pinned)
+    assert stale_reasons(model, bar()) == []
+
+
+def test_a_cage_is_current_until_something_moves_it(cage):
+    assert has_cage(cage, bar()) and has_cage(build(bar(), previous=cage), bar())
+    assert has_cage(cage, bar(stiffness=4.0, modes=12, method="SINGLE"))
+    assert not has_cage(cage, bar(cage_nodes=500)) and not has_cage(cage, bar(pin_radius=0.2))
+    assert "cage nodes changed" in stale_reasons(cage, bar(cage_nodes=500))
+
+
+def test_softer_skin_is_held_otherwise_in_the_same_tetrahedra(cage):
+    softer = replace(bar(), softness=np.where(bar().vertices[:, 2] <= 2 * HELD, 0.0, 1.0))
+    assert not has_cage(cage, softer)
+    again = build_cage(softer, previous=cage)
+    np.testing.assert_array_equal(again.tets, cage.tets)
+    assert again.pinned.sum() > cage.pinned.sum() and has_cage(again, softer)
+
+
+def test_what_is_static_has_no_cage():
+    with pytest.raises(ValueError, match="'Bar' needs no cage"):
+        build_cage(bar(method="STATIC"))
+
+
+def test_progress_of_the_cage_is_the_whole_progress(cage):
+    heard = []
+    build_cage(bar(cage_nodes=200), lambda fraction, message: heard.append((fraction, message)) or True)
+    fractions = [fraction for fraction, _ in heard]
+    assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] > 0.85
+    assert {message for _, message in heard} == {"Meshing", "Embedding"}
+    with pytest.raises(dynamorph.Cancelled):
+        build_cage(bar(cage_nodes=200), lambda fraction, message: message != "Embedding")

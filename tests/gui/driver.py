@@ -1,0 +1,351 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hands, eyes and a list of steps for a test inside a Blender window; see scenario.py.
+
+A step is a generator: `yield seconds` lets Blender handle events and draw, `yield 0` for one turn of its main loop.
+Whatever moves the mouse or waits is a generator too, called with `yield from`:
+
+    @step("Bake", picture=sidebar)                                    # the guide's picture bake.png
+    def bake():
+        yield from sidebar.press("dynamorph.bake")                    # an operator, wherever its button is
+        yield from sidebar.enter("simulation.substeps", "20")         # the end of a property's path
+        yield from until(lambda: not jobs().running, "the bake")
+        assert ...
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+
+WORK = Path(sys.argv[sys.argv.index("--") + 1])
+ROW = 16  # less than a button's height: none is missed
+END = 300  # no buttons for so many pixels: there are none below
+COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
+
+result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
+actions = 0  # clicks, keys and entries so far, as an artist counts them
+
+
+def window():
+    return bpy.context.window_manager.windows[0]
+
+
+def measure(name: str, value: str):
+    """A line of the table that the test prints."""
+    result["measured"][name] = value
+
+
+def until(condition, what: str, limit=20.0):
+    """Wait until `condition()` is true, and return its value."""
+    end = time.monotonic() + limit
+    while not (value := condition()):
+        if time.monotonic() > end:
+            raise AssertionError(f"waited {limit:g} s in vain for {what}")
+        yield 0
+    return value
+
+
+# Hands ---------------------------------------------------------------------------------------------------------------
+
+
+def send(kind: str, value: str, position, **details):
+    x, y = position
+    window().event_simulate(type=kind, value=value, x=int(x), y=int(y), **details)
+
+
+def move(position):
+    send("MOUSEMOVE", "NOTHING", position)
+    yield 0  # now the button that it was over is left
+    yield 0  # now it is over another
+
+
+def rest():
+    """The mouse where it lights nothing up and no tooltip comes."""
+    yield from move((window().width // 2, 2))
+
+
+def tap(kind: str, position, **details):
+    send(kind, "PRESS", position, **details)
+    yield 0
+    send(kind, "RELEASE", position)
+    yield 0
+
+
+def click(position):
+    global actions
+    actions += 1
+    yield from move(position)
+    yield from tap("LEFTMOUSE", position)
+
+
+# Eyes ----------------------------------------------------------------------------------------------------------------
+
+
+def drawn(passes=3):
+    """Wait until the screen shows the present state."""
+    for area in window().screen.areas:
+        area.tag_redraw()
+    for _ in range(passes):
+        yield 0.05
+
+
+def drawn_smoothly():
+    """The same with smooth edges, which take the viewport several passes."""
+    bpy.context.preferences.system.viewport_aa = "8"
+    yield from drawn(passes=12)
+    bpy.context.preferences.system.viewport_aa = "OFF"
+
+
+def photograph(name: str, box=None):
+    """WORK/shots/`name`.png of the screen, or of `box` in it: (x, y, width, height), y from the bottom."""
+    x, y, width, height = box or (0, 0, window().width, window().height)
+    crop = f"{width}x{height}+{x}+{window().height - y - height}"
+    # Blender's own screenshot is black with software OpenGL.
+    command = ["import", "-window", "root", "-crop", crop, "+repage", WORK / "shots" / f"{name}.png"]
+    subprocess.run(command, check=True)
+
+
+class Region:
+    """A region of the first editor of its kind, looked up each time: layouts and undo replace them.
+
+    Without a kind it is the whole editor, to take pictures of.
+    """
+
+    def __init__(self, editor: str, kind: str | None = None):
+        self.editor, self.kind = editor, kind
+        self.known: dict[str, tuple[float, float]] = {}  # where buttons were seen
+
+    @property
+    def area(self):
+        return next(area for area in window().screen.areas if area.type == self.editor)
+
+    @property
+    def region(self):
+        return next(region for region in self.area.regions if region.type == self.kind)
+
+    @property
+    def box(self):
+        place = self.region if self.kind else self.area
+        return place.x, place.y, place.width, place.height
+
+    @property
+    def middle(self):
+        x, y, width, height = self.box
+        return x + width // 2, y + height // 2
+
+    @property
+    def top(self):
+        x, y, width, height = self.box
+        return x + width // 2, y + height - 15
+
+    def context(self):
+        return bpy.context.temp_override(window=window(), area=self.area, region=self.region)
+
+    def key(self, kind: str, **details):
+        """Press a key with the mouse over the middle of the region."""
+        global actions
+        actions += 1
+        yield from move(self.middle)
+        yield from tap(kind, self.middle, **details)
+
+    def under_mouse(self) -> str:
+        """The button there: 'bpy.ops.a.b()' or the full path of a property, '' without one."""
+        manager = bpy.context.window_manager
+        manager.clipboard = ""
+        with self.context():
+            for copy in (
+                bpy.ops.ui.copy_python_command_button,
+                lambda: bpy.ops.ui.copy_data_path_button(full_path=True),
+            ):
+                try:
+                    copy()
+                except RuntimeError:  # poll: not such a button
+                    continue
+                if manager.clipboard:
+                    break
+        return manager.clipboard
+
+    def look(self, position):
+        """The button at a position, which is remembered."""
+        yield from move(position)
+        button = self.under_mouse()
+        if button:
+            self.known[button] = position
+        return button
+
+    def seen(self, wanted: str):
+        """The remembered position of an operator ("dynamorph.bake") or a property ("model.cage_nodes"), or None."""
+        for button, position in self.known.items():
+            if is_button(button, wanted):
+                return position
+        return None
+
+    def find(self, wanted: str):
+        """The position of a button, scrolled into view if need be."""
+        if self.seen(wanted) and (yield from self.near(wanted)):
+            return self.seen(wanted)
+        self.known.clear()
+        for columns in (COLUMNS[:1], COLUMNS[1:]):  # the first meets nearly all
+            yield from self.scroll("WHEELUPMOUSE", 40)
+            further = True
+            while further:
+                if (yield from self.scan(wanted, columns)):
+                    return self.seen(wanted)
+                further = yield from self.scroll("WHEELDOWNMOUSE", 6)
+        raise AssertionError(f"no button {wanted} in {self.editor}, only {', '.join(self.known) or 'nothing'}")
+
+    def near(self, wanted: str):
+        """Look where the button was last, and then a little below and above."""
+        x, y = self.seen(wanted)
+        for offset in sorted(range(-200, 201, ROW), key=abs):
+            if is_button((yield from self.look((x, y + offset))), wanted):
+                return True
+        return False
+
+    def scan(self, wanted: str, columns):
+        """Move the mouse over the region, from the top, until the wanted button is under it; False without it."""
+        x, y, width, height = self.box
+        for column in columns:
+            last = y + height
+            for row in range(y + height - ROW // 2, y, -ROW):
+                button = yield from self.look((x + int(width * column), row))
+                if is_button(button, wanted):
+                    return True
+                if button:
+                    last = row
+                elif last - row > END:
+                    break
+        return False
+
+    def scroll(self, wheel: str, clicks: int):
+        """Turn the wheel; False when the view did not move."""
+        view = self.region.view2d
+        before = view.region_to_view(0, 0)
+        yield from move(self.top)
+        for _ in range(clicks):
+            send(wheel, "PRESS", self.top)
+        yield 0.05
+        return view.region_to_view(0, 0) != before
+
+    def press(self, wanted: str):
+        """Click a button."""
+        position = yield from self.find(wanted)
+        yield from click(position)
+
+    def pick(self, x: float, condition, what: str):
+        """Click the tab, down a column of them at `x` of the window, after which `condition()` is true: one action."""
+        global actions
+        actions += 1
+        _, y, _, height = self.box
+        for row in range(y + height - ROW, y, -ROW):
+            yield from move((x, row))
+            yield from tap("LEFTMOUSE", (x, row))
+            yield 0.05
+            if condition():
+                return
+        raise AssertionError(f"{what} not found in {self.editor}")
+
+    def unfold(self, wanted: str, above: str):
+        """Open the section that holds a button; its header is the first above the button `above`."""
+        global actions
+        actions += 1
+        x, row = yield from self.find(above)
+        for higher in range(ROW, 8 * ROW, ROW // 2):
+            header = (self.box[0] + 40, row + higher)
+            if (yield from self.look(header)):
+                continue
+            yield from tap("LEFTMOUSE", header)
+            yield 0.1
+            if is_button((yield from self.look((x, row))), above):
+                continue  # a label
+            yield from self.find(wanted)
+            return
+        raise AssertionError(f"no section above {above}")
+
+    def enter(self, wanted: str, text: str):
+        """Type a number into a field."""
+        global actions
+        actions += 1
+        position = yield from self.find(wanted)
+        yield from tap("RET", position)
+        for letter in text:
+            send("A", "PRESS", position, unicode=letter)
+        yield from tap("RET", position)
+        yield 0.1
+
+
+def is_button(button: str, wanted: str) -> bool:
+    return button.startswith(f"bpy.ops.{wanted}(") or button.endswith(f".{wanted}")
+
+
+def keep(name: str, region: Region):
+    """A picture of a region for the guide."""
+    yield from move(region.top)  # a list lets go of its highlighted row
+    yield from rest()
+    yield from drawn() if region.kind == "UI" else drawn_smoothly()
+    photograph(name, region.box)
+    result["pictures"].append(name)
+
+
+# Steps ---------------------------------------------------------------------------------------------------------------
+
+steps: list = []
+
+
+def step(title: str, picture: Region | None = None):
+    """Adds a generator function to the steps. `picture`: the guide shows this region after it, by the function's name.
+
+    Every step leaves a picture of the whole window beside the result.
+    """
+
+    def add(function):
+        steps.append((title, function, picture))
+        return function
+
+    return add
+
+
+def _take_steps():
+    for number, (title, function, picture) in enumerate(steps):
+        name = function.__name__
+        print(f"STEP {name}", flush=True)
+        start, before = time.monotonic(), actions
+        result["steps"].append({"title": title, "actions": 0, "seconds": 0.0})
+        yield from function()
+        result["steps"][-1] = {"title": title, "actions": actions - before, "seconds": time.monotonic() - start}
+        yield from rest()
+        yield from drawn()
+        photograph(f"{number:02}_{name}")
+        if picture:
+            yield from keep(name, picture)
+
+
+def run():
+    """Take the steps, write WORK/result.json and leave Blender."""
+    preferences = bpy.context.preferences
+    preferences.view.show_splash = False
+    preferences.system.use_region_overlap = False  # pictures of panels, not of what lies behind them
+    preferences.system.viewport_aa = "OFF"  # there is no graphics card
+    walk = _take_steps()
+
+    def tick():
+        try:
+            return next(walk)
+        except StopIteration:
+            result["ok"] = True
+        except Exception:
+            title = result["steps"][-1]["title"] if result["steps"] else "start"
+            result["error"] = f"in step '{title}'\n{traceback.format_exc()}"
+            photograph("failure")
+        (WORK / "result.json").write_text(json.dumps(result, indent=1))
+        sys.stdout.flush()
+        os._exit(not result["ok"])  # without questions about unsaved changes
+
+    bpy.app.timers.register(tick, first_interval=1.0, persistent=True)

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Uses the extension in a real Blender window as an artist would: `make gui-test`.
+
+Debian's Blender is set up once in a folder of its own, build/gui or $DYNAMORPH_GUI. The extension is packed and
+installed there afresh each time, and tests/gui/scenario.py clicks through it on a virtual screen. What stands in the
+way of all that (not root, no network) is printed, and counts as success; what goes wrong later does not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import package
+from PIL import Image, ImageChops
+
+ROOT = Path(__file__).resolve().parent.parent
+CHROOT = Path(os.environ.get("DYNAMORPH_GUI", ROOT / "build/gui")).resolve()
+WORK = ROOT / "build/gui-test"
+PICTURES = ROOT / "docs/images/guide"
+INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
+SCREEN = (1600, 1000)
+MIRROR = "http://deb.debian.org/debian"
+PACKAGES = (
+    "blender xvfb xauth imagemagick libgl1-mesa-dri "
+    "python3-numpy python3-cattr python3-requests python3-urllib3 python3-zstandard "  # what its extensions import
+    "g++ cmake ninja-build python3-dev python3-pip python3-scikit-build-core python3-pybind11 pybind11-dev "
+    "libeigen3-dev libspectra-dev libcgal-dev"
+)
+ENGINE_SOURCES = ("cpp", "cmake", "CMakeLists.txt", "pyproject.toml", "tools/tetgen.txt")
+LONGEST = 900  # seconds that the window may take
+
+# Mounts in a namespace of their own: whatever happens, nothing stays mounted in a folder that may be deleted.
+# The shell stays: an X server tells nobody that it is ready if its parent is process 1.
+ENTER = """
+mount -t proc proc "$0/proc"; mount --bind /dev "$0/dev"
+mkdir -p "$0$2"; mount --bind "$1" "$0$2"
+chroot "$0" /usr/bin/env -i "${@:3}" || exit $?
+"""
+
+
+class CannotRun(Exception):
+    """Why there is no window to test in."""
+
+
+class Failed(Exception):
+    """What went wrong."""
+
+
+def inside(path: Path) -> Path:
+    return INSIDE / path.relative_to(ROOT)
+
+
+def enter(log: str, *command: str | Path, network=False, **environment) -> int:
+    """Run a command in the chroot with its output in WORK/`log`; returns its exit code. Its children die with it."""
+    variables = {
+        "PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "LANG": "C.UTF-8", "HOME": "/root", "XDG_RUNTIME_DIR": "/tmp",
+        "DEBIAN_FRONTEND": "noninteractive", "BLENDER_USER_RESOURCES": inside(WORK / "user"), **environment,
+    }  # fmt: skip
+    if network:
+        variables |= {name: os.environ[name] for name in ("http_proxy", "https_proxy") if name in os.environ}
+    namespaces = ["--mount", "--pid", "--fork", "--kill-child", *(() if network else ("--net",))]
+    run = ["unshare", *namespaces, "bash", "-ec", ENTER, CHROOT, ROOT, INSIDE]
+    with (WORK / log).open("w") as output:
+        return subprocess.run(
+            [*run, *(f"{name}={value}" for name, value in variables.items()), *command],
+            stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, check=False,
+        ).returncode  # fmt: skip
+
+
+def tail(log: str, lines=30) -> str:
+    return "\n".join((WORK / log).read_text(errors="replace").splitlines()[-lines:])
+
+
+# Set-up --------------------------------------------------------------------------------------------------------------
+
+
+def set_up_blender():
+    """Debian sid with Blender and a compiler in CHROOT. Raises CannotRun."""
+    if os.geteuid() != 0:
+        raise CannotRun("a chroot needs root")
+    alone = ["unshare", "--mount", "--pid", "--net", "--fork", "true"]
+    if not shutil.which("unshare") or subprocess.run(alone, capture_output=True, check=False).returncode:
+        raise CannotRun("namespaces of its own (unshare) are not permitted")
+    done = CHROOT / "dynamorph-packages"
+    if done.exists() and done.read_text() == PACKAGES:
+        return
+    try:
+        urllib.request.urlopen(f"{MIRROR}/dists/sid/Release", timeout=30).close()
+    except OSError as error:
+        raise CannotRun(f"{MIRROR} cannot be reached ({error})") from error
+    print(f"gui-test: setting up Blender in {CHROOT}, some minutes and 2.6 GB", flush=True)
+    if not CHROOT.exists():
+        if not shutil.which("debootstrap"):
+            run_here("apt-get", "-qq", "update")
+            run_here("apt-get", "-qq", "install", "-y", "debootstrap")
+        run_here("unshare", "--mount", "debootstrap", "--variant=minbase", "sid", CHROOT, MIRROR)
+    # A mirror may be behind: then its lists are past their date.
+    for command in ("apt-get -o Acquire::Check-Valid-Until=false update",
+                    f"apt-get install -y --no-install-recommends {PACKAGES}"):  # fmt: skip
+        if enter("packages.log", *command.split(), network=True):
+            raise CannotRun(f"Blender could not be installed in {CHROOT}\n{tail('packages.log')}")
+    done.write_text(PACKAGES)
+
+
+def run_here(*command: str | Path):
+    """A step of the set-up outside the chroot. Raises CannotRun."""
+    try:
+        with (WORK / "debootstrap.log").open("w") as log:
+            subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, check=True)
+    except FileNotFoundError as error:
+        raise CannotRun(f"{command[0]} is missing") from error
+    except subprocess.CalledProcessError as error:
+        hint = f"; remove {CHROOT} to try again" if CHROOT.exists() else ""
+        raise CannotRun(f"{' '.join(map(str, command))} failed{hint}\n{tail('debootstrap.log')}") from error
+
+
+def build_wheel() -> Path:
+    """The engine for Debian's Python, compiled by Debian's tools unless its sources are those of the last time."""
+    if enter("python.log", "python3", "-c", "import sys; print(sys.implementation.cache_tag)"):
+        raise Failed(tail("python.log"))
+    digest = hashlib.sha256(tail("python.log").encode())
+    for source in ENGINE_SOURCES:
+        for path in sorted((ROOT / source).rglob("*")) or [ROOT / source]:
+            if path.is_file() and "__pycache__" not in path.parts:
+                digest.update(str(path.relative_to(ROOT)).encode() + path.read_bytes())
+    folder = WORK / "wheels" / digest.hexdigest()[:16]
+    if not folder.exists():
+        print("gui-test: building the engine for Debian's Blender, some minutes", flush=True)
+        for old in (folder.parent, WORK / "new"):
+            shutil.rmtree(old, ignore_errors=True)
+        # Debian's scikit-build-core is older than the one pinned.
+        pip = "pip wheel --no-build-isolation --no-deps --config-settings=minimum-version=0.12 -w"
+        if enter("wheel.log", *pip.split(), inside(WORK / "new"), INSIDE):
+            raise Failed(f"the engine was not built\n{tail('wheel.log')}")
+        folder.parent.mkdir()
+        (WORK / "new").rename(folder)
+    return folder
+
+
+def install_extension():
+    """Into a Blender without any user settings: a wheel of the same version would not replace what is there."""
+    stage = package.stage_extension(WORK / "extension")
+    shutil.copytree(build_wheel(), stage / "wheels")
+    archive = package.pack_extension(stage, WORK)
+    shutil.rmtree(WORK / "user", ignore_errors=True)
+    command = ["blender", "-c", "extension", "install-file", "-r", "user_default", "--enable", inside(archive)]
+    if enter("install.log", *command):
+        raise Failed(f"the extension was not installed\n{tail('install.log')}")
+
+
+# The test ------------------------------------------------------------------------------------------------------------
+
+
+def run_scenario() -> dict:
+    """What tests/gui/driver.py wrote. Raises Failed."""
+    shots, result = WORK / "shots", WORK / "result.json"
+    shutil.rmtree(shots, ignore_errors=True)
+    shots.mkdir()
+    result.unlink(missing_ok=True)
+    width, height = map(str, SCREEN)
+    code = enter(
+        "blender.log", "timeout", str(LONGEST),
+        "xvfb-run", "-a", "-s", f"-screen 0 {width}x{height}x24 +extension GLX -noreset",
+        "blender", "--gpu-backend", "opengl", "--enable-event-simulate", "--no-window-focus",
+        "--window-geometry", "0", "0", width, height, "--python-exit-code", "1",
+        "--python", inside(ROOT / "tests/gui/scenario.py"), "--", inside(WORK),
+        LIBGL_ALWAYS_SOFTWARE="1",
+    )  # fmt: skip
+    found = json.loads(result.read_text()) if result.exists() else {}
+    if code or not found.get("ok"):
+        print_table(found)
+        raise Failed(f"{found.get('error') or f'Blender ended with {code}'}\n{tail('blender.log')}\nPictures: {shots}")
+    log = (WORK / "blender.log").read_text(errors="replace")
+    for sign in ("Traceback (most recent call last)", "rna_ui", "Error: Python"):  # panels do not raise
+        if sign in log:
+            raise Failed(f"the scenario passed, but Blender printed\n{log[log.index(sign) :][:3000]}")
+    return found
+
+
+def print_table(found: dict):
+    rows = [(step["title"], f"{step['seconds']:5.1f} s, actions: {step['actions']}") for step in found.get("steps", [])]
+    rows += found.get("measured", {}).items()
+    width = max((len(name) for name, _ in rows), default=0)
+    for name, value in rows:
+        print(f"{name:{width}}  {value}")
+
+
+def keep_pictures(names: list[str]):
+    """Into the guide, as small files; a picture that looks like the one there stays as it is."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        kept = PICTURES / f"{name}.png"
+        with Image.open(WORK / "shots" / f"{name}.png") as shot:
+            picture = shot.convert("RGB")
+            if picture.height > picture.width:  # a panel
+                picture = without_empty_rows(picture)
+            small = picture.quantize(128, dither=Image.Dither.NONE)
+        if not kept.exists() or differ(small, kept):
+            small.save(kept, optimize=True)
+            print(f"gui-test: {kept.relative_to(ROOT)}, {kept.stat().st_size / 1024:.0f} kB")
+
+
+def without_empty_rows(picture: Image.Image, margin=10) -> Image.Image:
+    """Cut off the rows at the bottom that are all alike, but for a margin, which also holds an editor's border."""
+    width, height = picture.size
+    inner = picture.crop((0, 0, width, height - margin))
+    last = inner.crop((0, inner.height - 1, width, inner.height)).resize(inner.size)
+    box = ImageChops.difference(inner, last).getbbox()
+    return picture.crop((0, 0, width, box[3] + margin)) if box else picture
+
+
+def differ(picture: Image.Image, path: Path) -> bool:
+    """More than a blinking cursor, or a time that a button shows."""
+    with Image.open(path) as other:
+        if other.size != picture.size:
+            return True
+        difference = ImageChops.difference(picture.convert("L"), other.convert("L"))
+    changed = sum(difference.histogram()[24:])
+    return changed > 0.005 * picture.width * picture.height
+
+
+def main() -> int:
+    WORK.mkdir(parents=True, exist_ok=True)
+    try:
+        set_up_blender()
+        start = time.monotonic()
+        install_extension()
+        print(f"gui-test: installed after {time.monotonic() - start:.0f} s", flush=True)
+        found = run_scenario()
+    except CannotRun as reason:
+        print(f"gui-test: SKIPPED, {reason}")
+        return 0
+    except Failed as problem:
+        print(f"gui-test: FAILED, {problem}")
+        return 1
+    print_table(found)
+    keep_pictures(found["pictures"])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
