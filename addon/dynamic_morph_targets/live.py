@@ -58,14 +58,18 @@ class Flesh:
 
     def points(self, values: np.ndarray) -> np.ndarray:
         """Points (3 V,) of the surface, float32, local space."""
-        # Not by @, which wakes threads: on a busy machine they come a hundred times later than one is done.
-        return self._rest + np.einsum("k,kv->v", values.astype(np.float32), self._shapes)
+        return self._rest + _blended(values, self._shapes)
 
     def moved(self, values: np.ndarray) -> float:
         """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
         motion = values[: self.modes] - self.player.dry(values[self.modes :])
-        displacement = (motion.astype(np.float32) @ self._shapes[: self.modes]).reshape(-1, 3)
+        displacement = _blended(motion, self._shapes[: self.modes]).reshape(-1, 3)
         return float(np.linalg.norm(displacement @ self.character.to_bind.T, axis=1).max())
+
+
+def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """(k,) times (k, 3 V), float32. Not by @, which wakes threads: where those have to wait, a hundred times as long."""
+    return np.einsum("k,kv->v", values.astype(np.float32), shapes)
 
 
 class Rig:
@@ -300,7 +304,7 @@ def refresh(obj):
 def problem(obj) -> str:
     """Why a live object does not play, or ''."""
     text, model = _problems.get(obj.session_uid, ("", None))
-    return text if model == _stated(obj) else ""
+    return text if text and model == _stated(obj) else ""
 
 
 def _stated(obj) -> tuple:
@@ -328,6 +332,7 @@ def follow(obj, scene, arrives=True):
         expected = isinstance(error, jobs.expected_errors())
         text = str(error) if expected else f"{type(error).__name__}: {error}"
         _problems[uid] = text, _stated(obj)
+        events.redraw(events.PANELS)
 
 
 def holds_still(scene) -> bool:
@@ -341,7 +346,10 @@ def holds_still(scene) -> bool:
 
 @persistent
 def _frame_changed(scene, _depsgraph=None):
-    """frame_change_post. Reading the rig changes frames too, in a scene of its own."""
+    """frame_change_pre: what is written before Blender evaluates the frame does not make it do so twice.
+
+    The rig is not read from there but by itself, which changes frames too, in a scene of its own.
+    """
     global _any_live
     if _any_live is None:
         _any_live = any(is_on(obj) for obj in properties.soft_skins(bpy.data.objects))
@@ -416,7 +424,7 @@ def _before_save(*_args):
 
 
 HANDLERS = {
-    "frame_change_post": _frame_changed,
+    "frame_change_pre": _frame_changed,
     "depsgraph_update_post": _edited,
     "undo_post": _undone,
     "redo_post": _undone,

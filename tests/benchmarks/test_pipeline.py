@@ -152,7 +152,7 @@ def next_frame():
 
 def test_live(benchmark, live_body):
     """Our share of a frame that is simulated while it plays, with the rig's sub-frames; `whole` has Blender's too."""
-    scene, plays = bpy.context.scene, bpy.app.handlers.frame_change_post
+    scene, plays = bpy.context.scene, bpy.app.handlers.frame_change_pre
     plays.remove(live._frame_changed)
     benchmark.pedantic(lambda: live.follow(live_body, scene), setup=next_frame, rounds=200)
     without = fastest_frames(100)
