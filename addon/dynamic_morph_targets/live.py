@@ -68,7 +68,7 @@ class Flesh:
 
 
 def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """(k,) times (k, 3 V), float32. Not by @, which wakes threads: where those have to wait, a hundred times as long."""
+    """(k,) times (k, 3 V), float32. Not by @, which wakes threads: where they have to wait, a hundred times as long."""
     return np.einsum("k,kv->v", values.astype(np.float32), shapes)
 
 
