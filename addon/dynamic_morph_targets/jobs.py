@@ -336,6 +336,13 @@ class Job:
             raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
         return obj
 
+    def must_wait(self) -> bool:
+        """Whether a bake cannot be written yet: the artist went on in Edit Mode, which has a mesh of its own."""
+        waits = self.bake and find(self.session_uid).mode == "EDIT"
+        if waits:
+            self.message = "Waiting for you to leave Edit Mode"
+        return waits
+
     def commit(self):
         """Write the results; main thread."""
         obj = self.target()
@@ -512,6 +519,10 @@ class Batch:
             self._at = job
             job.start()
             while not job.wait(pause):
+                yield from self._turn()
+        for job in self.jobs:
+            self._at = job
+            while job.must_wait():
                 yield from self._turn()
         for job in self.jobs:
             job.target()

@@ -18,7 +18,7 @@ from mathutils import Matrix
 
 from . import extract, jobs, live, live_key, properties
 from .extract import SceneError
-from .operators import SoftSkinOperator, guarded
+from .operators import SoftSkinOperator, guarded, redraw_status
 from .scene_data import Material, RigSamples
 from .sinks import SinkError
 
@@ -74,8 +74,8 @@ class Preview:
     Raises SceneError or SinkError.
     """
 
-    def __init__(self, obj, name: str):
-        self.name = name
+    def __init__(self, obj, operator: type[Operator]):
+        self.name, self.label = operator.bl_idname, operator.bl_label
         self.session_uid = obj.session_uid
         self.flesh = live.Flesh(obj, bpy.context.scene)
         self._movers: list[_Mover] = []
@@ -174,7 +174,7 @@ class PreviewOperator(FleshOperator):
     bl_options = {"REGISTER"}  # nothing stays that could be undone
 
     def apply(self, obj):
-        running = Preview(obj, type(self).bl_idname)
+        running = Preview(obj, type(self))
         try:
             shown = [self._show(running, *frame) for frame in self.frames(obj, running.flesh)]
         finally:
@@ -213,7 +213,7 @@ class PreviewOperator(FleshOperator):
         if context.screen.is_animation_playing:
             raise SceneError("Stop the playback first")
         obj = properties.mesh_in(context)
-        self.running = Preview(obj, type(self).bl_idname)
+        self.running = Preview(obj, type(self))
         preview = self.running
         self.largest = 0.0
         try:
@@ -224,6 +224,7 @@ class PreviewOperator(FleshOperator):
         fps = self.running.flesh.player.settings.fps
         self.timer = context.window_manager.event_timer_add(1.0 / fps, window=context.window)
         context.window_manager.modal_handler_add(self)
+        redraw_status(context)
         return {"RUNNING_MODAL"}
 
     def _tick(self):
@@ -238,6 +239,7 @@ class PreviewOperator(FleshOperator):
         if self.running is preview:
             end_preview()
         context.window_manager.event_timer_remove(self.timer)
+        redraw_status(context)
         return {"CANCELLED"}
 
     def _show(self, running: Preview, values: np.ndarray, transform: Matrix | None) -> float:

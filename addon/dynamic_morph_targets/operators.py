@@ -101,7 +101,7 @@ class JobOperator(SoftSkinOperator):
         return result
 
     def cancel(self, _context):
-        """Blender ends the operator itself, because the window closes or another file is opened: all else is gone."""
+        """Blender ends the operator itself, because the window closes or another file is opened."""
         jobs.stop()
 
     def _begin(self, context):
@@ -120,16 +120,16 @@ class JobOperator(SoftSkinOperator):
             return self._done(batch)
         if time.monotonic() - self.shown > SHOWN:
             self.shown = time.monotonic()
-            context.workspace.status_text_set(f"{batch.fraction:.0%}  {batch.message}    Esc: cancel")
             redraw(context)
+            redraw_status(context)
         return {"RUNNING_MODAL"}
 
     def _end(self, context):
         self.batch.abandon()
         jobs.running = None
         context.window_manager.event_timer_remove(self.timer)
-        context.workspace.status_text_set(None)
         redraw(context)
+        redraw_status(context)
 
     def _done(self, batch):
         for job in batch.jobs:
@@ -204,6 +204,11 @@ def redraw(context):
             for region in area.regions:
                 if region.type == shown_in.get(area.type):
                     region.tag_redraw()
+
+
+def redraw_status(context):
+    """Let the status bar draw again, where `panels.draw_status` says what runs."""
+    context.workspace.status_text_set(None)
 
 
 @persistent

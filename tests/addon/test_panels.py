@@ -8,11 +8,21 @@ import pytest
 from builders import activate, hand_made_bake, part, rig_of
 
 
+def region(width) -> dict:
+    """What a context says of a region of this width, in pixels, and of their size."""
+    system = types.SimpleNamespace(ui_scale=1.0)
+    return {"region": types.SimpleNamespace(width=width), "preferences": types.SimpleNamespace(system=system)}
+
+
+SIDEBAR = region(280)
+
+
 class Layout:
     """Stands in for bpy.types.UILayout: remembers what is drawn and refuses unknown properties and operators."""
 
-    def __init__(self, drawn):
-        self.drawn = drawn
+    def __init__(self, drawn, place=SIDEBAR, unfolded=True):
+        self.drawn, self.unfolded = drawn, unfolded
+        self.context = types.SimpleNamespace(**place)
 
     def prop(self, data, name, **_options):
         assert name in data.bl_rna.properties, name
@@ -39,10 +49,12 @@ class Layout:
     def template_list(self, kind, _id, data, name, active_data, active_name, **_options):
         assert name in data.bl_rna.properties and active_name in active_data.bl_rna.properties
         for index, item in enumerate(getattr(data, name)):
-            getattr(part("panels"), kind).draw_item(None, None, self, data, item, 0, active_data, active_name, index)
+            getattr(part("panels"), kind).draw_item(
+                None, self.context, self, data, item, 0, active_data, active_name, index
+            )
 
     def panel(self, _name, default_closed=False):
-        return self, self
+        return self, self if self.unfolded or not default_closed else None
 
     def menu(self, name, **_options):
         assert getattr(bpy.types, name)
@@ -61,7 +73,8 @@ class Layout:
         pass
 
 
-def drawn(obj, panel="DYNAMORPH_PT_sidebar"):
+def drawn(obj, panel="DYNAMORPH_PT_sidebar", place=SIDEBAR, unfolded=True):
+    """unfolded: also the sections that are closed at first."""
     out = []
     panel_class = getattr(part("panels"), panel)
     context = types.SimpleNamespace(
@@ -69,9 +82,10 @@ def drawn(obj, panel="DYNAMORPH_PT_sidebar"):
         view_layer=bpy.context.view_layer,
         scene=bpy.context.scene,
         window_manager=bpy.context.window_manager,
+        **place,
     )
     assert panel_class.poll(context)
-    panel_class.draw(types.SimpleNamespace(layout=Layout(out)), context)
+    panel_class.draw(types.SimpleNamespace(layout=Layout(out, place, unfolded)), context)
     return out
 
 
@@ -101,6 +115,37 @@ def test_progress_replaces_the_button(soft_arm, stand_in):
         assert not bpy.ops.dynamorph.build.poll()
     finally:
         jobs.running = None
+
+
+def status() -> list[str]:
+    out = []
+    part("panels").draw_status(types.SimpleNamespace(layout=Layout(out)), None)
+    return out
+
+
+def test_the_status_bar_says_what_runs(soft_arm, stand_in, monkeypatch):
+    """It asks when it draws: nothing is left behind in a workspace or window that the artist has gone from."""
+    assert status() == []
+    job = part("jobs").Job(soft_arm, goal="BAKE")
+    job.fraction, job.message = 0.4, "Frame 7"
+    monkeypatch.setattr(part("jobs"), "running", job)
+    assert status() == ["40%  Frame 7    Esc: cancel"]
+    monkeypatch.setattr(part("jobs"), "running", None)
+    monkeypatch.setattr(part("live_operators"), "preview", types.SimpleNamespace(label="Shake Test"))
+    assert status() == ["Shake Test    Esc: stop"]
+
+
+def test_a_narrow_list_has_room_for_names_only(soft_arm):
+    assert "20 kPa" not in drawn(soft_arm) and "20 kPa" in drawn(soft_arm, place=region(400))
+
+
+def test_many_bones_are_folded_away(soft_arm):
+    target = soft_arm.dynamorph.targets[1]
+    assert "lower" in drawn(soft_arm, unfolded=False)
+    target.set_bones([f"bone {i}" for i in range(12)])
+    folded = drawn(soft_arm, unfolded=False)
+    assert "12 Bones" in folded and "bone 3" not in folded
+    assert "bone 3" in drawn(soft_arm)
 
 
 def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
