@@ -13,6 +13,7 @@ _commands = []  # handles that Blender wants back
 def _modules():
     from . import (
         influence,
+        influence_operators,
         live,
         live_operators,
         operators,
@@ -24,10 +25,11 @@ def _modules():
         setup_operators,
         target_operators,
         transfer_operators,
+        watch,
     )
 
-    buttons = operators, setup_operators, target_operators, transfer_operators, presets, live_operators
-    return preferences, properties, *buttons, influence, live, overlays, panels
+    buttons = operators, setup_operators, target_operators, transfer_operators, influence_operators, live_operators
+    return preferences, properties, *buttons, presets, influence, live, watch, overlays, panels
 
 
 def register():

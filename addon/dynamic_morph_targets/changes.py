@@ -17,7 +17,7 @@ import numpy as np
 
 from . import extract
 from .extract import SceneError
-from .properties import plain
+from .properties import KEY_REFERENCE, named_targets, plain
 from .scene_data import FREE_SETTINGS, SimulationSettings
 
 
@@ -78,7 +78,7 @@ def model_inputs(obj) -> dict:
     if settings.stiffness_group:
         groups["stiffness_factor"] = settings.stiffness_factor
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
-    targets = {name: {"mute": target.mute, "region": target.region} for name, target in _by_name(settings)}
+    targets = {name: {"mute": target.mute, "region": target.region} for name, target in named_targets(obj)}
     return {"targets": targets, "model": model, "groups": groups}
 
 
@@ -88,37 +88,30 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     inputs = model_inputs(obj)
     inputs["model"] = asdict(settings.model.settings())
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
-    for name, target in _by_name(settings):
-        pose = np.empty((len(target.pose), 16), np.float32)
-        target.pose.foreach_get("local", pose.ravel())
-        own = plain(target, skip=("name", "key_index", "key_hash", "rig_world"))
-        seen = crc32(pose.tobytes() + np.array(target.rig_world).tobytes())
+    for name, target in named_targets(obj):
+        own = plain(target, skip=(*KEY_REFERENCE, "rig_world"))
+        seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
         inputs["targets"][name] = own | {"bones": target.bone_names(), "pose": seen}
     return json.loads(json.dumps(inputs))
-
-
-def _by_name(settings) -> list:
-    """(name, target) of all targets; the neutral's name is empty, because a shape key may be called like it."""
-    return [(target.name if i else "", target) for i, target in enumerate(settings.targets)]
 
 
 def _changes(obj, then: dict, now: dict) -> list[str]:
     """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
     settings = obj.dynamorph
-    found = _target_changes(settings, then["targets"], now["targets"])
+    found = _target_changes(obj, then["targets"], now["targets"])
     for part, group in (("model", settings.model), ("simulation", settings.simulation), ("groups", None)):
         before, after = then.get(part, {}), now.get(part, {})
         found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]
     return found
 
 
-def _target_changes(settings, then: dict, now: dict) -> list[str]:
+def _target_changes(obj, then: dict, now: dict) -> list[str]:
     lost, new = [name for name in then if name not in now], [name for name in now if name not in then]
     renamed = list(zip(new, lost, strict=False))
     then = {**then, **{name: then[old] for name, old in renamed}}
     found = [f'target "{name}" is new' for name in new[len(renamed) :]]
     found += [f'target "{name}" is gone' for name in lost[len(renamed) :]]
-    for name, target in _by_name(settings):
+    for name, target in named_targets(obj):
         before, after = then.get(name, {}), now[name]
         if not (before.get("mute") and after["mute"]):
             changed = [_title(target, field) for field in after if before.get(field, after[field]) != after[field]]

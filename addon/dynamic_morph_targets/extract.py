@@ -7,6 +7,7 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 from __future__ import annotations
 
 import hashlib
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -39,10 +40,6 @@ NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
 class SceneError(ValueError):
     """The scene cannot be simulated as it is. The message names the object and what to do."""
-
-
-class Cancelled(Exception):
-    """The user stopped the job."""
 
 
 # The character -----------------------------------------------------------------------------------------------------
@@ -484,6 +481,8 @@ def _rig_scene(obj, rig):
     An empty that copies the mesh object's transform makes the dependency graph evaluate that transform, with its
     parents, constraints and drivers, but not the mesh.
     """
+    if render_runs():
+        raise SceneError("Blender is rendering: wait until it is done")
     user = bpy.context.scene.render
     scene = bpy.data.scenes.new("Dynamorph Sampling")
     probe = bpy.data.objects.new("Dynamorph Sampling", None)
@@ -533,21 +532,33 @@ def _curves(action, slot) -> list:
     return [curve for bag in bags if bag for curve in bag.fcurves]
 
 
-def hold_collapsed(samples: RigSamples, skeleton: Skeleton) -> tuple[RigSamples, list[str]]:
-    """Replace bones scaled to zero (the pop-to-nothing trick) by their last size; returns warnings naming them."""
-    good = _invertible(samples.pose)
+def render_runs() -> bool:
+    """Whether Blender renders beside this thread. Data that is added or removed then makes it crash."""
+    return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")
+
+
+def hold_collapsed(samples: RigSamples, skeleton: Skeleton, before=None) -> tuple[RigSamples, list[str]]:
+    """Bones scaled to zero (the pop-to-nothing trick) follow their parents as they last did; returns warnings naming
+    them. before (B, 4, 4): the pose ahead of the samples, without such bones, if it is known.
+    """
+    pose = samples.pose if before is None else np.concatenate([before[None], samples.pose])
+    good = _invertible(pose)
     if good.all():
         return samples, []
-    times = np.arange(len(samples))[:, None]
+    times = np.arange(len(pose))[:, None]
     last = np.maximum.accumulate(np.where(good, times, -1), axis=0)
     held = np.where(last >= 0, last, good.argmax(axis=0))  # before its first size: that first size
-    pose = samples.pose[held, np.arange(good.shape[1])]
-    never = ~good.any(axis=0)
-    pose[:, never] = skeleton.rest[never]
-    names = ", ".join(f"'{skeleton.names[b]}'" for b in np.flatnonzero(~good.all(axis=0)))
-    frames = int((~good).any(axis=1).sum())
+    pose = pose.copy()
+    collapsed = np.flatnonzero(~good.all(axis=0))
+    for b in collapsed:  # parents come first
+        parent = skeleton.parents[b]
+        joined = skeleton.rest[b] if parent < 0 else pose[:, parent] @ skeleton.rest_inverse[parent] @ skeleton.rest[b]
+        local = (inverse(joined) @ pose[:, b])[held[:, b]] if good[:, b].any() else np.eye(4)
+        pose[:, b] = np.where(good[:, b, None, None], pose[:, b], joined @ local)
+    names = ", ".join(f"'{skeleton.names[b]}'" for b in collapsed)
+    frames = int((~good[-len(samples) :]).any(axis=1).sum())
     warning = f"Bones scaled to zero are held at their last size ({frames} of {len(samples)} samples): {names}"
-    return replace(samples, pose=pose), [warning]
+    return replace(samples, pose=pose[-len(samples) :]), [warning]
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:

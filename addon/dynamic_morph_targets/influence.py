@@ -14,12 +14,10 @@ from functools import lru_cache
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from bpy.app.translations import pgettext_rpt as rpt_
-from bpy.types import Operator
 
-from . import extract, jobs, operators, properties
+from . import events, extract, jobs, properties
 from .extract import SceneError
-from .operators import SoftSkinOperator, guarded
+from .properties import bones_key
 from .scene_data import Material, Skeleton, Target, TargetSet
 
 SLACK = 1.1  # on half the widest gap between neighbours
@@ -96,31 +94,11 @@ class Space:
 def space_of(obj) -> Space:
     """The pose space of `obj` as it is authored now. Raises what tells the artist why there is none."""
     rig = extract.armature_modifier(obj).object
-    targets = _targets(obj)
-    placing = {rig.data.bones.get(name) for _, _, _, names, _ in targets for name in names} - {None}
+    targets = _placed_targets(obj)
+    placing = {rig.data.bones.get(name) for target in targets for name in target.bone_names()} - {None}
     parents = tuple(bone.parent.name for bone in placing if bone.parent)
-    return _space(obj.session_uid, (bones_key(rig.data), parents, targets))
-
-
-def bones_key(armature) -> tuple:
-    """The bones' names and where they rest, to be compared."""
-    rest = np.empty(16 * len(armature.bones), np.float32)
-    armature.bones.foreach_get("matrix_local", rest)
-    return tuple(armature.bones.keys()), rest.tobytes()
-
-
-def _targets(obj) -> tuple:
-    """All that places the targets, to be compared."""
-    return tuple(
-        (target.name, target.region, target.radius, tuple(target.bones.keys()), _pose_bytes(target))
-        for target in _placed_targets(obj)
-    )
-
-
-def _pose_bytes(target) -> bytes:
-    local = np.empty(16 * len(target.pose), np.float32)
-    target.pose.foreach_get("local", local)
-    return local.tobytes()
+    placed = tuple((target.name, target.placing()) for target in targets)
+    return _space(obj.session_uid, (bones_key(rig.data), parents, placed))
 
 
 def _placed_targets(obj) -> list:
@@ -240,52 +218,6 @@ def problem(obj) -> str:
     return shot.problem if shot else ""
 
 
-class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
-    """Evaluate the armature at every frame of the scene again, for the graph of the targets' influence"""
-
-    bl_idname = "dynamorph.update_influence"
-    bl_label = "Update Influence"
-    bl_options = {"REGISTER"}
-
-    def execute(self, context):
-        return guarded(self, self._update, properties.mesh_in(context), context.scene)
-
-    def _update(self, obj, scene):
-        curves(obj, scene.frame_start, scene.frame_end)
-        redraw_views()
-
-
-class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
-    """Go to the frame whose pose is furthest from all targets: the place for another one"""
-
-    bl_idname = "dynamorph.suggest_pose"
-    bl_label = "Suggest Pose"
-
-    @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        if len(properties.mesh_in(context).dynamorph.targets) < 2:
-            cls.poll_message_set("Add a target first")
-            return False
-        return True
-
-    def execute(self, context):
-        return guarded(self, self._suggest, properties.mesh_in(context), context.scene)
-
-    def _suggest(self, obj, scene):
-        found = curves(obj, scene.frame_start, scene.frame_end)
-        worst = found.worst()
-        if worst is None:
-            self.report({"INFO"}, rpt_("Every frame is near a target: no pose is poorly covered"))
-            return
-        pose, s = worst
-        scene.frame_set(scene.frame_start + pose)
-        text = rpt_("Frame {frame}: {away:.0f} degrees from any target of {name}. New from Pose adds one here")
-        away, name = np.degrees(found.nearest[pose, s]), found.sets[s].name
-        self.report({"INFO"}, text.format(frame=scene.frame_current, away=away, name=name))
-
-
 # Keeping up --------------------------------------------------------------------------------------------------------
 
 
@@ -294,9 +226,7 @@ _reading: Reading | None = None  # for the graph
 
 def update_soon(wait: float = PATIENCE):
     """Bring the graph up to date when nothing has asked for it in the meantime."""
-    if bpy.app.timers.is_registered(_update):
-        bpy.app.timers.unregister(_update)
-    bpy.app.timers.register(_update, first_interval=wait)
+    events.soon(_update, wait)
 
 
 def _update():
@@ -325,7 +255,7 @@ def _read_on(obj, start: int, end: int) -> bool:
     except SceneError:
         pass  # the panel shows it: `problem`
     _reading = None
-    redraw_views()
+    events.redraw(events.PANELS | events.VIEWS)
     return True
 
 
@@ -352,14 +282,6 @@ def _note_changes(_scene, depsgraph):
         update_soon()
 
 
-def redraw_views():
-    """Let the 3D viewports draw again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 _bars_drawn = False  # since the last change of frame
 
 
@@ -375,7 +297,7 @@ def _next_frame(*_args):
     global _bars_drawn
     if _bars_drawn and not bpy.app.is_job_running("RENDER"):  # then another thread is here
         _bars_drawn = False
-        operators.redraw(bpy.context)
+        events.redraw(events.PANELS)
 
 
 @persistent
@@ -386,28 +308,18 @@ def _forget(*_args):
     shots.clear()
 
 
-CLASSES = (DYNAMORPH_OT_update_influence, DYNAMORPH_OT_suggest_pose)
+HANDLERS = {
+    "load_pre": _forget,
+    "depsgraph_update_post": _note_changes,
+    "frame_change_post": _next_frame,
+}
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    bpy.app.handlers.load_pre.append(_forget)
-    if not bpy.app.background:
-        bpy.app.handlers.depsgraph_update_post.append(_note_changes)
-        bpy.app.handlers.frame_change_post.append(_next_frame)
+    events.add(HANDLERS)
 
 
 def unregister():
-    for handlers, handler in (
-        (bpy.app.handlers.load_pre, _forget),
-        (bpy.app.handlers.depsgraph_update_post, _note_changes),
-        (bpy.app.handlers.frame_change_post, _next_frame),
-    ):
-        if handler in handlers:
-            handlers.remove(handler)
-    if bpy.app.timers.is_registered(_update):
-        bpy.app.timers.unregister(_update)
+    events.remove(HANDLERS)
+    events.forget(_update)
     shots.clear()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)

@@ -20,13 +20,17 @@ import bpy
 import numpy as np
 
 from . import changes, extract, live_key, materials, model_file, preferences, sinks
-from .extract import Cancelled, SceneError
+from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
+
+
+class Cancelled(Exception):
+    """The user stopped the job."""
 
 
 class NativeMissing(Exception):
@@ -356,7 +360,6 @@ class Job:
         record = obj.dynamorph.bake
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
-        record.gap = self.report.get("gap", 0.0)
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
         changes.look_at_animation(obj)
 
@@ -368,7 +371,7 @@ class Job:
             return self.model_summary()
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
-        gap = f", loop gap {1000 * self.report['gap']:.2g} mm" if "gap" in self.report else ""
+        gap = f", loop gap {1000 * self.report['gap']:.3g} mm" if "gap" in self.report else ""
         return f"{frames} frames in {seconds:.1f} s, {self.size / 2**20:.1f} MB{gap}"
 
     def model_summary(self) -> str:
@@ -520,10 +523,9 @@ class Batch:
             job.start()
             while not job.wait(pause):
                 yield from self._turn()
-        for job in self.jobs:
-            self._at = job
-            while job.must_wait():
-                yield from self._turn()
+        while waiting := next((job for job in self.jobs if job.must_wait()), None):
+            self._at = waiting
+            yield from self._turn()
         for job in self.jobs:
             job.target()
         for job in self.jobs:

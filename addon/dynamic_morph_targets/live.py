@@ -13,18 +13,20 @@ from dataclasses import replace
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
 
-from . import changes, extract, jobs, live_key, properties
+from . import changes, events, extract, jobs, live_key, properties
 from .extract import SceneError
-from .scene_data import Character, RigSamples, SimulationSettings
+from .scene_data import Character, Material, RigSamples, SimulationSettings
 
 BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
 CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
+RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
 KEPT = 250  # latest frames from which it can go on again, when settings are changed there
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 
 sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple] = {}  # why an object does not play, and the model of which that was said
+_problems: dict[int, tuple] = {}  # why an object does not play, and how its model stood then
 lent: set[int] = set()  # objects whose live key shows something else for a while
 _any_live: bool | None = None  # whether an object of this file is live; None: to be seen
 
@@ -46,6 +48,7 @@ class Flesh:
             modes = simulate.surface_modes(self.model, self.model.basis.T)
         shapes = np.concatenate([modes, self.model.details])
         self.modes = len(modes)
+        self.target_names = [target.name for target in self.character.by_method().targets]
         self._rest = self.character.vertices.astype(np.float32).ravel()
         self._shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
 
@@ -65,7 +68,7 @@ class Flesh:
 
 
 class Rig:
-    """The rig at true sub-frames, as a bake reads it: a block of frames at a time, kept until it is edited."""
+    """The rig at true sub-frames, as a bake reads it: blocks of frames, of which the latest are kept until an edit."""
 
     def __init__(self, start: int, substeps: int, skeleton):
         self.start, self.substeps, self.skeleton = start, substeps, skeleton
@@ -77,7 +80,10 @@ class Rig:
         if index not in self._blocks:
             first = self.start + index * BLOCK
             samples = extract.sample_rig(obj, first, first + BLOCK, self.substeps)
-            self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton)
+            before = self._blocks.get(index - 1)
+            self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton, before and before.pose[-1])
+            while len(self._blocks) > max(2, RIG_BYTES // samples.pose.nbytes):
+                del self._blocks[next(iter(self._blocks))]
         return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
 
     def forget(self):
@@ -94,8 +100,9 @@ class Session:
         self.first = self.last = self.now = None  # frames: simulated from, to; the one that shows, or just before
         self._frames: dict[int, object] = {}
         self._states: dict[int, tuple] = {}
+        self.bones = properties.bones_key(properties.rig_of(obj).data)
         self._placing, self._material = _placing(obj), _materials(obj)
-        self._pushed = obj.dynamorph.simulation.fields
+        self._sampled = _sampling(obj)
         settings = self.flesh.player.settings
         self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton)
 
@@ -122,6 +129,8 @@ class Session:
             if before == self.last:
                 self._advance(obj)
             values += share * (self.flesh.values(self._frames[before + 1]) - values)
+        if not np.isfinite(values).all():  # Python and drivers can set a gain to anything
+            raise jobs.SelfCheckError(f"'{obj.name}': its motion is not numbers: reset the gains of its modes")
         return self.flesh.points(values)
 
     def rig_changed(self):
@@ -139,7 +148,7 @@ class Session:
                 f"The mesh has {len(obj.data.vertices)} vertices, its model {len(self.flesh.character.vertices)}: "
                 "press Build Model"
             )
-        placing, materials, pushed = _placing(obj), _materials(obj), obj.dynamorph.simulation.fields
+        placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
         player = self.flesh.player
         changed = (placing, materials) != (self._placing, self._material)
         if changed or _physics(settings) != _physics(player.settings):
@@ -150,8 +159,8 @@ class Session:
                 self.flesh.character = _with_materials(self.flesh.character, materials)
             self._placing, self._material = placing, materials
             player = player.exchange(self.flesh.character, settings)
-        if pushed != self._pushed:
-            self._pushed = pushed
+        if sampled != self._sampled:
+            self._sampled = sampled
             self.rig_changed()
         player.settings = settings
         player.gains = _gains(obj, self.flesh.modes)
@@ -161,7 +170,9 @@ class Session:
         """Have a frame simulated: from the last one on, or where playback cannot have come from there, begin at it."""
         settings = self.flesh.player.settings
         starts = arrives and number == settings.start
-        if starts and settings.loop and self.last == settings.end:
+        if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
+            while self.last < settings.end:
+                self._advance(obj)
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
             self._start(number, self.flesh.player.begin(self.rig.after(obj, number)))
@@ -202,6 +213,12 @@ class Session:
         self.last = self.now
 
 
+def _sampling(obj) -> tuple:
+    """What the rig's samples depend on besides its animation."""
+    render = bpy.context.scene.render
+    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new
+
+
 def _physics(settings: SimulationSettings) -> SimulationSettings:
     """What a step depends on."""
     return replace(settings, start=0, end=0, gains=())
@@ -216,30 +233,25 @@ def _gains(obj, count: int) -> np.ndarray:
     return gains
 
 
-def _materials(obj) -> list:
-    """The materials of all targets by name, that of the neutral one first."""
-    return [(target.name, target.material()) for target in obj.dynamorph.targets]
+def _materials(obj) -> dict[str, Material]:
+    """The materials of all targets by name."""
+    return {name: target.material() for name, target in properties.named_targets(obj)}
 
 
 def _placing(obj) -> tuple:
     """All else that a running simulation takes from the targets: cheap to compare at each frame."""
-    poses = []
-    for target in obj.dynamorph.targets:
-        pose = np.empty(16 * len(target.pose), np.float32)
-        target.pose.foreach_get("local", pose)
-        described = target.name, target.mute, target.region, target.radius, target.bone_names()
-        poses.append((*described, tuple(target.rig_world), pose.tobytes()))
-    return obj.dynamorph.model.blending, tuple(poses)
+    targets = [
+        (target.name, target.mute, tuple(target.rig_world), target.placing()) for target in obj.dynamorph.targets
+    ]
+    return obj.dynamorph.model.blending, targets
 
 
-def _with_materials(character: Character, materials: list) -> Character:
-    (_, neutral), *others = materials
-    named = dict(others)
+def _with_materials(character: Character, materials: dict[str, Material]) -> Character:
     sets = []
     for target_set in character.target_sets:
-        first, *rest = target_set.targets
-        rest = [replace(target, material=named[target.name]) for target in rest]
-        sets.append(replace(target_set, targets=(replace(first, material=neutral), *rest)))
+        names = "", *(target.name for target in target_set.targets[1:])
+        targets = (replace(t, material=materials[name]) for name, t in zip(names, target_set.targets, strict=True))
+        sets.append(replace(target_set, targets=tuple(targets)))
     return replace(character, target_sets=tuple(sets))
 
 
@@ -255,7 +267,7 @@ def obstacle(obj) -> str:
     if obj.dynamorph.bake.keys:
         return "The bake shows the motion already: press Free Bake first"
     age = changes.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
-    return f"Press Build Model first: {'; '.join(age)}" if age else ""
+    return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 
 
 def turn_on(obj, scene):
@@ -265,7 +277,7 @@ def turn_on(obj, scene):
     """
     global _any_live
     session = Session(obj, scene)
-    live_key.add(obj, [target.name for target in session.flesh.character.targets])
+    live_key.add(obj, session.flesh.target_names)
     sessions[obj.session_uid], _any_live = session, True
     _problems.pop(obj.session_uid, None)
     follow(obj, scene)
@@ -358,7 +370,8 @@ def _edited(scene, depsgraph):
         session = sessions[obj.session_uid]
         if moved:
             session.rig_changed()
-        if bones and not _same_bones(obj, session.flesh.character.skeleton):
+        rig = bones and properties.rig_of(obj)
+        if bones and not (rig and properties.bones_key(rig.data) == session.bones):
             del sessions[obj.session_uid]
         if is_on(obj) and live_key.find(obj, session.written) is None:
             turn_off(obj)
@@ -370,14 +383,6 @@ def _moves(update) -> bool:
     if isinstance(edited, bpy.types.Object):
         return update.is_updated_transform or (update.is_updated_geometry and edited.type != "MESH")
     return isinstance(edited, bpy.types.Action)
-
-
-def _same_bones(obj, skeleton) -> bool:
-    rig = properties.rig_of(obj)
-    if rig is None:
-        return False
-    now = properties.rest_skeleton(rig.data)
-    return now.names == skeleton.names and np.array_equal(now.rest, skeleton.rest)
 
 
 @persistent
@@ -420,12 +425,10 @@ HANDLERS = {
 
 
 def register():
-    for name, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(handler)
+    events.add(HANDLERS)
     _loaded()
 
 
 def unregister():
-    for name, handler in HANDLERS.items():
-        getattr(bpy.app.handlers, name).remove(handler)
+    events.remove(HANDLERS)
     _loaded()

@@ -31,8 +31,7 @@ def remove(obj):
     record = obj.dynamorph.live
     block = find(obj)
     if block is not None:
-        if obj.mode == "EDIT":  # where Blender removes no shape keys
-            raise sinks.SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
+        sinks.check_not_edited(obj)
         blocks = obj.data.shape_keys.key_blocks
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         obj.shape_key_remove(block)

@@ -12,13 +12,14 @@ from dataclasses import asdict
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
-from . import extract, jobs, live, live_key, properties
+from . import events, extract, jobs, live, live_key, properties
 from .extract import SceneError
-from .operators import SoftSkinOperator, guarded, redraw_status
+from .operators import SoftSkinOperator, guarded
 from .scene_data import Material, RigSamples
 from .sinks import SinkError
 
@@ -37,13 +38,8 @@ class FleshOperator(SoftSkinOperator):
     """Mixin: shows the flesh of the built model, which nothing else may show meanwhile."""
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        obstacle = live.obstacle(properties.mesh_in(context))
-        if obstacle:
-            cls.poll_message_set(obstacle)
-        return not obstacle
+    def obstacle(cls, context):
+        return super().obstacle(context) or live.obstacle(properties.mesh_in(context))
 
 
 class DYNAMORPH_OT_live(FleshOperator, Operator):
@@ -53,9 +49,10 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
     bl_label = "Live Soft Skin"
 
     @classmethod
-    def poll(cls, context):
+    def obstacle(cls, context):
         obj = properties.mesh_in(context)
-        return super().poll(context) if obj is None or not live.is_on(obj) else True
+        playing = obj is not None and live.is_on(obj)
+        return super(FleshOperator, cls).obstacle(context) if playing else super().obstacle(context)
 
     def apply(self, obj):
         end_preview()
@@ -81,7 +78,7 @@ class Preview:
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         if not self._was_live:
-            live_key.add(obj, [target.name for target in self.flesh.character.targets])
+            live_key.add(obj, self.flesh.target_names)
         live.lent.add(self.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None):
@@ -224,7 +221,7 @@ class PreviewOperator(FleshOperator):
         fps = self.running.flesh.player.settings.fps
         self.timer = context.window_manager.event_timer_add(1.0 / fps, window=context.window)
         context.window_manager.modal_handler_add(self)
-        redraw_status(context)
+        events.redraw_status(context)
         return {"RUNNING_MODAL"}
 
     def _tick(self):
@@ -239,7 +236,7 @@ class PreviewOperator(FleshOperator):
         if self.running is preview:
             end_preview()
         context.window_manager.event_timer_remove(self.timer)
-        redraw_status(context)
+        events.redraw_status(context)
         return {"CANCELLED"}
 
     def _show(self, running: Preview, values: np.ndarray, transform: Matrix | None) -> float:
@@ -247,7 +244,8 @@ class PreviewOperator(FleshOperator):
         return running.flesh.moved(values)
 
     def _report(self, largest: float):
-        self.report({"INFO"}, f"The flesh moves by up to {1000 * largest:.1f} mm")
+        text = rpt_("The flesh moves by up to {distance:.1f} mm")
+        self.report({"INFO"}, text.format(distance=1000 * largest))
 
 
 class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
@@ -378,7 +376,7 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         model, character = jobs.current_model(obj)
         from . import report  # needs the engine, which is there now
 
-        lines = [f"{name}: {1000 * miss:.2g} mm" for name, miss in report.residuals(model, character).items()]
+        lines = [f"{name}: {round(1000 * miss, 3):g} mm" for name, miss in report.residuals(model, character).items()]
         obj.dynamorph.live.checks = "\n".join(lines)
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 
@@ -412,7 +410,7 @@ def slot_settings(obj) -> dict:
     """What one slot holds, fit for JSON. Targets are told apart by name; the neutral one is ''."""
     settings = obj.dynamorph
     return {
-        "materials": {name: asdict(target.material()) for name, target in _named_targets(obj)},
+        "materials": {name: asdict(target.material()) for name, target in properties.named_targets(obj)},
         "simulation": properties.plain(settings.simulation),
         "gains": [mode.gain for mode in settings.modes],
     }
@@ -420,7 +418,7 @@ def slot_settings(obj) -> dict:
 
 def put_slot(obj, values: dict):
     """The inverse of `slot_settings`; targets and modes that came since then stay as they are."""
-    for name, target in _named_targets(obj):
+    for name, target in properties.named_targets(obj):
         if name in values["materials"]:
             target.set_material(Material(**values["materials"][name]))
     properties.assign(obj.dynamorph.simulation, values["simulation"])
@@ -429,17 +427,13 @@ def put_slot(obj, values: dict):
             mode.gain = gain
 
 
-def _named_targets(obj) -> list[tuple]:
-    return [("" if i == 0 else target.name, target) for i, target in enumerate(obj.dynamorph.targets)]
-
-
 @persistent
 def _before_change(*_args):
-    """undo_pre, redo_pre, load_pre, save_pre: what a preview moves must not be saved, nor stay where undo passes by."""
+    """What a preview moves must not be saved, nor stay where undo passes by."""
     end_preview()
 
 
-HANDLERS = ("undo_pre", "redo_pre", "load_pre", "save_pre")
+HANDLERS = dict.fromkeys(("undo_pre", "redo_pre", "load_pre", "save_pre"), _before_change)
 CLASSES = (
     DYNAMORPH_OT_live,
     DYNAMORPH_OT_shake_test,
@@ -449,18 +443,15 @@ CLASSES = (
     DYNAMORPH_OT_swap_slot,
     DYNAMORPH_OT_copy_slot,
 )
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
-    for name in HANDLERS:
-        getattr(bpy.app.handlers, name).append(_before_change)
+    _register_classes()
+    events.add(HANDLERS)
 
 
 def unregister():
     end_preview()
-    for name in HANDLERS:
-        getattr(bpy.app.handlers, name).remove(_before_change)
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    events.remove(HANDLERS)
+    _unregister_classes()

@@ -92,7 +92,7 @@ def skin_matrices(obj, depsgraph) -> np.ndarray | None:
     model = jobs.load_model(obj)
     modifier = extract.armature_modifier(obj)
     rig = modifier.object
-    order = _order(rig.session_uid, influence.bones_key(rig.data))
+    order = _order(rig.session_uid, properties.bones_key(rig.data))
     posed = rig.evaluated_get(depsgraph)
     if not len(order) == len(posed.pose.bones) == len(model.rest):
         return None

@@ -86,7 +86,7 @@ def draw_soft_skin(layout, context, obj):
     draw_modes(layout, obj)
     draw_live(layout, obj)
     draw_bake(layout, obj)
-    draw_setup(layout, obj)
+    draw_setup(layout)
 
 
 # Checks and cage ---------------------------------------------------------------------------------------------------
@@ -284,7 +284,7 @@ def draw_model(layout, obj):
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
-        draw_warnings(layout, model.warnings)
+    draw_warnings(layout, model.warnings)
 
 
 def draw_modes(layout, obj):
@@ -355,7 +355,7 @@ def draw_bake(layout, obj):
         layout.operator("dynamorph.free_bake", icon="X")
 
 
-def draw_setup(layout, obj):
+def draw_setup(layout):
     """Setups as files and presets, and copies for other meshes."""
     header, body = layout.panel("dynamorph_setup", default_closed=True)
     header.label(text="Setup")
@@ -377,14 +377,16 @@ def draw_job(layout, operator: str, icon: str, text: str | None = None):
         layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
-    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {job.message}")
+    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {iface_(job.message)}")
     row.operator("dynamorph.cancel", text="", icon="X")
 
 
 def draw_outdated(layout, reasons: list[str]):
+    """Up to three of the reasons; while a job runs they are those from before."""
     if reasons and not jobs.running:
-        more = f", and {len(reasons) - 3} more" if len(reasons) > 3 else ""
-        draw_message(layout, f"Out of date: {', '.join(reasons[:3])}{more}")
+        more = len(reasons) - 3
+        text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
+        draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))
 
 
 def draw_warnings(layout, warnings: str):
@@ -393,9 +395,9 @@ def draw_warnings(layout, warnings: str):
 
 
 def draw_message(layout, text: str, icon="ERROR", width=LINE):
-    """Text broken into lines, because labels do not wrap."""
+    """Text, translated unless it was put together, and broken into lines, because labels do not wrap."""
     column = layout.column(align=True)
-    for i, line in enumerate(textwrap.wrap(text, width)):
+    for i, line in enumerate(textwrap.wrap(iface_(text), width)):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
 
 
@@ -403,7 +405,8 @@ def draw_status(header, _context):
     """What runs, at the left of the status bar; of every window, wherever it was started."""
     batch = jobs.running
     if batch:
-        text = iface_("{percent:.0%}  {message}    Esc: cancel").format(percent=batch.fraction, message=batch.message)
+        text = iface_("{done:.0%}  {message}    Esc: cancel")
+        text = text.format(done=batch.fraction, message=iface_(batch.message))
     elif live_operators.preview:
         text = iface_("{name}    Esc: stop").format(name=iface_(live_operators.preview.label))
     else:

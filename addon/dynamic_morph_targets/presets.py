@@ -16,6 +16,7 @@ from bpy.props import StringProperty
 from bpy.types import Menu, Operator, Panel
 
 from . import materials, properties, setups
+from .extract import SceneError
 from .operators import SoftSkinOperator
 from .scene_data import Material
 
@@ -78,8 +79,11 @@ class DYNAMORPH_OT_load_preset(SoftSkinOperator, Operator):
     menu_idname: StringProperty(name="Menu", description="The menu that lists the preset")
 
     def apply(self, obj):
-        with bpy.context.temp_override(object=obj):
-            bpy.ops.script.execute_preset(filepath=self.filepath, menu_idname=self.menu_idname)
+        try:
+            with bpy.context.temp_override(object=obj):
+                bpy.ops.script.execute_preset(filepath=self.filepath, menu_idname=self.menu_idname)
+        except RuntimeError as error:  # its file is gone, or no script
+            raise SceneError(str(error).strip()) from error
 
 
 class PresetList(PresetPanel):

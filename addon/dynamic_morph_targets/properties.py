@@ -27,7 +27,7 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
-from . import materials
+from . import events, materials
 from .scene_data import METHODS, Material, ModelSettings, Skeleton
 
 NEUTRAL = "Neutral"
@@ -52,6 +52,13 @@ def rest_skeleton(armature) -> Skeleton:
     parents = np.array([names.index(bone.parent.name) if bone.parent else -1 for bone in bones], dtype=np.int64)
     rest = np.array([bone.matrix_local for bone in bones], dtype=np.float64).reshape(-1, 4, 4)
     return Skeleton(names, parents, rest)
+
+
+def bones_key(armature) -> tuple:
+    """The bones' names and where they rest, to be compared."""
+    rest = np.empty(16 * len(armature.bones), np.float32)
+    armature.bones.foreach_get("matrix_local", rest)
+    return tuple(armature.bones.keys()), rest.tobytes()
 
 
 def key_points(block) -> np.ndarray:
@@ -99,6 +106,9 @@ class KeyReference:
         for field, value in (("name", block.name), ("key_index", index), ("key_hash", key_hash(block))):
             if getattr(self, field) != value:
                 setattr(self, field, value)
+
+
+KEY_REFERENCE = ("name", *KeyReference.__annotations__)
 
 
 class DynamorphKey(KeyReference, PropertyGroup):
@@ -288,11 +298,20 @@ class DynamorphTarget(KeyReference, PropertyGroup):
             bone.name, bone.rest, bone.local = name, rest.ravel(), transform.ravel()
         self.rig_world = rig_world.ravel()
 
+    def placing(self) -> tuple:
+        """All that places the target among others, to be compared: cheap enough for every frame."""
+        return self.region, self.radius, self.bone_names(), self.pose_bytes()
+
+    def pose_bytes(self) -> bytes:
+        """The captured transforms, float32."""
+        stored = np.empty(16 * len(self.pose), np.float32)
+        self.pose.foreach_get("local", stored)
+        return stored.tobytes()
+
     def local(self, skeleton: Skeleton) -> np.ndarray:
         """The captured pose (B, 4, 4) in the skeleton's order; bones added since then are at rest."""
-        stored = np.empty((len(self.pose), 4, 4), np.float32)
-        self.pose.foreach_get("local", stored.ravel())
-        by_name = dict(zip((bone.name for bone in self.pose), stored.astype(np.float64), strict=True))
+        stored = np.frombuffer(self.pose_bytes(), np.float32).reshape(-1, 4, 4).astype(np.float64)
+        by_name = dict(zip((bone.name for bone in self.pose), stored, strict=True))
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
@@ -469,7 +488,6 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
-    gap: FloatProperty(name="Gap", description="Of a loop: how far a vertex is off when it begins again", unit="LENGTH")
 
 
 class DynamorphSculpt(PropertyGroup):
@@ -515,7 +533,7 @@ class DynamorphSettings(PropertyGroup):
         name="Modes", description="Displacement modes of the built model", type=DynamorphMode, override=OVERRIDE_LIST
     )
     active_mode_index: IntProperty(
-        name="Active Mode", description="Index of the mode selected in the list", override=OVERRIDE
+        name="Active Mode", description="Index of the mode selected in the list", min=0, override=OVERRIDE
     )
     simulation: PointerProperty(
         name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
@@ -659,6 +677,7 @@ def _follow_bones(skeleton: Skeleton, target):
     rest = np.empty((len(target.pose), 4, 4), np.float32)
     target.pose.foreach_get("rest", rest.ravel())
     free = sorted(set(index.values()) - {index.get(bone.name) for bone in target.pose})
+    before, after = [], []
     for bone, stored in zip(target.pose, rest, strict=True):
         b = index.get(bone.name)
         if b is None:
@@ -670,8 +689,29 @@ def _follow_bones(skeleton: Skeleton, target):
                 if used.name == bone.name:
                     used.name = skeleton.names[b]
             bone.name = skeleton.names[b]
+        before.append(stored[:3, :3])
+        after.append(skeleton.rest[b, :3, :3])
         if not np.array_equal(skeleton.rest[b].astype(np.float32), stored):
             bone.rest = skeleton.rest[b].ravel()
+    _keep_tilt(target, np.array(before), np.array(after))
+
+
+def _keep_tilt(target, before: np.ndarray, after: np.ndarray):
+    """Bones (B, 3, 3) that at rest were all turned alike, as a rotation that is applied to the armature turns them,
+    still stood in the world as they stood when the pose was captured."""
+    if len(before) < 2:  # of a single bone it may be the roll
+        return
+    turn = after[0] @ before[0].T
+    if np.allclose(turn, np.eye(3), atol=1e-4) or not np.allclose(turn @ before, after, atol=1e-4):
+        return
+    world = np.array(target.rig_world).reshape(4, 4)
+    world[:3, :3] = world[:3, :3] @ turn.T
+    target.rig_world = world.ravel()
+
+
+def named_targets(obj) -> list[tuple]:
+    """(name, target) of all targets; the neutral's name is empty, because a shape key may be called like it."""
+    return [(target.name if i else "", target) for i, target in enumerate(obj.dynamorph.targets)]
 
 
 def soft_skins(objects):
@@ -715,6 +755,7 @@ def changed_objects(depsgraph) -> list:
     return [obj for obj in soft_skins(bpy.data.objects) if obj.library is None and obj.data.shape_keys in changed]
 
 
+HANDLERS = {"depsgraph_update_post": _follow_changes}
 CLASSES = (
     DynamorphKey,
     DynamorphBone,
@@ -729,19 +770,18 @@ CLASSES = (
     DynamorphSettings,
     DynamorphDisplay,
 )
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     bpy.types.Object.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphSettings, override=OVERRIDE)
     bpy.types.WindowManager.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphDisplay)
-    bpy.app.handlers.depsgraph_update_post.append(_follow_changes)
+    events.add(HANDLERS)
 
 
 def unregister():
-    bpy.app.handlers.depsgraph_update_post.remove(_follow_changes)
+    events.remove(HANDLERS)
     del bpy.types.WindowManager.dynamorph
     del bpy.types.Object.dynamorph
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

@@ -11,7 +11,7 @@ import numpy as np
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from . import checks, extract, jobs, properties
+from . import checks, extract, jobs, properties, targets
 from .extract import SceneError
 from .operators import JobOperator, SoftSkinOperator
 
@@ -24,14 +24,11 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
     needs_soft_skin = False
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        obj = properties.mesh_in(context)
-        if not checks.armature_modifiers(obj):
-            cls.poll_message_set("The mesh needs an Armature modifier with an armature")
-            return False
-        return True
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not checks.armature_modifiers(properties.mesh_in(context)):
+            return "The mesh needs an Armature modifier with an armature"
+        return obstacle
 
     def apply(self, obj):
         if obj.dynamorph.targets:
@@ -39,11 +36,13 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
         in_the_way = extract.first_look(obj)
         rig = properties.rig_of(obj)
         skeleton, rig_world = properties.rest_skeleton(rig.data), extract.world_now(rig)
-        if obj.data.shape_keys is None and obj.mode != "EDIT":
-            obj.shape_key_add(name="Basis", from_mix=False)
+        if obj.mode != "EDIT":
+            targets.ensure_basis(obj)
         target = obj.dynamorph.targets.add()
         target.name = properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
+        drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
+        obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, text)
 
@@ -128,7 +127,7 @@ def _enable_armature(obj):
 
 def _add_basis(obj):
     _owned(obj.data)
-    obj.shape_key_add(name="Basis", from_mix=False)
+    targets.ensure_basis(obj)
 
 
 def _relative_keys(obj):

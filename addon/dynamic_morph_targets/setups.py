@@ -21,6 +21,7 @@ import numpy as np
 
 from . import extract, model_file
 from .properties import (
+    KEY_REFERENCE,
     DynamorphBonePose,
     DynamorphMode,
     DynamorphModel,
@@ -31,6 +32,7 @@ from .properties import (
     plain,
 )
 from .scene_data import ModelSettings, determinant, turned
+from .targets import ensure_basis
 
 FORMAT = "dynamorph setup"
 VERSION = 1
@@ -41,7 +43,7 @@ NOT_AUTHORED = {
     DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
     DynamorphSimulation: ("name",),
     DynamorphMode: ("name",),
-    DynamorphTarget: ("key_index", "key_hash"),
+    DynamorphTarget: KEY_REFERENCE[1:],  # the name is in the file
     DynamorphBonePose: ("name",),
 }
 PARTS = {"skin": DynamorphSettings, "model": DynamorphModel, "simulation": DynamorphSimulation}
@@ -89,8 +91,7 @@ def apply(obj, setup: dict) -> dict[str, list[str]]:
     """
     rig = extract.armature_modifier(obj).object
     extract.check_mesh(obj)
-    if obj.data.shape_keys is None:
-        obj.shape_key_add(name="Basis", from_mix=False)
+    ensure_basis(obj)
     settings, lacking = obj.dynamorph, _Lacking(obj)
     _apply_targets(obj, rig, setup["targets"], lacking)
     assign(settings, lacking.without_lost_groups(setup.get("skin", {}), GROUPS))

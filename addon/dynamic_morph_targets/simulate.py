@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 
 import dynamorph
 import numpy as np
@@ -122,6 +123,7 @@ class Player:
             begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
         still = [np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights)]
         for _ in range(self.settings.preroll):
+            self._ask()
             self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
         self.number = self.settings.start
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
@@ -131,7 +133,7 @@ class Player:
 
         What the rig has travelled meanwhile, its past travels back.
         """
-        first, last = self._skinned(rig[:: len(rig) - 1])
+        first, last = self._ends(rig)
         turn, shift = _rigid_fit(last, first)
         coordinates, bones = self.state
         moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
@@ -139,11 +141,11 @@ class Player:
             past[:, :, 3] += shift
         self.state = coordinates, [past.reshape(-1, 12) for past in moved]
         self.number, self.passes = self.settings.start, self.passes + 1
-        return replace(frame, number=self.number, weights=self._posed(rig[:1])[1][0])
+        return Frame(self.number, frame.coordinates, self._posed(rig[:1])[1][0], NO_STEPS)
 
     def pose_gap(self, rig: RigSamples) -> float:
         """How far the skin of the last pose, moved as a whole, is off that of the first: metres, at most."""
-        first, last = self._skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
+        first, last = self._ends(rig)
         turn, shift = _rigid_fit(last, first)
         return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
 
@@ -169,8 +171,7 @@ class Player:
             bones, weights = self._posed(samples)
             for k, number in enumerate(chunk):
                 self.number = int(number)
-                if self._keep_going and not self._keep_going():
-                    raise dynamorph.Cancelled("cancelled")
+                self._ask()
                 steps, last = slice(k * substeps, (k + 1) * substeps), (k + 1) * substeps - 1
                 push = self._push(samples.fields, last, bones[last])
                 report = self._simulation.advance(bones[steps], weights[steps], push)
@@ -195,6 +196,15 @@ class Player:
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with each mode's gain on its motion about the targets' shapes."""
         return frame.coordinates + (self.gains - 1.0) * (frame.coordinates - self.dry(frame.weights))
+
+    def _ask(self):
+        """Raises dynamorph.Cancelled when it is not to go on."""
+        if self._keep_going and not self._keep_going():
+            raise dynamorph.Cancelled("cancelled")
+
+    def _ends(self, rig: RigSamples) -> np.ndarray:
+        """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
+        return self._skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
 
     def _skinned(self, rig: RigSamples) -> np.ndarray:
         """The skin at rest, posed as the rig is: (S, V, 3), world space."""
@@ -240,7 +250,7 @@ class _NothingMoves:
     """In the place of the engine's simulation for static morph targets: there are no coordinates."""
 
     coordinates = np.zeros(0)
-    state = None
+    state = (), ()
 
     def start(self, _now, _next, _weights) -> dict:
         return NO_STEPS
@@ -267,12 +277,20 @@ def simulate(
     return _player(model, character, settings, progress).run(rig)
 
 
-def cycle(player: Player, rig: RigSamples) -> list[Frame]:
-    """The frames of a loop: passes over its range, each going on from where the last came to, until one closes."""
+def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
+    """The frames of a loop, and by how many metres it is off at most where it begins again and a frame later.
+
+    Passes over its range, each going on from where the last came to, until one closes: in place and in velocity.
+    """
     frames = list(player.run(rig))
-    while player.gap(frames[0], frames[-1]) > CLOSED * player.size and player.passes + 1 < PASSES:
-        frames = [player.begin_again(rig, frames[-1]), *player.play(rig[1:], player.settings.frames[1:])]
-    return frames
+    while True:
+        again = player.begin_again(rig, frames[-1])
+        following = player.play(rig[1:], player.settings.frames[1:])
+        ahead = list(islice(following, 1))  # none in a range of one frame
+        gap = max(player.gap(*pair) for pair in zip(frames, [frames[-1], *ahead], strict=False))
+        if gap <= CLOSED * player.size or player.passes == PASSES:
+            return frames, gap
+        frames = [again, *ahead, *following]
 
 
 def _player(model: Model, character: Character, settings: SimulationSettings, progress: Progress | None) -> Player:
@@ -318,13 +336,13 @@ def bake(
     """Simulates a shot: (Bake, report). progress(fraction, message) -> bool; False raises dynamorph.Cancelled."""
     began = time.perf_counter()
     player = _player(model, character, settings, progress)
-    frames = cycle(player, rig) if settings.loop else list(player.run(rig))
+    frames, gap = cycle(player, rig) if settings.loop else (list(player.run(rig)), 0.0)
     weights = np.array([frame.weights for frame in frames])
     coordinates, dry = np.array([player.shown(frame) for frame in frames]), player.dry(weights)
     report = _report(frames)
     if settings.loop:
-        report["gap"] = player.gap(frames[0], frames[-1])
-        report["warnings"] += _loop_warnings(player, rig, report["gap"])
+        report["gap"] = gap
+        report["warnings"] += _loop_warnings(player, rig, gap)
     report.update(_worst_elements(player, frames))
     if player.engine is None:
         modes = np.zeros((0, *character.vertices.shape))

@@ -39,8 +39,7 @@ def check(obj):
     check_local(obj, obj.data, keys)
     for problem in checks.shared_mesh(obj):
         raise SinkError(problem.text)
-    if obj.mode == "EDIT":
-        raise SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
+    check_not_edited(obj)
     animation = keys.animation_data
     if animation is None:
         return
@@ -51,6 +50,16 @@ def check(obj):
     solo = next((track.name for track in animation.nla_tracks if track.is_solo), None)
     if solo is not None:
         raise SinkError(f"NLA track '{solo}' of the shape keys of '{obj.name}' is solo: turn its star off")
+    paths = {f'key_blocks["{bpy.utils.escape_identifier(target.name)}"].mute' for target in obj.dynamorph.targets[1:]}
+    driven = next((driver.data_path for driver in animation.drivers if driver.data_path in paths), None)
+    if driven is not None:
+        raise SinkError(f"'{obj.name}': {driven} has a driver, so a bake cannot mute the key: remove the driver")
+
+
+def check_not_edited(obj):
+    """Refuse Edit Mode, in which Blender removes no shape keys. Raises SinkError."""
+    if obj.mode == "EDIT":
+        raise SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
 
 
 def check_local(*blocks):

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy.types import Operator
 
 from . import checks, extract, jobs, live, materials, properties, sinks, suggest, targets
 from .extract import SceneError
-from .operators import SoftSkinOperator, guarded
+from .operators import SoftSkinOperator, guarded, listed
 from .properties import key_points, rest_skeleton
 
 SCULPT_MODE = EnumProperty(
@@ -29,17 +30,14 @@ class TargetOperator(SoftSkinOperator):
     neutral_too = False
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        settings = properties.mesh_in(context).dynamorph
-        if settings.active_target is None:
-            cls.poll_message_set("Select a target in the list")
-            return False
-        if settings.active_target_index == 0 and not cls.neutral_too:
-            cls.poll_message_set("Select a target other than the neutral one")
-            return False
-        return True
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        settings = not obstacle and properties.mesh_in(context).dynamorph
+        if settings and settings.active_target is None:
+            return "Select a target in the list"
+        if settings and settings.active_target_index == 0 and not cls.neutral_too:
+            return "Select a target other than the neutral one"
+        return obstacle
 
 
 # The list ----------------------------------------------------------------------------------------------------------
@@ -76,7 +74,10 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
             wanted = f"shape key '{self.key}'" if self.key else "active shape key"
             raise SceneError(f"'{obj.name}' has no {wanted}: sculpt one, or select another")
         if block == keys.reference_key:
-            raise SceneError(f"'{block.name}' is the shape of the neutral target: select another shape key")
+            raise SceneError(
+                f"'{block.name}' is the shape of the neutral target: select another shape key, or make one by New from "
+                "Pose"
+            )
         if block.name in [target.name for target in settings.targets[1:]]:
             raise SceneError(f"'{block.name}' is a target already: pose the armature and press Capture Pose to move it")
         if block.name in settings.bake.keys:
@@ -104,15 +105,11 @@ class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
             target.set_pose(*suggestion.pose)
             target.set_bones(suggestion.bones)
             added.append(target.name)
-        told = [f"{_counted(len(added), 'target')} added: {', '.join(added)}"] * bool(added)
-        told += [f"{_counted(len(skipped), 'key')} skipped: {', '.join(skipped)}"] * bool(skipped)
+        told = [rpt_("Targets added: {names}").format(names=", ".join(added))] * bool(added)
+        told += [rpt_("Keys skipped: {names}").format(names=", ".join(skipped))] * bool(skipped)
         if not added:
             raise SceneError("; ".join(told))
         self.report({"WARNING" if skipped else "INFO"}, "; ".join(told))
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
@@ -176,9 +173,8 @@ class DYNAMORPH_OT_duplicate_target(TargetOperator, Operator):
         targets.copy_settings(source, target)
         target.set_pose(skeleton, source.local(skeleton), np.array(source.rig_world))
         target.set_bones(source.bone_names())
-        self.report(
-            {"WARNING"}, f"'{target.name}' has the pose of '{source.name}': pose the armature and press Capture Pose"
-        )
+        text = rpt_("'{name}' has the pose of '{source}': pose the armature and press Capture Pose")
+        self.report({"WARNING"}, text.format(name=target.name, source=source.name))
 
 
 class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
@@ -228,7 +224,8 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         region = bpy.utils.flip_name(source.region)
         if not region or region in obj.vertex_groups:
             return region
-        self.report({"WARNING"}, f"There is no vertex group '{region}': the mirrored target has no Region")
+        text = rpt_("There is no vertex group '{region}': the mirrored target has no Region")
+        self.report({"WARNING"}, text.format(region=region))
         return ""
 
     def _key(self, obj):
@@ -239,19 +236,18 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         existing = keys.key_blocks.get(name)
         if existing and not self.overwrite:
             return existing
-        targets.check_not_edited(obj)
+        extract.check_mesh(obj)
         partners = targets.mirror_partners(key_points(keys.reference_key))
         alone = (partners < 0).nonzero()[0]
         if len(alone) == len(partners):
             raise SceneError(f"'{obj.name}' is not symmetric about its X axis: sculpt a shape key '{name}' yourself")
         if len(alone):
-            listed = ", ".join(map(str, alone[:10])) + ", ..." * (len(alone) > 10)
-            self.report({"WARNING"}, f"{len(alone)} vertices have no mirror image and stay as in the Basis: {listed}")
+            text = rpt_("{count} vertices have no mirror image and stay as in the Basis: {numbers}")
+            self.report({"WARNING"}, text.format(count=len(alone), numbers=listed([str(vertex) for vertex in alone])))
         shape = targets.mirrored_shape(extract.target_shape(obj, source.name), partners)
         if existing is None:
             return targets.new_key(obj, name, shape)
-        existing.vertex_group = ""
-        targets.set_shape(existing, shape)
+        targets.sculpt_anew(existing, shape)
         return existing
 
 
@@ -268,7 +264,7 @@ class DYNAMORPH_OT_select_key(TargetOperator, Operator):
 
 def sculpted_key(obj):
     """The shape key of the selected target. Raises SceneError."""
-    target, keys = selected_target(obj), obj.data.shape_keys
+    target, keys = obj.dynamorph.active_target, obj.data.shape_keys
     block = keys and keys.key_blocks.get(target.name)
     if not block:
         raise SceneError(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
@@ -298,9 +294,8 @@ def capture(operator, obj, target, pose):
         return
     target.set_bones(extract.bones_turned(obj, skeleton, neutral.local(skeleton), local))
     if not target.bones:
-        operator.report(
-            {"WARNING"}, f"'{target.name}': no bone is turned away from the neutral pose. Pose it, then Capture Pose"
-        )
+        text = rpt_("'{name}': no bone is turned away from the neutral pose. Pose it, then Capture Pose")
+        operator.report({"WARNING"}, text.format(name=target.name))
 
 
 class DYNAMORPH_OT_go_to_pose(TargetOperator, Operator):
@@ -320,8 +315,8 @@ def go_to_pose(operator, obj):
     targets.pose_rig(extract.armature_modifier(obj).object, skeleton, local)
     elsewhere = targets.held_elsewhere(obj, skeleton, local)
     if elsewhere:
-        listed = ", ".join(elsewhere[:5]) + ", ..." * (len(elsewhere) > 5)
-        operator.report({"WARNING"}, f"Constraints or drivers hold {_counted(len(elsewhere), 'bone')} off: {listed}")
+        text = rpt_("Constraints or drivers hold bones off: {bones}")
+        operator.report({"WARNING"}, text.format(bones=listed(elsewhere)))
 
 
 class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
@@ -362,13 +357,11 @@ class SculptOperator:
     """Mixin, before the other: begins to sculpt, which must not have begun already."""
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        if properties.mesh_in(context).dynamorph.sculpt.active:
-            cls.poll_message_set("Press Finish Sculpting first")
-            return False
-        return True
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and properties.mesh_in(context).dynamorph.sculpt.active:
+            return "Press Finish Sculpting first"
+        return obstacle
 
 
 class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
@@ -435,13 +428,11 @@ class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
     bl_label = "Finish Sculpting"
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        if not properties.mesh_in(context).dynamorph.sculpt.active:
-            cls.poll_message_set("No target is being sculpted")
-            return False
-        return True
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not properties.mesh_in(context).dynamorph.sculpt.active:
+            return "No target is being sculpted"
+        return obstacle
 
     def apply(self, obj):
         targets.finish_sculpting(obj)
@@ -450,11 +441,12 @@ class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
 # Materials ---------------------------------------------------------------------------------------------------------
 
 
-class DYNAMORPH_OT_apply_material(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
     """Give the selected target the properties of a measured material"""
 
     bl_idname = "dynamorph.apply_material"
     bl_label = "Apply Material"
+    neutral_too = True
     on_override = True
 
     preset: EnumProperty(
@@ -469,14 +461,15 @@ class DYNAMORPH_OT_apply_material(SoftSkinOperator, Operator):
         return materials.PRESETS[given.preset].source if given.is_property_set("preset") else ""
 
     def apply(self, obj):
-        selected_target(obj).set_material(materials.PRESETS[self.preset].material)
+        obj.dynamorph.active_target.set_material(materials.PRESETS[self.preset].material)
 
 
-class DYNAMORPH_OT_fit_material(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
     """Set stiffness and damping of the selected target so that the flesh swings as observed, on the cage as built"""
 
     bl_idname = "dynamorph.fit_material"
     bl_label = "Fit Bounce"
+    neutral_too = True
     on_override = True
 
     frequency: FloatProperty(
@@ -491,33 +484,24 @@ class DYNAMORPH_OT_fit_material(SoftSkinOperator, Operator):
     )
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        if not properties.mesh_in(context).dynamorph.model.content_id:
-            cls.poll_message_set("Press Build Model first: the bounce is measured on its cage")
-            return False
-        return True
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not properties.mesh_in(context).dynamorph.model.content_id:
+            return "Press Build Model first: the bounce is measured on its cage"
+        return obstacle
 
     def invoke(self, context, _event):
         return guarded(self, self._ask, context)
 
     def _ask(self, context):
         obj = properties.mesh_in(context)
-        now = materials.bounce(*jobs.fit_input(obj, selected_target(obj)))
+        now = materials.bounce(*jobs.fit_input(obj, obj.dynamorph.active_target))
         self.frequency, self.settle = now.frequency or self.frequency, now.settle
         return context.window_manager.invoke_props_dialog(self)
 
     def apply(self, obj):
-        target, decay = selected_target(obj), materials.decay_of(self.settle)
+        target, decay = obj.dynamorph.active_target, materials.decay_of(self.settle)
         target.set_material(materials.fit_oscillation(*jobs.fit_input(obj, target), self.frequency, decay))
-
-
-def selected_target(obj):
-    target = obj.dynamorph.active_target
-    if target is None:
-        raise SceneError("Select a target in the list")
-    return target
 
 
 CLASSES = (

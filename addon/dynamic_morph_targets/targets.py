@@ -10,15 +10,20 @@ from mathutils.kdtree import KDTree
 
 from . import checks, extract, jobs
 from .extract import SceneError
-from .properties import assign, key_points, plain, rig_of
+from .properties import KEY_REFERENCE, assign, key_points, plain, rig_of
 from .scene_data import Skeleton, turned
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 MIRROR_TOLERANCE = 1e-3  # of the mesh's size: how far from its mirror image a vertex's partner may be
-KEY_REFERENCE = ("name", "key_index", "key_hash")
 
 
 # Shape keys --------------------------------------------------------------------------------------------------------
+
+
+def ensure_basis(obj):
+    """Make the shape key that the others are relative to, unless there is one."""
+    if obj.data.shape_keys is None:
+        obj.shape_key_add(name="Basis", from_mix=False)
 
 
 def new_key(obj, name: str, shape: np.ndarray):
@@ -26,9 +31,8 @@ def new_key(obj, name: str, shape: np.ndarray):
 
     Raises SceneError.
     """
-    check_not_edited(obj)
-    if obj.data.shape_keys is None:
-        obj.shape_key_add(name="Basis", from_mix=False)
+    extract.check_mesh(obj)
+    ensure_basis(obj)
     block = obj.shape_key_add(name=name, from_mix=False)
     set_shape(block, shape)
     block.value = 0.0
@@ -41,10 +45,10 @@ def set_shape(block, shape: np.ndarray):
     block.id_data.update_tag()
 
 
-def check_not_edited(obj):
-    """Raises SceneError in Edit Mode, which would overwrite shape keys when it is left."""
-    if obj.mode == "EDIT":
-        raise SceneError(f"'{obj.name}' is in Edit Mode: leave it first")
+def sculpt_anew(block, shape: np.ndarray):
+    """Let a shape key add `shape` (V, 3), local space, to the Basis, whatever it did before."""
+    block.relative_key, block.vertex_group = block.id_data.reference_key, ""
+    set_shape(block, shape)
 
 
 def copy_key(obj, name: str):
@@ -202,7 +206,7 @@ def begin_sculpting(obj, block, mode: str):
 
 def check_can_sculpt(obj):
     """Raises SceneError."""
-    check_not_edited(obj)
+    extract.check_mesh(obj)
     if not obj.visible_get():
         raise SceneError(f"'{obj.name}' is hidden: show it to sculpt")
 

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
-from . import extract, setups
+from . import extract, setups, targets
 from .extract import SceneError
 from .properties import key_points, rig_of
 from .scene_data import determinant, inverse
@@ -73,11 +73,13 @@ def copy(source, obj) -> Copy:
 
 def write(obj, made: Copy, overwrite: bool):
     """Make the shape keys and vertex groups; those there with the same name stay as they are unless `overwrite`."""
-    if obj.data.shape_keys is None:
-        obj.shape_key_add(name="Basis", from_mix=False)
+    targets.ensure_basis(obj)
     for name, shape in made.shapes.items():
-        if overwrite or name not in obj.data.shape_keys.key_blocks:
-            _write_key(obj, name, shape)
+        block = obj.data.shape_keys.key_blocks.get(name)
+        if block is None:
+            targets.new_key(obj, name, shape)
+        elif overwrite:
+            targets.sculpt_anew(block, shape)
     for name, weights in made.weights.items():
         if overwrite or name not in obj.vertex_groups:
             _write_group(obj, name, weights)
@@ -106,16 +108,6 @@ def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
 
 def _moved(points: np.ndarray, world: np.ndarray) -> np.ndarray:
     return points @ world[:3, :3].T + world[:3, 3]
-
-
-def _write_key(obj, name: str, shape: np.ndarray):
-    keys = obj.data.shape_keys
-    block = keys.key_blocks.get(name)
-    if block is None:
-        block = obj.shape_key_add(name=name, from_mix=False)
-        block.value = 0.0
-    block.relative_key, block.vertex_group = keys.reference_key, ""
-    block.points.foreach_set("co", (key_points(keys.reference_key) + shape).astype(np.float32).ravel())
 
 
 def _own_groups(source) -> list[str]:
@@ -162,15 +154,19 @@ def nearest(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> 
     tree = BVHTree.FromPolygons((vertices - centre).tolist(), triangles.tolist(), all_triangles=True)
     corners = triangles[[tree.find_nearest(point)[2] for point in (points - centre).tolist()]]
     weights = _closest(points, vertices[corners])
-    found = np.einsum("pc,pcx->px", weights, vertices[corners])
-    return SurfaceMap(corners, weights, np.linalg.norm(points - found, axis=1))
+    return SurfaceMap(corners, weights, _distances(points, vertices[corners], weights))
 
 
 def _closest(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Barycentric coordinates (P, 3) of the points nearest to (P, 3) on triangles (P, 3, 3)."""
-    on_plane = _on_plane(points, corners)
-    inside = (on_plane >= 0.0).all(axis=1)  # not where a triangle without area gives NaN
-    return np.where(inside[:, None], on_plane, _on_edges(points, corners))
+    on_plane, on_edges = _on_plane(points, corners), _on_edges(points, corners)
+    # Where a triangle has next to no area, those on its plane are anything, or NaN.
+    nearer = _distances(points, corners, on_plane) <= _distances(points, corners, on_edges)
+    return np.where(((on_plane >= 0.0).all(axis=1) & nearer)[:, None], on_plane, on_edges)
+
+
+def _distances(points, corners, weights) -> np.ndarray:
+    return np.linalg.norm(np.einsum("pc,pcx->px", weights, corners) - points, axis=1)
 
 
 def _on_plane(points, corners) -> np.ndarray:

@@ -12,11 +12,10 @@ from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from . import jobs, properties, setups, transfer
-from .operators import SoftSkinOperator, guarded
+from .operators import SoftSkinOperator, guarded, listed
 from .target_operators import remove_soft_skin
 
 FAR = 0.03  # of the source's size: meshes that are further apart were probably not meant
-SHOWN = 5  # names of a kind in a report
 
 
 class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
@@ -72,13 +71,11 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
     )
 
     @classmethod
-    def poll(cls, context):
-        if not super().poll(context):
-            return False
-        if not others(context):
-            cls.poll_message_set("Select the other meshes too, the soft skin last")
-            return False
-        return True
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not others(context):
+            return "Select the other meshes too, the soft skin last"
+        return obstacle
 
     def invoke(self, context, _event):
         """Ask only where there is something to replace or to overwrite."""
@@ -120,15 +117,11 @@ def others(context):
 def report_lacking(operator, obj, lacking: dict[str, list[str]]):
     """One warning of all that a setup names and `obj` does not have."""
     if lacking:
-        texts = (f"{rpt_(kind)} {_listed(names)}" for kind, names in lacking.items())
-        text = rpt_("Left out, because '{name}' has no such: {what}")
-        operator.report({"WARNING"}, text.format(name=obj.name, what="; ".join(texts)))
-
-
-def _listed(names: list[str]) -> str:
-    listed = ", ".join(f"'{name}'" for name in names[:SHOWN])
-    more = len(names) - SHOWN
-    return rpt_("{names} and {count} more").format(names=listed, count=more) if more > 0 else listed
+        quoted = {rpt_(kind): [f"'{name}'" for name in names] for kind, names in lacking.items()}
+        what = "; ".join(f"{kind} {listed(names)}" for kind, names in quoted.items())
+        operator.report(
+            {"WARNING"}, rpt_("Left out, because '{name}' has no such: {what}").format(name=obj.name, what=what)
+        )
 
 
 def length(metres: float) -> str:

@@ -8,6 +8,7 @@ from math import pi
 
 import bpy
 import numpy as np
+import pytest
 import scenes
 
 MODULE = "bl_ext.user_default.dynamic_morph_targets"
@@ -119,6 +120,35 @@ def evaluated_points(obj) -> np.ndarray:
     evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
     world = np.array(evaluated.matrix_world)
     return points @ world[:3, :3].T + world[:3, 3]
+
+
+def keys_of(obj):
+    return obj.data.shape_keys
+
+
+def skinned(character, samples, displacement=0.0):
+    """World positions (S, V, 3) by linear blend skinning of the extracted arrays."""
+    matrices = samples.skin_matrices(character.skeleton, character.to_bind)
+    blended = np.einsum("vb,sbij->svij", character.weights, matrices)
+    bind = (character.vertices + displacement) @ character.to_bind.T
+    return np.einsum("svij,vj->svi", blended[..., :3], bind) + blended[..., 3]
+
+
+def assert_shows(obj, bake, extra=0.0):
+    """Blender's mesh at every frame is vertices + Bake.displacement, skinned."""
+    extract = part("extract")
+    character = extract.character(obj)
+    samples = extract.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)
+    for i, frame in enumerate(bake.frames):
+        bpy.context.scene.frame_set(int(frame))
+        ours = skinned(character, samples[i : i + 1], bake.displacement(i) + extra)[0]
+        assert np.abs(evaluated_points(obj) - ours).max() < 1e-5 * np.ptp(character.vertices, axis=0).max()
+
+
+def refused(operator, words, **arguments):
+    """The operator must report an error with these words, which Python sees as RuntimeError."""
+    with pytest.raises(RuntimeError, match=words):
+        operator(**arguments)
 
 
 class StandIn:

@@ -142,6 +142,17 @@ def test_rest_knows_no_motion_before_the_start(shot):
     assert np.abs(rest - rest[0]).max() > 100 * np.abs(settled - settled[0]).max() + 1e-4
 
 
+def test_a_pre_roll_can_be_cancelled(shot):
+    simulate, asked = part("simulate"), []
+    settings = replace(shot.settings, preroll=5000)
+    player = simulate.Player(
+        shot.model, shot.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
+    )
+    with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
+        player.begin(shot.rig[:2])
+    assert len(asked) == 9
+
+
 # Loops -------------------------------------------------------------------------------------------------------------
 
 
@@ -178,11 +189,42 @@ def test_a_loop_closes(shot, travel):
     rig = cyclic(shot, travel=travel)
     bake, report = looped(shot, rig)
     apart = np.linalg.norm((bake.displacement(11) - bake.displacement(0)) @ shot.character.to_bind.T, axis=1).max()
-    assert report["gap"] == pytest.approx(apart) and apart <= 1e-4 * size(shot)
-    assert report["warnings"] == []
+    assert apart <= report["gap"] * (1 + 1e-6) and report["gap"] <= 1e-4 * size(shot)
+    assert report["warnings"] == [] and report["steps"] == 11 * shot.settings.substeps
     once = replace(shot.settings, end=shot.settings.start + 11)
     single, _ = part("simulate").bake(shot.model, shot.character, rig, once)
     assert np.abs(single.displacement(11) - single.displacement(0)).max() > 10 * report["gap"]
+
+
+def test_a_loop_closes_in_velocity_too(shot):
+    """Flesh that springs back undamped crosses its place at the start of a pass long before it does so as fast."""
+    simulate, rig = part("simulate"), cyclic(shot)
+    sets = shot.character.target_sets[0]
+    springy = {"stiffness": 3e5, "mass_damping": 0.0, "stiffness_damping": 0.0}
+    targets = tuple(replace(t, material=replace(t.material, **springy)) for t in sets.targets)
+    character = replace(shot.character, target_sets=(replace(sets, targets=targets),))
+    settings = replace(shot.settings, end=12, loop=True)
+
+    player = simulate.Player(shot.model, character, settings)
+    frames, gap = simulate.cycle(player, rig)
+    again = simulate.Player(shot.model, character, settings)
+    passed = list(again.run(rig))
+    while again.passes < player.passes - 1:
+        passed = [again.begin_again(rig, passed[-1]), *again.play(rig[1:], settings.frames[1:])]
+    assert np.array_equal(passed[-1].coordinates, frames[-1].coordinates)
+    again.begin_again(rig, passed[-1])
+    ahead = again.advance(rig[1 : 1 + settings.substeps], 2)
+    assert gap == max(again.gap(frames[0], frames[-1]), again.gap(frames[1], ahead)) <= 1e-4 * size(shot)
+
+
+@pytest.mark.parametrize("frames", [12, 1])
+def test_static_morph_targets_loop_too(shot, frames):
+    build, simulate = part("jobs").engine()
+    character = shot.character.with_settings(method="STATIC")
+    settings = replace(shot.settings, end=frames, loop=True)
+    rig = cyclic(shot, closed=False)[: 1 + (frames - 1) * settings.substeps]
+    bake, report = simulate.bake(build.build(character), character, rig, settings)
+    assert len(bake.weights) == frames and len(report["warnings"]) == (frames > 1)
 
 
 def test_a_loop_is_what_many_cycles_come_to(shot):

@@ -6,6 +6,7 @@ import time
 import bpy
 import pytest
 from builders import part, rig_of
+from layout import drawn
 
 
 @pytest.fixture
@@ -189,11 +190,11 @@ def test_a_renamed_rig_is_the_same(baked):
 
 def test_edits_are_looked_at_soon(baked, monkeypatch):
     """What the timer does that an edit of an Action starts; there are no timers without a window."""
-    operators, asked = part("operators"), []
-    monkeypatch.setattr(operators, "_soon", asked.append)
+    watch, asked = part("watch"), []
+    monkeypatch.setattr(watch.events, "soon", lambda look, _seconds: asked.append(look))
     rig_of(baked).keyframe_insert("location", frame=3)
     bpy.context.view_layer.update()
-    assert asked == [operators._look_at_animations]
+    assert asked == [watch._look_at_animations]
     asked[0]()
     assert outdated(baked) == ['animation of "Arm Rig" changed']
 
@@ -202,8 +203,6 @@ def test_edits_are_looked_at_soon(baked, monkeypatch):
 
 
 def test_the_badge_names_three(baked):
-    from test_panels import drawn
-
     badge = "Out of date: "
     assert not any(text.startswith(badge) for text in drawn(baked))
     baked.dynamorph.targets[1].stiffness = 5e5

@@ -5,7 +5,8 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import activate, make_mesh, make_rig, part, rig_of
+from builders import activate, make_mesh, make_rig, part, refused, rig_of
+from layout import drawn
 from test_extract import (
     absolute_keys,
     bendy,
@@ -19,8 +20,6 @@ from test_extract import (
     rest_position,
     subdivided_first,
 )
-from test_operators import refused
-from test_panels import drawn
 
 OPS = bpy.ops.dynamorph
 
@@ -229,6 +228,10 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
     ):
         assert words in warnings
     assert len(arm.dynamorph.targets) == 1
+    shown = " ".join(drawn(arm))  # what the reports say stays to be read, each once
+    assert (
+        shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' uses Preserve") == 1
+    )
 
 
 def test_a_sound_mesh_is_added_without_a_word(arm):

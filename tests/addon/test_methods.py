@@ -4,8 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from builders import activate, add_key, part, rig_of
-from test_sinks import assert_shows
+from builders import activate, add_key, assert_shows, part, rig_of
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 

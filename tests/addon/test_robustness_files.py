@@ -77,10 +77,12 @@ def test_many_steps_undone_and_redone(skin):
 
 @pytest.fixture
 def asset(skin, tmp_path):
-    """Saves the character, baked or built, in a collection: where, how it moves, what Free Bake restores."""
+    """Saves the character, built, baked or live, in a collection: where, how it moves, what Free Bake restores."""
 
     def save(goal):
         before = fingerprint(skin)
+        if goal == "live":
+            OPS.build()
         getattr(OPS, goal)()
         character = bpy.data.collections.new("Character")
         for obj in (skin, rig_of(skin)):
@@ -109,6 +111,11 @@ def open_shot(asset, link: bool):
 
 def open_override(asset):
     open_shot(asset, link=True)
+    return override()
+
+
+def override():
+    """Of the whole character; returns its mesh object."""
     character = bpy.data.collections["Character"]
     character.override_hierarchy_create(bpy.context.scene, bpy.context.view_layer, do_fully_editable=True)
     return the_override()
@@ -172,6 +179,17 @@ def test_a_linked_character_plays_and_cannot_be_changed(asset):
         with pytest.raises(part("sinks").SinkError, match="Object 'Arm' is linked.*make it local"):
             part("jobs").run(part("jobs").Job(obj, goal=goal, rebuild=True))
     assert state() == before
+
+
+def test_a_linked_character_that_is_live_plays(asset):
+    """As it is, an override too; to turn it off is for the file that it comes from."""
+    obj = open_shot(asset("live"), link=True)
+    for overridden in (False, True):
+        playing = override() if overridden else obj
+        moved = motion(playing, frames=range(1, 12))
+        assert part("live").is_on(playing) and not part("live").problem(playing)
+        assert np.isfinite(moved).all() and np.abs(np.diff(moved, axis=0)).max() > 1e-3
+        assert not OPS.live.poll() and names(playing)[-1] == "Dynamorph Live"
 
 
 def test_an_override_keeps_materials_alone(asset, tmp_path):

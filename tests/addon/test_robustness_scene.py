@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from builders import activate, evaluated_points, fingerprint, part, rig_of
+from builders import activate, evaluated_points, fingerprint, make_soft, part, rig_of
 from mathutils import Matrix
 from robustness import OPS, bake, coarse, motion
 from test_extract import skinned
@@ -103,6 +103,28 @@ def test_small_units_below_a_small_scale_change_nothing(scene, skin):
     scene.frame_set(1)
     assert "mesh changed" in bake(skin).reasons
     assert np.abs(motion(skin) - shown).max() < 1e-4
+
+
+@pytest.mark.parametrize("kind", ["rotation", "scale"])
+@pytest.mark.parametrize("pose", ["neutral", "flexed"])
+def test_gravity_is_still_balanced_after_a_transform_is_applied(scene, arm, kind, pose):
+    """In a target's pose and tilt nothing sags; that the rig's object stands otherwise now is no other tilt."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    both = (arm, rig_of(arm))
+    for each in both:
+        each.rotation_euler, each.scale = (0.4, 1.1, 0.3), (0.5, 0.5, 0.5)
+    bpy.context.view_layer.update()
+    skin = coarse(make_soft(arm))
+    scene.frame_set(20 if pose == "flexed" else 1)
+    rig_of(arm).animation_data_clear()
+    for each in both:
+        each.select_set(True)
+    bpy.ops.object.transform_apply(location=False, **{name: name == kind for name in ("rotation", "scale")})
+    job = bake(skin, frames=(1, 5))
+    target = job.character.targets[pose == "flexed"]
+    assert job.result.weights[-1, int(pose == "flexed")] == pytest.approx(1.0)
+    for k in range(5):
+        assert np.abs(job.result.displacement(k) - target.shape).max() < 1e-5
 
 
 # Skinning that is not linear ---------------------------------------------------------------------------------------
@@ -209,6 +231,17 @@ def test_remapped_time(scene, skin, old, new):
     assert_shows(skin, job.result)
     assert OPS.free_bake() == {"FINISHED"}
     assert fingerprint(skin) == before
+
+
+def test_live_in_remapped_time_is_the_bake(scene, skin):
+    scene.render.frame_map_new = 200
+    frames = range(1, 21)
+    bake(skin)
+    baked = motion(skin, frames)
+    OPS.free_bake()
+    scene.frame_set(1)
+    OPS.live()
+    assert np.abs(motion(skin, frames) - baked).max() < 1e-5
 
 
 def test_time_remapped_after_the_bake_keeps_rig_and_flesh_together(scene, skin):

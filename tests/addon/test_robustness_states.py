@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 import pytest
 from builders import activate, make_arm, make_soft, part
+from layout import Layout, drawn
 from robustness import CALLS, CHANGING_NOTHING, OPS, coarse, motion
-from test_panels import Layout, drawn
 
 
 def mesh():
@@ -196,11 +196,10 @@ def press(name):
     return "done"
 
 
-def draw_panels():
-    obj = bpy.context.object
-    for name in ("DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_object_data"):
+def draw_panels(*names):
+    for name in names:
         if getattr(part("panels"), name).poll(bpy.context):
-            assert drawn(obj, name)
+            assert drawn(bpy.context.object, name)
 
 
 @pytest.fixture(scope="module")
@@ -210,6 +209,7 @@ def baked_file(addon, tmp_path_factory):
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     obj = coarse(make_soft(make_arm(bpy.context.scene)))
     bpy.context.scene.frame_end = 5
+    obj.dynamorph.simulation.substeps = 1
     OPS.bake()
     obj.dynamorph.active_target_index = 1
     path = str(tmp_path_factory.mktemp("states") / "arm.blend")
@@ -220,15 +220,16 @@ def baked_file(addon, tmp_path_factory):
 @pytest.mark.parametrize("state", STATES)
 def test_every_button_and_panel_in_every_state(baked_file, state):
     """Each button from the same file, brought into the state."""
+    bpy.ops.wm.open_mainfile(filepath=baked_file)
+    state()
+    draw_panels("DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_object_data")
     answers = {}
     for name in BUTTONS:
         bpy.ops.wm.open_mainfile(filepath=baked_file)
         state()
-        draw_panels()
         answers[name] = press(name)
-        draw_panels()
-        for frame in (3, 4):
-            bpy.context.scene.frame_set(frame)
+        draw_panels("DYNAMORPH_PT_sidebar")
+        bpy.context.scene.frame_set(3)
     if state in NOBODY:
         assert {answers[name] for name in CALLS if name != "bake_all"} == {"grey"}
     if state in WORKING:

@@ -11,10 +11,9 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import MODULE, activate, add_key, make_arm, make_mesh, make_soft, part, rig_of
+from builders import MODULE, activate, add_key, make_arm, make_mesh, make_soft, part, refused, rig_of
+from layout import Layout
 from mathutils import Matrix
-from test_operators import refused
-from test_panels import Layout
 
 OPS = bpy.ops.dynamorph
 
@@ -575,6 +574,16 @@ def test_nearest_points_of_a_surface():
     np.testing.assert_allclose(found.weights.sum(axis=1), 1.0, rtol=1e-12)
     used = np.unique(triangles[:-2])
     np.testing.assert_array_equal(found.carry(vertices)[200:][used], vertices[used])
+
+
+def test_nearest_points_of_triangles_whose_corners_are_in_a_line():
+    """But for rounding, which leaves the coordinates on their planes to chance."""
+    rng = np.random.default_rng(4)
+    start, along = rng.uniform(-1.0, 1.0, (2000, 3)), 0.1 * rng.normal(size=(2000, 3))
+    corners = np.stack([start, start + along, start + 0.5 * along], axis=1)
+    points = start + rng.uniform(0.0, 1.0, (2000, 1)) * along
+    weights = part("transfer")._closest(points, corners)
+    np.testing.assert_allclose(np.einsum("pc,pcx->px", weights, corners), points, atol=1e-14)
 
 
 def test_a_character_of_13_thousand_vertices_takes_less_than_two_seconds(rich):

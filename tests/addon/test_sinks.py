@@ -10,30 +10,16 @@ import pytest
 from builders import (
     activate,
     add_key,
+    assert_shows,
     evaluated_points,
     fingerprint,
     hand_made_bake,
+    keys_of,
     make_arm,
     make_mesh,
     make_soft,
     part,
 )
-from test_extract import skinned
-
-
-def keys_of(obj):
-    return obj.data.shape_keys
-
-
-def assert_shows(obj, bake, extra=0.0):
-    """Blender's mesh at every frame is vertices + Bake.displacement, skinned."""
-    extract = part("extract")
-    character = extract.character(obj)
-    samples = extract.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)
-    for i, frame in enumerate(bake.frames):
-        bpy.context.scene.frame_set(int(frame))
-        ours = skinned(character, samples[i : i + 1], bake.displacement(i) + extra)[0]
-        assert np.abs(evaluated_points(obj) - ours).max() < 1e-5 * np.ptp(character.vertices, axis=0).max()
 
 
 def test_blender_shows_the_bake(soft_arm):
@@ -484,3 +470,10 @@ def test_writing_is_fast(scene):
     seconds = time.perf_counter() - began
     print(f"write_modal_keys: {seconds * 1e3:.0f} ms")
     assert seconds < 2.0
+
+
+def test_a_key_whose_mute_is_driven_is_refused(soft_arm):
+    soft_arm.data.shape_keys.key_blocks["flexed"].driver_add("mute")
+    with pytest.raises(part("sinks").SinkError, match="flexed.*has a driver"):
+        part("sinks").write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    assert not soft_arm.dynamorph.bake.keys

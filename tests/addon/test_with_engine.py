@@ -4,9 +4,8 @@
 import bpy
 import numpy as np
 import pytest
-from builders import part, rig_of
+from builders import assert_shows, part, rig_of
 from mathutils import Matrix
-from test_sinks import assert_shows
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -119,11 +118,11 @@ def test_what_needs_one_is_named(small_arm, change, reason):
 
 
 def test_cancelling_the_engine(small_arm):
-    jobs, extract = part("jobs"), part("extract")
+    jobs = part("jobs")
     job = jobs.Job(small_arm, goal="BAKE")
     job.prepare()
     job.cancelled = True
     job.start()
-    with pytest.raises(extract.Cancelled):
+    with pytest.raises(jobs.Cancelled):
         job.wait()
     assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id
