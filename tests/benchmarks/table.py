@@ -122,6 +122,8 @@ ROWS = [
     Row("bake of 250 frames of 4 substeps: engine", "ms", 50, None, lambda _, p: p[BAKE]["stages"]["engine"]),
     Row("the same, all but Blender's pose evaluation", "s", 1, None, outside_pose_evaluation),
     Row("live: our share of a frame, 4 substeps", "ms", 2, None, lambda _, p: p["live"]["median"]),
+    Row("live: a frame with Blender's evaluation", "ms", None, None, lambda _, p: p["live"]["whole"]),
+    Row("live: from another stiffness to its frame", "ms", None, None, lambda _, p: p["live_change"]["median"]),
     Row("crowd at 30 fps on one core", "characters", 5000, None, characters_at_30_fps("crowd"), most=False),
     Row(
         "crowd / one by one",
