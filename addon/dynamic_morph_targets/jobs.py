@@ -372,7 +372,7 @@ class Job:
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
         gap = f", loop gap {1000 * self.report['gap']:.3g} mm" if "gap" in self.report else ""
-        return f"{frames} frames in {seconds:.1f} s, {self.size / 2**20:.1f} MB{gap}"
+        return f"{frames} frames in {seconds:.1f}\u00a0s, {self.size / 2**20:.1f}\u00a0MB{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary
@@ -393,7 +393,7 @@ class Job:
         if self.reasons:
             packed = model_file.pack(*self.model.to_arrays())
             store_model(obj, packed, self.folder)
-            size = f"{len(packed) / 2**20:.1f} MB, {self.seconds['build']:.1f} s"
+            size = f"{len(packed) / 2**20:.1f}\u00a0MB, {self.seconds['build']:.1f}\u00a0s"
             record.summary = "" if self.only_cage else f"{self.model_summary()}, {size}"
             record.cage = self.cage_summary()
             record.vertices = len(self.character.vertices)

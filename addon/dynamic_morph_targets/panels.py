@@ -169,6 +169,8 @@ def draw_target_list(layout, settings):
         column.separator()
         column.operator("dynamorph.move_target", text="", icon="TRIA_UP").direction = "UP"
         column.operator("dynamorph.move_target", text="", icon="TRIA_DOWN").direction = "DOWN"
+    if len(settings.targets) == 1:
+        layout.operator("dynamorph.add_target", icon="ADD")
     if settings.sculpt.active:
         layout.operator("dynamorph.finish_sculpt", icon="CHECKMARK")
     else:
@@ -225,7 +227,7 @@ def draw_material(layout, target):
         for name in ("stiffness", "poisson", "density"):
             body.prop(target, name)
         body.prop(target, "mass_damping")
-        body.prop(target, "stiffness_damping")
+        body.prop(target, "stiffness_damping", text="Stiff. Damping")  # that much fits
 
 
 def draw_influence(layout, context, obj):
