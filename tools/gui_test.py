@@ -145,15 +145,13 @@ def build_wheel() -> Path:
     return folder
 
 
-def install_extension():
-    """Into a Blender without any user settings: a wheel of the same version would not replace what is there."""
+def pack_extension():
+    """For a Blender without any user settings: a wheel of the same version would not replace what is there."""
     stage = package.stage_extension(WORK / "extension")
     shutil.copytree(build_wheel(), stage / "wheels")
-    archive = package.pack_extension(stage, WORK)
+    package.pack_extension(stage, WORK)
     shutil.rmtree(WORK / "user", ignore_errors=True)
-    command = ["blender", "-c", "extension", "install-file", "-r", "user_default", "--enable", inside(archive)]
-    if enter("install.log", *command):
-        raise Failed(f"the extension was not installed\n{tail('install.log')}")
+    (WORK / "user").mkdir()
 
 
 # The test ------------------------------------------------------------------------------------------------------------
@@ -231,10 +229,10 @@ def main() -> int:
     WORK.mkdir(parents=True, exist_ok=True)
     try:
         set_up_blender()
+        pack_extension()
         start = time.monotonic()
-        install_extension()
-        print(f"gui-test: installed after {time.monotonic() - start:.0f} s", flush=True)
         found = run_scenario()
+        print(f"gui-test: {time.monotonic() - start:.0f} s in Blender")
     except CannotRun as reason:
         print(f"gui-test: SKIPPED, {reason}")
         return 0

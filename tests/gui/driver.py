@@ -23,6 +23,7 @@ import traceback
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 WORK = Path(sys.argv[sys.argv.index("--") + 1])
 ROW = 16  # less than a button's height: none is missed
@@ -78,6 +79,20 @@ def tap(kind: str, position, **details):
     yield 0
 
 
+def drag(path):
+    """A stroke with the left button along positions."""
+    global actions
+    actions += 1
+    yield from move(path[0])
+    send("LEFTMOUSE", "PRESS", path[0])
+    yield 0.02
+    for position in path[1:]:
+        send("MOUSEMOVE", "NOTHING", position)
+        yield 0.02
+    send("LEFTMOUSE", "RELEASE", path[-1])
+    yield 0.1
+
+
 def click(position):
     global actions
     actions += 1
@@ -112,6 +127,15 @@ def photograph(name: str, box=None):
     subprocess.run(command, check=True)
 
 
+def pixels(box) -> np.ndarray:
+    """What the screen shows in a box as `photograph` takes it: (height, width, 3), from 0 to 1."""
+    photograph("pixels", box)
+    image = bpy.data.images.load(str(WORK / "shots" / "pixels.png"))
+    found = np.array(image.pixels[:], np.float32).reshape(box[3], box[2], 4)[:, :, :3]
+    bpy.data.images.remove(image)
+    return found
+
+
 class Region:
     """A region of the first editor of its kind, looked up each time: layouts and undo replace them.
 
@@ -121,6 +145,7 @@ class Region:
     def __init__(self, editor: str, kind: str | None = None):
         self.editor, self.kind = editor, kind
         self.known: dict[str, tuple[float, float]] = {}  # where buttons were seen
+        self.shift = 0  # pixels that a button had moved when it was last looked for
 
     @property
     def area(self):
@@ -202,10 +227,11 @@ class Region:
         raise AssertionError(f"no button {wanted} in {self.editor}, only {', '.join(self.known) or 'nothing'}")
 
     def near(self, wanted: str):
-        """Look where the button was last, and then a little below and above."""
+        """Look where the button was last, then as far from there as the one before it was, then below and above."""
         x, y = self.seen(wanted)
-        for offset in sorted(range(-200, 201, ROW), key=abs):
+        for offset in sorted(range(-200, 201, ROW), key=lambda offset: (offset != 0, abs(offset - self.shift))):
             if is_button((yield from self.look((x, y + offset))), wanted):
+                self.shift = offset or self.shift
                 return True
         return False
 
@@ -253,21 +279,48 @@ class Region:
         raise AssertionError(f"{what} not found in {self.editor}")
 
     def unfold(self, wanted: str, above: str):
-        """Open the section that holds a button; its header is the first above the button `above`."""
+        """Open the section that holds a button. Its header is one of those next above the button `above`."""
         global actions
         actions += 1
         x, row = yield from self.find(above)
-        for higher in range(ROW, 8 * ROW, ROW // 2):
-            header = (self.box[0] + 40, row + higher)
-            if (yield from self.look(header)):
+        left = self.box[0] + 40
+        for height in range(row + ROW, row + 14 * ROW, ROW // 2):
+            if (yield from self.look((left, height))):
                 continue
-            yield from tap("LEFTMOUSE", header)
-            yield 0.1
+            yield from self._toggle((left, height))
             if is_button((yield from self.look((x, row))), above):
                 continue  # a label
-            yield from self.find(wanted)
-            return
-        raise AssertionError(f"no section above {above}")
+            if (yield from self.scan_down(wanted, height)):
+                return Section(self, wanted, height - self.seen(wanted)[1], above, height - row)
+            yield from self._toggle((left, height))  # another section
+        raise AssertionError(f"no section with {wanted} above {above}")
+
+    def unfold_last(self, wanted: str, below: str):
+        """Open the last section, whose header is the first below a button."""
+        global actions
+        actions += 1
+        _, row = yield from self.find(below)
+        for height in range(row - ROW, row - 14 * ROW, -ROW // 2):
+            header = (self.box[0] + 40, height)
+            if (yield from self.look(header)):
+                continue
+            yield from self._toggle(header)
+            if (yield from self.scan_down(wanted, height)):
+                return Section(self, wanted, height - self.seen(wanted)[1])
+        raise AssertionError(f"no section with {wanted} below {below}")
+
+    def _toggle(self, header):
+        yield from move(header)
+        yield from tap("LEFTMOUSE", header)
+        yield 0.1
+
+    def scan_down(self, wanted: str, start: float):
+        """Look for a button from a height downwards; False when it is not near."""
+        x, y, width, _ = self.box
+        for row in range(int(start) - ROW, max(int(start) - END, y), -ROW):
+            if is_button((yield from self.look((x + int(width * COLUMNS[0]), row))), wanted):
+                return True
+        return False
 
     def enter(self, wanted: str, text: str):
         """Type a number into a field."""
@@ -282,15 +335,54 @@ class Region:
 
 
 def is_button(button: str, wanted: str) -> bool:
-    return button.startswith(f"bpy.ops.{wanted}(") or button.endswith(f".{wanted}")
+    """wanted: an operator, maybe with its arguments, or the end of a property's path."""
+    call = wanted if "(" in wanted else f"{wanted}("
+    return button.startswith(f"bpy.ops.{call}") or button.endswith(f".{wanted}")
 
 
-def keep(name: str, region: Region):
-    """A picture of a region for the guide."""
-    yield from move(region.top)  # a list lets go of its highlighted row
+class Section:
+    """An open section of a panel. It is where its button `wanted` is, which is `rise` pixels below its header.
+
+    above: the next button after the section, `closed` pixels below its header when that is closed; None: it is the last.
+    """
+
+    def __init__(self, region: Region, wanted: str, rise: float, above: str | None = None, closed=0.0):
+        self.region, self.wanted, self.rise, self.above, self.closed = region, wanted, rise, above, closed
+
+    def header(self):
+        """Where it is, to within half a button."""
+        _, row = yield from self.region.find(self.wanted)
+        return self.region.box[0] + 40, row + self.rise
+
+    def fold(self):
+        global actions
+        actions += 1
+        x, height = yield from self.header()
+        button = self.region.seen(self.wanted)
+        for offset in (0, ROW // 2, -ROW // 2, ROW, -ROW):
+            yield from self.region._toggle((x, height + offset))
+            if not is_button((yield from self.region.look(button)), self.wanted):
+                return
+        raise AssertionError(f"no header above {self.wanted}")
+
+    def keep(self, name: str):
+        """A picture of it for the guide."""
+        x, y, width, _ = self.region.box
+        _, header = yield from self.header()
+        bottom = y
+        if self.above:
+            _, row = yield from self.region.find(self.above)
+            bottom = row + self.closed - ROW
+        yield from keep(name, self.region, (x, int(bottom), width, int(header + ROW - bottom)))
+
+
+def keep(name: str, region: Region, box=None):
+    """A picture of a region, or of a box in it, for the guide."""
+    if region.kind:
+        yield from move(region.top)  # a list lets go of its highlighted row
     yield from rest()
     yield from drawn() if region.kind == "UI" else drawn_smoothly()
-    photograph(name, region.box)
+    photograph(name, box or region.box)
     result["pictures"].append(name)
 
 
