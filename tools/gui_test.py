@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parent.parent
 CHROOT = Path(os.environ.get("DYNAMORPH_GUI", ROOT / "build/gui")).resolve()
 WORK = ROOT / "build/gui-test"
 PICTURES = ROOT / "docs/images/guide"
+CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part does without, and says so
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
 SCREEN = (1600, 1000)
 MIRROR = "http://deb.debian.org/debian"
@@ -163,6 +164,10 @@ def run_scenario() -> dict:
     shutil.rmtree(shots, ignore_errors=True)
     shots.mkdir()
     result.unlink(missing_ok=True)
+    character = WORK / "character.blend"
+    character.unlink(missing_ok=True)
+    if CHARACTER.exists():
+        shutil.copy(CHARACTER, character)
     width, height = map(str, SCREEN)
     code = enter(
         "blender.log", "timeout", str(LONGEST),

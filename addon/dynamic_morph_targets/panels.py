@@ -12,7 +12,7 @@ from bpy.types import Menu, Panel, UIList
 
 from . import changes, checks, influence, jobs, live, live_operators, properties, setup_operators, sinks
 
-LINE = 36  # characters that fit into the sidebar at its default width
+LINE = 34  # characters that fit into the sidebar at its default width
 
 
 class DYNAMORPH_UL_targets(UIList):

@@ -10,7 +10,21 @@ import driver
 import limb
 import numpy as np
 from driver import measure, step, until
-from editors import addon, job_done, key_points, keys, on_screen, rig, settings, shown, sidebar, skin, view, viewport
+from editors import (
+    addon,
+    from_menu,
+    job_done,
+    key_points,
+    keys,
+    on_screen,
+    rig,
+    settings,
+    shown,
+    sidebar,
+    skin,
+    view,
+    viewport,
+)
 
 BRUSH = 40  # pixels, the radius
 sections = {}  # that a later step closes
@@ -178,16 +192,6 @@ def drive_a_key():
     variable.targets[0].id = rig()
     variable.targets[0].data_path = 'pose.bones["forearm"].rotation_euler[2]'
     driver_of.expression = f"{variable.name} / {math.radians(50)}"
-
-
-def from_menu(*arrows: str):
-    """Choose from the menu beside the list of targets, with the arrow keys."""
-    x, row = yield from sidebar.find("dynamorph.remove_target")
-    yield from driver.click((x, row - 30))
-    yield 0.2
-    for key in (*arrows, "RET"):
-        yield from driver.tap(key, (x, row - 30))
-        yield 0.1
 
 
 @step("Go to Pose, and remove that target", picture=sidebar)

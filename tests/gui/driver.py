@@ -27,6 +27,8 @@ import numpy as np
 
 WORK = Path(sys.argv[sys.argv.index("--") + 1])
 ROW = 16  # less than a button's height: none is missed
+HEADER = 21  # pixels from one closed section's header to the next
+TABS = 30  # pixels: the tabs beside a sidebar
 END = 300  # no buttons for so many pixels: there are none below
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
 
@@ -278,21 +280,32 @@ class Region:
                 return
         raise AssertionError(f"{what} not found in {self.editor}")
 
+    def top_of(self, wanted: str):
+        """The highest row of a button's pixels, to within two."""
+        x, row = yield from self.find(wanted)
+        while is_button((yield from self.look((x, row + 2))), wanted):
+            row += 2
+        yield from self.look((x, row - ROW // 2))  # where it is sure to be found
+        return row
+
     def unfold(self, wanted: str, above: str):
         """Open the section that holds a button. Its header is one of those next above the button `above`."""
         global actions
         actions += 1
-        x, row = yield from self.find(above)
-        left = self.box[0] + 40
-        for height in range(row + ROW, row + 14 * ROW, ROW // 2):
+        top = yield from self.top_of(above)
+        left, height = self.box[0] + 40, top
+        while height < top + 14 * ROW:
+            height += ROW // 2
             if (yield from self.look((left, height))):
                 continue
             yield from self._toggle((left, height))
-            if is_button((yield from self.look((x, row))), above):
+            if is_button((yield from self.look(self.seen(above))), above):
                 continue  # a label
             if (yield from self.scan_down(wanted, height)):
-                return Section(self, wanted, height - self.seen(wanted)[1], above, height - row)
+                header = height + HEADER // 4  # it was met near its lower edge
+                return Section(self, wanted, header - (yield from self.top_of(wanted)), above, header - top)
             yield from self._toggle((left, height))  # another section
+            height += HEADER - ROW // 2
         raise AssertionError(f"no section with {wanted} above {above}")
 
     def unfold_last(self, wanted: str, below: str):
@@ -306,7 +319,7 @@ class Region:
                 continue
             yield from self._toggle(header)
             if (yield from self.scan_down(wanted, height)):
-                return Section(self, wanted, height - self.seen(wanted)[1])
+                return Section(self, wanted, height - HEADER // 4 - (yield from self.top_of(wanted)))
         raise AssertionError(f"no section with {wanted} below {below}")
 
     def _toggle(self, header):
@@ -341,39 +354,34 @@ def is_button(button: str, wanted: str) -> bool:
 
 
 class Section:
-    """An open section of a panel. It is where its button `wanted` is, which is `rise` pixels below its header.
+    """An open section of a panel: its header's middle is `rise` pixels above the top of its button `wanted`.
 
-    above: the next button after the section, `closed` pixels below its header when that is closed; None: it is the last.
+    above: the next button after the section, `closed` pixels below its header when that is closed; None for the last
+    section.
     """
 
     def __init__(self, region: Region, wanted: str, rise: float, above: str | None = None, closed=0.0):
         self.region, self.wanted, self.rise, self.above, self.closed = region, wanted, rise, above, closed
 
-    def header(self):
-        """Where it is, to within half a button."""
-        _, row = yield from self.region.find(self.wanted)
-        return self.region.box[0] + 40, row + self.rise
-
     def fold(self):
         global actions
         actions += 1
-        x, height = yield from self.header()
+        header = self.rise + (yield from self.region.top_of(self.wanted))
         button = self.region.seen(self.wanted)
-        for offset in (0, ROW // 2, -ROW // 2, ROW, -ROW):
-            yield from self.region._toggle((x, height + offset))
+        for lines in (0, 1, -1):  # that have come since then
+            yield from self.region._toggle((self.region.box[0] + 40, header + lines * HEADER))
             if not is_button((yield from self.region.look(button)), self.wanted):
                 return
-        raise AssertionError(f"no header above {self.wanted}")
+        raise AssertionError(f"the section of {self.wanted} is still open")
 
     def keep(self, name: str):
         """A picture of it for the guide."""
         x, y, width, _ = self.region.box
-        _, header = yield from self.header()
+        top = self.rise + HEADER // 2 + 2 + (yield from self.region.top_of(self.wanted))
         bottom = y
         if self.above:
-            _, row = yield from self.region.find(self.above)
-            bottom = row + self.closed - ROW
-        yield from keep(name, self.region, (x, int(bottom), width, int(header + ROW - bottom)))
+            bottom = self.closed - HEADER // 2 + (yield from self.region.top_of(self.above))
+        yield from keep(name, self.region, (x, int(bottom), width - TABS, int(top - bottom)))
 
 
 def keep(name: str, region: Region, box=None):

@@ -8,9 +8,10 @@ import importlib
 import bpy
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from driver import Region, until
+from driver import Region, click, tap, until
 
 ADDON = "bl_ext.user_default.dynamic_morph_targets"
+LIST_ROW = 20  # pixels
 
 view = Region("VIEW_3D")
 viewport = Region("VIEW_3D", "WINDOW")
@@ -91,3 +92,23 @@ def on_screen(point) -> tuple[float, float]:
     x, y, *_ = viewport.box
     place = location_3d_to_region_2d(viewport.region, view.area.spaces.active.region_3d, point)
     return x + place.x, y + place.y
+
+
+def select_target(index: int):
+    """Click a row of the list of targets."""
+    yield from sidebar.scroll("WHEELUPMOUSE", 40)
+    wanted = "dynamorph.active_target_index"  # all rows are this button
+    top = yield from sidebar.top_of(wanted)
+    x, _ = sidebar.seen(wanted)
+    yield from click((x, top - LIST_ROW // 2 - index * LIST_ROW))
+    yield from until(lambda: settings().active_target_index == index, f"target {index} to be selected")
+
+
+def from_menu(*arrows: str):
+    """Choose from the menu beside the list of targets, with the arrow keys."""
+    x, row = yield from sidebar.find("dynamorph.remove_target")
+    yield from click((x, row - 30))
+    yield 0.2
+    for key in (*arrows, "RET"):
+        yield from tap(key, (x, row - 30))
+        yield 0.1

@@ -11,8 +11,7 @@ import driver
 import frames
 import limb
 from driver import WORK, measure, step, until
-from editors import ADDON, baked, job_done, keys, moved, on_screen, properties, settings, sidebar, skin, timeline
-from editors import view, viewport
+from editors import ADDON, baked, job_done, keys, moved, on_screen, properties, settings, sidebar, skin, view, viewport
 from mathutils import Euler
 
 start = 0.0  # when the zip was dropped
@@ -94,10 +93,7 @@ def select_key():
 
 @step("Go to the frame where the arm is flexed")
 def pose():
-    x, y, _, height = timeline.box
-    across, _ = timeline.region.view2d.view_to_region(limb.FLEXED, 0, clip=False)
-    yield from driver.click((x + across, y + height - 12))
-    yield from until(lambda: bpy.context.scene.frame_current == limb.FLEXED, f"frame {limb.FLEXED}")
+    yield from frames.click(limb.FLEXED)
 
 
 @step("Add Target", picture=view)
