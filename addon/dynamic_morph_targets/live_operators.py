@@ -376,7 +376,7 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         model, character = jobs.current_model(obj)
         from . import report  # needs the engine, which is there now
 
-        lines = [f"{name}: {round(1000 * miss, 3):g} mm" for name, miss in report.residuals(model, character).items()]
+        lines = [f"{name}: {1000 * miss:.3f} mm" for name, miss in report.residuals(model, character).items()]
         obj.dynamorph.live.checks = "\n".join(lines)
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 

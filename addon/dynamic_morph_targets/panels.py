@@ -12,7 +12,7 @@ from bpy.types import Menu, Panel, UIList
 
 from . import changes, checks, influence, jobs, live, live_operators, properties, setup_operators, sinks
 
-LINE = 36  # characters that fit into the sidebar at its default width
+LINE = 34  # characters that fit into the sidebar at its default width
 FEW_BONES = 8  # of a target: more are folded away
 WIDE = 340  # pixels, at a resolution scale of 1: a list this wide has room for more than names
 
