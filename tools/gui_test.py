@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parent.parent
 CHROOT = Path(os.environ.get("DYNAMORPH_GUI", ROOT / "build/gui")).resolve()
 WORK = ROOT / "build/gui-test"
 PICTURES = ROOT / "docs/images/guide"
+CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part does without, and says so
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
 SCREEN = (1600, 1000)
 MIRROR = "http://deb.debian.org/debian"
@@ -145,15 +146,13 @@ def build_wheel() -> Path:
     return folder
 
 
-def install_extension():
-    """Into a Blender without any user settings: a wheel of the same version would not replace what is there."""
+def pack_extension():
+    """For a Blender without any user settings: a wheel of the same version would not replace what is there."""
     stage = package.stage_extension(WORK / "extension")
     shutil.copytree(build_wheel(), stage / "wheels")
-    archive = package.pack_extension(stage, WORK)
+    package.pack_extension(stage, WORK)
     shutil.rmtree(WORK / "user", ignore_errors=True)
-    command = ["blender", "-c", "extension", "install-file", "-r", "user_default", "--enable", inside(archive)]
-    if enter("install.log", *command):
-        raise Failed(f"the extension was not installed\n{tail('install.log')}")
+    (WORK / "user").mkdir()
 
 
 # The test ------------------------------------------------------------------------------------------------------------
@@ -165,6 +164,10 @@ def run_scenario() -> dict:
     shutil.rmtree(shots, ignore_errors=True)
     shots.mkdir()
     result.unlink(missing_ok=True)
+    character = WORK / "character.blend"
+    character.unlink(missing_ok=True)
+    if CHARACTER.exists():
+        shutil.copy(CHARACTER, character)
     width, height = map(str, SCREEN)
     code = enter(
         "blender.log", "timeout", str(LONGEST),
@@ -231,10 +234,10 @@ def main() -> int:
     WORK.mkdir(parents=True, exist_ok=True)
     try:
         set_up_blender()
+        pack_extension()
         start = time.monotonic()
-        install_extension()
-        print(f"gui-test: installed after {time.monotonic() - start:.0f} s", flush=True)
         found = run_scenario()
+        print(f"gui-test: {time.monotonic() - start:.0f} s in Blender")
     except CannotRun as reason:
         print(f"gui-test: SKIPPED, {reason}")
         return 0

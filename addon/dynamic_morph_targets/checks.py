@@ -72,7 +72,8 @@ def notes(obj) -> Iterator[Problem]:
             if before.type in DEFORMING:
                 yield Problem(f"'{obj.name}': modifier '{before.name}' before the Armature is not simulated")
     yield from shared_mesh(obj)
-    if obj.show_only_shape_key:
+    sculpting = obj.dynamorph.sculpt.active and obj.mode != "OBJECT"  # which shows that key alone on purpose
+    if obj.show_only_shape_key and not sculpting:
         yield Problem(
             f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake", "UNPIN"
         )

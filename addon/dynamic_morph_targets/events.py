@@ -40,3 +40,8 @@ def redraw(regions: set[tuple[str, str]]):
             for region in area.regions:
                 if (area.type, region.type) in regions:
                     region.tag_redraw()
+
+
+def redraw_status(context):
+    """Let the status bar of a window draw again, where `panels.draw_status` says what runs."""
+    context.workspace.status_text_set(None)

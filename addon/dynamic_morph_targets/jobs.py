@@ -340,6 +340,13 @@ class Job:
             raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
         return obj
 
+    def must_wait(self) -> bool:
+        """Whether a bake cannot be written yet: the artist went on in Edit Mode, which has a mesh of its own."""
+        waits = self.bake and find(self.session_uid).mode == "EDIT"
+        if waits:
+            self.message = "Waiting for you to leave Edit Mode"
+        return waits
+
     def commit(self):
         """Write the results; main thread."""
         obj = self.target()
@@ -365,7 +372,7 @@ class Job:
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
         gap = f", loop gap {1000 * self.report['gap']:.3g} mm" if "gap" in self.report else ""
-        return f"{frames} frames in {seconds:.1f} s, {self.size / 2**20:.1f} MB{gap}"
+        return f"{frames} frames in {seconds:.1f}\u00a0s, {self.size / 2**20:.1f}\u00a0MB{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary
@@ -386,7 +393,7 @@ class Job:
         if self.reasons:
             packed = model_file.pack(*self.model.to_arrays())
             store_model(obj, packed, self.folder)
-            size = f"{len(packed) / 2**20:.1f} MB, {self.seconds['build']:.1f} s"
+            size = f"{len(packed) / 2**20:.1f}\u00a0MB, {self.seconds['build']:.1f}\u00a0s"
             record.summary = "" if self.only_cage else f"{self.model_summary()}, {size}"
             record.cage = self.cage_summary()
             record.vertices = len(self.character.vertices)
@@ -516,6 +523,9 @@ class Batch:
             job.start()
             while not job.wait(pause):
                 yield from self._turn()
+        while waiting := next((job for job in self.jobs if job.must_wait()), None):
+            self._at = waiting
+            yield from self._turn()
         for job in self.jobs:
             job.target()
         for job in self.jobs:

@@ -73,8 +73,8 @@ class Preview:
     Raises SceneError or SinkError.
     """
 
-    def __init__(self, obj, name: str):
-        self.name = name
+    def __init__(self, obj, operator: type[Operator]):
+        self.name, self.label = operator.bl_idname, operator.bl_label
         self.session_uid = obj.session_uid
         self.flesh = live.Flesh(obj, bpy.context.scene)
         self._movers: list[_Mover] = []
@@ -173,7 +173,7 @@ class PreviewOperator(FleshOperator):
     bl_options = {"REGISTER"}  # nothing stays that could be undone
 
     def apply(self, obj):
-        running = Preview(obj, type(self).bl_idname)
+        running = Preview(obj, type(self))
         try:
             moved = []
             for values, transform in self.frames(obj, running.flesh):
@@ -215,7 +215,7 @@ class PreviewOperator(FleshOperator):
         if context.screen.is_animation_playing:
             raise SceneError("Stop the playback first")
         obj = properties.mesh_in(context)
-        self.running = Preview(obj, type(self).bl_idname)
+        self.running = Preview(obj, type(self))
         preview = self.running
         self.largest = 0.0
         try:
@@ -227,6 +227,7 @@ class PreviewOperator(FleshOperator):
         self.began, self.done = time.monotonic(), 0
         self.timer = context.window_manager.event_timer_add(1.0 / self.fps, window=context.window)
         context.window_manager.modal_handler_add(self)
+        events.redraw_status(context)
         return {"RUNNING_MODAL"}
 
     def _tick(self):
@@ -247,6 +248,7 @@ class PreviewOperator(FleshOperator):
         if self.running is preview:
             end_preview()
         context.window_manager.event_timer_remove(self.timer)
+        events.redraw_status(context)
         return {"CANCELLED"}
 
     def _report(self, largest: float):
@@ -382,7 +384,7 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         model, character = jobs.current_model(obj)
         from . import report  # needs the engine, which is there now
 
-        lines = [f"{name}: {round(1000 * miss, 3):g} mm" for name, miss in report.residuals(model, character).items()]
+        lines = [f"{name}: {1000 * miss:.3f} mm" for name, miss in report.residuals(model, character).items()]
         obj.dynamorph.live.checks = "\n".join(lines)
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 

@@ -120,7 +120,7 @@ class JobOperator(SoftSkinOperator):
         return result
 
     def cancel(self, _context):
-        """Blender ends the operator itself, because the window closes or another file is opened: all else is gone."""
+        """Blender ends the operator itself, because the window closes or another file is opened."""
         jobs.stop()
 
     def _begin(self, context):
@@ -139,17 +139,16 @@ class JobOperator(SoftSkinOperator):
             return self._done(batch)
         if time.monotonic() - self.shown > SHOWN:
             self.shown = time.monotonic()
-            text = iface_("{done:.0%}  {message}    Esc: cancel")
-            context.workspace.status_text_set(text.format(done=batch.fraction, message=iface_(batch.message)))
             events.redraw(events.PANELS)
+            events.redraw_status(context)
         return {"RUNNING_MODAL"}
 
     def _end(self, context):
         self.batch.abandon()
         jobs.running = None
         context.window_manager.event_timer_remove(self.timer)
-        context.workspace.status_text_set(None)
         events.redraw(events.PANELS)
+        events.redraw_status(context)
 
     def _done(self, batch):
         for job in batch.jobs:

@@ -12,25 +12,29 @@ from bpy.types import Menu, Panel, UIList
 
 from . import changes, checks, influence, jobs, live, live_operators, properties, setup_operators, sinks
 
-LINE = 36  # characters that fit into the sidebar at its default width
+LINE = 34  # characters that fit into the sidebar at its default width
+FEW_BONES = 8  # of a target: more are folded away
+WIDE = 340  # pixels, at a resolution scale of 1: a list this wide has room for more than names
 
 
 class DYNAMORPH_UL_targets(UIList):
     """Dynamic morph targets, as Blender lists shape keys. Renaming one here renames its shape key."""
 
-    def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, index):
+    def draw_item(self, context, layout, data, item, _icon, _active_data, _active_property, index):
         neutral = index == 0
+        wide = context.region.width > WIDE * context.preferences.system.ui_scale
         keys = data.id_data.data.shape_keys
         block = keys.key_blocks.get(item.name) if keys and not neutral else None
         row = layout.row(align=True)
         row.enabled = jobs.running is None
         row.active = not item.mute
-        split = row.split(factor=0.66)
+        split = row.split(factor=0.66 if wide else 1.0)
         if block:
             split.prop(block, "name", text="", icon="SHAPEKEY_DATA", emboss=False)
         else:  # without its key a target cannot be built
             split.label(text=item.name, icon="ARMATURE_DATA" if neutral else "ERROR", translate=False)
-        split.label(text=f"{item.stiffness / 1000:.3g} kPa", translate=False)
+        if wide:
+            split.label(text=f"{item.stiffness / 1000:.3g} kPa", translate=False)
         if neutral:
             row.label(text="", icon="BLANK1")
         else:
@@ -51,6 +55,7 @@ class DYNAMORPH_MT_targets(Menu):
         layout.operator("dynamorph.mirror_target", icon="ARROW_LEFTRIGHT")
         layout.operator("dynamorph.mirror_target", text="Mirror Target (Overwrite Key)").overwrite = True
         layout.separator()
+        layout.operator("dynamorph.use_selected_bones", text="Use Only Selected Bones", icon="BONE_DATA").extend = False
         layout.operator("dynamorph.select_key", icon="SHAPEKEY_DATA")
 
 
@@ -164,6 +169,8 @@ def draw_target_list(layout, settings):
         column.separator()
         column.operator("dynamorph.move_target", text="", icon="TRIA_UP").direction = "UP"
         column.operator("dynamorph.move_target", text="", icon="TRIA_DOWN").direction = "DOWN"
+    if len(settings.targets) == 1:
+        layout.operator("dynamorph.add_target", icon="ADD")
     if settings.sculpt.active:
         layout.operator("dynamorph.finish_sculpt", icon="CHECKMARK")
     else:
@@ -188,8 +195,14 @@ def draw_target(layout, obj, target):
 
 def draw_bones(layout, target):
     """The bones that place a target; a click on one takes it away."""
+    bones = target.bone_names()
+    if len(bones) > FEW_BONES:
+        header, layout = layout.panel("dynamorph_bones", default_closed=True)
+        header.label(text=iface_("{count} Bones").format(count=len(bones)), translate=False)
+        if not layout:
+            return
     flow = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
-    for bone in target.bone_names():
+    for bone in bones:
         flow.operator("dynamorph.remove_bone", text=bone, icon="X", translate=False).bone = bone
     flow.operator("dynamorph.use_selected_bones", text="Selected Bones", icon="ADD")
 
@@ -214,7 +227,7 @@ def draw_material(layout, target):
         for name in ("stiffness", "poisson", "density"):
             body.prop(target, name)
         body.prop(target, "mass_damping")
-        body.prop(target, "stiffness_damping")
+        body.prop(target, "stiffness_damping", text="Stiff. Damping")  # that much fits
 
 
 def draw_influence(layout, context, obj):
@@ -273,7 +286,7 @@ def draw_model(layout, obj):
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
-        draw_warnings(layout, model.warnings)
+    draw_warnings(layout, model.warnings)
 
 
 def draw_modes(layout, obj):
@@ -390,6 +403,19 @@ def draw_message(layout, text: str, icon="ERROR", width=LINE):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
 
 
+def draw_status(header, _context):
+    """What runs, at the left of the status bar; of every window, wherever it was started."""
+    batch = jobs.running
+    if batch:
+        text = iface_("{done:.0%}  {message}    Esc: cancel")
+        text = text.format(done=batch.fraction, message=iface_(batch.message))
+    elif live_operators.preview:
+        text = iface_("{name}    Esc: stop").format(name=iface_(live_operators.preview.label))
+    else:
+        return
+    header.layout.label(text=text, translate=False)
+
+
 class SoftSkinPanel:
     bl_label = "Dynamorph"
 
@@ -425,4 +451,14 @@ CLASSES = (
     DYNAMORPH_PT_sidebar,
     DYNAMORPH_PT_object_data,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+_register, _unregister = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register():
+    _register()
+    bpy.types.STATUSBAR_HT_header.prepend(draw_status)
+
+
+def unregister():
+    bpy.types.STATUSBAR_HT_header.remove(draw_status)
+    _unregister()

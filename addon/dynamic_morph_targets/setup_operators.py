@@ -41,6 +41,8 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
         target = obj.dynamorph.targets.add()
         target.name = properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
+        drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
+        obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, text)
 

@@ -74,7 +74,10 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
             wanted = f"shape key '{self.key}'" if self.key else "active shape key"
             raise SceneError(f"'{obj.name}' has no {wanted}: sculpt one, or select another")
         if block == keys.reference_key:
-            raise SceneError(f"'{block.name}' is the shape of the neutral target: select another shape key")
+            raise SceneError(
+                f"'{block.name}' is the shape of the neutral target: select another shape key, or make one by New from "
+                "Pose"
+            )
         if block.name in [target.name for target in settings.targets[1:]]:
             raise SceneError(f"'{block.name}' is a target already: pose the armature and press Capture Pose to move it")
         if block.name in settings.bake.keys:
@@ -317,10 +320,12 @@ def go_to_pose(operator, obj):
 
 
 class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
-    """Let the pose bones that are selected, too, decide when the selected target applies"""
+    """Let the selected pose bones decide when the selected target applies"""
 
     bl_idname = "dynamorph.use_selected_bones"
     bl_label = "Use Selected Bones"
+
+    extend: BoolProperty(name="Extend", description="Keep the bones that the target depends on already", default=True)
 
     def apply(self, obj):
         target = obj.dynamorph.active_target
@@ -328,7 +333,8 @@ class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
         chosen = targets.selected_bones(rig)
         if not chosen:
             raise SceneError(f"Select in Pose Mode the bones of '{rig.name}' that '{target.name}' depends on")
-        target.set_bones(dict.fromkeys((*target.bone_names(), *chosen)))
+        kept = target.bone_names() if self.extend else ()
+        target.set_bones(dict.fromkeys((*kept, *chosen)))
 
 
 class DYNAMORPH_OT_remove_bone(TargetOperator, Operator):

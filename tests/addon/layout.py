@@ -7,11 +7,21 @@ import bpy
 from builders import part
 
 
+def region(width) -> dict:
+    """What a context says of a region of this width, in pixels, and of their size."""
+    system = types.SimpleNamespace(ui_scale=1.0)
+    return {"region": types.SimpleNamespace(width=width), "preferences": types.SimpleNamespace(system=system)}
+
+
+SIDEBAR = region(280)
+
+
 class Layout:
     """Stands in for bpy.types.UILayout: remembers what is drawn and refuses unknown properties and operators."""
 
-    def __init__(self, drawn):
-        self.drawn = drawn
+    def __init__(self, drawn, place=SIDEBAR, unfolded=True):
+        self.drawn, self.unfolded = drawn, unfolded
+        self.context = types.SimpleNamespace(**place)
 
     def prop(self, data, name, **_options):
         assert name in data.bl_rna.properties, name
@@ -38,10 +48,11 @@ class Layout:
     def template_list(self, kind, _id, data, name, active_data, active_name, **_options):
         assert name in data.bl_rna.properties and active_name in active_data.bl_rna.properties
         for index, item in enumerate(getattr(data, name)):
-            getattr(part("panels"), kind).draw_item(None, None, self, data, item, 0, active_data, active_name, index)
+            draw = getattr(part("panels"), kind).draw_item
+            draw(None, self.context, self, data, item, 0, active_data, active_name, index)
 
     def panel(self, _name, default_closed=False):
-        return self, self
+        return self, self if self.unfolded or not default_closed else None
 
     def menu(self, name, **_options):
         assert getattr(bpy.types, name)
@@ -60,7 +71,8 @@ class Layout:
         pass
 
 
-def drawn(obj, panel="DYNAMORPH_PT_sidebar"):
+def drawn(obj, panel="DYNAMORPH_PT_sidebar", place=SIDEBAR, unfolded=True):
+    """place: see `region`. unfolded: also the sections that are closed at first."""
     out = []
     panel_class = getattr(part("panels"), panel)
     context = types.SimpleNamespace(
@@ -68,7 +80,8 @@ def drawn(obj, panel="DYNAMORPH_PT_sidebar"):
         view_layer=bpy.context.view_layer,
         scene=bpy.context.scene,
         window_manager=bpy.context.window_manager,
+        **place,
     )
     assert panel_class.poll(context)
-    panel_class.draw(types.SimpleNamespace(layout=Layout(out)), context)
+    panel_class.draw(types.SimpleNamespace(layout=Layout(out, place, unfolded)), context)
     return out

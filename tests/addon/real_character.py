@@ -22,6 +22,11 @@ DRIVEN = {
 def open_character(clip: str):
     """The body as a soft skin with a neutral target and one for each key of DRIVEN, playing `clip`."""
     bpy.ops.wm.open_mainfile(filepath=str(CHARACTER))
+    return make_soft(clip)
+
+
+def make_soft(clip: str):
+    """The same of the character that is open."""
     body, rig = bpy.data.objects["Body"], bpy.data.objects["Rig"]
     body.data.shape_keys.animation_data.action = None  # the file's "breathing" moves keys that are no targets
     for key in body.data.shape_keys.key_blocks:

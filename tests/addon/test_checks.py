@@ -228,6 +228,10 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
     ):
         assert words in warnings
     assert len(arm.dynamorph.targets) == 1
+    shown = " ".join(drawn(arm))  # what the reports say stays to be read, each once
+    assert (
+        shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' uses Preserve") == 1
+    )
 
 
 def test_a_sound_mesh_is_added_without_a_word(arm):

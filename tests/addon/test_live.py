@@ -547,7 +547,7 @@ def shaken(playing):
     bpy.context.scene.frame_set(3)
     bpy.ops.ed.undo_push(message="another")
     stood = deltas(rig_of(playing))
-    operators.preview = operators.Preview(playing, "dynamorph.shake_test")
+    operators.preview = operators.Preview(playing, operators.DYNAMORPH_OT_shake_test)
     values = np.concatenate([np.full(8, 0.01), [1.0, 0.0]])
     operators.preview.show(values, Matrix.Translation((0, 0, 0.5)))
     assert deltas(rig_of(playing)) != stood and part("live_operators").is_running("dynamorph.shake_test")
@@ -576,7 +576,8 @@ def test_saving_and_loading_end_a_preview(shaken, tmp_path):
     path = str(tmp_path / "shaken.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
     assert part("live_operators").preview is None and deltas(rig_of(obj)) == stood
-    part("live_operators").preview = part("live_operators").Preview(obj, "dynamorph.play_mode")
+    operators = part("live_operators")
+    operators.preview = operators.Preview(obj, operators.DYNAMORPH_OT_play_mode)
     bpy.ops.wm.open_mainfile(filepath=path)
     assert part("live_operators").preview is None and not part("live").lent
     assert deltas(rig_of(bpy.data.objects["Arm"])) == stood

@@ -90,6 +90,8 @@ def test_use_selected_bones(soft_arm):
     soft_arm.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.use_selected_bones()
     assert soft_arm.dynamorph.targets[1].bone_names() == ("lower", "upper")
+    bpy.ops.dynamorph.use_selected_bones(extend=False)
+    assert soft_arm.dynamorph.targets[1].bone_names() == ("upper",)
 
 
 # The model ---------------------------------------------------------------------------------------------------------
@@ -384,6 +386,39 @@ def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, endi
     words = {"escape": "Cancelled: nothing", "undo": "undone while 'Arm' was read", "an error": "no Armature modifier"}
     assert words[ending] in pressed.reports[-1][1]
     assert fingerprint(bpy.data.objects["Arm"]) == before
+
+
+def test_a_bake_waits_until_edit_mode_is_left(soft_arm, stand_in):
+    """Nothing can be written there; a long simulation must not be lost for that."""
+    waited, stand_in.patience = [], 0.2
+
+    def edit(batch):
+        if batch.message.startswith("Frame") and not waited:
+            bpy.ops.object.mode_set(mode="EDIT")
+        if "leave Edit Mode" in batch.message:
+            waited.append(batch.message)
+        if len(waited) == 3:
+            assert not soft_arm.dynamorph.bake.keys
+            bpy.ops.object.mode_set(mode="OBJECT")
+
+    pressed = Pressed(soft_arm, before_tick=edit)
+    assert pressed.result == {"FINISHED"} and len(waited) == 3 and len(soft_arm.dynamorph.bake.keys) == 3
+
+
+def test_escape_while_a_bake_waits(soft_arm, stand_in):
+    before = fingerprint(soft_arm)
+    entered, stand_in.patience = [], 0.2
+
+    def edit(batch):
+        if batch.message.startswith("Frame") and not entered:
+            bpy.ops.object.mode_set(mode="EDIT")
+            entered.append(True)
+        if "leave Edit Mode" in batch.message:
+            batch.cancel()
+
+    assert Pressed(soft_arm, before_tick=edit).result == {"CANCELLED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert fingerprint(soft_arm) == before
 
 
 def test_modal_bake_reports_errors(soft_arm, stand_in):

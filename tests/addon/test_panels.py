@@ -6,7 +6,7 @@ import types
 import bpy
 import pytest
 from builders import activate, hand_made_bake, part, rig_of
-from layout import drawn
+from layout import Layout, drawn, region
 
 
 @pytest.mark.parametrize("panel", ["DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_object_data"])
@@ -35,6 +35,37 @@ def test_progress_replaces_the_button(soft_arm, stand_in):
         assert not bpy.ops.dynamorph.build.poll()
     finally:
         jobs.running = None
+
+
+def status() -> list[str]:
+    out = []
+    part("panels").draw_status(types.SimpleNamespace(layout=Layout(out)), None)
+    return out
+
+
+def test_the_status_bar_says_what_runs(soft_arm, stand_in, monkeypatch):
+    """It asks when it draws: nothing is left behind in a workspace or window that the artist has gone from."""
+    assert status() == []
+    job = part("jobs").Job(soft_arm, goal="BAKE")
+    job.fraction, job.message = 0.4, "Frame 7"
+    monkeypatch.setattr(part("jobs"), "running", job)
+    assert status() == ["40%  Frame 7    Esc: cancel"]
+    monkeypatch.setattr(part("jobs"), "running", None)
+    monkeypatch.setattr(part("live_operators"), "preview", types.SimpleNamespace(label="Shake Test"))
+    assert status() == ["Shake Test    Esc: stop"]
+
+
+def test_a_narrow_list_has_room_for_names_only(soft_arm):
+    assert "20 kPa" not in drawn(soft_arm) and "20 kPa" in drawn(soft_arm, place=region(400))
+
+
+def test_many_bones_are_folded_away(soft_arm):
+    target = soft_arm.dynamorph.targets[1]
+    assert "lower" in drawn(soft_arm, unfolded=False)
+    target.set_bones([f"bone {i}" for i in range(12)])
+    folded = drawn(soft_arm, unfolded=False)
+    assert "12 Bones" in folded and "bone 3" not in folded
+    assert "bone 3" in drawn(soft_arm)
 
 
 def test_a_missing_engine_is_shown(soft_arm, monkeypatch):

@@ -233,6 +233,7 @@ def test_finish_puts_back_what_was_shown(soft_arm, mode, pinned):
     OPS.new_from_pose(mode=mode)
     assert bpy.context.object == soft_arm and soft_arm.mode == mode and rig.mode == "OBJECT"
     assert soft_arm.show_only_shape_key and "dynamorph.finish_sculpt" in drawn(soft_arm)
+    assert not list(part("checks").notes(soft_arm))  # no advice to end what the button has begun
     refused(OPS.new_from_pose, "Press Finish Sculpting first")
     OPS.finish_sculpt()
     assert bpy.context.object == rig and rig.mode == "POSE" and soft_arm.mode == "OBJECT"
@@ -245,6 +246,7 @@ def test_finish_after_the_artist_left_by_hand(soft_arm):
     pose_mode(soft_arm)
     OPS.new_from_pose()
     bpy.ops.object.mode_set(mode="OBJECT")
+    assert [problem.fix for problem in part("checks").notes(soft_arm)] == ["UNPIN"]
     pose_mode(soft_arm)
     OPS.finish_sculpt()
     assert rig_of(soft_arm).mode == "POSE" and not soft_arm.show_only_shape_key
@@ -539,7 +541,7 @@ def test_renaming_in_the_list_renames_the_key(soft_arm):
     assert (soft_arm.data.shape_keys.key_blocks["flexed"], "name") in edited
     soft_arm.data.shape_keys.key_blocks["flexed"].name = "biceps"
     bpy.context.view_layer.update()
-    assert names(soft_arm) == ["Neutral", "biceps"] and {"biceps", "20 kPa"} <= set(drawn(soft_arm))
+    assert names(soft_arm) == ["Neutral", "biceps"] and "biceps" in drawn(soft_arm)
 
 
 def test_the_menu(soft_arm):

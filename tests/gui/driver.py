@@ -23,9 +23,12 @@ import traceback
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 WORK = Path(sys.argv[sys.argv.index("--") + 1])
 ROW = 16  # less than a button's height: none is missed
+HEADER = 21  # pixels from one closed section's header to the next
+TABS = 30  # pixels: the tabs beside a sidebar
 END = 300  # no buttons for so many pixels: there are none below
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
 
@@ -78,6 +81,20 @@ def tap(kind: str, position, **details):
     yield 0
 
 
+def drag(path):
+    """A stroke with the left button along positions."""
+    global actions
+    actions += 1
+    yield from move(path[0])
+    send("LEFTMOUSE", "PRESS", path[0])
+    yield 0.02
+    for position in path[1:]:
+        send("MOUSEMOVE", "NOTHING", position)
+        yield 0.02
+    send("LEFTMOUSE", "RELEASE", path[-1])
+    yield 0.1
+
+
 def click(position):
     global actions
     actions += 1
@@ -112,6 +129,15 @@ def photograph(name: str, box=None):
     subprocess.run(command, check=True)
 
 
+def pixels(box) -> np.ndarray:
+    """What the screen shows in a box as `photograph` takes it: (height, width, 3), from 0 to 1."""
+    photograph("pixels", box)
+    image = bpy.data.images.load(str(WORK / "shots" / "pixels.png"))
+    found = np.array(image.pixels[:], np.float32).reshape(box[3], box[2], 4)[:, :, :3]
+    bpy.data.images.remove(image)
+    return found
+
+
 class Region:
     """A region of the first editor of its kind, looked up each time: layouts and undo replace them.
 
@@ -121,6 +147,7 @@ class Region:
     def __init__(self, editor: str, kind: str | None = None):
         self.editor, self.kind = editor, kind
         self.known: dict[str, tuple[float, float]] = {}  # where buttons were seen
+        self.shift = 0  # pixels that a button had moved when it was last looked for
 
     @property
     def area(self):
@@ -202,10 +229,11 @@ class Region:
         raise AssertionError(f"no button {wanted} in {self.editor}, only {', '.join(self.known) or 'nothing'}")
 
     def near(self, wanted: str):
-        """Look where the button was last, and then a little below and above."""
+        """Look where the button was last, then as far from there as the one before it was, then below and above."""
         x, y = self.seen(wanted)
-        for offset in sorted(range(-200, 201, ROW), key=abs):
+        for offset in sorted(range(-200, 201, ROW), key=lambda offset: (offset != 0, abs(offset - self.shift))):
             if is_button((yield from self.look((x, y + offset))), wanted):
+                self.shift = offset or self.shift
                 return True
         return False
 
@@ -252,22 +280,60 @@ class Region:
                 return
         raise AssertionError(f"{what} not found in {self.editor}")
 
+    def top_of(self, wanted: str):
+        """The highest row of a button's pixels, to within two."""
+        x, row = yield from self.find(wanted)
+        while is_button((yield from self.look((x, row + 2))), wanted):
+            row += 2
+        yield from self.look((x, row - ROW // 2))  # where it is sure to be found
+        return row
+
     def unfold(self, wanted: str, above: str):
-        """Open the section that holds a button; its header is the first above the button `above`."""
+        """Open the section that holds a button. Its header is one of those next above the button `above`."""
         global actions
         actions += 1
-        x, row = yield from self.find(above)
-        for higher in range(ROW, 8 * ROW, ROW // 2):
-            header = (self.box[0] + 40, row + higher)
+        top = yield from self.top_of(above)
+        left, height = self.box[0] + 40, top
+        while height < top + 14 * ROW:
+            height += ROW // 2
+            if (yield from self.look((left, height))):
+                continue
+            yield from self._toggle((left, height))
+            if is_button((yield from self.look(self.seen(above))), above):
+                continue  # a label
+            if (yield from self.scan_down(wanted, height)):
+                header = height + HEADER // 4  # it was met near its lower edge
+                return Section(self, wanted, header - (yield from self.top_of(wanted)), above, header - top)
+            yield from self._toggle((left, height))  # another section
+            height += HEADER - ROW // 2
+        raise AssertionError(f"no section with {wanted} above {above}")
+
+    def unfold_last(self, wanted: str, below: str):
+        """Open the last section, whose header is the first below a button."""
+        global actions
+        actions += 1
+        _, row = yield from self.find(below)
+        for height in range(row - ROW, row - 14 * ROW, -ROW // 2):
+            header = (self.box[0] + 40, height)
             if (yield from self.look(header)):
                 continue
-            yield from tap("LEFTMOUSE", header)
-            yield 0.1
-            if is_button((yield from self.look((x, row))), above):
-                continue  # a label
-            yield from self.find(wanted)
-            return
-        raise AssertionError(f"no section above {above}")
+            yield from self._toggle(header)
+            if (yield from self.scan_down(wanted, height)):
+                return Section(self, wanted, height - HEADER // 4 - (yield from self.top_of(wanted)))
+        raise AssertionError(f"no section with {wanted} below {below}")
+
+    def _toggle(self, header):
+        yield from move(header)
+        yield from tap("LEFTMOUSE", header)
+        yield 0.1
+
+    def scan_down(self, wanted: str, start: float):
+        """Look for a button from a height downwards; False when it is not near."""
+        x, y, width, _ = self.box
+        for row in range(int(start) - ROW, max(int(start) - END, y), -ROW):
+            if is_button((yield from self.look((x + int(width * COLUMNS[0]), row))), wanted):
+                return True
+        return False
 
     def enter(self, wanted: str, text: str):
         """Type a number into a field."""
@@ -282,15 +348,49 @@ class Region:
 
 
 def is_button(button: str, wanted: str) -> bool:
-    return button.startswith(f"bpy.ops.{wanted}(") or button.endswith(f".{wanted}")
+    """wanted: an operator, maybe with its arguments, or the end of a property's path."""
+    call = wanted if "(" in wanted else f"{wanted}("
+    return button.startswith(f"bpy.ops.{call}") or button.endswith(f".{wanted}")
 
 
-def keep(name: str, region: Region):
-    """A picture of a region for the guide."""
-    yield from move(region.top)  # a list lets go of its highlighted row
+class Section:
+    """An open section of a panel: its header's middle is `rise` pixels above the top of its button `wanted`.
+
+    above: the next button after the section, `closed` pixels below its header when that is closed; None for the last
+    section.
+    """
+
+    def __init__(self, region: Region, wanted: str, rise: float, above: str | None = None, closed=0.0):
+        self.region, self.wanted, self.rise, self.above, self.closed = region, wanted, rise, above, closed
+
+    def fold(self):
+        global actions
+        actions += 1
+        header = self.rise + (yield from self.region.top_of(self.wanted))
+        button = self.region.seen(self.wanted)
+        for lines in (0, 1, -1):  # that have come since then
+            yield from self.region._toggle((self.region.box[0] + 40, header + lines * HEADER))
+            if not is_button((yield from self.region.look(button)), self.wanted):
+                return
+        raise AssertionError(f"the section of {self.wanted} is still open")
+
+    def keep(self, name: str):
+        """A picture of it for the guide."""
+        x, y, width, _ = self.region.box
+        top = self.rise + HEADER // 2 + 2 + (yield from self.region.top_of(self.wanted))
+        bottom = y
+        if self.above:
+            bottom = self.closed - HEADER // 2 + (yield from self.region.top_of(self.above))
+        yield from keep(name, self.region, (x, int(bottom), width - TABS, int(top - bottom)))
+
+
+def keep(name: str, region: Region, box=None):
+    """A picture of a region, or of a box in it, for the guide."""
+    if region.kind:
+        yield from move(region.top)  # a list lets go of its highlighted row
     yield from rest()
     yield from drawn() if region.kind == "UI" else drawn_smoothly()
-    photograph(name, region.box)
+    photograph(name, box or region.box)
     result["pictures"].append(name)
 
 

@@ -11,12 +11,13 @@ import scenes
 
 LENGTH = 0.3  # of a bone, metres
 FIRST, FLEXED, HELD, LAST = 10, 20, 40, 72  # frames: begins to flex, is flexed, begins to stretch, end of the scene
+TURNED = 60  # frame: the palm is turned up, which no sculpted key is for
 BONES = ("upper arm", "forearm")
 OUTLINE = ((0.0, 0.062), (0.35, 0.052), (0.9, 0.04), (1.15, 0.046), (1.8, 0.03), (2.0, 0.02))  # height in bones, radius
 
 
 def make_limb(rings=49, around=32):
-    """An arm along x with two bones, a sculpted key 'flexed' and an animation, the only object beside its armature."""
+    """An arm along x with two bones, a sculpted key 'flexed' and an animation; its armature is active, not selected."""
     bpy.data.batch_remove(list(bpy.data.objects))
     tube, faces = scenes.tube(rings, around, radius=1.0)
     bulge = scenes.bulge(tube, centre=0.55, width=0.25, amount=0.3) * (0.5 + 0.5 * tube[:, :1])  # on the inner side
@@ -63,7 +64,9 @@ def make_rig():
     for frame, degrees in ((FIRST, 0), (FLEXED, 100), (HELD, 100), (HELD + 10, 0)):
         forearm.rotation_euler.x = math.radians(degrees)
         forearm.keyframe_insert("rotation_euler", frame=frame)
+    for frame, degrees in ((HELD + 10, 0), (TURNED, 80), (LAST, 80)):
+        forearm.rotation_euler.y = math.radians(degrees)
+        forearm.keyframe_insert("rotation_euler", frame=frame)
     armature.display_type = "STICK"
     rig.select_set(False)
-    bpy.context.view_layer.objects.active = None
     return rig

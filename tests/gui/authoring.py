@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Problems and their fixes, the cage, groups that are painted, influence, targets that are sculpted or driven."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import driver
+import limb
+import numpy as np
+from driver import measure, step, until
+from editors import (
+    addon,
+    from_menu,
+    job_done,
+    key_points,
+    keys,
+    on_screen,
+    rig,
+    settings,
+    shown,
+    sidebar,
+    skin,
+    view,
+    viewport,
+)
+
+BRUSH = 40  # pixels, the radius
+sections = {}  # that a later step closes
+
+
+@step("A problem, with its Fix")
+def problem():
+    modifier = skin().modifiers["Armature"]
+    modifier.use_deform_preserve_volume = True  # not by hand
+    yield from driver.drawn()
+    fix = "dynamorph.fix(problem='PRESERVE_VOLUME')"
+    x, row = yield from sidebar.find(fix)
+    left, y, width, height = sidebar.box
+    bottom = int(row) - 110
+    yield from driver.keep("problem", sidebar, (left, bottom, width, y + height - bottom))
+    yield from sidebar.press(fix)
+    yield from until(lambda: not modifier.use_deform_preserve_volume, "the problem to be fixed")
+    assert not list(addon("checks").problems(skin()))
+
+
+# The cage ------------------------------------------------------------------------------------------------------------
+
+
+@step("Build Cage")
+def build_cage():
+    sections["cage"] = yield from sidebar.unfold("dynamorph.build_cage", above="dynamorph.new_from_pose")
+    yield from sidebar.enter("model.cage_nodes", "800")
+    yield from sidebar.press("dynamorph.build_cage")
+    yield from job_done()
+    assert settings().model.cage and not settings().model.summary
+
+
+@step("Show it", picture=view)
+def cage():
+    before = driver.pixels(viewport.box)
+    yield from sidebar.press("dynamorph.cage")
+    yield from driver.drawn()
+    changed = (np.abs(driver.pixels(viewport.box) - before).max(axis=-1) > 0.1).mean()
+    assert changed > 0.005, "the viewport shows no cage"
+
+
+@step("Paint where it is soft", picture=view)
+def paint():
+    yield from sidebar.press("dynamorph.cage")
+    bpy.context.scene.frame_set(1)
+    paint_soft = "dynamorph.paint_group(which='SOFT')"
+    yield from sidebar.press(paint_soft)
+    yield from until(lambda: skin().mode == "WEIGHT_PAINT", "Weight Paint")
+    tool = bpy.context.scene.tool_settings.weight_paint
+    tool.unified_paint_settings.size = 2 * BRUSH
+    tool.unified_paint_settings.weight = tool.brush.weight = 0.0
+    wrist = np.linspace((0.56, -0.03, 0.03), (0.58, -0.03, -0.03), 6)
+    yield from driver.drag([on_screen(point) for point in wrist])
+    weights = addon("extract").group_weights(skin(), ["Soft"])[:, 0]
+    assert weights.min() < 0.5 < 0.9 < weights.max(), "the stroke painted nothing"
+
+
+@step("Done")
+def stop_painting():
+    yield from sidebar.press("dynamorph.paint_group(which='SOFT')")
+    yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
+    assert settings().soft_group == "Soft"
+    yield from sections["cage"].keep("cage_panel")
+    yield from sections["cage"].fold()
+
+
+# Influence and new targets -------------------------------------------------------------------------------------------
+
+
+@step("Influence: bars and graph", picture=view)
+def influence():
+    sections["influence"] = yield from sidebar.unfold("dynamorph.suggest_pose", above="dynamorph.build")
+    yield from sidebar.press("dynamorph.influence")
+    yield from until(lambda: addon("influence").drawn(skin()), "the graph")
+    known, graph = addon("influence").drawn(skin())
+    assert (known.start, known.end) == (1, limb.LAST)
+    assert graph.weights[limb.FLEXED - 1, 1] > 0.99 and graph.outside[limb.TURNED - 1, 0]
+    bpy.context.scene.frame_set((limb.FIRST + limb.FLEXED) // 2)
+
+
+@step("Suggest Pose")
+def suggest_pose():
+    yield from sections["influence"].keep("influence_panel")
+    yield from sidebar.press("dynamorph.suggest_pose")
+    yield from until(lambda: bpy.context.scene.frame_current == limb.TURNED, "the frame that is furthest from targets")
+    yield from sidebar.press("dynamorph.influence")
+    yield from sections["influence"].fold()
+
+
+@step("New from Pose", picture=view)
+def new_from_pose():
+    yield from sidebar.press("dynamorph.new_from_pose")
+    yield from driver.drawn()
+    yield from sidebar.key("RET")
+    yield from until(lambda: skin().mode == "SCULPT", "Sculpt Mode")
+    assert keys()[-1] == "Pose 1" == skin().active_shape_key.name
+    assert settings().active_target.bone_names() == ("forearm",)
+    yield from sculpt()
+
+
+def sculpt():
+    """A stroke across the elbow, which lands where the brush is and moves the posed skin outwards."""
+    settings_of = bpy.context.scene.tool_settings.sculpt.unified_paint_settings
+    settings_of.size = 2 * BRUSH
+    posed, bind = shown(), key_points()
+    stroke = [on_screen(point) for point in np.linspace((0.28, -0.04, 0.0), (0.33, -0.04, 0.0), 8)]
+    yield from driver.drag(stroke)
+    yield from until(lambda: np.abs(key_points() - bind).max() > 1e-3, "the stroke to land in the shape key")
+    yield from driver.drawn()
+    moved, sculpted = shown() - posed, key_points() - bind
+    skinned = np.einsum("vij,vj->vi", turns(), sculpted)
+    length = np.linalg.norm(moved, axis=1)
+    touched = length > 0.2 * length.max()
+    error = np.abs(moved - skinned).max()
+    assert error < 0.02 * length.max(), f"the shape key is off by {error} m in the pose"
+    turned = np.linalg.norm(moved - sculpted, axis=1)[touched].max()
+    assert turned > 0.2 * length.max(), "the pose turns nothing here: this proves nothing"
+    ends = np.array([stroke[0], stroke[-1]])
+    on = np.array([on_screen(point) for point in posed[touched].tolist()])
+    reach = np.array([[-BRUSH, -BRUSH], [BRUSH, BRUSH]]) * 1.3
+    low, high = np.sort(ends, axis=0) + reach
+    assert ((low < on) & (on < high)).all(), "the stroke landed elsewhere"
+    axis = posed[touched] * (1.0, 0.0, 0.0)
+    outwards = np.einsum("vi,vi->v", moved[touched], posed[touched] - axis)
+    assert (outwards > 0).mean() > 0.95, "the brush did not draw the skin outwards"
+    measure("Sculpted in a pose", f"stroke of {1e3 * length.max():.1f} mm, off by {1e3 * error:.3f} mm in the pose")
+
+
+def turns() -> np.ndarray:
+    """How the armature turns what moves at each vertex: (V, 3, 3)."""
+    found = np.zeros((len(skin().data.vertices), 3, 3))
+    for bone in rig().pose.bones:
+        turn = np.array((bone.matrix @ bone.bone.matrix_local.inverted()).to_3x3())
+        index = skin().vertex_groups[bone.name].index
+        for vertex in skin().data.vertices:
+            found[vertex.index] += sum(group.weight for group in vertex.groups if group.group == index) * turn
+    return found
+
+
+@step("Finish Sculpting")
+def finish_sculpting():
+    yield from sidebar.press("dynamorph.finish_sculpt")
+    yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
+    assert not skin().show_only_shape_key and np.abs(key_points()).max() > 0
+
+
+@step("Suggest from Drivers")
+def suggest_from_drivers():
+    drive_a_key()  # not by hand
+    before = [tuple(bone.rotation_euler) for bone in rig().pose.bones]
+    yield from from_menu("DOWN_ARROW")
+    yield from until(lambda: len(settings().targets) == 4, "a target for the driven key")
+    target = settings().active_target
+    assert target.name == "sideways" and target.bone_names() == ("forearm",)
+    assert before == [tuple(bone.rotation_euler) for bone in rig().pose.bones]
+
+
+def drive_a_key():
+    """As a rigger does: a key that is fully on when the forearm is turned sideways by 50 degrees."""
+    skin().shape_key_add(name="sideways", from_mix=False)
+    block = skin().data.shape_keys.key_blocks["sideways"]
+    block.value = 0.0
+    driver_of = block.driver_add("value").driver
+    variable = driver_of.variables.new()
+    variable.targets[0].id = rig()
+    variable.targets[0].data_path = 'pose.bones["forearm"].rotation_euler[2]'
+    driver_of.expression = f"{variable.name} / {math.radians(50)}"
+
+
+@step("Go to Pose, and remove that target", picture=sidebar)
+def targets():
+    yield from sidebar.press("dynamorph.go_to_pose")
+    turned = lambda: math.degrees(rig().pose.bones["forearm"].rotation_euler.z)  # noqa: E731
+    yield from until(lambda: abs(turned() - 50) < 0.5, "the pose")
+    yield from sidebar.press("dynamorph.remove_target")
+    yield from until(lambda: len(settings().targets) == 3, "the target to be removed")
+    skin().shape_key_remove(skin().data.shape_keys.key_blocks["sideways"])
+    bpy.context.scene.frame_set(1)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes in earnest: progress, Esc at every stage, Influence, what is out of date."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+import driver
+import limb
+import numpy as np
+from driver import measure, step, until
+from editors import addon, baked, job, job_done, keys, moved, select_target, settings, shown_at, sidebar, skin, viewport
+
+SOON = 1.0  # seconds: what Esc may take on a busy machine; a fifth of that, on one that does nothing else
+sections = {}  # that a later step closes
+
+
+def wobble() -> float:
+    return moved(limb.FLEXED + 1, limb.FLEXED + 4)
+
+
+@step("Bake again")
+def bake_again():
+    bpy.context.scene.frame_set(limb.FLEXED + 1)
+    begin = time.monotonic()
+    yield from sidebar.press("dynamorph.bake")
+    yield from job_done()
+    measure("A bake of the arm, without a build", f"{time.monotonic() - begin:.1f} s")
+    assert baked() and wobble() > 1e-4
+
+
+@step("Influence of the bake")
+def influence():
+    """A value of 0.5 leaves half the motion."""
+    whole, strip = shown_at(limb.FLEXED + 1), addon("sinks").influence_strip(skin())
+    yield from sidebar.enter(strip.path_from_id("influence"), "0")
+    still = shown_at(limb.FLEXED + 1)
+    yield from sidebar.enter(strip.path_from_id("influence"), "0.5")
+    assert strip.influence == 0.5
+    half = shown_at(limb.FLEXED + 1)
+    assert np.abs(half - 0.5 * (whole + still)).max() < 0.05 * np.abs(whole - still).max() > 1e-5
+    strip.influence = 1.0
+
+
+@step("Out of date", picture=sidebar)
+def out_of_date():
+    yield from select_target(1)
+    section = yield from sidebar.unfold("targets[1].stiffness", above="dynamorph.build")
+    yield from section.keep("advanced")
+    yield from sidebar.enter("targets[1].stiffness", "3000")
+    assert addon("changes").outdated(skin()) == ['stiffness of "flexed" changed']
+    yield from section.fold()
+
+
+@step("Bake All")
+def bake_all():
+    before, model = wobble(), settings().model.content_id
+    yield from sidebar.press("dynamorph.bake_all")
+    yield from job_done()
+    assert settings().model.content_id == model, "a new stiffness rebuilt the model"
+    assert not addon("changes").outdated(skin())
+    assert abs(wobble() - before) > 0.1 * before
+
+
+# Esc -----------------------------------------------------------------------------------------------------------------
+
+
+def escapes(name: str, button: str, moments, picture="", limit=60.0):
+    """Press a button, and Esc at the first moment; again for the others. A moment is a condition on the job.
+
+    picture: of the sidebar at the first moment.
+    """
+    yield from driver.drawn()
+    before = keys(), baked(), settings().model.content_id
+    held, latencies = [], []
+    for moment in moments:
+        position = yield from sidebar.find(button)
+        begin = time.perf_counter()
+        yield from driver.click(position)
+        yield from until(job, "the job to begin", limit)
+        held.append(time.perf_counter() - begin)
+        yield from until(lambda moment=moment: job() is None or moment(job()), f"the moment for Esc: {name}", limit)
+        assert job(), f"the job was done before Esc could be pressed: {name}"
+        if picture and not latencies:
+            yield from driver.keep(picture, sidebar)
+        latencies.append((yield from escape()))
+        assert (keys(), baked(), settings().model.content_id) == before
+    measure(f"Esc while {name}", f"median {np.median(latencies):.2f} s, worst {max(latencies):.2f} s")
+    measure(f"Window held when it begins, {name}", f"{max(held):.2f} s")
+
+
+def escape():
+    """Press Esc; returns the seconds until the job is gone."""
+    driver.send("ESC", "PRESS", viewport.middle)
+    begin = time.perf_counter()
+    while job():
+        assert time.perf_counter() - begin < SOON, "Esc takes too long"
+        yield 0.002
+    seconds = time.perf_counter() - begin
+    driver.send("ESC", "RELEASE", viewport.middle)
+    yield 0.1
+    return seconds
+
+
+def reading(job) -> bool:
+    return job.message.startswith("Reading frame")
+
+
+def simulates(job) -> bool:
+    return job.message.startswith("Simulating")
+
+
+def at(*fractions: float):
+    return [lambda job, fraction=fraction: job.fraction > fraction for fraction in fractions]
+
+
+@step("Esc while it reads the rig")
+def cancel_reading():
+    sections["simulation"] = yield from sidebar.unfold("simulation.substeps", above="dynamorph.bake")
+    yield from sections["simulation"].keep("simulation")
+    yield from sidebar.enter("simulation.substeps", "20")
+    assert settings().simulation.substeps == 20
+    bpy.context.scene.frame_end = 2000
+    moments = [lambda job, share=share: reading(job) and job.fraction > share for share in (0.0, 0.01, 0.02, 0.03)]
+    yield from escapes("reading the rig", "dynamorph.bake", moments)
+
+
+@step("Esc while it builds")
+def cancel_building():
+    settings().model.cage_nodes = 3000
+    yield from escapes("building", "dynamorph.build", at(0.05, 0.3, 0.6))
+
+
+@step("Esc while it simulates")
+def cancel_simulating():
+    settings().model.cage_nodes, settings().model.modes = 800, 60
+    bpy.context.scene.frame_end, settings().simulation.substeps = 400, 8
+    yield from driver.drawn()
+    yield from sidebar.press("dynamorph.build")
+    yield from job_done()
+    moments = [lambda job, share=share: simulates(job) and job.fraction > share for share in (0.0, 0.25, 0.3)]
+    yield from escapes("simulating", "dynamorph.bake", moments)
+
+
+@step("Esc while it simulates every node")
+def cancel_full():
+    bpy.context.scene.frame_end = limb.LAST
+    settings().simulation.substeps = 0
+    yield from sections["simulation"].fold()
+    settings().model.solver, settings().model.modes = "FULL", 20
+    yield from driver.drawn()
+    yield from sidebar.press("dynamorph.build")
+    yield from job_done()
+    yield from escapes("simulating every node", "dynamorph.bake", [simulates] * 3, picture="baking")
+    settings().model.solver = "REDUCED"
