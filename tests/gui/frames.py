@@ -22,8 +22,9 @@ class Playback:
             (bpy.app.handlers.frame_change_pre, self._noting(self.begun)),
             (bpy.app.handlers.frame_change_post, self._noting(self.evaluated)),
         ]
-        for handlers, handler in self._handlers:
-            handlers.append(handler)
+        (begins, begin), (ends, end) = self._handlers
+        begins.insert(0, begin)  # before Live, which simulates then
+        ends.append(end)
         draw = bpy.types.SpaceView3D.draw_handler_add
         self._draws = draw(lambda: self.drawn.append(time.perf_counter()), (), "WINDOW", "POST_PIXEL")
         return self
