@@ -24,6 +24,8 @@ from PIL import Image, ImageChops
 ROOT = Path(__file__).resolve().parent.parent
 CHROOT = Path(os.environ.get("DYNAMORPH_GUI", ROOT / "build/gui")).resolve()
 WORK = ROOT / "build/gui-test"
+GUIDE = ROOT / "docs/user_guide.md"
+BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the guide
 PICTURES = ROOT / "docs/images/guide"
 CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part does without, and says so
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
@@ -196,6 +198,16 @@ def print_table(found: dict):
         print(f"{name:{width}}  {value}")
 
 
+def write_measured(measured: dict[str, str]):
+    """Into the guide, as a table."""
+    before, begin, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not end:
+        raise Failed(f"{GUIDE.name}: the marks {BEGIN} and {END} are missing")
+    rows = "".join(f"| {name} | {value} |\n" for name, value in measured.items())
+    GUIDE.write_text(f"{before}{begin}\n| | |\n|---|---|\n{rows}{end}{after}", encoding="utf-8")
+
+
 def keep_pictures(names: list[str]):
     """Into the guide, as small files; a picture that looks like the one there stays as it is."""
     PICTURES.mkdir(parents=True, exist_ok=True)
@@ -238,6 +250,7 @@ def main() -> int:
         start = time.monotonic()
         found = run_scenario()
         print(f"gui-test: {time.monotonic() - start:.0f} s in Blender")
+        write_measured(found["measured"])
     except CannotRun as reason:
         print(f"gui-test: SKIPPED, {reason}")
         return 0
