@@ -135,7 +135,7 @@ def cancel_building():
 @step("Esc while it simulates")
 def cancel_simulating():
     settings().model.cage_nodes, settings().model.modes = 800, 60
-    bpy.context.scene.frame_end, settings().simulation.substeps = 400, 8
+    bpy.context.scene.frame_end, settings().simulation.substeps = 150, 8
     yield from driver.drawn()
     yield from sidebar.press("dynamorph.build")
     yield from job_done()

@@ -43,7 +43,7 @@ def open_character():
         real_character.make_soft(CLIP)
     bpy.context.scene.frame_set(START)
     eye = view.area.spaces.active.region_3d
-    eye.view_location, eye.view_distance = (0.0, 0.0, 0.9), 3.5
+    eye.view_location, eye.view_distance = (0.0, 0.0, 0.9), 2.6
     eye.view_rotation = Euler((1.45, 0.0, 0.5)).to_quaternion()
     yield from driver.drawn()
     vertices, bones = len(skin().data.vertices), len(rig().data.bones)
@@ -66,6 +66,7 @@ def mirror():
     assert target.name == "biceps_bulge_R" and target.bone_names() == ("lowerarm_r",)
     assert np.abs(target.local(skeleton) - captured).max() < 1e-3
     target.stiffness = real_character.STIFF
+    yield from sidebar.fold("dynamorph.new_from_pose")
 
 
 @step("Build it")
@@ -78,7 +79,7 @@ def build():
 
 @step("Play it live", picture=view)
 def live():
-    yield from sidebar.unfold("dynamorph.live", above="dynamorph.bake")
+    section = yield from sidebar.unfold("dynamorph.live", above="dynamorph.bake")
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("live").is_on(skin()), "Live to be on")
     with frames.timed(addon("live"), "follow") as follow:
@@ -89,6 +90,7 @@ def live():
     measure("Stiffness to the next picture", f"{seconds:.2f} s")
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: not addon("live").is_on(skin()), "Live to be off")
+    yield from section.fold()
 
 
 @step("Bake it")

@@ -28,8 +28,10 @@ import numpy as np
 WORK = Path(sys.argv[sys.argv.index("--") + 1])
 ROW = 16  # less than a button's height: none is missed
 HEADER = 21  # pixels from one closed section's header to the next
+ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
 TABS = 30  # pixels: the tabs beside a sidebar
-END = 300  # no buttons for so many pixels: there are none below
+END = 500  # no buttons for so many pixels: there are none below
+NEAR = 300  # pixels: no section is higher
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
 
 result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
@@ -168,9 +170,12 @@ class Region:
         return x + width // 2, y + height // 2
 
     @property
+    def ceiling(self):
+        return self.box[1] + self.box[3]
+
+    @property
     def top(self):
-        x, y, width, height = self.box
-        return x + width // 2, y + height - 15
+        return self.middle[0], self.ceiling - 15
 
     def context(self):
         return bpy.context.temp_override(window=window(), area=self.area, region=self.region)
@@ -293,8 +298,8 @@ class Region:
         global actions
         actions += 1
         top = yield from self.top_of(above)
-        left, height = self.box[0] + 40, top
-        while height < top + 14 * ROW:
+        left, height = self.box[0] + ASIDE, top
+        while height < min(top + 14 * ROW, self.ceiling):
             height += ROW // 2
             if (yield from self.look((left, height))):
                 continue
@@ -313,14 +318,30 @@ class Region:
         global actions
         actions += 1
         _, row = yield from self.find(below)
-        for height in range(row - ROW, row - 14 * ROW, -ROW // 2):
-            header = (self.box[0] + 40, height)
+        for height in range(row - ROW, max(row - 14 * ROW, self.box[1]), -ROW // 2):
+            header = (self.box[0] + ASIDE, height)
             if (yield from self.look(header)):
                 continue
             yield from self._toggle(header)
             if (yield from self.scan_down(wanted, height)):
                 return Section(self, wanted, height - HEADER // 4 - (yield from self.top_of(wanted)))
         raise AssertionError(f"no section with {wanted} below {below}")
+
+    def fold(self, wanted: str):
+        """Close the section that holds a button: its header is the first above it."""
+        global actions
+        actions += 1
+        yield from self.scroll("WHEELUPMOUSE", 40)
+        top = yield from self.top_of(wanted)
+        button = self.seen(wanted)
+        for height in range(top + ROW // 2, min(top + NEAR, self.ceiling), ROW // 2):
+            header = (self.box[0] + ASIDE, height)
+            if (yield from self.look(header)):
+                continue
+            yield from self._toggle(header)
+            if not is_button((yield from self.look(button)), wanted):
+                return
+        raise AssertionError(f"the section of {wanted} is still open")
 
     def _toggle(self, header):
         yield from move(header)
@@ -330,7 +351,7 @@ class Region:
     def scan_down(self, wanted: str, start: float):
         """Look for a button from a height downwards; False when it is not near."""
         x, y, width, _ = self.box
-        for row in range(int(start) - ROW, max(int(start) - END, y), -ROW):
+        for row in range(int(start) - ROW, max(int(start) - NEAR, y), -ROW):
             if is_button((yield from self.look((x + int(width * COLUMNS[0]), row))), wanted):
                 return True
         return False
@@ -364,15 +385,7 @@ class Section:
         self.region, self.wanted, self.rise, self.above, self.closed = region, wanted, rise, above, closed
 
     def fold(self):
-        global actions
-        actions += 1
-        header = self.rise + (yield from self.region.top_of(self.wanted))
-        button = self.region.seen(self.wanted)
-        for lines in (0, 1, -1):  # that have come since then
-            yield from self.region._toggle((self.region.box[0] + 40, header + lines * HEADER))
-            if not is_button((yield from self.region.look(button)), self.wanted):
-                return
-        raise AssertionError(f"the section of {self.wanted} is still open")
+        yield from self.region.fold(self.wanted)
 
     def keep(self, name: str):
         """A picture of it for the guide."""

@@ -8,7 +8,7 @@ import json
 import bpy
 import driver
 from driver import WORK, Region, step, until
-from editors import addon, select_target, settings, sidebar
+from editors import addon, baked, select_target, settings, sidebar
 
 browser = Region("FILE_BROWSER", "WINDOW")
 SETUP = WORK / "arm.json"
@@ -38,6 +38,9 @@ def material():
 
 @step("Save Setup")
 def save_setup():
+    yield from sidebar.press("dynamorph.free_bake")
+    yield from until(lambda: not baked(), "the bake to be freed")
+    yield from sidebar.fold("dynamorph.new_from_pose")
     sections["setup"] = yield from sidebar.unfold_last("dynamorph.save_setup", below="dynamorph.bake_all")
     yield from sections["setup"].keep("setup")
     SETUP.unlink(missing_ok=True)
@@ -54,6 +57,7 @@ def load_setup():
     yield from choose_file("dynamorph.load_setup")
     yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup of the file")
     yield from sections["setup"].fold()
+    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
 
 
 def choose_file(button: str):

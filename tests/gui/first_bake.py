@@ -31,6 +31,8 @@ def open_scene():
     eye.view_rotation = Euler((1.3, 0.0, 0.3)).to_quaternion()
     properties.area.spaces.active.context = "DATA"
     view.area.spaces.active.show_region_hud = False  # it would hide the graph in pictures
+    overlay = view.area.spaces.active.overlay
+    overlay.show_floor = overlay.show_axis_x = overlay.show_axis_y = False  # slow without a graphics card
     yield from driver.drawn()
     measure("Blender", f"{bpy.app.version_string}, Python {sys.version.split()[0]}")
     measure("Arm", f"{len(skin().data.vertices)} vertices, {limb.LAST} frames")
