@@ -8,23 +8,21 @@ that changing them never needs a new build.
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 
 import dynamorph
 import numpy as np
 
+from . import volume
 from .scene_data import FREE_SETTINGS, Character, ModelSettings, Skeleton, Target
+from .volume import Progress, Stages
 
-Progress = Callable[[float, str], bool]
 Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.ndarray]]
 
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
 REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
 FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
-HELD = 0.05  # nodes softer than this in the Soft group are free
 MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes", "pin radius")  # of the tetrahedra
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "Soft vertex group")  # of them and of what is held
 CAGE_SHARE = 0.35  # of the time of a build
@@ -149,8 +147,8 @@ def build(
     character = character.by_method()
     if character.settings.method == "STATIC":
         return _static_model(character, authored)
-    stages = _Stages(progress)
-    model, embedding = _volume(character, authored, _reusable(previous, authored), stages)
+    stages = Stages(progress)
+    model, embedding = _with_flesh(character, authored, _reusable(previous, authored), stages)
     body = model.soft_body()
     with stages("Target shapes", 0.10):
         _shape_targets(model, body, embedding, character.targets)
@@ -167,7 +165,6 @@ def build(
             model = _reduced(model, full, basis, report)
     fallbacks = _fallbacks(full, character.targets)
     model.summary.update(
-        **_cage_summary(model),
         dofs=full.dofs,
         modes=model.basis.shape[1],
         targets=len(targets),
@@ -186,10 +183,10 @@ def build_cage(character: Character, progress: Progress | None = None, previous:
     if character.settings.method == "STATIC":
         raise ValueError(f"'{character.name}' needs no cage: with the Method Static nothing is simulated")
     authored = dependencies(character)
-    stages = _Stages(progress, CAGE_SHARE)
+    stages = Stages(progress, CAGE_SHARE)
     mesh = _reusable(previous, authored)
-    model, _ = _volume(character.by_method(), {name: authored[name] for name in CAGE_DEPENDENCIES}, mesh, stages)
-    model.summary.update(_cage_summary(model), modes=0, warnings=[], seconds=stages.seconds)
+    model, _ = _with_flesh(character.by_method(), {name: authored[name] for name in CAGE_DEPENDENCIES}, mesh, stages)
+    model.summary.update(modes=0, warnings=[], seconds=stages.seconds)
     return model
 
 
@@ -201,17 +198,13 @@ def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.Tet
     return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
 
 
-def _cage_summary(model: Model) -> dict[str, int]:
-    return {"nodes": len(model.nodes), "tets": len(model.tets), "pinned": int(model.pinned.sum())}
-
-
 def _reduced(model: Model, full, basis: np.ndarray, report) -> Model:
     """The model in the modes of `basis` (3 free, r)."""
     tables = dynamorph.reduce(full, basis, report)
     return replace(model, basis=basis, table_lambda=np.array(tables.lame_lambda), table_mu=np.array(tables.lame_mu))
 
 
-def _fitted_basis(model: Model, body, full, character: Character, rehearse, stages: _Stages) -> np.ndarray:
+def _fitted_basis(model: Model, body, full, character: Character, rehearse, stages: Stages) -> np.ndarray:
     """Modes (3 free, r) for a shot: the targets' shapes exactly, then what moves most about them in a rehearsal
     (mass-PCA). It is unreduced where that takes seconds, else in more modes than are wanted.
 
@@ -275,54 +268,26 @@ def _model(character: Character, authored: dict[str, str], **known) -> Model:
     return Model(**(empty | taken | known))
 
 
-def _volume(character: Character, authored, mesh, stages: _Stages) -> tuple[Model, dynamorph.Embedding]:
+def _with_flesh(character: Character, authored, mesh, stages: Stages) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with all they inherit from it; the targets' shapes are still to come."""
-    settings = character.settings
-    surface = character.vertices @ character.to_bind.T
-    with stages("Meshing", 0.30) as report:
-        if mesh is None:
-            _, _, mesh = dynamorph.mesh_body(
-                surface,
-                character.triangles,
-                settings.cage_nodes,
-                bones=character.bone_segments,
-                held=settings.pin_radius,
-                progress=report,
-            )
-    with stages("Embedding", 0.05) as report:
-        embedding = dynamorph.embed(mesh, surface)
-        fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
-        shares = [target_set.share for target_set in character.target_sets]
-        # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and no further than painted.
-        painted = np.log(character.stiffness)
-        values = np.column_stack([painted, character.weights, character.softness, *shares])
-        inherited = dynamorph.extend_to_nodes(mesh, embedding, values)
-        stiffness = np.exp(inherited[:, 0].clip(painted.min(), painted.max()))[mesh.tets].mean(axis=1)
-        weights, softness, shares = np.split(
-            inherited[:, 1:].clip(0.0), np.cumsum([character.weights.shape[1], 1]), axis=1
-        )
-        shares = shares[mesh.tets].mean(axis=1)
-        heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
-        pinned = dynamorph.pinned(mesh, surface, character.triangles, heads, tails, settings.pin_radius)
-        pinned |= softness[:, 0] < HELD
-    if not pinned.any():
-        raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
+    flesh = volume.volume(character, mesh, stages)
     model = _model(
         character,
         authored,
-        nodes=mesh.nodes,
-        tets=mesh.tets,
-        fill=fill,
-        stiffness=stiffness,
-        shares=shares / shares.sum(axis=1, keepdims=True),
-        pinned=pinned,
-        node_weights=weights / weights.sum(axis=1, keepdims=True),
-        embedding_nodes=embedding.nodes,
-        embedding_weights=embedding.weights,
-        displacements=np.zeros((len(character.targets), len(mesh.nodes), 3)),
-        details=np.zeros((len(character.targets), len(surface), 3)),
+        nodes=flesh.mesh.nodes,
+        tets=flesh.mesh.tets,
+        fill=flesh.fill,
+        stiffness=flesh.stiffness,
+        shares=flesh.shares,
+        pinned=flesh.pinned,
+        node_weights=flesh.node_weights,
+        embedding_nodes=flesh.embedding.nodes,
+        embedding_weights=flesh.embedding.weights,
+        displacements=np.zeros((len(character.targets), len(flesh.mesh.nodes), 3)),
+        details=np.zeros((len(character.targets), len(character.vertices), 3)),
+        summary=flesh.summary,
     )
-    return model, embedding
+    return model, flesh.embedding
 
 
 def _shape_targets(model: Model, body, embedding, targets: list[Target]):
@@ -371,32 +336,6 @@ def _morph_targets(character: Character, displacements: np.ndarray) -> list:
             )
         )
     return out
-
-
-class _Stages:
-    """Times the stages of a build and maps each one's own 0..1 to a part of the whole, which their shares sum to."""
-
-    def __init__(self, progress: Progress | None, whole: float = 1.0):
-        self.progress = progress
-        self.whole = whole
-        self.done = 0.0
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, message: str, share: float):
-        began, start = time.perf_counter(), self.done
-
-        def report(fraction: float) -> bool:
-            done = (start + share * fraction) / self.whole
-            going_on = self.progress is None or self.progress(done, message)
-            if not going_on:
-                raise dynamorph.Cancelled("cancelled")
-            return True
-
-        report(0.0)
-        yield report
-        self.seconds[message.lower()] = time.perf_counter() - began
-        self.done += share
 
 
 # What a model depends on -------------------------------------------------------------------------------------------
