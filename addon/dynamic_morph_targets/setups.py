@@ -32,7 +32,7 @@ from .properties import (
     plain,
 )
 from .scene_data import ModelSettings, determinant, turned
-from .targets import ensure_basis
+from .sinks import ensure_basis
 
 FORMAT = "dynamorph setup"
 VERSION = 1
