@@ -38,6 +38,7 @@ STRIP_FIELDS = (
     "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
     "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
 )  # fmt: skip
+MEMBER = 0.5  # weight from which a vertex belongs to a piece
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
 
@@ -247,6 +248,12 @@ class VertexGroups:
         return weights
 
 
+def skin_weights(obj) -> np.ndarray:
+    """Skin weights (V, B + 1) of any mesh with an Armature modifier, as `Character.weights`. Raises SceneError."""
+    modifier = armature_modifier(obj)
+    return _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+
+
 def _skin_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:
     bones = modifier.object.data.bones
     weights = groups.weights(skeleton.names)
@@ -293,7 +300,7 @@ def _pieces(obj, groups: VertexGroups) -> np.ndarray:
     pieces, free = np.zeros(len(obj.data.vertices), np.int32), np.ones(len(obj.data.vertices), bool)
     cages = itertools.count(1)
     for part, weights in zip(parts, groups.weights([part.group for part in parts]).T, strict=True):
-        members = free & (weights >= 0.5)
+        members = free & (weights >= MEMBER)
         if part.choice != "WITH_BODY" and members.any():
             pieces[members] = -1 if part.choice == "RIGID" else next(cages)
         free &= ~members

@@ -376,8 +376,7 @@ class Job:
         pieces = [find(follower.session_uid) for follower in self.followers]
         for piece in pieces:
             sinks.check(piece, needs_keys=False)  # before anything is written
-        for each in (obj, *properties.followers(obj)):
-            live_key.remove(each)
+        live_key.remove(obj)
         for piece in properties.followers(obj):
             if piece not in pieces:
                 sinks.free(piece)

@@ -506,9 +506,6 @@ class DynamorphBake(PropertyGroup):
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
-    had_keys: BoolProperty(
-        name="Had Shape Keys", description="Whether the mesh had a Basis before the bake", default=True
-    )
     had_animation_data: BoolProperty(
         name="Had Animation Data", description="Whether the shape keys were animated before the bake"
     )
@@ -567,6 +564,7 @@ class DynamorphSettings(PropertyGroup):
         name="Follows", description="The soft skin whose motion the bake or Live shows on this mesh",
         type=bpy.types.Object,
     )  # fmt: skip
+    had_keys: BoolProperty(name="Had Shape Keys", description="Whether the mesh had a Basis before it followed")
     model: PointerProperty(
         name="Model", description="How the model is built, and what came of it", type=DynamorphModel, override=OVERRIDE
     )
@@ -773,8 +771,8 @@ def parts_in(obj) -> list:
 
 def clothes_in(obj, choice: str) -> list:
     """The other meshes that are pieces of a soft skin with this choice, without those that are deleted."""
-    pieces = [piece.object for piece in obj.dynamorph.pieces if piece.object and piece.choice == choice]
-    return [piece for piece in dict.fromkeys(pieces) if piece.users_scene]
+    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == choice]
+    return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 
 
 def followers(obj) -> list:

@@ -89,8 +89,8 @@ def write_modal_keys(obj, bake: Bake, skin=None) -> int:
             f"Mesh '{obj.name}' has {len(obj.data.vertices)} vertices, the bake {bake.modes.shape[1]}: bake again"
         )
     record = obj.dynamorph.bake
-    had_keys = record.had_keys if record.keys else obj.data.shape_keys is not None
-    ensure_basis(obj)
+    followed = obj.dynamorph.follows
+    follow(obj, skin)
     keys = _scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
     old = _baked_names(obj)  # now: a new key may look like an old one, or take the name of one that was deleted
     before = obj.data.shape_keys.animation_data is not None
@@ -107,14 +107,13 @@ def write_modal_keys(obj, bake: Bake, skin=None) -> int:
         obj.active_shape_key_index = active_index
         if not before:
             obj.data.shape_keys.animation_data_clear()
-        _remove_basis(obj, had_keys)
+        if followed is None:
+            leave(obj)
         raise
     obj.active_shape_key_index = active_index
     _keep_influence(_strip(obj.data.shape_keys, record.action), _strip(obj.data.shape_keys, action))
     _free(obj, old)
     _record(obj, names, [key.name for key in keys], action, had_animation_data)
-    record.had_keys = had_keys
-    obj.dynamorph.follows = skin
     mute_targets(obj, record.muted, bake.target_names, skin)
     return sum(key.bytes() for key in keys)
 
@@ -125,10 +124,23 @@ def ensure_basis(obj):
         obj.shape_key_add(name="Basis", from_mix=False)
 
 
-def _remove_basis(obj, had_keys: bool):
-    """Undo `ensure_basis` where it made the Basis, unless the artist has added others."""
-    keys = obj.data.shape_keys
-    if not had_keys and keys and len(keys.key_blocks) == 1:
+def follow(obj, skin):
+    """Note that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
+    settings, keys = obj.dynamorph, obj.data.shape_keys
+    if settings.follows is None:
+        settings.had_keys = keys is not None
+    if settings.follows != skin:
+        settings.follows = skin
+    ensure_basis(obj)
+
+
+def leave(obj):
+    """The inverse of `follow`, when the keys are gone."""
+    settings, keys = obj.dynamorph, obj.data.shape_keys
+    if settings.follows is None:
+        return
+    settings.follows = None
+    if not settings.had_keys and keys and len(keys.key_blocks) == 1:  # the artist has added none
         obj.shape_key_clear()
 
 
@@ -164,8 +176,7 @@ def free(obj):
     for each in baked:
         reconcile(each)
         _free(each, _baked_names(each))
-        _remove_basis(each, each.dynamorph.bake.had_keys)
-        each.dynamorph.bake.had_keys, each.dynamorph.follows = True, None
+        leave(each)
 
 
 def _baked_names(obj) -> list[str]:

@@ -107,6 +107,7 @@ def _own_groups(source) -> list[str]:
     """Names of the vertex groups that the soft skin uses, without those that tie the mesh to bones."""
     settings = source.dynamorph
     names = [getattr(settings, field) for field in setups.GROUPS] + [target.region for target in settings.targets]
+    names += [piece.group for piece in settings.pieces]
     skinned = {bone.name for bone in rig_of(source).data.bones if bone.use_deform}
     return [name for name in dict.fromkeys(names) if name in source.vertex_groups and name not in skinned]
 
