@@ -374,6 +374,8 @@ def dependencies(character: Character) -> dict[str, str]:
     }
     if (character.stiffness != 1.0).any():  # else there is none, as in the models from before there was
         parts["Stiffness vertex group"] = (character.stiffness,)
+    if character.pieces.any():
+        parts["pieces"] = (character.pieces,)
     for j, target in enumerate(character.targets):
         parts[f"shape {j}"] = (target.shape,)
     for name, value in asdict(settings).items():

@@ -177,6 +177,37 @@ def shared_mesh(obj) -> Iterator[Problem]:
         )
 
 
+def follower(obj, piece) -> Iterator[Problem]:
+    """What keeps the mesh object `piece` from moving with the flesh of the soft skin `obj`."""
+    body, armature = obj.name, rig_of(obj)
+    modifiers = armature_modifiers(piece)
+    if piece == obj:
+        yield Problem(f"'{body}' cannot be a piece of itself: remove it from the Pieces")
+    elif not modifiers:
+        yield Problem(
+            f"'{piece.name}' has no Armature modifier with an armature: skin it to '{armature.name}', or choose Rigid"
+        )
+    elif any(modifier.object != armature for modifier in modifiers):
+        yield Problem(
+            f"'{piece.name}' is moved by another armature: choose '{armature.name}' in its Armature modifier, or Rigid"
+        )
+    if piece.dynamorph.targets:
+        yield Problem(f"'{piece.name}' is a soft skin of its own: choose Own Cage")
+    elif piece.dynamorph.follows not in (None, obj):
+        other = piece.dynamorph.follows.name
+        yield Problem(f"'{piece.name}' follows '{other}': free the bake of that first, or turn its Live off")
+    if piece.mode == "EDIT":
+        yield Problem(f"'{piece.name}' is in Edit Mode: leave it first")
+    if not piece.data.vertices:
+        yield Problem(f"Mesh '{piece.data.name}' has no vertices: remove '{piece.name}' from the Pieces")
+    keys = piece.data.shape_keys
+    if keys and not keys.use_relative:
+        yield Problem(f"'{piece.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
+    bound = next((m for m in piece.modifiers if obj in (getattr(m, "target", None), getattr(m, "object", None))), None)
+    if bound:
+        yield Problem(f"'{piece.name}' follows '{body}' by its modifier '{bound.name}' already: choose Rigid")
+
+
 def active_targets(obj) -> list:
     """The neutral target and those that are not muted."""
     return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]

@@ -7,6 +7,7 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 from __future__ import annotations
 
 import hashlib
+import itertools
 import threading
 import time
 from contextlib import contextmanager
@@ -16,9 +17,11 @@ import bpy
 import numpy as np
 
 from . import checks
-from .properties import key_points, reconcile, rest_skeleton, rig_of
+from .nearest import nearest
+from .properties import clothes_in, key_points, parts_in, reconcile, rest_skeleton, rig_of
 from .scene_data import (
     Character,
+    Follower,
     ForceField,
     RigSamples,
     SimulationSettings,
@@ -35,6 +38,7 @@ STRIP_FIELDS = (
     "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
     "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
 )  # fmt: skip
+MEMBER = 0.5  # weight from which a vertex belongs to a piece
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
 
@@ -77,7 +81,45 @@ def character(obj, without_targets=False) -> Character:
         target_sets=target_sets,
         settings=settings.model.settings(),
         probed=bool(checks.beyond_bones(obj)),
+        pieces=_pieces(obj, groups),
     )
+
+
+def followers(obj, character: Character) -> list[Follower]:
+    """The other meshes that the flesh of `obj` carries along; character: what was read of it. Raises SceneError."""
+    pieces = clothes_in(obj, "WITH_BODY")
+    if not pieces:
+        return []
+    rig = armature_modifier(obj).object
+    body_world, _ = _worlds_at_start(obj, rig)
+    skin = character.vertices @ character.to_bind.T
+    found = []
+    for piece in pieces:
+        _refuse(checks.follower(obj, piece))
+        to_body = inverse(body_world) @ _worlds_at_start(piece, rig)[0]
+        vertices = (rest_points(piece) @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
+        found.append(
+            Follower(
+                piece.name,
+                piece.session_uid,
+                vertices,
+                inverse(to_body[:3, :3]),
+                nearest(vertices, skin, character.triangles),
+            )
+        )
+    return found
+
+
+def rest_points(obj) -> np.ndarray:
+    """Points (V, 3) of the mesh without its shape keys, local space. Raises SceneError."""
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    if obj.data.shape_keys:
+        points = key_points(obj.data.shape_keys.reference_key)
+    else:
+        obj.data.attributes["position"].data.foreach_get("vector", points.ravel())
+    if not np.isfinite(points).all():
+        raise SceneError(f"'{obj.name}' has vertices whose coordinates are not numbers: delete or repair them")
+    return points.astype(np.float64)
 
 
 def armature_modifier(obj):
@@ -216,6 +258,12 @@ class VertexGroups:
         return weights
 
 
+def skin_weights(obj) -> np.ndarray:
+    """Skin weights (V, B + 1) of any mesh with an Armature modifier, as `Character.weights`. Raises SceneError."""
+    modifier = armature_modifier(obj)
+    return _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+
+
 def _skin_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:
     bones = modifier.object.data.bones
     weights = groups.weights(skeleton.names)
@@ -248,6 +296,25 @@ def _stiffness(obj, groups: VertexGroups) -> np.ndarray:
     if not np.isfinite(settings.stiffness_factor):
         raise SceneError(f"'{obj.name}': the Factor of the Stiffness group is not a number: set it again")
     return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
+
+
+def _pieces(obj, groups: VertexGroups) -> np.ndarray:
+    """Which piece each vertex belongs to, as `Character.pieces` says. Where groups overlap the first one counts.
+
+    Raises SceneError.
+    """
+    parts = parts_in(obj)
+    gone = next((part for part in parts if part.group not in obj.vertex_groups), None)
+    if gone:
+        raise SceneError(f"'{obj.name}': the vertex group '{gone.group}' of a piece is gone: remove the piece")
+    pieces, free = np.zeros(len(obj.data.vertices), np.int32), np.ones(len(obj.data.vertices), bool)
+    cages = itertools.count(1)
+    for part, weights in zip(parts, groups.weights([part.group for part in parts]).T, strict=True):
+        members = free & (weights >= MEMBER)
+        if part.choice != "WITH_BODY" and members.any():
+            pieces[members] = -1 if part.choice == "RIGID" else next(cages)
+        free &= ~members
+    return pieces
 
 
 def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:

@@ -80,16 +80,14 @@ class Preview:
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         if not self._was_live:
-            live_key.add(obj, self.flesh.target_names)
+            self.flesh.add_keys(obj)
         live.lent.add(self.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None):
-        """values: see Flesh.points. transform: in world space, of the rig. Raises SceneError when the key is gone."""
+        """values: see Flesh.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
         obj = jobs.find(self.session_uid)
-        block = live_key.find(obj)
-        if block is None:
+        if not self.flesh.show(values):
             raise SceneError("The live key was removed: the test stops")
-        live_key.write(block, self.flesh.points(values))
         if transform is not None:
             self._movers = self._movers or [_Mover(moved) for moved in movers(obj)]
             for mover in self._movers:
