@@ -310,9 +310,10 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
-    """The rig in its present pose, shaken: samples at substeps, and the world transforms (S, 4, 4) that move it."""
+    """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
+    world, Blender units."""
     skeleton, local, rig_world = extract.current_pose(obj)
-    object_world = np.array(obj.matrix_world)
+    object_world = extract.world_now(obj)
     settings = flesh.player.settings
     count = 1 + round(SECONDS * settings.fps) * settings.substeps
     heights, angles = shake(kind, np.arange(count) * settings.step)
@@ -322,7 +323,9 @@ def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
     transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
     transforms[:, 2, 3] += heights * flesh.player.size
     pose = np.broadcast_to(skeleton.pose(local), (count, *local.shape))
-    return RigSamples(pose, transforms @ rig_world, transforms @ object_world), transforms
+    samples = RigSamples(pose, transforms @ rig_world, transforms @ object_world)
+    transforms[:, :3, 3] /= extract.unit_scale()
+    return samples, transforms
 
 
 class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
@@ -339,7 +342,7 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
         if not flesh.modes:
             raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
         skeleton, local, rig_world = extract.current_pose(obj)
-        still = RigSamples(skeleton.pose(local)[None], rig_world[None], np.array(obj.matrix_world)[None])
+        still = RigSamples(skeleton.pose(local)[None], rig_world[None], extract.world_now(obj)[None])
         weights = flesh.player.begin(still).weights
         return self._swinging(obj.session_uid, flesh, weights)
 
