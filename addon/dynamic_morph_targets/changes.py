@@ -99,7 +99,8 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
-    for part, group in (("model", settings.model), ("simulation", settings.simulation), ("groups", None), ("scene", None)):
+    known = {"model": settings.model, "simulation": settings.simulation, "groups": None, "scene": None}
+    for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
         found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]
     return found
