@@ -15,6 +15,7 @@ from .scene_data import Character
 
 Progress = Callable[[float, str], bool]
 
+GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
 HELD = 0.05  # nodes softer than this in the Soft group are free
 
 
@@ -58,11 +59,12 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
 
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
     settings = character.settings
+    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(np.ptp(surface, axis=0))))
     _, _, mesh = dynamorph.mesh_body(
-        surface,
+        np.round(surface / grid) * grid,
         character.triangles,
         settings.cage_nodes,
-        bones=character.bone_segments,
+        bones=np.round(character.bone_segments / grid) * grid,
         held=settings.pin_radius,
         progress=report,
     )
