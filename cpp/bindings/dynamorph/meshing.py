@@ -60,29 +60,28 @@ def mesh_body(
     if bones.ndim != 3 or bones.shape[1:] != (2, 3):
         raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
     arrays = [*_checked(vertices, triangles), bones, *_closed(cage)]
-    time_limit = time_limit or 60.0 + target_nodes / 50
-    deadline = time.monotonic() + time_limit
+    deadline = time.monotonic() + (time_limit or 60.0 + target_nodes / 50)
     resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
+    failure = None
     for resolution in resolutions:
-        last = resolution == resolutions[-1]
-        left = deadline - time.monotonic()
-        seconds = left if last else left / 2
+        seconds = (deadline - time.monotonic()) / (1 if resolution == resolutions[-1] else 2)
+        arguments = [target_nodes, seconds, memory_limit_gb, held, thickness, resolution]
         try:
-            with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as answer:
-                for array in arrays:
-                    np.save(request, array, allow_pickle=False)
-                request.seek(0)
-                arguments = [target_nodes, seconds, memory_limit_gb, held, thickness, resolution]
-                _run_child(arguments, request, answer, progress)
-                answer.seek(0)
-                cage_vertices, cage_triangles, nodes, tets = (np.load(answer, allow_pickle=False) for _ in range(4))
-            return cage_vertices, cage_triangles, TetMesh(nodes, tets)
-        except TimeoutError:
-            if last:
-                raise Error(f"Meshing took longer than {time_limit:g} s and was stopped. {TRY_THIS}") from None
+            return _mesh_in_child(arrays, arguments, progress)
         except _MesherFailed as error:
-            if last:
-                raise Error(str(error)) from None
+            failure = error
+    raise Error(str(failure))
+
+
+def _mesh_in_child(arrays: list[np.ndarray], arguments: list, progress) -> tuple[np.ndarray, np.ndarray, TetMesh]:
+    with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as answer:
+        for array in arrays:
+            np.save(request, array, allow_pickle=False)
+        request.seek(0)
+        _run_child(arguments, request, answer, progress)
+        answer.seek(0)
+        vertices, triangles, nodes, tets = (np.load(answer, allow_pickle=False) for _ in range(4))
+    return vertices, triangles, TetMesh(nodes, tets)
 
 
 def _closed(cage: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
@@ -129,7 +128,7 @@ def _run_child(arguments: list, request, answer, progress: Callable[[float], boo
             if progress and not progress(fraction[0]):
                 raise Cancelled("cancelled")
             if time.monotonic() > deadline:
-                raise TimeoutError
+                raise _MesherFailed(f"Meshing took too long and was stopped. {TRY_THIS}")
             time.sleep(0.05)
     finally:  # also on KeyboardInterrupt, or an exception of progress's own
         child.kill()
@@ -204,16 +203,21 @@ def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
 
 
 def _wrapped(body, bones, held: float, target_nodes: int, thickness: float, resolution: float) -> tuple:
-    """A cage that leaves room for nodes inside; again with fewer vertices while good tets need too many nodes."""
+    """A cage that leaves room for nodes inside; another while good tets need too many nodes, or have room for few."""
     cage_vertices = _surface_share(target_nodes) * target_nodes * resolution
+    best, best_error = (), math.inf
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
         cage = make_cage(*body, max(int(cage_vertices), 4), thickness, progress)
-        *_, nodes, tets = _filled(cage, bones, held, target_nodes)
-        if len(nodes) <= 1.1 * target_nodes:
+        arrays = _filled(cage, bones, held, target_nodes)
+        nodes = len(arrays[2])
+        error = abs(math.log(nodes / target_nodes))
+        if error < best_error:
+            best, best_error = arrays, error
+        if best_error < 0.1:
             break
-        cage_vertices *= target_nodes / len(nodes)
-    return *cage, nodes, tets
+        cage_vertices *= target_nodes / nodes
+    return best
 
 
 def _surface_share(nodes: int) -> float:
