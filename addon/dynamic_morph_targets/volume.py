@@ -43,6 +43,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
     Raises dynamorph.Error with advice when the skin cannot be filled or nothing holds it.
     """
     surface = character.vertices @ character.to_bind.T
+    defects = dynamorph.closed_surface(surface, character.triangles)[2]
     with stages("Meshing", 0.30) as report:
         if mesh is None:
             mesh = _tetrahedra(character, surface, report)
@@ -53,7 +54,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         pinned = _pinned(character, mesh, surface) | (softness < HELD)
     if not pinned.any():
         raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
-    summary = {"nodes": len(mesh.nodes), "tets": len(mesh.tets), "pinned": int(pinned.sum())}
+    summary = {"nodes": len(mesh.nodes), "tets": len(mesh.tets), "pinned": int(pinned.sum()), "defects": defects}
     return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, summary)
 
 
