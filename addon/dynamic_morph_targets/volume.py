@@ -60,7 +60,8 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
 
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
     settings = character.settings
-    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(np.ptp(surface, axis=0))))
+    extent = np.ptp(surface[np.unique(character.triangles)], axis=0)
+    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(extent)))
     _, _, mesh = dynamorph.mesh_body(
         np.round(surface / grid) * grid,
         character.triangles,
