@@ -78,6 +78,7 @@ def notes(obj) -> Iterator[Problem]:
         for before in _modifiers_before(obj, modifier):
             if before.type in DEFORMING:
                 yield Problem(f"'{obj.name}': modifier '{before.name}' before the Armature is not simulated")
+        yield from _scene_drivers(modifier.object)
     reason = beyond_bones(obj)
     if reason:
         yield Problem(f"'{obj.name}' is skinned with {reason}, which takes longer to bake and to play than plain bones")
@@ -87,6 +88,18 @@ def notes(obj) -> Iterator[Problem]:
         yield Problem(
             f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake", "UNPIN"
         )
+
+
+def _scene_drivers(armature) -> Iterator[Problem]:
+    """Drivers of the rig that read a scene: it is sampled in a scene of its own, where they stand still."""
+    owners = (owner.animation_data for owner in (armature, armature.data) if owner.animation_data)
+    for variable in (each for owner in owners for curve in owner.drivers for each in curve.driver.variables):
+        if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
+            yield Problem(
+                f"A driver of '{armature.name}' reads '{variable.targets[0].data_path}' of the scene, which stands "
+                "still in a bake: write 'frame' in its expression, or keep the property on the armature"
+            )
+            return
 
 
 def outgrown(obj) -> str:
