@@ -105,10 +105,8 @@ class Model:
 
     def at_nodes(self, values: np.ndarray) -> np.ndarray:
         """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; overshoots slightly."""
-        mesh = dynamorph.TetMesh(self.nodes, self.tets)
-        return dynamorph.extend_to_nodes(
-            mesh, dynamorph.Embedding(self.embedding_nodes, self.embedding_weights), values
-        )
+        embedding = dynamorph.Embedding(self.embedding_nodes, self.embedding_weights)
+        return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), embedding, values)
 
     def engine(self, character: Character, probed: bool = False) -> dynamorph.ReducedModel | dynamorph.FullModel:
         """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another.

@@ -135,18 +135,12 @@ def beyond_bones(obj) -> str:
 
 def skinning_settings(obj) -> list:
     """What a bake depends on of the Armature modifiers and of bones that bend, fit for JSON."""
-    return [
-        [
-            modifier.object.name,
-            *(getattr(modifier, name) for name in SKINNING_FIELDS),
-            {
-                bone.name: bone.bbone_segments
-                for bone in deforming_bones(obj, modifier.object)
-                if bone.bbone_segments > 1
-            },
-        ]
-        for modifier in armature_modifiers(obj)
-    ]
+    found = []
+    for modifier in armature_modifiers(obj):
+        bones = deforming_bones(obj, modifier.object)
+        bendy = {bone.name: bone.bbone_segments for bone in bones if bone.bbone_segments > 1}
+        found.append([modifier.object.name, *(getattr(modifier, name) for name in SKINNING_FIELDS), bendy])
+    return found
 
 
 def main_modifier(obj):
@@ -364,7 +358,10 @@ def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray) -> Iterator[Problem]:
-    """Whether a body is likely to be meant as it is: `Character`'s vertices, to_bind; left (V,): no bone moves it."""
+    """Whether a body is likely to be meant as it is.
+
+    vertices, to_bind: as of `Character`; left (V,): which of them no bone moves.
+    """
     size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
     if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
         yield Problem(f"'{name}' is {size:.3g} m long: check the scale, it will move like something of that size")

@@ -521,10 +521,14 @@ class RigSampling:
             for source in sources:
                 if source.name not in scene.collection.objects:  # the rig may be one
                     scene.collection.objects.link(source)
+            if self.probe and self._nodes is None:
+                scene.frame_set(self.start)
+                self._held = self.probe.in_poses(scene, follower, rig, self.probe.poses)
+                self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
                 self._read(scene, obj, rig, sources)
                 if self.probe:
-                    self._read_nodes(scene, rig, follower)
+                    self.probe.read(scene, follower, self._nodes.points[self.done])
                 self.done += 1
                 if time.perf_counter() > ends:
                     break
@@ -542,12 +546,6 @@ class RigSampling:
             moved = source.evaluated_get(depsgraph)
             field.world[s] = _rows(moved.matrix_world)
             field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
-
-    def _read_nodes(self, scene, rig, follower):
-        if self._nodes is None:
-            self._nodes = self.probe.empty_samples(self.count)
-            self._held = self.probe.in_poses(scene, follower, rig, self.probe.poses)
-        self.probe.read(scene, follower, self._nodes.points[self.done])
 
     def samples(self) -> RigSamples:
         """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""

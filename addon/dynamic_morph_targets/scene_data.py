@@ -144,13 +144,13 @@ class PosedNodes:
 
     def transforms(self, object_world: np.ndarray) -> np.ndarray:
         """[A | a] (S, n, 3, 4), bind to world space; exact at rest. object_world (S, 4, 4)."""
-        points = self.points.astype(np.float64)
-        points[:, 1:] = (points[:, 1:] - points[:, :1]) / self.reach
-        turned = points @ object_world[:, None, :3, :3].swapaxes(-1, -2)
-        out = np.empty((len(points), len(self.rest), 3, 4))
-        out[..., :3] = turned[:, 1:].transpose(0, 2, 3, 1)
-        out[..., 3] = turned[:, 0] + object_world[:, None, :3, 3]
-        out[..., 3] -= np.einsum("snij,nj->sni", out[..., :3], self.rest)
+        out = np.empty((len(self.points), len(self.rest), 3, 4))
+        for points, world, frames in zip(self.points, object_world, out, strict=True):
+            here, *beside = points @ world[:3, :3].T
+            frames[..., 3] = here + world[:3, 3]
+            for axis, moved in enumerate(beside):
+                frames[..., axis] = (moved - here) / self.reach
+                frames[..., 3] -= frames[..., axis] * self.rest[:, axis, None]
         return out
 
 
