@@ -96,6 +96,8 @@ def draw_soft_skin(layout, context, obj):
         if obj.dynamorph.follows:
             text = iface_("'{name}' moves with '{body}'").format(name=obj.name, body=obj.dynamorph.follows.name)
             draw_message(layout, text, icon="LINKED")
+        if properties.is_shown_on(obj):
+            layout.operator("dynamorph.free_bake", icon="X")
         layout.operator("dynamorph.add_soft_skin", icon="ADD")
         return
     draw_cage(layout, context, obj)

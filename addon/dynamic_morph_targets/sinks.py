@@ -151,14 +151,18 @@ def influence_strip(obj):
 
 
 def show_influence(obj):
-    """Let Blender evaluate anew, which it does not do by itself when an influence is set; what follows has it too."""
+    """Let Blender evaluate anew, which it does not do by itself when an influence is set."""
     strip = influence_strip(obj)
-    if strip is None:
-        return
-    strip.mute = strip.mute
-    for follower in followers(obj):
-        other = influence_strip(follower)
-        if other and _influence(other) != _influence(strip):
+    if strip:
+        strip.mute = strip.mute
+        share_influence(obj)
+
+
+def share_influence(obj):
+    """Give what follows a soft skin the influence of its bake, set or animated."""
+    strip = influence_strip(obj)
+    for other in filter(None, map(influence_strip, followers(obj))):
+        if strip and _influence(other) != _influence(strip):
             _keep_influence(strip, other)
             other.mute = other.mute
 
