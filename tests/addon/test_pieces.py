@@ -149,6 +149,7 @@ def test_a_bake_of_two_is_undone_and_freed_as_one(dressed):
 
 
 def test_one_undo_takes_both_bakes_back(dressed):
+    part("properties").reconcile(dressed[0])
     bpy.ops.ed.undo_push(message="before")
     before = state()
     assert OPS.bake("EXEC_DEFAULT", True) == {"FINISHED"}
