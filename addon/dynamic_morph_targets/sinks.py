@@ -126,10 +126,9 @@ def ensure_basis(obj):
 
 def follow(obj, skin):
     """Note that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
-    settings, keys = obj.dynamorph, obj.data.shape_keys
-    if settings.follows is None:
-        settings.had_keys = keys is not None
+    settings = obj.dynamorph
     if settings.follows != skin:
+        settings.had_keys = settings.had_keys if settings.follows else obj.data.shape_keys is not None
         settings.follows = skin
     ensure_basis(obj)
 
