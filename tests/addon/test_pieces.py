@@ -460,6 +460,9 @@ def test_what_is_left_alone_is_said(soft_arm):
         "'Sword' is parented to bone 'lower': it moves with the bone and is left alone",
     ]
     assert "'Sword' is parented to bone" in " ".join(drawn(soft_arm))
+    for k in range(4):
+        make_mesh(bpy.context.scene, f"Badge {k}", np.eye(3), [(0, 1, 2)]).parent = rig
+    assert "And 3 more like them" in drawn(soft_arm)
 
 
 # Setups ------------------------------------------------------------------------------------------------------------
