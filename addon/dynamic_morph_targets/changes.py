@@ -81,7 +81,7 @@ def model_inputs(obj) -> dict:
     groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
     targets = {name: {"mute": target.mute, "region": target.region} for name, target in named_targets(obj)}
-    return {"targets": targets, "model": model, "groups": groups}
+    return {"targets": targets, "model": model, "groups": groups, "scene": {"unit_scale": extract.unit_scale()}}
 
 
 def bake_inputs(obj, simulation: SimulationSettings) -> dict:
@@ -102,7 +102,8 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
-    for part, group in (("model", settings.model), ("simulation", settings.simulation), ("groups", None)):
+    known = {"model": settings.model, "simulation": settings.simulation, "groups": None, "scene": None}
+    for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
         found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]
     return found

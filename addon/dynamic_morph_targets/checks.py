@@ -351,7 +351,7 @@ def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray) -> Iterator[Problem]:
-    """Whether a body is likely to be meant as it is: `Character`'s vertices and to_bind; left (V,): no bone moves it."""
+    """Whether a body is likely to be meant as it is: `Character`'s vertices, to_bind; left (V,): no bone moves it."""
     size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
     if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
         yield Problem(f"'{name}' is {size:.3g} m long: check the scale, it will move like something of that size")

@@ -81,8 +81,8 @@ def character(obj, without_targets=False) -> Character:
         skeleton=skeleton,
         target_sets=target_sets,
         settings=settings.model.settings(),
-        pieces=_pieces(obj, groups),
         probed=bool(checks.beyond_bones(obj)),
+        pieces=_pieces(obj, groups),
     )
 
 
@@ -332,9 +332,12 @@ def _pieces(obj, groups: VertexGroups) -> np.ndarray:
 def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
     bones = checks.deforming_bones(obj, rig)
-    ends = np.array([(*bone.head_local, 1.0, *bone.tail_local, 1.0) for bone in bones]).reshape(-1, 2, 4)
-    # Rounded like the stretch: the last digits of this product change when both objects are moved.
-    return (ends @ np.round(to_local, 5).T)[..., :3] @ to_bind.T + 0.0
+    ends = np.array([(*bone.head_local, *bone.tail_local) for bone in bones]).reshape(-1, 2, 3)
+    # Rounded like the stretch: the last digits of this transform change when both objects are moved.
+    size = np.cbrt(abs(determinant(to_local[:3, :3])))
+    units = 10.0 ** np.round(np.log10([size, size * np.abs(ends).max()]))
+    turn, shift = _rounded(to_local[:3, :3], units[0]), _rounded(to_local[:3, 3], units[1])
+    return (ends @ turn.T + shift) @ to_bind.T + 0.0
 
 
 def mesh_triangles(mesh) -> np.ndarray:
@@ -345,10 +348,20 @@ def mesh_triangles(mesh) -> np.ndarray:
     return triangles
 
 
-def _worlds_at_start(obj, rig) -> list[np.ndarray]:
-    """World transforms of both when the scene starts: a model that depended on the current frame would age by playing.
+def unit_scale() -> float:
+    """Metres in a Blender unit, as the scene's unit settings say. All that is read of the world is in metres."""
+    units = bpy.context.scene.unit_settings
+    return 1.0 if units.system == "NONE" else units.scale_length
 
-    Raises SceneError.
+
+def _in_metres(worlds: np.ndarray, unit: float) -> np.ndarray:
+    """World transforms (..., 4, 4) for the world in metres instead of Blender units of `unit` metres."""
+    return worlds * np.array([unit, unit, unit, 1.0])[:, None]
+
+
+def _worlds_at_start(obj, rig) -> list[np.ndarray]:
+    """World transforms of both, metres, when the scene starts: a model that depended on the current frame would age by
+    playing. Raises SceneError.
     """
     with _rig_scene(obj, rig) as (scene, _follower):
         scene.frame_set(bpy.context.scene.frame_start)
@@ -360,7 +373,7 @@ def _worlds_at_start(obj, rig) -> list[np.ndarray]:
         sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
         if sizes[-1] <= 1e-6 * sizes[0]:
             raise SceneError(f"'{moving.name}' is scaled to zero: give it a size")
-    return worlds
+    return [_in_metres(world, unit_scale()) for world in worlds]
 
 
 def _not_a_number(name: str, frame: int) -> str:
@@ -372,15 +385,19 @@ def _stretch(world) -> np.ndarray:
     values, vectors = np.linalg.eigh(world[:3, :3].T @ world[:3, :3])
     stretch = (vectors * np.sqrt(values)) @ vectors.T
     # Rounded, or the object's rotation would show in the last digits and make the model out of date.
-    unit = 10.0 ** np.floor(np.log10(stretch.max()))
-    return np.round(stretch / unit, 5) * unit + 0.0  # no negative zeros
+    return _rounded(stretch, 10.0 ** np.floor(np.log10(stretch.max())))
+
+
+def _rounded(values: np.ndarray, unit: float) -> np.ndarray:
+    """To five digits after the unit, which has the values' size: Blender's transforms have about seven."""
+    return np.round(values / unit, 5) * unit + 0.0  # no negative zeros
 
 
 # The pose ----------------------------------------------------------------------------------------------------------
 
 
 def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
-    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4).
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4), metres.
 
     depsgraph: where it is evaluated, if not where the artist sees it.
     """
@@ -400,12 +417,12 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
     return skeleton, skeleton.local_transforms(pose), rig_world
 
 
-def world_now(rig, depsgraph=None) -> np.ndarray:
-    """The evaluated world transform (4, 4) of the armature; depsgraph: as `current_pose`. Raises SceneError."""
-    world = np.array(rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
+def world_now(obj, depsgraph=None) -> np.ndarray:
+    """The evaluated world transform (4, 4) of an object, metres; depsgraph: as `current_pose`. Raises SceneError."""
+    world = np.array(obj.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
     if not np.isfinite(world).all():
-        raise SceneError(_not_a_number(rig.name, bpy.context.scene.frame_current))
-    return world
+        raise SceneError(_not_a_number(obj.name, bpy.context.scene.frame_current))
+    return _in_metres(world, unit_scale())
 
 
 def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
@@ -462,7 +479,7 @@ def sample_rig(obj, start: int, end: int, substeps: int, probe=None) -> RigSampl
 def sample_present(obj, probe=None) -> RigSamples:
     """One sample of the rig as the artist sees it posed now; probe: as in `RigSampling`. Raises SceneError."""
     skeleton, local, rig_world = current_pose(obj)
-    pose, world = skeleton.pose(local)[None], np.array(obj.matrix_world)[None]
+    pose, world = skeleton.pose(local)[None], world_now(obj)[None]
     if probe is None:
         return RigSamples(pose, rig_world[None], world)
     rig, frame = armature_modifier(obj).object, bpy.context.scene.frame_float
@@ -487,6 +504,7 @@ class RigSampling:
         self.start, self.substeps = start, substeps
         self.probe = self._nodes = self._held = None
         self.done, self.count = 0, 1 + (end - start) * substeps
+        self._unit = unit_scale()
         self._skeleton = rest_skeleton(rig.data)
         self._order = pose_order(rig, self._skeleton)
         self._moving = _moving(obj, rig)
@@ -494,7 +512,7 @@ class RigSampling:
         self._sources = [source.name for source in sources]
         self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
         self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
-        self._fields = tuple(_empty_samples(source.field, self.count) for source in sources)
+        self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
 
     @property
     def frame(self) -> int:
@@ -545,9 +563,10 @@ class RigSampling:
 
     def samples(self) -> RigSamples:
         """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
+        worlds = _in_metres(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
+        fields = tuple(replace(field, world=_in_metres(field.world, self._unit)) for field in self._fields)
         pose = _ordered(self._columns, self._order)
-        samples = RigSamples(pose, self._rig_world, self._object_world, self._fields, self._nodes, self._held)
-        worlds = np.stack([self._rig_world, self._object_world], axis=1)
+        samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], fields, self._nodes, self._held)
         bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
         if len(bad):
             raise SceneError(_not_a_number(self._moving[bad[0, 1]], self._frame(bad[0, 0])))
@@ -589,9 +608,9 @@ def _force_fields(view_layer) -> list:
     return found
 
 
-def _empty_samples(field, count: int) -> ForceField:
-    nearest = field.distance_min if field.use_min_distance else 0.0
-    farthest = field.distance_max if field.use_max_distance else np.inf
+def _empty_samples(field, count: int, unit: float) -> ForceField:
+    nearest = unit * field.distance_min if field.use_min_distance else 0.0
+    farthest = unit * field.distance_max if field.use_max_distance else np.inf
     plane = field.shape == "PLANE"
     return ForceField(
         field.type, plane, field.falloff_power, nearest, farthest, np.empty((count, 4, 4)), np.empty(count)
@@ -691,7 +710,11 @@ def hold_collapsed(samples: RigSamples, skeleton: Skeleton, before=None) -> tupl
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
-    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError."""
+    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError.
+
+    The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
+    per s^2, so that at a unit scale of 0.01 a body falls as on the moon's moon.
+    """
     chosen = obj.dynamorph.simulation
     fps = scene.render.fps / scene.render.fps_base
     own = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)

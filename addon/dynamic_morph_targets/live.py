@@ -269,7 +269,7 @@ class Session:
 def _sampling(obj) -> tuple:
     """What the rig's samples depend on besides its animation."""
     render = bpy.context.scene.render
-    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new
+    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, extract.unit_scale()
 
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:

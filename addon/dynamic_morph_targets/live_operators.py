@@ -308,7 +308,8 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
-    """The rig in its present pose, shaken: samples at substeps, and the world transforms (S, 4, 4) that move it."""
+    """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
+    world, Blender units."""
     still = extract.sample_present(obj, flesh.probe)
     rig_world = still.rig_world[0]
     settings = flesh.player.settings
@@ -319,7 +320,9 @@ def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
     origin = rig_world[:3, 3]
     transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
     transforms[:, 2, 3] += heights * flesh.player.size
-    return still.moved(transforms), transforms
+    samples = still.moved(transforms)
+    transforms[:, :3, 3] /= extract.unit_scale()
+    return samples, transforms
 
 
 class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):

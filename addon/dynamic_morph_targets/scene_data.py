@@ -4,7 +4,7 @@
 `extract` fills these from a Blender scene, `build` and `simulate` consume them, `sinks` writes the result back.
 
 Spaces: *local* is the mesh object's own space (what shape keys store), *bind* is local space with the object's scale
-applied, so lengths are metres there, *world* is Blender's world space.
+applied, so lengths are metres there, *world* is Blender's world space in metres (`extract.unit_scale`).
 """
 
 from __future__ import annotations

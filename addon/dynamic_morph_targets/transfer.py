@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import bpy
 import numpy as np
 
 from . import extract, setups, targets
@@ -92,10 +91,10 @@ def size(obj) -> float:
 
 
 def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
-    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now. Raises SceneError."""
-    world = np.array(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world)
-    if not np.isfinite(world).all() or determinant(world[:3, :3]) == 0:
-        raise SceneError(f"'{obj.name}' is scaled to zero, or has a transform that is not a number: check its scale")
+    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now, metres. Raises SceneError."""
+    world = extract.world_now(obj)
+    if determinant(world[:3, :3]) == 0:
+        raise SceneError(f"'{obj.name}' is scaled to zero: give it a size")
     return extract.rest_points(obj), world
 
 

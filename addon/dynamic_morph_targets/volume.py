@@ -15,6 +15,7 @@ from .scene_data import Character
 
 Progress = Callable[[float, str], bool]
 
+GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
 HELD = 0.05  # nodes softer than this in the Soft group are free
 
 
@@ -42,6 +43,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
     Raises dynamorph.Error with advice when the skin cannot be filled or nothing holds it.
     """
     surface = character.vertices @ character.to_bind.T
+    defects = dynamorph.closed_surface(surface, character.triangles)[2]
     with stages("Meshing", 0.30) as report:
         if mesh is None:
             mesh = _tetrahedra(character, surface, report)
@@ -52,17 +54,18 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         pinned = _pinned(character, mesh, surface) | (softness < HELD)
     if not pinned.any():
         raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
-    summary = {"nodes": len(mesh.nodes), "tets": len(mesh.tets), "pinned": int(pinned.sum())}
+    summary = {"nodes": len(mesh.nodes), "tets": len(mesh.tets), "pinned": int(pinned.sum()), "defects": defects}
     return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, summary)
 
 
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
     settings = character.settings
+    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(np.ptp(surface, axis=0))))
     _, _, mesh = dynamorph.mesh_body(
-        surface,
+        np.round(surface / grid) * grid,
         character.triangles,
         settings.cage_nodes,
-        bones=character.bone_segments,
+        bones=np.round(character.bone_segments / grid) * grid,
         held=settings.pin_radius,
         progress=report,
     )

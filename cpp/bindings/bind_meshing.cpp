@@ -2,6 +2,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "dynamorph/cage.hpp"
+#include "dynamorph/closed_surface.hpp"
 #include "dynamorph/tetrahedralize.hpp"
 
 namespace py = pybind11;
@@ -61,20 +62,41 @@ tet that is flat or inside out, or a node of no tet.)")
           "values"_a, "Values (V, k) at the points from values (n, k) at the nodes.");
 }
 
+py::dict to_dict(const Defects& d) {
+  return py::dict("boundary_loops"_a = d.boundary_loops, "open_edges"_a = d.open_edges,
+                  "nonmanifold_edges"_a = d.nonmanifold_edges, "flipped_faces"_a = d.flipped_faces,
+                  "duplicate_faces"_a = d.duplicate_faces, "degenerate_faces"_a = d.degenerate_faces,
+                  "stray_vertices"_a = d.stray_vertices, "components"_a = d.components);
+}
+
 void bind_meshers(py::module_& m) {
   m.def(
+      "closed_surface",
+      [](const FloatArray& vertices, const IntArray& faces) {
+        const Points v = points(vertices, "vertices");
+        const Triangles f = triangles(faces);
+        const ClosedSurface closed = without_gil([&] { return close_surface(v, f); });
+        return py::make_tuple(closed.vertices, closed.triangles, to_dict(closed.defects));
+      },
+      "vertices"_a, "triangles"_a, R"(A closed surface with its faces outward, made of any triangle soup.
+
+vertices (V, 3): metres. triangles (T, 3): vertex indices. Vertices that lie together are welded, faces that are there
+twice dropped, faces turned outward, holes capped. Returns the vertices (W, 3), the triangles (U, 3), caps last, and
+what was wrong: counts by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.)");
+  m.def(
       "make_cage",
-      [](const FloatArray& vertices, const IntArray& faces, int target_vertices, const py::object& progress) {
+      [](const FloatArray& vertices, const IntArray& faces, int target_vertices, double thickness,
+         const py::object& progress) {
         const Points v = points(vertices, "vertices");
         const Triangles f = triangles(faces);
         const ProgressFn report = with_gil(progress);
-        Cage cage = without_gil([&] { return make_cage(v, f, target_vertices, report); });
+        Cage cage = without_gil([&] { return make_cage(v, f, target_vertices, thickness, report); });
         return std::make_pair(std::move(cage.vertices), std::move(cage.triangles));
       },
-      "vertices"_a, "triangles"_a, "target_vertices"_a, "progress"_a = py::none(),
+      "vertices"_a, "triangles"_a, "target_vertices"_a, "thickness"_a = 0.0, "progress"_a = py::none(),
       R"(A closed cage of about `target_vertices` vertices around any triangle soup.
 
-vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
+vertices (V, 3): metres. triangles (T, 3): vertex indices. thickness: metres that the cage stands off at least. progress: called with 0..1, returns False to cancel.
 Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not
 between 1e-6 and 1e6 m across.)");
   m.def(
@@ -110,7 +132,7 @@ A point outside takes the nearest tet, extrapolating as far as weights of -1/2.)
         return without_gil([&] { return fill_fractions(mesh, v, f, report); });
       },
       "mesh"_a, "vertices"_a, "triangles"_a, "progress"_a = py::none(),
-      R"(Fraction (m,) of each tet that the body fills, 0.05 .. 1; the body need not be closed.
+      R"(Fraction (m,) of each tet that the body fills, 0.05 .. 1; any soup, which is closed first.
 
 vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.)");
   m.def(

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "dynamorph/closed_surface.hpp"
 #include "dynamorph/parallel.hpp"
 #include "dynamorph/surface.hpp"
 
@@ -196,7 +197,8 @@ SparseMatrix Embedding::matrix(Eigen::Index node_count) const {
 VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Triangles& triangles,
                         const ProgressFn& progress) {
   constexpr Eigen::Index kBlock = 256;  // of tets
-  const Surface surface(vertices, triangles);
+  const ClosedSurface closed = close_surface(vertices, triangles);
+  const Surface surface(closed.vertices, closed.triangles);
   const std::vector<Vector4d> samples = sample_weights();
   const Eigen::Index tets = mesh.tets.rows();
   VectorXd fractions(tets);
@@ -262,7 +264,9 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
 std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Triangles& triangles, const Points& heads,
                          const Points& tails, double ratio) {
   if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
-  const Surface surface(vertices, triangles);
+  const ClosedSurface closed = close_surface(vertices, triangles);
+  const Surface body(closed.vertices, closed.triangles);
+  const Surface skin(closed.vertices, closed.triangles.topRows(closed.authored));
   std::vector<bool> held(mesh.nodes.rows());
   for (Eigen::Index i = 0; i < mesh.nodes.rows(); ++i) {
     const Vector3d p = mesh.nodes.row(i);
@@ -270,7 +274,7 @@ std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Tria
     for (Eigen::Index b = 0; b < heads.rows(); ++b)
       to_bone = std::min(to_bone, distance_to_segment(p, heads.row(b), tails.row(b)));
     // Written so that no bones (an infinite distance) hold nothing.
-    held[i] = (1 - ratio) * to_bone < ratio * surface.distance(p) && surface.contains(p);
+    held[i] = (1 - ratio) * to_bone < ratio * skin.distance(p) && body.contains(p);
   }
   return held;
 }

@@ -38,7 +38,8 @@ struct Embedding {
 Embedding embed(const TetMesh& mesh, const Points& points);
 
 /// Fraction of each tet that the body fills, 0.05 .. 1: a cage is larger than the body and has webs between limbs, and
-/// both mass and stiffness go with the fraction. The floor keeps every node massive and every tet stiff.
+/// both mass and stiffness go with the fraction. The floor keeps every node massive and every tet stiff. The surface is
+/// closed first (`close_surface`, here and in `pinned`).
 VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Triangles& triangles,
                         const ProgressFn& progress = {});
 
