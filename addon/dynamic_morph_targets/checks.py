@@ -194,7 +194,7 @@ def follower(obj, piece) -> Iterator[Problem]:
         yield Problem(
             f"'{piece.name}' has no Armature modifier with an armature: skin it to '{armature.name}', or choose Rigid"
         )
-    elif any(modifier.object != armature for modifier in modifiers):
+    elif all(modifier.object != armature for modifier in modifiers):
         yield Problem(
             f"'{piece.name}' is moved by another armature: choose '{armature.name}' in its Armature modifier, or Rigid"
         )

@@ -38,6 +38,7 @@ STRIP_FIELDS = (
     "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
     "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
 )  # fmt: skip
+FAR = 0.1  # body sizes: what follows the flesh from further away does not move like it
 MEMBER = 0.5  # weight from which a vertex belongs to a piece
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
@@ -108,6 +109,17 @@ def followers(obj, character: Character) -> list[Follower]:
             )
         )
     return found
+
+
+def far_followers(character: Character, found: list[Follower]) -> list[str]:
+    """Warnings about what is too far from the skin to move as if it were flesh."""
+    far = FAR * np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    return [
+        f"'{follower.name}' is up to {follower.skin.distances.max():.2g} m from the skin of '{character.name}': if it "
+        "moves oddly, choose Own Cage or Rigid for it"
+        for follower in found
+        if follower.skin.distances.max() > far
+    ]
 
 
 def rest_points(obj) -> np.ndarray:

@@ -288,6 +288,7 @@ class Job:
             for follower in self.followers:
                 sinks.check(find(follower.session_uid), needs_keys=False)
         self.warnings = extract.warnings(obj, self.character)
+        self.warnings += extract.far_followers(self.character, self.followers)
         with suppress(model_file.ModelFileError):  # then one of the reasons
             self.previous = load_model(obj)
         self.reasons = self._reasons(obj)

@@ -783,6 +783,11 @@ def clothes_in(obj, choice: str) -> list:
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 
 
+def is_shown_on(obj) -> bool:
+    """Whether there are keys of a bake or of Live on a mesh."""
+    return bool(obj.dynamorph.bake.keys or obj.dynamorph.live.key.name)
+
+
 def followers(obj) -> list:
     """The meshes that show the motion of the soft skin `obj` now, by its bake or by Live."""
     return [other for other in bpy.data.objects if other.dynamorph.follows == obj]

@@ -31,7 +31,7 @@ def _check_changed(_scene, depsgraph):
     """depsgraph_update_post."""
     if any(obj.dynamorph.model.content_id for obj in properties.changed_objects(depsgraph)):
         events.soon(_look_at_meshes, PATIENCE)
-    if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
+    if any(isinstance(update.id, (bpy.types.Action, bpy.types.Key)) for update in depsgraph.updates):
         events.soon(_look_at_animations, PATIENCE)
 
 
@@ -48,6 +48,7 @@ def _look_at_animations():
     for obj in properties.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.bake.keys and obj.is_editable:
             changes.look_at_animation(obj)
+            sinks.share_influence(obj)
 
 
 @persistent
