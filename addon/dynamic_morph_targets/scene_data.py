@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -232,6 +233,8 @@ VARIANTS: dict[str, dict[str, str]] = {
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+# Settings that came later, at the value that builds what was built before: a model from then stays up to date.
+LATER_SETTINGS = {"cage_thickness": 0.0}
 
 
 @dataclass(frozen=True)
@@ -245,7 +248,16 @@ class ModelSettings:
     modes: int = 20
     fit_to_shot: bool = False  # choose the modes from how the shot moves
     cage_nodes: int = 2000
+    cage_thickness: float = 0.0  # metres that the cage stands off the skin at least
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
+
+
+class OwnCage(NamedTuple):
+    """The artist's cage: points (C, 3) bind space, triangles (D, 3); name: of its object."""
+
+    name: str
+    points: np.ndarray
+    triangles: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -255,7 +267,7 @@ class Character:
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
-    deforming bones, bind space.
+    deforming bones, bind space; cage: the artist's own, if there is one.
     """
 
     name: str
@@ -269,6 +281,7 @@ class Character:
     skeleton: Skeleton
     target_sets: tuple[TargetSet, ...]
     settings: ModelSettings = field(default_factory=ModelSettings)
+    cage: OwnCage | None = None
 
     @property
     def targets(self) -> list[Target]:
