@@ -23,6 +23,7 @@ from .scene_data import (
     Character,
     Follower,
     ForceField,
+    OwnCage,
     RigSamples,
     SimulationSettings,
     Skeleton,
@@ -83,6 +84,7 @@ def character(obj, without_targets=False) -> Character:
         settings=settings.model.settings(),
         probed=bool(checks.beyond_bones(obj)),
         pieces=_pieces(obj, groups),
+        cage=_own_cage(obj, modifier.object, to_bind),
     )
 
 
@@ -338,6 +340,44 @@ def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     units = 10.0 ** np.round(np.log10([size, size * np.abs(ends).max()]))
     turn, shift = _rounded(to_local[:3, :3], units[0]), _rounded(to_local[:3, 3], units[1])
     return (ends @ turn.T + shift) @ to_bind.T + 0.0
+
+
+def _own_cage(obj, rig, to_bind) -> OwnCage | None:
+    """The artist's cage as it is when the scene starts and the armature is at rest, bind space. Raises SceneError."""
+    cage = obj.dynamorph.model.cage_object
+    if cage is None:
+        return None
+    if cage.name not in bpy.context.scene.objects:
+        raise SceneError(f"Cage Object '{cage.name}' of '{obj.name}' is not in the scene any more: choose another")
+    if cage.mode == "EDIT":
+        raise SceneError(f"Cage Object '{cage.name}' is in Edit Mode: leave it first")
+    if cage.hide_viewport:
+        raise SceneError(f"Cage Object '{cage.name}' is disabled in viewports: enable it, and hide it by its eye")
+    with _at_rest(rig), _rig_scene(obj, rig) as (scene, _follower):
+        scene.collection.objects.link(cage)
+        scene.frame_set(bpy.context.scene.frame_start)
+        depsgraph = scene.view_layers[0].depsgraph
+        evaluated = cage.evaluated_get(depsgraph)
+        to_local = inverse(np.array(obj.evaluated_get(depsgraph).matrix_world)) @ np.array(evaluated.matrix_world)
+        mesh = evaluated.to_mesh()
+        points = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.vertices.foreach_get("co", points.ravel())
+        triangles = mesh_triangles(mesh)
+        evaluated.to_mesh_clear()
+    if not len(triangles):
+        raise SceneError(f"Cage Object '{cage.name}' has no faces: choose a closed mesh")
+    to_local = np.round(to_local, 5)  # as the bones' ends
+    return OwnCage(cage.name, (points @ to_local[:3, :3].T + to_local[:3, 3]) @ to_bind.T, triangles)
+
+
+@contextmanager
+def _at_rest(rig):
+    position = rig.data.pose_position
+    rig.data.pose_position = "REST"
+    try:
+        yield
+    finally:
+        rig.data.pose_position = position
 
 
 def mesh_triangles(mesh) -> np.ndarray:

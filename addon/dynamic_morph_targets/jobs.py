@@ -435,7 +435,10 @@ class Job:
         made = self.model.summary
         if not made["tets"]:
             return ""
-        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {made['pinned'] / made['nodes']:.0%} held by bones"
+        quality = made.get("quality")  # models of older versions do not say
+        angles = f", angles {quality['min_dihedral']:.0f}° to {quality['max_dihedral']:.0f}°" if quality else ""
+        held = f"{made['pinned'] / made['nodes']:.0%} held by bones"
+        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held}{angles}"
 
     def _store_model(self, obj):
         record = obj.dynamorph.model

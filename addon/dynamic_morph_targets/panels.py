@@ -147,6 +147,10 @@ def draw_cage(layout, context, obj):
     column = body.column()
     column.enabled = jobs.running is None
     column.prop(settings.model, "cage_nodes")
+    column.prop(settings.model, "cage_object")
+    thickness = column.row()
+    thickness.active = settings.model.cage_object is None
+    thickness.prop(settings.model, "cage_thickness")
     column.prop(settings.model, "pin_radius")
     draw_painted_group(column, obj, "SOFT")
     draw_painted_group(column, obj, "STIFFNESS")

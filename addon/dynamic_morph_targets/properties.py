@@ -323,8 +323,15 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
-def _is_other_mesh(piece, obj) -> bool:
-    return obj.type == "MESH" and obj != piece.id_data
+def _is_other_mesh(chosen, obj) -> bool:
+    return obj.type == "MESH" and obj != chosen.id_data
+
+
+def _cage_chosen(model, _context):
+    from . import watch  # which looks at what is authored here
+
+    if model.content_id:
+        watch.look_soon()
 
 
 class DynamorphPiece(PropertyGroup):
@@ -402,8 +409,20 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     cage_nodes: IntProperty(
         name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
-        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000,
+        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=20_000,
         override=OVERRIDE,
+    )  # fmt: skip
+    cage_thickness: FloatProperty(
+        name="Cage Thickness",
+        description="How far the cage stands off the skin at least. It does so anyway by about a tenth of the size of "
+        "its tetrahedra",
+        default=ModelSettings.cage_thickness, min=0.0, soft_max=0.1, subtype="DISTANCE", override=OVERRIDE,
+    )  # fmt: skip
+    cage_object: PointerProperty(
+        name="Cage Object",
+        description="Closed mesh around the skin in rest pose, as it is when the scene starts, to be filled with "
+        "tetrahedra instead of the automatic cage",
+        type=bpy.types.Object, poll=_is_other_mesh, update=_cage_chosen, override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",

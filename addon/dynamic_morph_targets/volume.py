@@ -16,6 +16,7 @@ from .scene_data import Character
 Progress = Callable[[float, str], bool]
 
 GRID = 2.0**-11  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
+MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
 HELD = 0.05  # nodes softer than this in the Soft group are free
 
 
@@ -43,8 +44,8 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
     Raises dynamorph.Error with advice when the skin cannot be filled or nothing holds it.
     """
     surface = character.vertices @ character.to_bind.T
-    defects = dynamorph.closed_surface(surface, character.triangles)[2]
     with stages("Meshing", 0.30) as report:
+        defects = dynamorph.closed_surface(surface, character.triangles)[2]
         if mesh is None:
             mesh = _tetrahedra(character, surface, report)
     with stages("Embedding", 0.05) as report:
@@ -54,22 +55,47 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         pinned = _pinned(character, mesh, surface) | (softness < HELD)
     if not pinned.any():
         raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
-    summary = {"nodes": len(mesh.nodes), "tets": len(mesh.tets), "pinned": int(pinned.sum()), "defects": defects}
+    summary = {
+        "nodes": len(mesh.nodes),
+        "tets": len(mesh.tets),
+        "pinned": int(pinned.sum()),
+        "defects": defects,
+        "quality": dynamorph.tet_quality(mesh),
+        "warnings": _outside(character, embedding) if character.cage else [],
+    }
     return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, summary)
 
 
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
-    settings = character.settings
+    settings, cage = character.settings, character.cage
     grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(np.ptp(surface, axis=0))))
-    _, _, mesh = dynamorph.mesh_body(
-        np.round(surface / grid) * grid,
-        character.triangles,
-        settings.cage_nodes,
-        bones=np.round(character.bone_segments / grid) * grid,
-        held=settings.pin_radius,
-        progress=report,
-    )
+    try:
+        _, _, mesh = dynamorph.mesh_body(
+            np.round(surface / grid) * grid,
+            character.triangles,
+            settings.cage_nodes,
+            cage=cage and cage[1:],
+            thickness=settings.cage_thickness,
+            bones=np.round(character.bone_segments / grid) * grid,
+            held=settings.pin_radius,
+            progress=report,
+        )
+    except dynamorph.Error as error:
+        raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
     return mesh
+
+
+def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
+    """Says which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when it is most of it."""
+    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    left = float((embedding.distances > 1e-5 * size).mean())
+    if left > MOSTLY:
+        raise dynamorph.Error(
+            f"Cage Object '{character.cage.name}' leaves out {left:.0%} of '{character.name}': it must enclose the "
+            "skin as it is in rest pose when the scene starts. Move or enlarge it, or clear Cage Object"
+        )
+    warning = f"{left:.1%} of the skin lies outside Cage Object '{character.cage.name}' and follows its nearest part"
+    return [warning] if left else []
 
 
 def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> tuple:

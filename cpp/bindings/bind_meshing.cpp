@@ -150,19 +150,20 @@ Least squares at the points, smooth inside. Constants stay constant; overshoots 
 and normalising.)");
   m.def(
       "points_on_bones",
-      [](const FloatArray& vertices, const IntArray& faces, const FloatArray& heads, const FloatArray& tails,
-         double ratio) {
-        const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
-        const Triangles f = triangles(faces);
+      [](const FloatArray& vertices, const IntArray& faces, const FloatArray& skin, const IntArray& skin_faces,
+         const FloatArray& heads, const FloatArray& tails, double ratio) {
+        const Points v = points(vertices, "vertices"), s = points(skin, "skin"), h = points(heads, "heads"),
+                     t = points(tails, "tails");
+        const Triangles f = triangles(faces), g = triangles(skin_faces);
         check_rows(tails, "tails", h.rows());
-        return without_gil([&] { return points_on_bones(v, f, h, t, ratio); });
+        return without_gil([&] { return points_on_bones(v, f, s, g, h, t, ratio); });
       },
-      "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
+      "vertices"_a, "triangles"_a, "skin"_a, "skin_triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
       R"(Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
 
 As nodes they tie the flesh to a bone that would else pass between nodes; where there is room, three around the bone
 within what it holds (ratio, as for pinned), so that the body cannot spin about it. vertices (C, 3), triangles (D, 3): the cage.
-heads, tails (B, 3): the bones at rest. All metres, in one space.)");
+skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.)");
   m.def(
       "pinned",
       [](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces, const FloatArray& heads,
