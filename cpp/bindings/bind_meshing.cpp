@@ -2,6 +2,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "dynamorph/cage.hpp"
+#include "dynamorph/parting.hpp"
 #include "dynamorph/tetrahedralize.hpp"
 
 namespace py = pybind11;
@@ -25,6 +26,12 @@ void check_rows(const FloatArray& array, const char* name, Eigen::Index expected
                                 shape_of(array));
 }
 
+py::array_t<bool> to_array(const std::vector<bool>& flags) {
+  py::array_t<bool> array(flags.size());
+  std::copy(flags.begin(), flags.end(), array.mutable_data());
+  return array;
+}
+
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 void bind_tet_mesh(py::module_& m) {
@@ -41,6 +48,17 @@ tet that is flat or inside out, or a node of no tet.)")
       .def_property_readonly("volumes", &volumes, "Volumes (m,), cubic metres.");
 
   py::class_<Embedding>(m, "Embedding", "Where V surface points sit in a TetMesh.")
+      .def(py::init([](const IntArray& nodes, const FloatArray& weights, const VectorXd& distances) {
+             Embedding e{to_matrix<Tets>(nodes, "nodes"), to_matrix<decltype(e.weights)>(weights, "weights"),
+                         distances};
+             check_rows(weights, "weights", e.nodes.rows());
+             if (distances.size() != e.nodes.rows()) throw std::invalid_argument("distances: expected one a point");
+             if (e.nodes.size() && e.nodes.minCoeff() < 0) throw std::invalid_argument("nodes: expected node indices");
+             return e;
+           }),
+           "nodes"_a, "weights"_a, "distances"_a, R"(An embedding put together from others.
+
+nodes (V, 4), weights (V, 4), distances (V,): as the attributes. Raises ValueError on other shapes.)")
       .def_readonly("nodes", &Embedding::nodes, "The nodes (V, 4) that carry each point: those of one tet.")
       .def_readonly("weights", &Embedding::weights, "Their weights (V, 4): rows sum to 1; negative only outside.")
       .def_readonly("distances", &Embedding::distances, "Distance (V,) to the mesh, metres: 0 inside.")
@@ -142,10 +160,7 @@ heads, tails (B, 3): the bones at rest. All metres, in one space.)");
         const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
         const Triangles f = triangles(faces);
         check_rows(tails, "tails", h.rows());
-        const std::vector<bool> held = without_gil([&] { return pinned(mesh, v, f, h, t, ratio); });
-        py::array_t<bool> result(held.size());
-        std::copy(held.begin(), held.end(), result.mutable_data());
-        return result;
+        return to_array(without_gil([&] { return pinned(mesh, v, f, h, t, ratio); }));
       },
       "mesh"_a, "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
       R"(Whether the bones hold each node, bool (n,).
@@ -155,10 +170,35 @@ all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (
 the mesh's space.)");
 }
 
+void bind_parting(py::module_& m) {
+  py::class_<Parting>(m, "Parting", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+
+Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
+distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.)")
+      .def(py::init([](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces) {
+             const Points v = points(vertices, "vertices");
+             const Triangles f = triangles(faces);
+             return without_gil([&] { return std::make_unique<Parting>(mesh, v, f); });
+           }),
+           "mesh"_a, "vertices"_a, "triangles"_a, R"(Finds the glued tetrahedra.
+
+vertices (V, 3): metres. triangles (T, 3): the outward skin in the mesh, open or not. Raises ValueError on wrong shapes
+or indices.)")
+      .def_property_readonly(
+          "glued", [](const Parting& self) { return to_array(self.glued()); }, "Which tetrahedra are glued, bool (m,).")
+      .def("cut", &Parting::cut, py::call_guard<py::gil_scoped_release>(),
+           R"(The TetMesh with a crack between glued tetrahedra.
+
+The same tetrahedra; the nodes along the crack are doubled, the doubles at the end.)")
+      .def("embed", &Parting::embed, "cut"_a, py::call_guard<py::gil_scoped_release>(),
+           "The Embedding of the V vertices in the mesh as cut, each in a tetrahedron that belongs to skin near it.");
+}
+
 }  // namespace
 
 void bind_meshing(py::module_& m) {
   bind_tet_mesh(m);
   bind_meshers(m);
   bind_body_in_mesh(m);
+  bind_parting(m);
 }
