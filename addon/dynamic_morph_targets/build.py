@@ -93,12 +93,28 @@ class Model:
     def skeleton(self) -> Skeleton:
         return Skeleton(self.bone_names, self.parents, self.rest)
 
-    def soft_body(self) -> dynamorph.SoftBody:
-        mesh = dynamorph.TetMesh(self.nodes, self.tets)
-        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, self.node_weights)
+    @property
+    def free(self) -> np.ndarray:
+        """Which nodes (n,) no bone holds."""
+        return ~self.pinned.astype(bool)
 
-    def engine(self, character: Character) -> dynamorph.ReducedModel | dynamorph.FullModel:
-        """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another."""
+    def soft_body(self, probed: bool = False) -> dynamorph.SoftBody:
+        """probed: every free node has a transform of its own."""
+        mesh, weights = dynamorph.TetMesh(self.nodes, self.tets), None if probed else self.node_weights
+        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, weights)
+
+    def at_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; overshoots slightly."""
+        mesh = dynamorph.TetMesh(self.nodes, self.tets)
+        return dynamorph.extend_to_nodes(
+            mesh, dynamorph.Embedding(self.embedding_nodes, self.embedding_weights), values
+        )
+
+    def engine(self, character: Character, probed: bool = False) -> dynamorph.ReducedModel | dynamorph.FullModel:
+        """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another.
+
+        probed: as for `soft_body`.
+        """
         character = character.by_method()
         if len(character.targets) != len(self.displacements):
             raise ValueError(f"'{character.name}' has other targets than its model: build it again")
@@ -106,9 +122,9 @@ class Model:
         blending = dynamorph.Blending.__members__[character.settings.blending]
         law = dynamorph.Law.__members__[self.settings.law]
         if self.settings.solver == "FULL":
-            return dynamorph.FullModel(self.soft_body(), targets, law, blending)
+            return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
         tables = dynamorph.ReducedTables(law, self.basis, list(self.table_lambda), list(self.table_mu))
-        return dynamorph.ReducedModel(self.soft_body(), targets, tables, blending)
+        return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
 
     @property
     def stepper(self) -> type:

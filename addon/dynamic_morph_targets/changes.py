@@ -15,7 +15,7 @@ from zlib import crc32
 import bpy
 import numpy as np
 
-from . import extract
+from . import checks, extract
 from .extract import SceneError
 from .properties import KEY_REFERENCE, named_targets, plain
 from .scene_data import FREE_SETTINGS, SimulationSettings
@@ -87,6 +87,7 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     settings = obj.dynamorph
     inputs = model_inputs(obj)
     inputs["model"] = asdict(settings.model.settings())
+    inputs["groups"]["armature_modifiers"] = checks.skinning_settings(obj)
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     for name, target in named_targets(obj):
         own = plain(target, skip=(*KEY_REFERENCE, "rig_world"))

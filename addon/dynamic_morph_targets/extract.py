@@ -76,15 +76,16 @@ def character(obj, without_targets=False) -> Character:
         skeleton=skeleton,
         target_sets=target_sets,
         settings=settings.model.settings(),
+        probed=bool(checks.beyond_bones(obj)),
     )
 
 
 def armature_modifier(obj):
-    """The one Armature modifier that skins `obj`. Raises SceneError."""
+    """The Armature modifier whose armature places the targets of `obj`. Raises SceneError."""
     if obj is None or obj.type != "MESH":
         raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
     _refuse(checks.skinning(obj))
-    return checks.armature_modifiers(obj)[0]
+    return checks.main_modifier(obj)
 
 
 def check_mesh(obj):
@@ -100,24 +101,33 @@ def _refuse(problems):
 
 def warnings(obj, character: Character) -> list[str]:
     """What will be ignored, or is not likely to be meant."""
-    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, character.weights))
+    left = _left_behind(obj, VertexGroups(obj))
+    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, left))
     return [problem.text for problem in found]
 
 
 def first_look(obj) -> list[str]:
     """All that is in the way of simulating `obj`, or not likely to be meant, before it is a soft skin."""
-    modifier = checks.armature_modifiers(obj)[0]
     found = [*checks.problems(obj), *checks.notes(obj)]
     try:
-        to_bind = _stretch(_worlds_at_start(obj, modifier.object)[0])
-        weights = _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+        to_bind = _stretch(_worlds_at_start(obj, rig_of(obj))[0])
+        left = _left_behind(obj, VertexGroups(obj))
     except SceneError as error:
         return [*(problem.text for problem in found), str(error)]
     points = np.empty((len(obj.data.vertices), 3), np.float32)
     obj.data.vertices.foreach_get("co", points.ravel())  # Edit Mode hides the attribute
     if len(points):
-        found += checks.body(obj.name, points, to_bind, weights)
+        found += checks.body(obj.name, points, to_bind, left)
     return [problem.text for problem in found]
+
+
+def _left_behind(obj, groups: VertexGroups) -> np.ndarray:
+    """Which vertices (V,) no bone moves."""
+    unmoved = [
+        _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), groups)[:, -1] >= 1.0
+        for modifier in checks.armature_modifiers(obj)
+    ]
+    return np.all(unmoved, axis=0)
 
 
 def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
@@ -261,7 +271,7 @@ def _worlds_at_start(obj, rig) -> list[np.ndarray]:
 
     Raises SceneError.
     """
-    with _rig_scene(obj, rig) as scene:
+    with _rig_scene(obj, rig) as (scene, _follower):
         scene.frame_set(bpy.context.scene.frame_start)
         depsgraph = scene.view_layers[0].depsgraph
         worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
@@ -362,11 +372,25 @@ def _invertible(matrices: np.ndarray) -> np.ndarray:
 # The moving rig ----------------------------------------------------------------------------------------------------
 
 
-def sample_rig(obj, start: int, end: int, substeps: int) -> RigSamples:
-    """The rig at 1 + (end - start) * substeps times, at once. Raises SceneError."""
+def sample_rig(obj, start: int, end: int, substeps: int, probe=None) -> RigSamples:
+    """The rig at 1 + (end - start) * substeps times, at once; probe: as in `RigSampling`. Raises SceneError."""
     sampling = RigSampling(obj, start, end, substeps)
+    sampling.probe = probe
     sampling.advance(obj)
     return sampling.samples()
+
+
+def sample_present(obj, probe=None) -> RigSamples:
+    """One sample of the rig as the artist sees it posed now; probe: as in `RigSampling`. Raises SceneError."""
+    skeleton, local, rig_world = current_pose(obj)
+    pose, world = skeleton.pose(local)[None], np.array(obj.matrix_world)[None]
+    if probe is None:
+        return RigSamples(pose, rig_world[None], world)
+    rig, frame = armature_modifier(obj).object, bpy.context.scene.frame_float
+    with _rig_scene(obj, rig, probe) as (scene, follower):
+        scene.frame_set(int(frame), subframe=frame % 1.0)
+        nodes, held = (probe.in_poses(scene, follower, rig, poses) for poses in (pose, probe.poses))
+    return RigSamples(pose, rig_world[None], world, nodes=nodes, held=held)
 
 
 class RigSampling:
@@ -375,15 +399,18 @@ class RigSampling:
     It does so in slices, between which Blender does other things. Each makes a scene of its own, in a few milliseconds:
     one that stayed in between would be seen, saved, and brought back by undo. The user's frame and pose stay as they
     are.
+
+    probe: the nodes that Blender is to pose too (`probe.Probe`), to be set before the first slice.
     """
 
     def __init__(self, obj, start: int, end: int, substeps: int):
         rig = armature_modifier(obj).object
         self.start, self.substeps = start, substeps
+        self.probe = self._nodes = self._held = None
         self.done, self.count = 0, 1 + (end - start) * substeps
         self._skeleton = rest_skeleton(rig.data)
         self._order = pose_order(rig, self._skeleton)
-        self._moving = (rig.name, obj.name, *self._skeleton.names)
+        self._moving = _moving(obj, rig)
         sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
         self._sources = [source.name for source in sources]
         self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
@@ -403,14 +430,16 @@ class RigSampling:
         ends = time.perf_counter() + seconds
         rig = armature_modifier(obj).object
         sources = [bpy.context.scene.objects.get(name) for name in self._sources]
-        if (rig.name, obj.name, *rest_skeleton(rig.data).names) != self._moving or None in sources:
+        if _moving(obj, rig) != self._moving or None in sources:
             raise SceneError(f"'{obj.name}' or what moves it changed while it was read: start again")
-        with _rig_scene(obj, rig) as scene:
+        with _rig_scene(obj, rig, self.probe) as (scene, follower):
             for source in sources:
                 if source.name not in scene.collection.objects:  # the rig may be one
                     scene.collection.objects.link(source)
             while self.done < self.count:
                 self._read(scene, obj, rig, sources)
+                if self.probe:
+                    self._read_nodes(scene, rig, follower)
                 self.done += 1
                 if time.perf_counter() > ends:
                     break
@@ -429,9 +458,16 @@ class RigSampling:
             field.world[s] = _rows(moved.matrix_world)
             field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
 
+    def _read_nodes(self, scene, rig, follower):
+        if self._nodes is None:
+            self._nodes = self.probe.empty_samples(self.count)
+            self._held = self.probe.in_poses(scene, follower, rig, self.probe.poses)
+        self.probe.read(scene, follower, self._nodes.points[self.done])
+
     def samples(self) -> RigSamples:
         """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
-        samples = RigSamples(_ordered(self._columns, self._order), self._rig_world, self._object_world, self._fields)
+        pose = _ordered(self._columns, self._order)
+        samples = RigSamples(pose, self._rig_world, self._object_world, self._fields, self._nodes, self._held)
         worlds = np.stack([self._rig_world, self._object_world], axis=1)
         bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
         if len(bad):
@@ -440,6 +476,9 @@ class RigSampling:
         if len(flat):
             name, frame = self._moving[flat[0, 1]], self._frame(flat[0, 0])
             raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
+        for nodes in filter(None, (self._nodes, self._held)):
+            if not np.isfinite(nodes.points).all():
+                raise SceneError(_not_a_number(self._moving[1], self.start))
         for name, field in zip(self._sources, self._fields, strict=True):
             if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
                 raise SceneError(f"Force field '{name}' is not a number at some frame: check its drivers")
@@ -447,6 +486,12 @@ class RigSampling:
 
     def _frame(self, sample) -> int:
         return self.start + int(sample) // self.substeps
+
+
+def _moving(obj, rig) -> tuple[str, ...]:
+    """Names of what moves `obj`: the armature, the object, the bones, and other armatures that skin it."""
+    others = (modifier.object.name for modifier in checks.armature_modifiers(obj))
+    return (rig.name, obj.name, *rest_skeleton(rig.data).names, *others)
 
 
 def _force_fields(view_layer) -> list:
@@ -475,33 +520,38 @@ def _empty_samples(field, count: int) -> ForceField:
 
 
 @contextmanager
-def _rig_scene(obj, rig):
-    """A scene with the rig alone, so that a frame costs what the rig costs.
+def _rig_scene(obj, rig, probe=None):
+    """A scene with the rig, so that a frame costs what the rig costs; and an object that follows the mesh object.
 
-    An empty that copies the mesh object's transform makes the dependency graph evaluate that transform, with its
-    parents, constraints and drivers, but not the mesh.
+    That copies the mesh object's transform, which makes the dependency graph evaluate it, with its parents, constraints
+    and drivers, but not the mesh. It is empty, or a probe's mesh that is skinned like the body.
     """
     if render_runs():
         raise SceneError("Blender is rendering: wait until it is done")
     user = bpy.context.scene.render
     scene = bpy.data.scenes.new("Dynamorph Sampling")
-    probe = bpy.data.objects.new("Dynamorph Sampling", None)
+    mesh = probe and probe.mesh()
+    follower = bpy.data.objects.new("Dynamorph Sampling", mesh)
     try:
         for field in ("fps", "fps_base", "frame_map_old", "frame_map_new"):
             setattr(scene.render, field, getattr(user, field))
-        probe.constraints.new("COPY_TRANSFORMS").target = obj
+        follower.constraints.new("COPY_TRANSFORMS").target = obj
+        if probe:
+            probe.dress(follower, obj)
         scene.collection.objects.link(rig)
-        scene.collection.objects.link(probe)
-        yield scene
+        scene.collection.objects.link(follower)
+        yield scene, follower
     finally:
         bpy.data.scenes.remove(scene)
-        bpy.data.objects.remove(probe)
+        bpy.data.objects.remove(follower)
+        if mesh:
+            bpy.data.meshes.remove(mesh)
 
 
 def animation(obj) -> list[tuple[str, str]]:
-    """(name, hash of the F-curves and NLA strips) of the objects that move the skin: both and their parents."""
+    """(name, hash of the F-curves and NLA strips) of the objects that move the skin: all and their parents."""
     moving = []
-    for mover in (rig_of(obj), obj):
+    for mover in (rig_of(obj), obj, *(modifier.object for modifier in checks.armature_modifiers(obj))):
         while mover is not None and mover not in moving:
             moving.append(mover)
             mover = mover.parent

@@ -19,10 +19,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, live_key, materials, model_file, preferences, sinks
+from . import changes, extract, live_key, materials, model_file, preferences, probe, sinks
 from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
+CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 running: Batch | None = None  # the work whose progress the panels draw
@@ -259,12 +260,15 @@ class Job:
         self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
         self.result = None
         self.size = 0  # of the bake, in bytes
+        self._read_from = 0.0  # of the whole, the part done before the rig is read
         self._error: BaseException | None = None
-        self.thread = threading.Thread(target=self._work, name=f"dynamorph {obj.name}", daemon=True)
+        self.thread = self._thread(self._compute)
 
     def prepare(self):
         """Check and read the scene at once; main thread."""
         self.read()
+        if self.needs_cage():
+            self._make_cage()
         self.sample()
         self._take_rig()
 
@@ -293,14 +297,36 @@ class Job:
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
         self._sampling = extract.RigSampling(obj, settings.start, settings.end, settings.substeps)
 
+    def needs_cage(self) -> bool:
+        """Whether there must be a cage before `sample`, because Blender is asked how it moves its nodes."""
+        build, _ = engine()
+        return self._probes() and not (self.previous and build.has_cage(self.previous, self.character))
+
+    def _probes(self) -> bool:
+        return bool(self._sampling and self.character.probed and self.character.settings.method != "STATIC")
+
+    def start_cage(self):
+        """Begin to make the cage, in a thread."""
+        self.thread = self._thread(self._make_cage)
+        self.thread.start()
+
+    def _make_cage(self):
+        build, _ = engine()
+        with self._stage("build"):
+            self.previous = build.build_cage(self.character, self._progress(0.0, CAGE), self.previous)
+        self._read_from = CAGE
+
     def sample(self, seconds: float = np.inf) -> bool:
         """Read the moving rig, if the job needs it, for about so long; True when all is read."""
         sampling = self._sampling
         if sampling is None:
             return True
         with self._stage("sample rig"):
-            done = sampling.advance(find(self.session_uid), seconds)
-        self._progress(0.0, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
+            obj = find(self.session_uid)
+            if self._probes() and sampling.probe is None:
+                sampling.probe = probe.Probe(obj, self.previous, self.character)
+            done = sampling.advance(obj, seconds)
+        self._progress(self._read_from, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
         return done
 
     def _reasons(self, obj) -> list[str]:
@@ -320,6 +346,7 @@ class Job:
 
     def start(self):
         """Begin to compute, in a thread."""
+        self.thread = self._thread(self._compute)
         self.thread.start()
 
     def wait(self, timeout: float | None = None) -> bool:
@@ -414,9 +441,12 @@ class Job:
             bounce, volume = self.references[index] if index is not None else (0.0, 0.0)
             target.set_references(bounce, volume, measured[index or 0].material.poisson)
 
-    def _work(self):
+    def _thread(self, work) -> threading.Thread:
+        return threading.Thread(target=self._work, args=[work], name=f"dynamorph {self.name}", daemon=True)
+
+    def _work(self, work):
         try:
-            self._compute()
+            work()
         except _engine_errors() as error:  # the engine does not know whose cage it works on
             named = f"'{self.name}'" in str(error)
             self._error = error if named else type(error)(f"'{self.name}': {error}")
@@ -514,6 +544,11 @@ class Batch:
             self._at = job
             job.read()
             yield from self._turn(reading=True)
+        for job in filter(Job.needs_cage, self.jobs):
+            self._at = job
+            job.start_cage()
+            while not job.wait(pause):
+                yield from self._turn(reading=True)
         for job in self.jobs:
             self._at = job
             while not job.sample(seconds):

@@ -15,7 +15,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import changes, events, extract, jobs, live_key, properties
+from . import changes, events, extract, jobs, live_key, probe, properties
 from .extract import SceneError
 from .scene_data import Character, Material, RigSamples, SimulationSettings
 
@@ -23,6 +23,7 @@ BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five 
 CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
 RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
 KEPT = 250  # latest frames from which it can go on again, when settings are changed there
+STATE_BYTES = 2**28  # that those may take, where each has the transforms of nodes
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 
 sessions: dict[int, Session] = {}  # by Object.session_uid
@@ -43,6 +44,7 @@ class Flesh:
             raise SceneError(f"'{obj.name}' has an unreduced model, too slow to play: choose Solver Reduced and build")
         _, simulate = jobs.engine()
         self.player = simulate.Player(self.model, self.character, extract.simulation_settings(obj, scene))
+        self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
         modes = np.zeros((0, *self.character.vertices.shape))
         if self.model.basis.size:
             modes = simulate.surface_modes(self.model, self.model.basis.T)
@@ -75,8 +77,8 @@ def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
 class Rig:
     """The rig at true sub-frames, as a bake reads it: blocks of frames, of which the latest are kept until an edit."""
 
-    def __init__(self, start: int, substeps: int, skeleton):
-        self.start, self.substeps, self.skeleton = start, substeps, skeleton
+    def __init__(self, start: int, substeps: int, skeleton, probe):
+        self.start, self.substeps, self.skeleton, self.probe = start, substeps, skeleton, probe
         self._blocks: dict[int, RigSamples] = {}
 
     def after(self, obj, frame: int) -> RigSamples:
@@ -84,10 +86,10 @@ class Rig:
         index, offset = divmod(frame - self.start, BLOCK)
         if index not in self._blocks:
             first = self.start + index * BLOCK
-            samples = extract.sample_rig(obj, first, first + BLOCK, self.substeps)
+            samples = extract.sample_rig(obj, first, first + BLOCK, self.substeps, self.probe)
             before = self._blocks.get(index - 1)
             self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton, before and before.pose[-1])
-            while len(self._blocks) > max(2, RIG_BYTES // samples.pose.nbytes):
+            while len(self._blocks) > max(2, RIG_BYTES // samples.nbytes):
                 del self._blocks[next(iter(self._blocks))]
         return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
 
@@ -109,12 +111,16 @@ class Session:
         self._placing, self._material = _placing(obj), _materials(obj)
         self._sampled = _sampling(obj)
         settings = self.flesh.player.settings
-        self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton)
+        moving = len(self.flesh.probe.rest) if self.flesh.probe else 1
+        self._kept = min(KEPT, max(1, STATE_BYTES // (4 * 96 * moving)))
+        self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton, self.flesh.probe)
 
     def fits(self, obj, settings: SimulationSettings) -> bool:
         """Whether this is still a session of the object's model, with steps as long."""
         mine = self.flesh.player.settings
         same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
+        if self.flesh.probe and _placing(obj) != self._placing:
+            return False  # the nodes were posed as the targets were captured
         return same and self.content_id == obj.dynamorph.model.content_id
 
     def points(self, obj, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
@@ -187,9 +193,8 @@ class Session:
     def _begin_again(self, obj):
         """From the end of a cycle to its start, without a jump."""
         settings = self.flesh.player.settings
-        ends = [self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end)]
-        parts = zip(*((end.pose, end.rig_world, end.object_world) for end in ends), strict=True)
-        cycle = RigSamples(*(np.concatenate(part) for part in parts))
+        first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end))
+        cycle = first.and_then(last)
         self._start(settings.start, self.flesh.player.begin_again(cycle, self._frames[settings.end]))
 
     def _start(self, number: int, frame):
@@ -203,13 +208,13 @@ class Session:
 
     def _keep(self, number: int, frame):
         self._frames[number], self.last = frame, number
-        self._states[number % KEPT] = number, self.flesh.player.state
+        self._states[number % self._kept] = number, self.flesh.player.state
 
     def _rewind(self):
         """Forget the frames after the one that shows; if its state is no longer kept, all of them."""
         if self.now == self.last:
             return
-        number, state = self._states.get(self.now % KEPT, (None, None))
+        number, state = self._states.get(self.now % self._kept, (None, None))
         if number != self.now:
             self.first, self._frames = None, {}
             return

@@ -311,8 +311,8 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
     """The rig in its present pose, shaken: samples at substeps, and the world transforms (S, 4, 4) that move it."""
-    skeleton, local, rig_world = extract.current_pose(obj)
-    object_world = np.array(obj.matrix_world)
+    still = extract.sample_present(obj, flesh.probe)
+    rig_world = still.rig_world[0]
     settings = flesh.player.settings
     count = 1 + round(SECONDS * settings.fps) * settings.substeps
     heights, angles = shake(kind, np.arange(count) * settings.step)
@@ -321,8 +321,7 @@ def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
     origin = rig_world[:3, 3]
     transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
     transforms[:, 2, 3] += heights * flesh.player.size
-    pose = np.broadcast_to(skeleton.pose(local), (count, *local.shape))
-    return RigSamples(pose, transforms @ rig_world, transforms @ object_world), transforms
+    return still.moved(transforms), transforms
 
 
 class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
@@ -338,9 +337,7 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
         """A swing a second; in the background, one."""
         if not flesh.modes:
             raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
-        skeleton, local, rig_world = extract.current_pose(obj)
-        still = RigSamples(skeleton.pose(local)[None], rig_world[None], np.array(obj.matrix_world)[None])
-        weights = flesh.player.begin(still).weights
+        weights = flesh.player.begin(extract.sample_present(obj, flesh.probe)).weights
         return self._swinging(obj.session_uid, flesh, weights)
 
     @staticmethod

@@ -41,8 +41,16 @@ NEVER = 1e5  # frames: of a swing that nothing damps
 
 
 def rig_of(obj):
-    """The armature object of the first Armature modifier that has one, or None."""
-    return next((m.object for m in obj.modifiers if m.type == "ARMATURE" and m.object), None)
+    """The armature object that places the targets of `obj`, or None: of the first Armature modifier that skins it.
+
+    That has a deforming bone with a vertex group; if none has, the first that has an armature.
+    """
+    rigs = [m.object for m in obj.modifiers if m.type == "ARMATURE" and m.object]
+    if len(rigs) < 2:
+        return rigs[0] if rigs else None
+    groups = set(obj.vertex_groups.keys())
+    skins = (rig for rig in rigs if any(bone.use_deform and bone.name in groups for bone in rig.data.bones))
+    return next(skins, rigs[0])
 
 
 def rest_skeleton(armature) -> Skeleton:

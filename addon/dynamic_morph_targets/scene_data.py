@@ -128,23 +128,77 @@ class ForceField:
 
 
 @dataclass(frozen=True)
+class PosedNodes:
+    """n nodes of the flesh where Blender's own modifiers put them, at S sample times.
+
+    rest (n, 3) bind space. points (S, 4, n, 3) float32, the object's space: of the nodes, and of the nodes moved by
+    `reach` metres along each axis of bind space.
+    """
+
+    rest: np.ndarray
+    reach: float
+    points: np.ndarray
+
+    def __getitem__(self, samples: slice) -> PosedNodes:
+        return replace(self, points=self.points[samples])
+
+    def transforms(self, object_world: np.ndarray) -> np.ndarray:
+        """[A | a] (S, n, 3, 4), bind to world space; exact at rest. object_world (S, 4, 4)."""
+        points = self.points.astype(np.float64)
+        points[:, 1:] = (points[:, 1:] - points[:, :1]) / self.reach
+        turned = points @ object_world[:, None, :3, :3].swapaxes(-1, -2)
+        out = np.empty((len(points), len(self.rest), 3, 4))
+        out[..., :3] = turned[:, 1:].transpose(0, 2, 3, 1)
+        out[..., 3] = turned[:, 0] + object_world[:, None, :3, 3]
+        out[..., 3] -= np.einsum("snij,nj->sni", out[..., :3], self.rest)
+        return out
+
+
+@dataclass(frozen=True)
 class RigSamples:
     """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4).
 
-    fields: what pushes the skin then.
+    fields: what pushes the skin then. nodes: the free nodes as Blender poses them, where bones do not say it; held:
+    the same (S = J) in the targets' captured poses, the objects being where they are at the first sample.
     """
 
     pose: np.ndarray
     rig_world: np.ndarray
     object_world: np.ndarray
     fields: tuple[ForceField, ...] = ()
+    nodes: PosedNodes | None = None
+    held: PosedNodes | None = None
 
     def __len__(self) -> int:
         return len(self.pose)
 
     def __getitem__(self, samples: slice) -> RigSamples:
         fields = tuple(field[samples] for field in self.fields)
-        return RigSamples(self.pose[samples], self.rig_world[samples], self.object_world[samples], fields)
+        nodes = self.nodes and self.nodes[samples]
+        own = (part[samples] for part in (self.pose, self.rig_world, self.object_world))
+        return RigSamples(*own, fields, nodes, self.held)
+
+    def and_then(self, other: RigSamples) -> RigSamples:
+        """These samples and others of the same rig, without fields."""
+        parts = zip(*((s.pose, s.rig_world, s.object_world) for s in (self, other)), strict=True)
+        points = self.nodes and np.concatenate([self.nodes.points, other.nodes.points])
+        nodes = self.nodes and replace(self.nodes, points=points)
+        return RigSamples(*map(np.concatenate, parts), nodes=nodes, held=self.held)
+
+    def moved(self, transforms: np.ndarray) -> RigSamples:
+        """The first of these samples, moved as a whole by transforms (S, 4, 4) of the world, without fields."""
+        count = len(transforms)
+        pose = np.broadcast_to(self.pose[0], (count, *self.pose.shape[1:]))
+        nodes = self.nodes
+        if nodes:
+            nodes = replace(nodes, points=np.broadcast_to(nodes.points[0], (count, *nodes.points.shape[1:])))
+        own = transforms @ self.rig_world[0], transforms @ self.object_world[0]
+        return RigSamples(pose, *own, nodes=nodes, held=self.held)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what grows with the samples, about."""
+        return self.pose.nbytes + (self.nodes.points.nbytes if self.nodes else 0)
 
     def skin_matrices(self, skeleton: Skeleton, to_bind: np.ndarray) -> np.ndarray:
         """The transforms that carry bind space to world space, one for each bone and one for the object itself.
@@ -255,7 +309,8 @@ class Character:
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
-    deforming bones, bind space.
+    deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
+    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is.
     """
 
     name: str
@@ -269,6 +324,7 @@ class Character:
     skeleton: Skeleton
     target_sets: tuple[TargetSet, ...]
     settings: ModelSettings = field(default_factory=ModelSettings)
+    probed: bool = False
 
     @property
     def targets(self) -> list[Target]:

@@ -48,17 +48,12 @@ tet that is flat or inside out, or a node of no tet.)")
       .def_property_readonly("volumes", &volumes, "Volumes (m,), cubic metres.");
 
   py::class_<Embedding>(m, "Embedding", "Where V surface points sit in a TetMesh.")
-      .def(py::init([](const IntArray& nodes, const FloatArray& weights, const VectorXd& distances) {
-             Embedding e{to_matrix<Tets>(nodes, "nodes"), to_matrix<decltype(e.weights)>(weights, "weights"),
-                         distances};
-             check_rows(weights, "weights", e.nodes.rows());
-             if (distances.size() != e.nodes.rows()) throw std::invalid_argument("distances: expected one a point");
-             if (e.nodes.size() && e.nodes.minCoeff() < 0) throw std::invalid_argument("nodes: expected node indices");
-             return e;
+      .def(py::init([](const Tets& nodes, const decltype(Embedding::weights)& weights) {
+             if (nodes.rows() != weights.rows() || (nodes.size() > 0 && nodes.minCoeff() < 0))
+               throw std::invalid_argument("nodes, weights: expected one row a point, and no negative node");
+             return Embedding{nodes, weights, VectorXd::Zero(nodes.rows())};
            }),
-           "nodes"_a, "weights"_a, "distances"_a, R"(An embedding put together from others.
-
-nodes (V, 4), weights (V, 4), distances (V,): as the attributes. Raises ValueError on other shapes.)")
+           "nodes"_a, "weights"_a, "One that was kept: nodes, weights (V, 4); its distances are not known.")
       .def_readonly("nodes", &Embedding::nodes, "The nodes (V, 4) that carry each point: those of one tet.")
       .def_readonly("weights", &Embedding::weights, "Their weights (V, 4): rows sum to 1; negative only outside.")
       .def_readonly("distances", &Embedding::distances, "Distance (V,) to the mesh, metres: 0 inside.")
