@@ -125,6 +125,7 @@ def draw_cage(layout, context, obj):
     column.enabled = jobs.running is None
     column.prop(settings.model, "cage_nodes")
     column.prop(settings.model, "pin_radius")
+    column.prop(settings.model, "separate")
     draw_painted_group(column, obj, "SOFT")
     draw_painted_group(column, obj, "STIFFNESS")
     if settings.stiffness_group:

@@ -286,6 +286,8 @@ VARIANTS: dict[str, dict[str, str]] = {
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+# Settings that came later, at the value that builds what was built before: a model from then stays up to date.
+LATER_SETTINGS = {"separate": True}
 
 
 @dataclass(frozen=True)
@@ -300,6 +302,7 @@ class ModelSettings:
     fit_to_shot: bool = False  # choose the modes from how the shot moves
     cage_nodes: int = 2000
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
+    separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
 
 
 @dataclass(frozen=True)
@@ -310,7 +313,8 @@ class Character:
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
     deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
-    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is.
+    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
+    with the body, -1 moved by the bones alone, k >= 1 in a cage of its own.
     """
 
     name: str
@@ -325,6 +329,11 @@ class Character:
     target_sets: tuple[TargetSet, ...]
     settings: ModelSettings = field(default_factory=ModelSettings)
     probed: bool = False
+    pieces: np.ndarray = None
+
+    def __post_init__(self):
+        if self.pieces is None:
+            object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
 
     @property
     def targets(self) -> list[Target]:

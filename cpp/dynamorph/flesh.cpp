@@ -17,13 +17,17 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 
 std::pair<int, int> edge(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
 
+constexpr double slack = 1e-9;  // so that no line slips through between two triangles
+
 /// Distance along the line from p to triangle abc, infinite where it misses (Moller and Trumbore 1997).
 double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& a, const Vector3d& b,
                   const Vector3d& c) {
   const Vector3d ab = b - a, ac = c - a, normal = direction.cross(ac), from = p - a, q = from.cross(ab);
   const double determinant = ab.dot(normal);
   const double u = from.dot(normal) / determinant, v = direction.dot(q) / determinant, t = ac.dot(q) / determinant;
-  return u >= 0 && v >= 0 && u + v <= 1 && t >= 0 ? t : infinity;  // not so for NaN: a triangle along the line
+  return u >= -slack && v >= -slack && u + v <= 1 + slack && t >= 0
+             ? t
+             : infinity;  // not so for NaN: a triangle along the line
 }
 
 }  // namespace
@@ -168,7 +172,8 @@ void Flesh::look_through() {
   }
 }
 
-/// Where the line inward from a point leaves the body; -1 when it first enters it a second time.
+/// Where the line inward from a point leaves the body, through skin that faces the other way; -1 when it first enters
+/// it a second time.
 int Flesh::opposite(int from) const {
   const Vector3d inward = -normals_[from];
   double nearest = infinity;
@@ -177,13 +182,16 @@ int Flesh::opposite(int from) const {
   bvh_.along(points_[from], inward, nearest, [&](int t) {
     const auto& [a, b, c] = triangles_[t];
     if (part_[a] != part_[from] || a == from || b == from || c == from) return;
+    const bool out = (points_[b] - points_[a]).cross(points_[c] - points_[a]).dot(inward) > 0;
     const double distance = along_line(points_[from], inward, points_[a], points_[b], points_[c]);
-    if (!(distance < nearest)) return;
-    nearest = distance;
+    const double first = out ? distance * (1 - 1e-6) : distance;  // where parts touch it leaves before it enters
+    if (!(first < nearest)) return;
+    nearest = first;
     crossed = t;
-    leaves = (points_[b] - points_[a]).cross(points_[c] - points_[a]).dot(inward) > 0;
+    leaves = out;
   });
-  return leaves ? nearest_corner(crossed, points_[from]) : -1;
+  const int other = leaves ? nearest_corner(crossed, points_[from]) : -1;
+  return other >= 0 && normals_[from].dot(normals_[other]) < -0.5 ? other : -1;
 }
 
 int Flesh::nearest_corner(int triangle, const Vector3d& p) const {
