@@ -430,6 +430,12 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE,
     )  # fmt: skip
+    separate: BoolProperty(
+        name="Separate Touching Parts",
+        description="Cut the cage where it joins parts of the skin that merely touch, such as an arm and the side it "
+        "hangs at, so that they move by themselves",
+        default=ModelSettings.separate, override=OVERRIDE,
+    )  # fmt: skip
     vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
     cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")

@@ -159,7 +159,7 @@ VectorXd volumes(const TetMesh& mesh) {
   return v;
 }
 
-Embedding embed(const TetMesh& mesh, const Points& points) {
+Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_carry) {
   if (!points.allFinite()) throw Error("The surface has a NaN or infinite coordinate. Fix or delete that vertex.");
   if (mesh.tets.rows() == 0) throw std::invalid_argument("mesh: expected at least one tet");
   const std::vector<Tet> tets = prepare(mesh);
@@ -168,15 +168,21 @@ Embedding embed(const TetMesh& mesh, const Points& points) {
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     const Vector3d p = points.row(i);
     double best = infinity;
-    int nearest = 0;
+    int nearest = -1;
     Vector3d closest = p;
-    tree.nearest(p, best, [&](int t) {
-      const Vector3d q = tets[t].closest(p);
-      if ((q - p).squaredNorm() >= best) return;
-      best = (q - p).squaredNorm();
-      closest = q;
-      nearest = t;
-    });
+    const auto search = [&](bool any) {
+      best = infinity;
+      tree.nearest(p, best, [&](int t) {
+        const Vector3d q = tets[t].closest(p);
+        if ((q - p).squaredNorm() >= best || !(any || may_carry(i, t))) return;
+        best = (q - p).squaredNorm();
+        closest = q;
+        nearest = t;
+      });
+      return best < infinity;
+    };
+    search(true);
+    if (may_carry && !may_carry(i, nearest) && !search(false)) search(true);
     e.nodes.row(i) = mesh.tets.row(nearest);
     e.weights.row(i) = tets[nearest].bounded_weights(p, closest);
     e.distances[i] = std::sqrt(best);

@@ -35,7 +35,11 @@ struct Embedding {
   SparseMatrix matrix(Eigen::Index node_count) const;
 };
 
-Embedding embed(const TetMesh& mesh, const Points& points);
+/// Whether a tet may carry a point.
+using MayCarry = std::function<bool(Eigen::Index point, int tet)>;
+
+/// may_carry: all tets by default; where none may, the nearest does.
+Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_carry = {});
 
 /// Fraction of each tet that the body fills, 0.05 .. 1: a cage is larger than the body and has webs between limbs, and
 /// both mass and stiffness go with the fraction. The floor keeps every node massive and every tet stiff. The surface is
