@@ -2,9 +2,11 @@
 """Nine rigged, animated characters of ../shared that nobody here made, opened as an artist opens them."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 ASSETS = Path(__file__).parents[3] / "shared" / "assets"
 NODES, SUBSTEPS = 800, 2  # of the cage, and a frame: enough to see what goes wrong, and quick
@@ -43,11 +45,7 @@ SHOTS = {
 
 def open_shot(shot: Shot):
     """The character's largest skinned mesh as a soft skin that plays the shot's clip; the scene has its frames."""
-    if shot.path.suffix == ".glb":
-        bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
-        bpy.ops.import_scene.gltf(filepath=str(shot.path))
-    else:
-        bpy.ops.wm.open_mainfile(filepath=str(shot.path))
+    open_file(shot)
     scene, body = bpy.context.scene, largest_skinned()
     scene.frame_start, scene.frame_end = shot.frames
     bpy.context.view_layer.objects.active = body
@@ -67,6 +65,15 @@ def open_shot(shot: Shot):
     return body
 
 
+def open_file(shot: Shot):
+    """The file as it is."""
+    if shot.path.suffix == ".glb":
+        bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+        bpy.ops.import_scene.gltf(filepath=str(shot.path))
+    else:
+        bpy.ops.wm.open_mainfile(filepath=str(shot.path))
+
+
 def largest_skinned():
     """The mesh object with an Armature modifier that has the most vertices."""
     skinned = [obj for obj in bpy.context.scene.objects if obj.type == "MESH" and "Armature" in obj.modifiers]
@@ -84,3 +91,42 @@ def resize(obj, scale: float):
         obj = obj.parent
     obj.scale *= scale
     bpy.context.view_layer.update()
+
+
+@dataclass(frozen=True)
+class Baked:
+    """A character's object and the job that baked it."""
+
+    body: object
+    job: object
+
+    @property
+    def skin(self) -> np.ndarray:
+        """(V, 3), bind space."""
+        return self.job.character.vertices @ self.job.character.to_bind.T
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the bounding box, metres."""
+        return float(np.linalg.norm(np.ptp(self.skin, axis=0)))
+
+    @cached_property
+    def displacements(self) -> np.ndarray:
+        """(F, V, 3), bind space."""
+        result = self.job.result
+        local = np.array([result.displacement(k) for k in range(len(result.frames))])
+        return local @ self.job.character.to_bind.T
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Which vertices (V,) of the skin the cage's tetrahedra hold."""
+        model = self.job.model
+        carried = np.einsum("va,vac->vc", model.embedding_weights, model.nodes[model.embedding_nodes])
+        return np.linalg.norm(carried - self.skin, axis=1) < 1e-6 * self.size
+
+
+def bake(jobs, body) -> Baked:
+    """The scene's frames. jobs: the add-on's module, by whichever name it is loaded."""
+    job = jobs.Job(body, goal="BAKE", substeps=SUBSTEPS)
+    jobs.run(job)
+    return Baked(body, job)
