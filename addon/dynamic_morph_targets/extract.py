@@ -23,6 +23,7 @@ from .scene_data import (
     Character,
     Follower,
     ForceField,
+    OwnCage,
     RigSamples,
     SimulationSettings,
     Skeleton,
@@ -38,6 +39,7 @@ STRIP_FIELDS = (
     "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
     "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
 )  # fmt: skip
+FAR = 0.1  # body sizes: what follows the flesh from further away does not move like it
 MEMBER = 0.5  # weight from which a vertex belongs to a piece
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
@@ -82,6 +84,7 @@ def character(obj, without_targets=False) -> Character:
         settings=settings.model.settings(),
         probed=bool(checks.beyond_bones(obj)),
         pieces=_pieces(obj, groups),
+        cage=_own_cage(obj, modifier.object, to_bind),
     )
 
 
@@ -108,6 +111,17 @@ def followers(obj, character: Character) -> list[Follower]:
             )
         )
     return found
+
+
+def far_followers(character: Character, found: list[Follower]) -> list[str]:
+    """Warnings about what is too far from the skin to move as if it were flesh."""
+    far = FAR * np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    return [
+        f"'{follower.name}' is up to {follower.skin.distances.max():.2g} m from the skin of '{character.name}': if it "
+        "moves oddly, choose Own Cage or Rigid for it"
+        for follower in found
+        if follower.skin.distances.max() > far
+    ]
 
 
 def rest_points(obj) -> np.ndarray:
@@ -328,6 +342,44 @@ def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     return (ends @ turn.T + shift) @ to_bind.T + 0.0
 
 
+def _own_cage(obj, rig, to_bind) -> OwnCage | None:
+    """The artist's cage as it is when the scene starts and the armature is at rest, bind space. Raises SceneError."""
+    cage = obj.dynamorph.model.cage_object
+    if cage is None:
+        return None
+    if cage.name not in bpy.context.scene.objects:
+        raise SceneError(f"Cage Object '{cage.name}' of '{obj.name}' is not in the scene any more: choose another")
+    if cage.mode == "EDIT":
+        raise SceneError(f"Cage Object '{cage.name}' is in Edit Mode: leave it first")
+    if cage.hide_viewport:
+        raise SceneError(f"Cage Object '{cage.name}' is disabled in viewports: enable it, and hide it by its eye")
+    with _at_rest(rig), _rig_scene(obj, rig) as (scene, _follower):
+        scene.collection.objects.link(cage)
+        scene.frame_set(bpy.context.scene.frame_start)
+        depsgraph = scene.view_layers[0].depsgraph
+        evaluated = cage.evaluated_get(depsgraph)
+        to_local = inverse(np.array(obj.evaluated_get(depsgraph).matrix_world)) @ np.array(evaluated.matrix_world)
+        mesh = evaluated.to_mesh()
+        points = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.vertices.foreach_get("co", points.ravel())
+        triangles = mesh_triangles(mesh)
+        evaluated.to_mesh_clear()
+    if not len(triangles):
+        raise SceneError(f"Cage Object '{cage.name}' has no faces: choose a closed mesh")
+    to_local = np.round(to_local, 5)  # as the bones' ends
+    return OwnCage(cage.name, (points @ to_local[:3, :3].T + to_local[:3, 3]) @ to_bind.T, triangles)
+
+
+@contextmanager
+def _at_rest(rig):
+    position = rig.data.pose_position
+    rig.data.pose_position = "REST"
+    try:
+        yield
+    finally:
+        rig.data.pose_position = position
+
+
 def mesh_triangles(mesh) -> np.ndarray:
     """The faces (T, 3), cut into triangles as Blender draws them."""
     mesh.calc_loop_triangles()
@@ -521,10 +573,14 @@ class RigSampling:
             for source in sources:
                 if source.name not in scene.collection.objects:  # the rig may be one
                     scene.collection.objects.link(source)
+            if self.probe and self._nodes is None:
+                scene.frame_set(self.start)
+                self._held = self.probe.in_poses(scene, follower, rig, self.probe.poses)
+                self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
                 self._read(scene, obj, rig, sources)
                 if self.probe:
-                    self._read_nodes(scene, rig, follower)
+                    self.probe.read(scene, follower, self._nodes.points[self.done])
                 self.done += 1
                 if time.perf_counter() > ends:
                     break
@@ -542,12 +598,6 @@ class RigSampling:
             moved = source.evaluated_get(depsgraph)
             field.world[s] = _rows(moved.matrix_world)
             field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
-
-    def _read_nodes(self, scene, rig, follower):
-        if self._nodes is None:
-            self._nodes = self.probe.empty_samples(self.count)
-            self._held = self.probe.in_poses(scene, follower, rig, self.probe.poses)
-        self.probe.read(scene, follower, self._nodes.points[self.done])
 
     def samples(self) -> RigSamples:
         """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""

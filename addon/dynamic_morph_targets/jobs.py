@@ -288,6 +288,7 @@ class Job:
             for follower in self.followers:
                 sinks.check(find(follower.session_uid), needs_keys=False)
         self.warnings = extract.warnings(obj, self.character)
+        self.warnings += extract.far_followers(self.character, self.followers)
         with suppress(model_file.ModelFileError):  # then one of the reasons
             self.previous = load_model(obj)
         self.reasons = self._reasons(obj)
@@ -434,7 +435,10 @@ class Job:
         made = self.model.summary
         if not made["tets"]:
             return ""
-        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {made['pinned'] / made['nodes']:.0%} held by bones"
+        quality = made.get("quality")  # models of older versions do not say
+        angles = f", angles {quality['min_dihedral']:.0f}° to {quality['max_dihedral']:.0f}°" if quality else ""
+        held = f"{made['pinned'] / made['nodes']:.0%} held by bones"
+        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held}{angles}"
 
     def _store_model(self, obj):
         record = obj.dynamorph.model

@@ -14,6 +14,7 @@ from . import changes, checks, influence, jobs, live, live_operators, pieces, pr
 
 LINE = 34  # characters that fit into the sidebar at its default width
 FEW_BONES = 8  # of a target: more are folded away
+FEW_NOTES = 3  # about what is left alone
 WIDE = 340  # pixels, at a resolution scale of 1: a list this wide has room for more than names
 
 
@@ -96,6 +97,8 @@ def draw_soft_skin(layout, context, obj):
         if obj.dynamorph.follows:
             text = iface_("'{name}' moves with '{body}'").format(name=obj.name, body=obj.dynamorph.follows.name)
             draw_message(layout, text, icon="LINKED")
+        if properties.is_shown_on(obj):
+            layout.operator("dynamorph.free_bake", icon="X")
         layout.operator("dynamorph.add_soft_skin", icon="ADD")
         return
     draw_cage(layout, context, obj)
@@ -144,7 +147,12 @@ def draw_cage(layout, context, obj):
     column = body.column()
     column.enabled = jobs.running is None
     column.prop(settings.model, "cage_nodes")
+    column.prop(settings.model, "cage_object")
+    thickness = column.row()
+    thickness.active = settings.model.cage_object is None
+    thickness.prop(settings.model, "cage_thickness")
     column.prop(settings.model, "pin_radius")
+    column.prop(settings.model, "separate")
     draw_painted_group(column, obj, "SOFT")
     draw_painted_group(column, obj, "STIFFNESS")
     if settings.stiffness_group:
@@ -183,8 +191,11 @@ def draw_pieces(layout, obj):
     if settings.active_piece:
         draw_piece(body, obj, settings.active_piece)
     body.operator("dynamorph.find_pieces", icon="VIEWZOOM")
-    for text in pieces.left_alone(obj):
+    alone = list(pieces.left_alone(obj))
+    for text in alone[:FEW_NOTES]:
         draw_message(body, text, icon="INFO")
+    if len(alone) > FEW_NOTES:
+        draw_message(body, iface_("And {count} more like them").format(count=len(alone) - FEW_NOTES), icon="BLANK1")
 
 
 def draw_piece(layout, obj, piece):

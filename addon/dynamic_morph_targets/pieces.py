@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import bpy
@@ -24,9 +25,8 @@ RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rig
 
 def find(obj) -> list[str]:
     """Add the pieces of the soft skin `obj` that are not in its list yet; returns their names. Raises SceneError."""
-    found = [_add_object(obj, other) for other in _siblings(obj)]
-    found += [_add_part(obj, part) for part in _parts(obj)]
-    return found
+    objects, parts = [(other, _choice(other)) for other in _siblings(obj)], _parts(obj)
+    return [_add_object(obj, *found) for found in objects] + [_add_part(obj, part) for part in parts]
 
 
 def remove(obj, index: int):
@@ -84,19 +84,22 @@ def _siblings(obj) -> list:
     ]
 
 
-def _add_object(obj, other) -> str:
-    piece = obj.dynamorph.pieces.add()
-    piece.object, piece.name = other, other.name
+def _choice(other) -> str:
+    """What is likely to be meant for another mesh. Eyes and helmets follow one bone."""
     if other.dynamorph.targets:
-        piece.choice = "OWN_CAGE"
-    elif other.library or other.override_library or _is_rigid(other):
-        piece.choice = "RIGID"
+        return "OWN_CAGE"
+    if other.library or other.override_library:
+        return "RIGID"
+    with suppress(extract.SceneError):
+        if rigid_parts(np.zeros(len(other.data.vertices), np.int64), extract.skin_weights(other))[0]:
+            return "RIGID"
+    return "WITH_BODY"
+
+
+def _add_object(obj, other, choice: str) -> str:
+    piece = obj.dynamorph.pieces.add()
+    piece.object, piece.name, piece.choice = other, other.name, choice
     return other.name
-
-
-def _is_rigid(obj) -> bool:
-    """Whether all of `obj` follows one bone, as eyes and helmets do."""
-    return bool(rigid_parts(np.zeros(len(obj.data.vertices), np.int64), extract.skin_weights(obj))[0])
 
 
 def _add_part(obj, part: Part) -> str:

@@ -323,8 +323,15 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
-def _is_other_mesh(piece, obj) -> bool:
-    return obj.type == "MESH" and obj != piece.id_data
+def _is_other_mesh(chosen, obj) -> bool:
+    return obj.type == "MESH" and obj != chosen.id_data
+
+
+def _cage_chosen(model, _context):
+    from . import watch  # which looks at what is authored here
+
+    if model.content_id:
+        watch.look_soon()
 
 
 class DynamorphPiece(PropertyGroup):
@@ -402,14 +409,32 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     cage_nodes: IntProperty(
         name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
-        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000,
+        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=20_000,
         override=OVERRIDE,
+    )  # fmt: skip
+    cage_thickness: FloatProperty(
+        name="Cage Thickness",
+        description="How far the cage stands off the skin at least. It does so anyway by about a tenth of the size of "
+        "its tetrahedra",
+        default=ModelSettings.cage_thickness, min=0.0, soft_max=0.1, subtype="DISTANCE", override=OVERRIDE,
+    )  # fmt: skip
+    cage_object: PointerProperty(
+        name="Cage Object",
+        description="Closed mesh around the skin in rest pose, as it is when the scene starts, to be filled with "
+        "tetrahedra instead of the automatic cage",
+        type=bpy.types.Object, poll=_is_other_mesh, update=_cage_chosen, override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
         description="How far from a bone to the skin the flesh is held by the bone: 0 only at the bone",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE,
+    )  # fmt: skip
+    separate: BoolProperty(
+        name="Separate Touching Parts",
+        description="Cut the cage where it joins parts of the skin that merely touch, such as an arm and the side it "
+        "hangs at, so that they move by themselves",
+        default=ModelSettings.separate, override=OVERRIDE,
     )  # fmt: skip
     vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
     cage: StringProperty(name="Cage", description="What the cage of the model is made of")
@@ -781,6 +806,11 @@ def clothes_in(obj, choice: str) -> list:
     """The other meshes that are pieces of a soft skin with this choice, without those that are deleted."""
     pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == choice]
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
+
+
+def is_shown_on(obj) -> bool:
+    """Whether there are keys of a bake or of Live on a mesh."""
+    return bool(obj.dynamorph.bake.keys or obj.dynamorph.live.key.name)
 
 
 def followers(obj) -> list:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -144,13 +145,13 @@ class PosedNodes:
 
     def transforms(self, object_world: np.ndarray) -> np.ndarray:
         """[A | a] (S, n, 3, 4), bind to world space; exact at rest. object_world (S, 4, 4)."""
-        points = self.points.astype(np.float64)
-        points[:, 1:] = (points[:, 1:] - points[:, :1]) / self.reach
-        turned = points @ object_world[:, None, :3, :3].swapaxes(-1, -2)
-        out = np.empty((len(points), len(self.rest), 3, 4))
-        out[..., :3] = turned[:, 1:].transpose(0, 2, 3, 1)
-        out[..., 3] = turned[:, 0] + object_world[:, None, :3, 3]
-        out[..., 3] -= np.einsum("snij,nj->sni", out[..., :3], self.rest)
+        out = np.empty((len(self.points), len(self.rest), 3, 4))
+        for points, world, frames in zip(self.points, object_world, out, strict=True):
+            here, *beside = points @ world[:3, :3].T
+            frames[..., 3] = here + world[:3, 3]
+            for axis, moved in enumerate(beside):
+                frames[..., axis] = (moved - here) / self.reach
+                frames[..., 3] -= frames[..., axis] * self.rest[:, axis, None]
         return out
 
 
@@ -286,6 +287,8 @@ VARIANTS: dict[str, dict[str, str]] = {
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+# Settings that came later, at the value that builds what was built before: a model from then stays up to date.
+LATER_SETTINGS = {"cage_thickness": 0.0, "separate": True}
 
 
 @dataclass(frozen=True)
@@ -299,7 +302,17 @@ class ModelSettings:
     modes: int = 20
     fit_to_shot: bool = False  # choose the modes from how the shot moves
     cage_nodes: int = 2000
+    cage_thickness: float = 0.0  # metres that the cage stands off the skin at least
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
+    separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
+
+
+class OwnCage(NamedTuple):
+    """The artist's cage: points (C, 3) bind space, triangles (D, 3); name: of its object."""
+
+    name: str
+    points: np.ndarray
+    triangles: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -311,7 +324,7 @@ class Character:
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
     deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
     transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
-    with the body, -1 moved by the bones alone, k >= 1 in a cage of its own.
+    with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
     """
 
     name: str
@@ -326,6 +339,7 @@ class Character:
     target_sets: tuple[TargetSet, ...]
     settings: ModelSettings = field(default_factory=ModelSettings)
     probed: bool = False
+    cage: OwnCage | None = None
     pieces: np.ndarray = None
 
     def __post_init__(self):

@@ -525,7 +525,7 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
     modes = np.zeros((len(free), len(model.nodes), 3))
     if not modes.size:  # static morph targets
         return modes
-    modes[:, ~model.pinned.astype(bool)] = free.reshape(len(free), -1, 3)
+    modes[:, model.free] = free.reshape(len(free), -1, 3)
     return modes
 
 

@@ -126,10 +126,9 @@ def ensure_basis(obj):
 
 def follow(obj, skin):
     """Note that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
-    settings, keys = obj.dynamorph, obj.data.shape_keys
-    if settings.follows is None:
-        settings.had_keys = keys is not None
+    settings = obj.dynamorph
     if settings.follows != skin:
+        settings.had_keys = settings.had_keys if settings.follows else obj.data.shape_keys is not None
         settings.follows = skin
     ensure_basis(obj)
 
@@ -151,14 +150,18 @@ def influence_strip(obj):
 
 
 def show_influence(obj):
-    """Let Blender evaluate anew, which it does not do by itself when an influence is set; what follows has it too."""
+    """Let Blender evaluate anew, which it does not do by itself when an influence is set."""
     strip = influence_strip(obj)
-    if strip is None:
-        return
-    strip.mute = strip.mute
-    for follower in followers(obj):
-        other = influence_strip(follower)
-        if other and _influence(other) != _influence(strip):
+    if strip:
+        strip.mute = strip.mute
+        share_influence(obj)
+
+
+def share_influence(obj):
+    """Give what follows a soft skin the influence of its bake, set or animated."""
+    strip = influence_strip(obj)
+    for other in filter(None, map(influence_strip, followers(obj))):
+        if strip and _influence(other) != _influence(strip):
             _keep_influence(strip, other)
             other.mute = other.mute
 

@@ -3,6 +3,7 @@
 #include "bindings.hpp"
 #include "dynamorph/cage.hpp"
 #include "dynamorph/closed_surface.hpp"
+#include "dynamorph/parting.hpp"
 #include "dynamorph/tetrahedralize.hpp"
 
 namespace py = pybind11;
@@ -24,6 +25,12 @@ void check_rows(const FloatArray& array, const char* name, Eigen::Index expected
   if (array.shape(0) != expected)
     throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(expected) + " rows, got shape " +
                                 shape_of(array));
+}
+
+py::array_t<bool> to_array(const std::vector<bool>& flags) {
+  py::array_t<bool> array(flags.size());
+  std::copy(flags.begin(), flags.end(), array.mutable_data());
+  return array;
 }
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
@@ -150,19 +157,20 @@ Least squares at the points, smooth inside. Constants stay constant; overshoots 
 and normalising.)");
   m.def(
       "points_on_bones",
-      [](const FloatArray& vertices, const IntArray& faces, const FloatArray& heads, const FloatArray& tails,
-         double ratio) {
-        const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
-        const Triangles f = triangles(faces);
+      [](const FloatArray& vertices, const IntArray& faces, const FloatArray& skin, const IntArray& skin_faces,
+         const FloatArray& heads, const FloatArray& tails, double ratio) {
+        const Points v = points(vertices, "vertices"), s = points(skin, "skin"), h = points(heads, "heads"),
+                     t = points(tails, "tails");
+        const Triangles f = triangles(faces), g = triangles(skin_faces);
         check_rows(tails, "tails", h.rows());
-        return without_gil([&] { return points_on_bones(v, f, h, t, ratio); });
+        return without_gil([&] { return points_on_bones(v, f, s, g, h, t, ratio); });
       },
-      "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
+      "vertices"_a, "triangles"_a, "skin"_a, "skin_triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
       R"(Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
 
 As nodes they tie the flesh to a bone that would else pass between nodes; where there is room, three around the bone
 within what it holds (ratio, as for pinned), so that the body cannot spin about it. vertices (C, 3), triangles (D, 3): the cage.
-heads, tails (B, 3): the bones at rest. All metres, in one space.)");
+skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.)");
   m.def(
       "pinned",
       [](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces, const FloatArray& heads,
@@ -170,10 +178,7 @@ heads, tails (B, 3): the bones at rest. All metres, in one space.)");
         const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
         const Triangles f = triangles(faces);
         check_rows(tails, "tails", h.rows());
-        const std::vector<bool> held = without_gil([&] { return pinned(mesh, v, f, h, t, ratio); });
-        py::array_t<bool> result(held.size());
-        std::copy(held.begin(), held.end(), result.mutable_data());
-        return result;
+        return to_array(without_gil([&] { return pinned(mesh, v, f, h, t, ratio); }));
       },
       "mesh"_a, "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
       R"(Whether the bones hold each node, bool (n,).
@@ -183,10 +188,35 @@ all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (
 the mesh's space.)");
 }
 
+void bind_parting(py::module_& m) {
+  py::class_<Parting>(m, "Parting", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+
+Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
+distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.)")
+      .def(py::init([](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces) {
+             const Points v = points(vertices, "vertices");
+             const Triangles f = triangles(faces);
+             return without_gil([&] { return std::make_unique<Parting>(mesh, v, f); });
+           }),
+           "mesh"_a, "vertices"_a, "triangles"_a, R"(Finds the glued tetrahedra.
+
+vertices (V, 3): metres. triangles (T, 3): the outward skin in the mesh, open or not. Raises ValueError on wrong shapes
+or indices.)")
+      .def_property_readonly(
+          "glued", [](const Parting& self) { return to_array(self.glued()); }, "Which tetrahedra are glued, bool (m,).")
+      .def("cut", &Parting::cut, py::call_guard<py::gil_scoped_release>(),
+           R"(The TetMesh with a crack between glued tetrahedra.
+
+The same tetrahedra; the nodes along the crack are doubled, the doubles at the end.)")
+      .def("embed", &Parting::embed, "cut"_a, py::call_guard<py::gil_scoped_release>(),
+           "The Embedding of the V vertices in the mesh as cut, each in a tetrahedron that belongs to skin near it.");
+}
+
 }  // namespace
 
 void bind_meshing(py::module_& m) {
   bind_tet_mesh(m);
   bind_meshers(m);
   bind_body_in_mesh(m);
+  bind_parting(m);
 }

@@ -159,7 +159,7 @@ VectorXd volumes(const TetMesh& mesh) {
   return v;
 }
 
-Embedding embed(const TetMesh& mesh, const Points& points) {
+Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_carry) {
   if (!points.allFinite()) throw Error("The surface has a NaN or infinite coordinate. Fix or delete that vertex.");
   if (mesh.tets.rows() == 0) throw std::invalid_argument("mesh: expected at least one tet");
   const std::vector<Tet> tets = prepare(mesh);
@@ -168,15 +168,21 @@ Embedding embed(const TetMesh& mesh, const Points& points) {
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     const Vector3d p = points.row(i);
     double best = infinity;
-    int nearest = 0;
+    int nearest = -1;
     Vector3d closest = p;
-    tree.nearest(p, best, [&](int t) {
-      const Vector3d q = tets[t].closest(p);
-      if ((q - p).squaredNorm() >= best) return;
-      best = (q - p).squaredNorm();
-      closest = q;
-      nearest = t;
-    });
+    const auto search = [&](bool any) {
+      best = infinity;
+      tree.nearest(p, best, [&](int t) {
+        const Vector3d q = tets[t].closest(p);
+        if ((q - p).squaredNorm() >= best || !(any || may_carry(i, t))) return;
+        best = (q - p).squaredNorm();
+        closest = q;
+        nearest = t;
+      });
+      return best < infinity;
+    };
+    search(true);
+    if (may_carry && !may_carry(i, nearest) && !search(false)) search(true);
     e.nodes.row(i) = mesh.tets.row(nearest);
     e.weights.row(i) = tets[nearest].bounded_weights(p, closest);
     e.distances[i] = std::sqrt(best);
@@ -224,15 +230,15 @@ MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const 
   return solver.solve(e.transpose() * values);
 }
 
-Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& heads, const Points& tails,
-                       double ratio) {
+Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& skin, const Triangles& faces,
+                       const Points& heads, const Points& tails, double ratio) {
   if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
-  const Surface surface(cage, triangles);
+  const Surface surface(cage, triangles), body(skin, faces);
   double spacing = 0;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
     spacing += (cage.row(triangles(t, 0)) - cage.row(triangles(t, 1))).norm() / double(triangles.rows());
   const double room = 0.4 * spacing;  // nodes nearer to the cage or to each other make slivers
-  constexpr double inside = 0.75;     // of the held radius: the cage is wider than the body
+  constexpr double inside = 0.75;     // of the held radius
   std::vector<Vector3d> kept;
   const auto keep = [&](const Vector3d& p) {
     const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room; };
@@ -247,7 +253,7 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
     const int pieces = std::max(1, int(std::round(along.norm() / spacing)));
     for (int i = 0; i <= pieces; ++i) {
       const Vector3d p = head + along * i / pieces;
-      const double radius = surface.contains(p) ? inside * ratio * surface.distance(p) : 0;
+      const double radius = surface.contains(p) ? inside * ratio * body.distance(p) : 0;
       bool around = false;
       for (int corner = 0; corner < 3 && std::sqrt(3) * radius >= room; ++corner) {
         const double angle = M_PI / 3 * (2 * corner + i % 2);  // each triangle turned against the last

@@ -132,8 +132,8 @@ def driven(obj):
     drive(obj, "smile", "angle", angle=("ROT_X", "upper"))
 
 
-def preserving_volume(obj):
-    obj.modifiers["Armature"].use_deform_preserve_volume = True
+def enveloped(obj):
+    obj.modifiers["Armature"].use_bone_envelopes = True
 
 
 def sculpting(obj):
@@ -217,7 +217,7 @@ CALLS = {  # what a button needs before it, and what it is given
     "find_pieces": (other_mesh_selected, {}),
     "finish_sculpt": (sculpting, {}),
     "fit_material": (built, {"frequency": 5.0, "settle": 0.5}),
-    "fix": (preserving_volume, {"problem": "PRESERVE_VOLUME"}),
+    "fix": (enveloped, {"problem": "ENVELOPES"}),
     "free_bake": (baked, {}),
     "go_to_pose": (target_selected, {}),
     "live": (built, {}),

@@ -21,7 +21,7 @@ from builders import (
 )
 from layout import drawn
 from mathutils import Matrix
-from robustness import bake, coarse
+from robustness import bake, coarse, state
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -148,6 +148,19 @@ def test_a_bake_of_two_is_undone_and_freed_as_one(dressed):
     assert (fingerprint(arm), fingerprint(sleeve)) == before and sleeve.dynamorph.follows is None
 
 
+def test_one_undo_takes_both_bakes_back(dressed):
+    part("properties").reconcile(dressed[0])
+    bpy.ops.ed.undo_push(message="before")
+    before = state()
+    assert OPS.bake("EXEC_DEFAULT", True) == {"FINISHED"}
+    after = state()
+    assert after["Sleeve"] != before["Sleeve"]
+    bpy.ops.ed.undo()
+    assert state() == before
+    bpy.ops.ed.redo()
+    assert state() == after
+
+
 def test_a_basis_that_the_bake_made_goes_with_it(dressed):
     arm, sleeve = dressed
     bake(arm)
@@ -179,7 +192,7 @@ def test_the_influence_of_the_body_is_that_of_its_pieces(dressed):
     for frame, value in ((1, 0.0), (20, 1.0)):
         strip.influence = value
         strip.keyframe_insert("influence", frame=frame)
-    sinks.show_influence(arm)
+    part("watch")._look_at_animations()
     bpy.context.scene.frame_set(10)
     assert 0.0 < sinks.influence_strip(arm).influence < 1.0
     assert sinks.influence_strip(sleeve).influence == sinks.influence_strip(arm).influence
@@ -273,6 +286,23 @@ def test_a_deleted_piece_is_named_and_left_out(dressed):
     assert "'Sleeve' is gone: remove the piece" in " ".join(drawn(arm))
     OPS.bake()
     assert arm.dynamorph.bake.keys
+
+
+def test_a_piece_alone_is_freed_when_its_body_is_gone(dressed):
+    arm, sleeve = dressed
+    bake(arm)
+    bpy.data.objects.remove(arm)
+    activate(sleeve)
+    assert "dynamorph.free_bake" in drawn(sleeve)
+    OPS.free_bake()
+    assert keys_of(sleeve).key_blocks.keys() == ["Basis"] and not OPS.free_bake.poll()
+
+
+def test_what_is_far_from_the_skin_is_told(dressed):
+    arm, sleeve = dressed
+    sleeve.data.vertices[0].co.x += 3.0
+    job = bake(arm)
+    assert any(text.startswith("'Sleeve' is up to") for text in job.warnings)
 
 
 def test_a_duplicate_of_the_character_has_pieces_of_its_own(dressed):
@@ -430,6 +460,9 @@ def test_what_is_left_alone_is_said(soft_arm):
         "'Sword' is parented to bone 'lower': it moves with the bone and is left alone",
     ]
     assert "'Sword' is parented to bone" in " ".join(drawn(soft_arm))
+    for k in range(4):
+        make_mesh(bpy.context.scene, f"Badge {k}", np.eye(3), [(0, 1, 2)]).parent = rig
+    assert "And 3 more like them" in drawn(soft_arm)
 
 
 # Setups ------------------------------------------------------------------------------------------------------------

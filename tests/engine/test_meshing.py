@@ -106,6 +106,27 @@ def test_filled_volume_is_the_bodys_whichever_way_its_faces_look(turned):
     assert dynamorph.pinned(mesh, vertices, triangles, *axis, 0.6).any()
 
 
+def test_quality_of_a_regular_and_of_a_flat_tetrahedron():
+    regular = np.array([[1, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
+    found = dynamorph.tet_quality(dynamorph.TetMesh(regular, [[0, 1, 2, 3]]))
+    angle = np.degrees(np.arccos(1 / 3))
+    assert found == pytest.approx(
+        {"min_dihedral": angle, "max_dihedral": angle, "under_5": 0, "mean_aspect": 1, "max_aspect": 1}
+    )
+    sliver = np.array([[1, 0, 0.01], [-1, 0, 0.01], [0, 1, -0.01], [0, -1, -0.01]])
+    found = dynamorph.tet_quality(dynamorph.TetMesh(sliver, [[0, 1, 2, 3]]))
+    assert found["min_dihedral"] < 3 and found["max_dihedral"] > 175 and found["max_aspect"] > 30
+    assert found["under_5"] == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize("name", ["sphere", "overlapping boxes"])
+def test_slivers_are_few(name):
+    """TetGen alone leaves angles of 1 to 2 degrees, and thirty times as many under 5."""
+    found = dynamorph.tet_quality(dynamorph.mesh_body(*BODIES[name], 2000)[2])
+    assert found["min_dihedral"] > 2.5
+    assert found["under_5"] < 5e-4
+
+
 def test_skin_weights_extend_into_the_body():
     vertices, triangles = box(size=(1, 1, 4))
     vertices, triangles = join((vertices, triangles), sphere(12))
@@ -135,7 +156,8 @@ def test_nodes_are_wanted_around_bones_where_there_is_room(ratio, count, around)
         np.column_stack([after, k, np.full(12, top)]),
         np.column_stack([k + top - 12, after + top - 12, np.full(12, top + 1)]),
     ]
-    points = dynamorph.points_on_bones(vertices, np.concatenate([*sides, *ends]), [[0, 0, 0.1]], [[0, 0, 0.4]], ratio)
+    tube = vertices, np.concatenate([*sides, *ends])
+    points = dynamorph.points_on_bones(*tube, *tube, [[0, 0, 0.1]], [[0, 0, 0.4]], ratio)
     off = np.hypot(points[:, 0], points[:, 1])
     assert len(points) >= 2
     assert (off > 0.02).all() if around else (off < 1e-12).all()

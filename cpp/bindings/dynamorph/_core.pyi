@@ -588,13 +588,13 @@ def pinned(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, num
     all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All metres, in
     the mesh's space.
     """
-def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], skin: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], skin_triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
     """
     Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
     
     As nodes they tie the flesh to a bone that would else pass between nodes; where there is room, three around the bone
     within what it holds (ratio, as for pinned), so that the body cannot spin about it. vertices (C, 3), triangles (D, 3): the cage.
-    heads, tails (B, 3): the bones at rest. All metres, in one space.
+    skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.
     """
 def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], progress: typing.Any = None) -> ReducedTables:
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 import heapq
+import itertools
 import math
 import os
 import signal
@@ -97,6 +98,34 @@ def _closed(cage: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.
     return vertices, triangles
 
 
+def tet_quality(mesh: TetMesh) -> dict[str, float]:
+    """How well shaped the tetrahedra are: min_dihedral and max_dihedral, degrees; under_5, the fraction of dihedral
+    angles below 5 degrees; mean_aspect and max_aspect, the longest edge over the radius of the inscribed sphere, 1 for
+    a regular tetrahedron.
+    """
+    corners = mesh.nodes[mesh.tets]
+    areas = []  # vectors of the faces, each across from its corner
+    for a, b, c in ((1, 3, 2), (0, 2, 3), (0, 3, 1), (0, 1, 2)):
+        areas.append(np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a]) / 2)
+    pairs = list(itertools.combinations(range(4), 2))
+    angles = np.stack([_angle(-areas[i], areas[j]) for i, j in pairs])
+    longest = np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs], axis=0)
+    radius = 3 * mesh.volumes / sum(np.linalg.norm(area, axis=1) for area in areas)
+    aspect = longest / (2 * math.sqrt(6) * radius)
+    return {
+        "min_dihedral": float(angles.min()),
+        "max_dihedral": float(angles.max()),
+        "under_5": float((angles < 5).mean()),
+        "mean_aspect": float(aspect.mean()),
+        "max_aspect": float(aspect.max()),
+    }
+
+
+def _angle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angles (m,) between vectors (m, 3), degrees."""
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), np.einsum("mi,mi->m", first, second)))
+
+
 def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     arrays = np.asarray(vertices, np.float64), np.asarray(triangles, np.int32)
     for name, array in zip(("vertices", "triangles"), arrays, strict=True):
@@ -173,7 +202,7 @@ def _child() -> None:
         body, bones, cage = _load(2), *_load(1), _load(2)
         if len(cage[1]):
             cage = _refined(*cage, int(_surface_share(target_nodes) * target_nodes))
-            arrays = _filled(cage, bones, held, target_nodes)
+            arrays = _filled(cage, body, bones, held, target_nodes)
         else:
             arrays = _wrapped(body, bones, held, target_nodes, thickness, resolution)
         for array in arrays:
@@ -209,7 +238,7 @@ def _wrapped(body, bones, held: float, target_nodes: int, thickness: float, reso
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
         cage = make_cage(*body, max(int(cage_vertices), 4), thickness, progress)
-        arrays = _filled(cage, bones, held, target_nodes)
+        arrays = _filled(cage, body, bones, held, target_nodes)
         nodes = len(arrays[2])
         error = abs(math.log(nodes / target_nodes))
         if error < best_error:
@@ -246,10 +275,11 @@ def _refined(vertices: np.ndarray, triangles: np.ndarray, target_vertices: int) 
     return np.array(points), np.array([(a, b, c) for (a, b), c in opposite.items() if a < min(b, c)], np.int32)
 
 
-def _filled(cage, bones, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
+def _filled(cage, body, bones, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
     """The cage and the nodes and tets inside. Raises _MesherFailed."""
     try:
-        mesh = tetrahedralize(*cage, target_nodes, points_on_bones(*cage, bones[:, 0], bones[:, 1], held))
+        inner = points_on_bones(*cage, *body, bones[:, 0], bones[:, 1], held)
+        mesh = tetrahedralize(*cage, target_nodes, inner)
     except Error as error:
         raise _MesherFailed(str(error)) from error
     return *cage, mesh.nodes, mesh.tets
