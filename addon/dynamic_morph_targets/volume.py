@@ -151,6 +151,8 @@ def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.
             settings.cage_nodes,
             cage=cage and cage[1:],
             thickness=settings.cage_thickness,
+            grading=settings.cage_grading,
+            moved=_moved(character),
             bones=np.round(character.bone_segments / grid) * grid,
             held=settings.pin_radius,
             progress=report,
@@ -158,6 +160,13 @@ def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.
     except dynamorph.Error as error:
         raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
     return mesh
+
+
+def _moved(character: Character) -> np.ndarray:
+    """How far targets move each vertex (V,) at most, 1 where it is farthest."""
+    shapes = np.array([target.shape for target in character.targets]) @ character.to_bind.T
+    farthest = np.linalg.norm(shapes, axis=2).max(axis=0)
+    return farthest / max(farthest.max(), 1e-300)
 
 
 def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
