@@ -7,7 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -42,6 +42,10 @@ class Embedding:
     """
     Where V surface points sit in a TetMesh.
     """
+    def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, 4]"], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 4]"]) -> None:
+        """
+        One that was kept: nodes, weights (V, 4); its distances are not known.
+        """
     def interpolate(self, values: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
         Values (V, k) at the points from values (n, k) at the nodes.
@@ -60,6 +64,35 @@ class Embedding:
     def weights(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 4]"]:
         """
         Their weights (V, 4): rows sum to 1; negative only outside.
+        """
+class Parting:
+    """
+    Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+    
+    Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
+    distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.
+    """
+    def __init__(self, mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> None:
+        """
+        Finds the glued tetrahedra.
+        
+        vertices (V, 3): metres. triangles (T, 3): the outward skin in the mesh, open or not. Raises ValueError on wrong shapes
+        or indices.
+        """
+    def cut(self) -> TetMesh:
+        """
+        The TetMesh with a crack between glued tetrahedra.
+        
+        The same tetrahedra; the nodes along the crack are doubled, the doubles at the end.
+        """
+    def embed(self, cut: TetMesh) -> Embedding:
+        """
+        The Embedding of the V vertices in the mesh as cut, each in a tetrahedron that belongs to skin near it.
+        """
+    @property
+    def glued(self) -> numpy.typing.NDArray[numpy.bool]:
+        """
+        Which tetrahedra are glued, bool (m,).
         """
 class Kernel:
     """
@@ -286,9 +319,9 @@ class SoftBody:
     """
     What all models of one character share.
     """
-    def __init__(self, mesh: TetMesh, fill: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], shares: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], pinned: collections.abc.Sequence[bool], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]) -> None:
+    def __init__(self, mesh: TetMesh, fill: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], shares: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], pinned: collections.abc.Sequence[bool], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None) -> None:
         """
-        fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale.
+        fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None where a transform of every free node is known instead: such a body has as many bones.
         """
     def extend_shapes(self, embedding: Embedding, surfaces: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> numpy.typing.NDArray[numpy.float64]:
         """
