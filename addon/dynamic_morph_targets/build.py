@@ -23,7 +23,10 @@ Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.nd
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
 REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
 FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
-MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes", "pin radius", "pieces")  # of the tetrahedra
+# Of the tetrahedra.
+MESH_DEPENDENCIES = (
+    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage object", "pin radius", "pieces"
+)  # fmt: skip
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group")  # of them and of what is held
 CAGE_SHARE = 0.35  # of the time of a build
 
@@ -105,10 +108,8 @@ class Model:
 
     def at_nodes(self, values: np.ndarray) -> np.ndarray:
         """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; overshoots slightly."""
-        mesh = dynamorph.TetMesh(self.nodes, self.tets)
-        return dynamorph.extend_to_nodes(
-            mesh, dynamorph.Embedding(self.embedding_nodes, self.embedding_weights), values
-        )
+        embedding = dynamorph.Embedding(self.embedding_nodes, self.embedding_weights)
+        return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), embedding, values)
 
     def engine(self, character: Character, probed: bool = False) -> dynamorph.ReducedModel | dynamorph.FullModel:
         """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another.
@@ -379,6 +380,8 @@ def dependencies(character: Character) -> dict[str, str]:
         parts["pieces"] = (character.pieces,)
     for j, target in enumerate(character.targets):
         parts[f"shape {j}"] = (target.shape,)
+    if character.cage:
+        parts["cage object"] = character.cage[1:]
     for name, value in asdict(settings).items():
         if name not in FREE_SETTINGS and value != LATER_SETTINGS.get(name):
             parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)

@@ -17,7 +17,7 @@ from . import checks
 from .extract import NO_WEIGHT, VertexGroups
 from .scene_data import Character, PosedNodes
 
-REACH = 0.03  # body sizes: the nodes' shifts. Bendy bones bend within a shift, float32 coordinates want it long
+REACH = 0.01  # body sizes: the nodes' shifts. Bendy bones bend within a long one, float32 rounds off a short one
 NEGLIGIBLE = 0.01  # part of a node's weights, below which the engine too forgets a bone (`SoftBody`)
 MASK = "Dynamorph Mask "  # vertex groups, one for each modifier
 
@@ -63,7 +63,7 @@ class Probe:
         return PosedNodes(self.rest, self.reach, np.empty((count, 4, len(self.rest), 3), np.float32))
 
     def in_poses(self, scene, probe, rig, poses: np.ndarray) -> PosedNodes:
-        """The nodes in poses (S, B, 4, 4) of the armature, the objects being where they are.
+        """The nodes in poses (S, B, 4, 4) of the armature, the objects being where they are at the scene's frame.
 
         A copy of the armature takes the poses, without constraints, drivers and animation; other armatures stay as
         they are.
@@ -83,13 +83,13 @@ class Probe:
                 modifier.object = stand_in
             for pose, points in zip(poses, samples.points, strict=True):
                 self._take(stand_in, pose)
-                scene.view_layers[0].update()
+                # An update of the view layer would not evaluate the animation of what moves the objects.
+                scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
                 self.read(scene, probe, points)
         finally:
             for modifier in dressed:
                 modifier.object = rig
             bpy.data.objects.remove(stand_in)
-            scene.view_layers[0].update()
         return samples
 
     def read(self, scene, probe, points: np.ndarray):

@@ -4,13 +4,14 @@
 `extract` fills these from a Blender scene, `build` and `simulate` consume them, `sinks` writes the result back.
 
 Spaces: *local* is the mesh object's own space (what shape keys store), *bind* is local space with the object's scale
-applied, so lengths are metres there, *world* is Blender's world space.
+applied, so lengths are metres there, *world* is Blender's world space in metres (`extract.unit_scale`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -144,13 +145,13 @@ class PosedNodes:
 
     def transforms(self, object_world: np.ndarray) -> np.ndarray:
         """[A | a] (S, n, 3, 4), bind to world space; exact at rest. object_world (S, 4, 4)."""
-        points = self.points.astype(np.float64)
-        points[:, 1:] = (points[:, 1:] - points[:, :1]) / self.reach
-        turned = points @ object_world[:, None, :3, :3].swapaxes(-1, -2)
-        out = np.empty((len(points), len(self.rest), 3, 4))
-        out[..., :3] = turned[:, 1:].transpose(0, 2, 3, 1)
-        out[..., 3] = turned[:, 0] + object_world[:, None, :3, 3]
-        out[..., 3] -= np.einsum("snij,nj->sni", out[..., :3], self.rest)
+        out = np.empty((len(self.points), len(self.rest), 3, 4))
+        for points, world, frames in zip(self.points, object_world, out, strict=True):
+            here, *beside = points @ world[:3, :3].T
+            frames[..., 3] = here + world[:3, 3]
+            for axis, moved in enumerate(beside):
+                frames[..., axis] = (moved - here) / self.reach
+                frames[..., 3] -= frames[..., axis] * self.rest[:, axis, None]
         return out
 
 
@@ -287,7 +288,7 @@ VARIANTS: dict[str, dict[str, str]] = {
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.
-LATER_SETTINGS = {"separate": True}
+LATER_SETTINGS = {"cage_thickness": 0.0, "separate": True}
 
 
 @dataclass(frozen=True)
@@ -301,8 +302,17 @@ class ModelSettings:
     modes: int = 20
     fit_to_shot: bool = False  # choose the modes from how the shot moves
     cage_nodes: int = 2000
+    cage_thickness: float = 0.0  # metres that the cage stands off the skin at least
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
+
+
+class OwnCage(NamedTuple):
+    """The artist's cage: points (C, 3) bind space, triangles (D, 3); name: of its object."""
+
+    name: str
+    points: np.ndarray
+    triangles: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -314,7 +324,7 @@ class Character:
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
     deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
     transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
-    with the body, -1 moved by the bones alone, k >= 1 in a cage of its own.
+    with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
     """
 
     name: str
@@ -329,6 +339,7 @@ class Character:
     target_sets: tuple[TargetSet, ...]
     settings: ModelSettings = field(default_factory=ModelSettings)
     probed: bool = False
+    cage: OwnCage | None = None
     pieces: np.ndarray = None
 
     def __post_init__(self):
@@ -356,6 +367,39 @@ class Character:
             )
             return replace(self, target_sets=sets)
         return self
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """The nearest points of a triangle mesh to P points.
+
+    corners (P, 3): vertices of the triangle each lies on; weights (P, 3): its barycentric coordinates there;
+    distances (P,): to it.
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    distances: np.ndarray
+
+    def carry(self, values: np.ndarray) -> np.ndarray:
+        """The values (V, ...) of the mesh's vertices at the points: (P, ...)."""
+        return np.einsum("pc,pc...->p...", self.weights, values[self.corners])
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
+
+    session_uid: of its object. vertices (P, 3): at rest, in the character's bind space; from_body (3, 3) carries
+    displacements in the character's local space to the mesh's own; skin: the points of the character's surface nearest
+    to the vertices.
+    """
+
+    name: str
+    session_uid: int
+    vertices: np.ndarray
+    from_body: np.ndarray
+    skin: SurfaceMap
 
 
 @dataclass(frozen=True)
@@ -393,6 +437,7 @@ class Bake:
 
     frames (F,), coordinates (F, r), weights (F, J), modes (r, V, 3), details (J, V, 3): what the cage cannot carry of
     each target's shape. target_names (J,). dry (F, r): the coordinates of the targets' shapes alone, without motion.
+    node_modes (r, n, 3): the modes of the cage's nodes, bind space, for what else moves with the flesh.
     """
 
     frames: np.ndarray
@@ -402,6 +447,7 @@ class Bake:
     details: np.ndarray
     target_names: tuple[str, ...]
     dry: np.ndarray
+    node_modes: np.ndarray | None = None
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""

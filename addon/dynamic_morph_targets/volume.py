@@ -15,6 +15,8 @@ from .scene_data import Character
 
 Progress = Callable[[float, str], bool]
 
+GRID = 2.0**-11  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
+MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
 HELD = 0.05  # nodes softer than this in the Soft group are free
 FEWEST_NODES = 50  # of a piece's own cage
 
@@ -45,6 +47,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
     surface = character.vertices @ character.to_bind.T
     cages = _cages(character, surface)
     with stages("Meshing", 0.30) as report:
+        defects = dynamorph.closed_surface(surface, character.triangles)[2]
         if mesh is None or len(cages) > 1:
             meshes = [_tetrahedra(cage, surface, turn) for cage, turn in _in_turn(cages.values(), report)]
         else:
@@ -53,7 +56,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         filled = [
             _filled(*each, surface, turn) for each, turn in _in_turn(zip(cages.values(), meshes, strict=True), report)
         ]
-        meshes, embeddings, fill, pinned, glued = zip(*filled, strict=True)
+        meshes, embeddings, fill, pinned, glued, outside = zip(*filled, strict=True)
         mesh, embedding = _together(character.pieces, list(cages), meshes, embeddings)
         stiffness, weights, softness, shares = _inherited(character, mesh, embedding)
         fill, pinned = np.concatenate(fill), np.concatenate(pinned) | (softness < HELD)
@@ -67,9 +70,13 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         "nodes": len(mesh.nodes),
         "tets": len(mesh.tets),
         "pinned": int(pinned.sum()),
+        "defects": defects,
+        "quality": dynamorph.tet_quality(mesh),
         "glued": glued,
         "held_parts": len(adrift),
-        "warnings": _glued_warnings(character, glued) + [_adrift_warning(character, embedding, n) for n in adrift],
+        "warnings": [text for texts in outside for text in texts]
+        + _glued_warnings(character, glued)
+        + [_adrift_warning(character, embedding, nodes) for nodes in adrift],
     }
     return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, summary)
 
@@ -93,7 +100,9 @@ def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
         of_piece = number == piece
         cage_nodes = max(FEWEST_NODES, round(share * area[of_piece].sum()))
         cages[int(piece)] = replace(
-            character.with_settings(cage_nodes=cage_nodes), triangles=character.triangles[of_piece]
+            character.with_settings(cage_nodes=cage_nodes),
+            triangles=character.triangles[of_piece],
+            cage=None if piece else character.cage,
         )
     if not cages:
         raise dynamorph.Error(f"'{character.name}': every piece of it is rigid: let one be simulated with the body")
@@ -109,10 +118,10 @@ def _in_turn(steps, report) -> list[tuple]:
 
 
 def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report) -> tuple:
-    """A cage's mesh as cut, its embedding, fill, what its bones hold, and what was glued."""
+    """A cage's mesh as cut, its embedding, fill, what its bones hold, what was glued, and warnings."""
     mesh, embedding, glued = _parted(cage, mesh, surface)
     fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
-    return mesh, embedding, fill, _pinned(cage, mesh, surface), glued
+    return mesh, embedding, fill, _pinned(cage, mesh, surface), glued, _outside(cage, embedding)
 
 
 def _together(pieces: np.ndarray, numbers: list[int], meshes, embeddings) -> tuple:
@@ -133,16 +142,37 @@ def _together(pieces: np.ndarray, numbers: list[int], meshes, embeddings) -> tup
 
 
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
-    settings = character.settings
-    _, _, mesh = dynamorph.mesh_body(
-        surface,
-        character.triangles,
-        settings.cage_nodes,
-        bones=character.bone_segments,
-        held=settings.pin_radius,
-        progress=report,
-    )
+    settings, cage = character.settings, character.cage
+    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(np.ptp(surface, axis=0))))
+    try:
+        _, _, mesh = dynamorph.mesh_body(
+            np.round(surface / grid) * grid,
+            character.triangles,
+            settings.cage_nodes,
+            cage=cage and cage[1:],
+            thickness=settings.cage_thickness,
+            bones=np.round(character.bone_segments / grid) * grid,
+            held=settings.pin_radius,
+            progress=report,
+        )
+    except dynamorph.Error as error:
+        raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
     return mesh
+
+
+def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
+    """Says which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when it is most of it."""
+    if character.cage is None:
+        return []
+    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    left = float((embedding.distances > 1e-5 * size)[character.pieces == 0].mean())
+    if left > MOSTLY:
+        raise dynamorph.Error(
+            f"Cage Object '{character.cage.name}' leaves out {left:.0%} of '{character.name}': it must enclose the "
+            "skin as it is in rest pose when the scene starts. Move or enlarge it, or clear Cage Object"
+        )
+    warning = f"{left:.1%} of the skin lies outside Cage Object '{character.cage.name}' and follows its nearest part"
+    return [warning] if left else []
 
 
 # Parts that touch ----------------------------------------------------------------------------------------------------
