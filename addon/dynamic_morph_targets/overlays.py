@@ -87,7 +87,8 @@ def _order(session_uid: int, _bones: tuple) -> list[int]:
 def skin_matrices(obj, depsgraph) -> np.ndarray | None:
     """Skin matrices (B + 1, 3, 4) float32 of the built model: of the pose in which the mesh is shown.
 
-    None if the armature has other bones now than when it was built.
+    Linear also where Blender's skinning is not, which is near enough to be looked at. None if the armature has other
+    bones now than when it was built.
     """
     model = jobs.load_model(obj)
     modifier = extract.armature_modifier(obj)
