@@ -78,6 +78,7 @@ def notes(obj) -> Iterator[Problem]:
         for before in _modifiers_before(obj, modifier):
             if before.type in DEFORMING:
                 yield Problem(f"'{obj.name}': modifier '{before.name}' before the Armature is not simulated")
+        yield from _scene_drivers(modifier.object)
     reason = beyond_bones(obj)
     if reason:
         yield Problem(f"'{obj.name}' is skinned with {reason}, which takes longer to bake and to play than plain bones")
@@ -87,6 +88,18 @@ def notes(obj) -> Iterator[Problem]:
         yield Problem(
             f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake", "UNPIN"
         )
+
+
+def _scene_drivers(armature) -> Iterator[Problem]:
+    """Drivers of the rig that read a scene: it is sampled in a scene of its own, where they stand still."""
+    owners = (owner.animation_data for owner in (armature, armature.data) if owner.animation_data)
+    for variable in (each for owner in owners for curve in owner.drivers for each in curve.driver.variables):
+        if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
+            yield Problem(
+                f"A driver of '{armature.name}' reads '{variable.targets[0].data_path}' of the scene, which stands "
+                "still in a bake: write 'frame' in its expression, or keep the property on the armature"
+            )
+            return
 
 
 def outgrown(obj) -> str:
@@ -169,6 +182,37 @@ def shared_mesh(obj) -> Iterator[Problem]:
             "make it single-user (Object > Relations > Make Single User > Object & Data)",
             "SINGLE_USER",
         )
+
+
+def follower(obj, piece) -> Iterator[Problem]:
+    """What keeps the mesh object `piece` from moving with the flesh of the soft skin `obj`."""
+    body, armature = obj.name, rig_of(obj)
+    modifiers = armature_modifiers(piece)
+    if piece == obj:
+        yield Problem(f"'{body}' cannot be a piece of itself: remove it from the Pieces")
+    elif not modifiers:
+        yield Problem(
+            f"'{piece.name}' has no Armature modifier with an armature: skin it to '{armature.name}', or choose Rigid"
+        )
+    elif all(modifier.object != armature for modifier in modifiers):
+        yield Problem(
+            f"'{piece.name}' is moved by another armature: choose '{armature.name}' in its Armature modifier, or Rigid"
+        )
+    if piece.dynamorph.targets:
+        yield Problem(f"'{piece.name}' is a soft skin of its own: choose Own Cage")
+    elif piece.dynamorph.follows not in (None, obj):
+        other = piece.dynamorph.follows.name
+        yield Problem(f"'{piece.name}' follows '{other}': free the bake of that first, or turn its Live off")
+    if piece.mode == "EDIT":
+        yield Problem(f"'{piece.name}' is in Edit Mode: leave it first")
+    if not piece.data.vertices:
+        yield Problem(f"Mesh '{piece.data.name}' has no vertices: remove '{piece.name}' from the Pieces")
+    keys = piece.data.shape_keys
+    if keys and not keys.use_relative:
+        yield Problem(f"'{piece.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
+    bound = next((m for m in piece.modifiers if obj in (getattr(m, "target", None), getattr(m, "object", None))), None)
+    if bound:
+        yield Problem(f"'{piece.name}' follows '{body}' by its modifier '{bound.name}' already: choose Rigid")
 
 
 def active_targets(obj) -> list:

@@ -19,7 +19,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, live_key, materials, model_file, preferences, probe, sinks
+from . import changes, extract, live_key, materials, model_file, preferences, probe, properties, sinks
 from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
@@ -259,6 +259,8 @@ class Job:
         self.model = None
         self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
         self.result = None
+        self.followers: list = []  # other meshes that the flesh carries along
+        self.carried: list = []  # their bakes
         self.size = 0  # of the bake, in bytes
         self._read_from = 0.0  # of the whole, the part done before the rig is read
         self._error: BaseException | None = None
@@ -282,7 +284,11 @@ class Job:
         self.character = extract.character(obj, without_targets=self.only_cage)
         if self.bake:
             sinks.check(obj)
+            self.followers = extract.followers(obj, self.character)
+            for follower in self.followers:
+                sinks.check(find(follower.session_uid), needs_keys=False)
         self.warnings = extract.warnings(obj, self.character)
+        self.warnings += extract.far_followers(self.character, self.followers)
         with suppress(model_file.ModelFileError):  # then one of the reasons
             self.previous = load_model(obj)
         self.reasons = self._reasons(obj)
@@ -362,14 +368,19 @@ class Job:
 
     def target(self):
         """The object that the results are for. Raises SceneError when they do not fit it any more."""
-        obj = find(self.session_uid)
-        if len(obj.data.vertices) != len(self.character.vertices):
-            raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
-        return obj
+        for uid, vertices in self._meshes().items():
+            obj = find(uid)
+            if len(obj.data.vertices) != len(vertices):
+                raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
+        return find(self.session_uid)
+
+    def _meshes(self) -> dict[int, np.ndarray]:
+        """The vertices of all objects that results are for, by session_uid."""
+        return {self.session_uid: self.character.vertices, **{f.session_uid: f.vertices for f in self.followers}}
 
     def must_wait(self) -> bool:
         """Whether a bake cannot be written yet: the artist went on in Edit Mode, which has a mesh of its own."""
-        waits = self.bake and find(self.session_uid).mode == "EDIT"
+        waits = self.bake and any(find(uid).mode == "EDIT" for uid in self._meshes())
         if waits:
             self.message = "Waiting for you to leave Edit Mode"
         return waits
@@ -382,13 +393,24 @@ class Job:
         if not self.bake:
             return
         with self._stage("write keys"):
-            live_key.remove(obj)
-            self.size = sinks.write_modal_keys(obj, self.result)
+            self._write_keys(obj)
         record = obj.dynamorph.bake
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
         changes.look_at_animation(obj)
+
+    def _write_keys(self, obj):
+        pieces = [find(follower.session_uid) for follower in self.followers]
+        for piece in pieces:
+            sinks.check(piece, needs_keys=False)  # before anything is written
+        live_key.remove(obj)
+        for piece in properties.followers(obj):
+            if piece not in pieces:
+                sinks.free(piece)
+        self.size = sinks.write_modal_keys(obj, self.result)
+        for piece, carried in zip(pieces, self.carried, strict=True):
+            self.size += sinks.write_modal_keys(piece, carried, obj)
 
     def summary(self) -> str:
         """One line for the artist."""
@@ -413,7 +435,10 @@ class Job:
         made = self.model.summary
         if not made["tets"]:
             return ""
-        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {made['pinned'] / made['nodes']:.0%} held by bones"
+        quality = made.get("quality")  # models of older versions do not say
+        angles = f", angles {quality['min_dihedral']:.0f}° to {quality['max_dihedral']:.0f}°" if quality else ""
+        held = f"{made['pinned'] / made['nodes']:.0%} held by bones"
+        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held}{angles}"
 
     def _store_model(self, obj):
         record = obj.dynamorph.model
@@ -480,6 +505,7 @@ class Job:
             self.result, self.report = simulate.bake(
                 self.model, self.character, self.rig, self.settings, self._progress(start, 1.0)
             )
+            self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
         self.warnings += self.report["warnings"]
         first, last = self.model.summary.get("fitted", (self.settings.start, self.settings.end))
         if self.settings.start < first or self.settings.end > last:
@@ -490,7 +516,7 @@ class Job:
                 "Stiffness or Cage Nodes, or smooth the sculpt"
             )
         for name in ("coordinates", "weights", "modes", "details", "dry"):
-            if not np.isfinite(getattr(self.result, name)).all():
+            if not all(np.isfinite(getattr(bake, name)).all() for bake in (self.result, *self.carried)):
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
 
     def _progress(self, begin: float, end: float):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 
@@ -13,7 +13,7 @@ import dynamorph
 import numpy as np
 
 from .build import Model, Progress, build
-from .scene_data import Bake, Character, RigSamples, SimulationSettings, determinant, inverse
+from .scene_data import Bake, Character, Follower, RigSamples, SimulationSettings, determinant, inverse
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 CHUNK_NODES = 2**18  # transforms of nodes made at once, if those are known: 25 MB
@@ -372,15 +372,34 @@ def bake(
         report["gap"] = gap
         report["warnings"] += _loop_warnings(player, rig, gap)
     report.update(_worst_elements(player, frames))
-    if player.engine is None:
-        modes = np.zeros((0, *character.vertices.shape))
-    elif model.settings.solver == "FULL":
-        coordinates, dry, modes, report["compression_error"] = _compress(model, coordinates, dry)
-    else:
-        modes = surface_modes(model, model.basis.T)
+    free = model.basis.T
+    if model.settings.solver == "FULL" and player.engine is not None:
+        coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
+    modes = node_modes(model, free)
+    surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
     report["seconds"] = time.perf_counter() - began
     names = tuple(target.name for target in character.by_method().targets)
-    return Bake(settings.frames, coordinates, weights, modes, model.details, names, dry), report
+    return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+
+
+def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
+    """The same shot of what the flesh carries along, in the follower's own local space."""
+    modes, details = carried(model, bake.node_modes, follower)
+    return replace(bake, modes=modes, details=details)
+
+
+def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.ndarray, np.ndarray]:
+    """What modes (r, n, 3) of the nodes, bind space, and the model's details do to a follower of P vertices.
+
+    Returns (r, P, 3) and (J, P, 3) in its local space. Where it is outside the cage the nearest tetrahedron goes on
+    there, bounded; of the details it has those of the skin nearest to it.
+    """
+    details = np.moveaxis(follower.skin.carry(np.moveaxis(model.details, 0, 1)), 1, 0) @ follower.from_body.T
+    if not len(model.tets):
+        return np.zeros((0, *follower.vertices.shape)), details
+    embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes, model.tets), follower.vertices)
+    bind = np.einsum("pa,rpac->rpc", embedding.weights, modes[:, embedding.nodes])
+    return bind @ np.linalg.inv(model.to_bind).T @ follower.from_body.T, details
 
 
 def _loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
@@ -501,18 +520,20 @@ def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return determinant(corners[:, 1:] - corners[:, :1])
 
 
-def surface_modes(model: Model, free: np.ndarray) -> np.ndarray:
-    """Displacement of the surface (r, V, 3), local space, from rows over the free nodes (r, 3 free)."""
+def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
+    """Displacement of all nodes (r, n, 3), bind space, from rows over the free nodes (r, 3 free)."""
     modes = np.zeros((len(free), len(model.nodes), 3))
-    modes[:, ~model.pinned.astype(bool)] = free.reshape(len(free), -1, 3)
-    return model.surface(modes)
+    if not modes.size:  # static morph targets
+        return modes
+    modes[:, model.free] = free.reshape(len(free), -1, 3)
+    return modes
 
 
 def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
 
-    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, surface modes, and the
-    largest error of `wet` in metres.
+    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3 free),
+    and the largest error of `wet` in metres.
     """
     _, s, modes = np.linalg.svd(wet, full_matrices=False)
     modes = modes[: min(model.settings.modes, len(s))]
@@ -520,4 +541,4 @@ def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarra
     modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(dry)]])
     coordinates = wet @ modes.T
     error = float(np.abs(wet - coordinates @ modes).max())
-    return coordinates, dry @ modes.T, surface_modes(model, modes), error
+    return coordinates, dry @ modes.T, modes, error
