@@ -254,7 +254,7 @@ class Player:
         model = self.model
         if not self.probed:
             return rig.skin_matrices(model.skeleton, model.to_bind)
-        if rig.nodes is None or len(rig.nodes.rest) != model.free.sum():
+        if rig.nodes is None or not np.array_equal(rig.nodes.rest, model.nodes[model.free]):
             raise ValueError(f"'{self._character.name}' was sampled without the nodes of its model: sample it again")
         frames = rig.nodes.transforms(rig.object_world)
         flat = np.abs(determinant(frames[..., :3])) < FLAT
