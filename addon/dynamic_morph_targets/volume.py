@@ -15,7 +15,7 @@ from .scene_data import Character
 
 Progress = Callable[[float, str], bool]
 
-GRID = 2.0**-11  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
+GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
 HELD = 0.05  # nodes softer than this in the Soft group are free
 
 
