@@ -9,6 +9,7 @@ import sys
 import time
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -28,13 +29,16 @@ def run_engine_tests() -> Counter:
 
 
 def run_pytest(python: Path, suite: str) -> Counter:
-    """One folder of tests under one Python."""
+    """One folder of tests under one Python; prints what they say when they are done."""
     report = ROOT / "build" / "reports" / f"{python.parent.parent.name}-{Path(suite).name}.xml"
     report.parent.mkdir(parents=True, exist_ok=True)
     report.unlink(missing_ok=True)
-    code = subprocess.run(
-        [python, "-m", "pytest", "-rs", f"--junitxml={report}", suite], cwd=ROOT, check=False
-    ).returncode
+    run = subprocess.run(
+        [python, "-m", "pytest", "-rs", f"--junitxml={report}", suite],
+        cwd=ROOT, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+    )  # fmt: skip
+    code = run.returncode
+    print(f"\n{python.parent.parent.name}, {suite}\n{run.stdout}", flush=True)
     if not report.exists():
         print(f"{suite}: pytest died with exit code {code}")
         return Counter(failed=1)
@@ -52,19 +56,25 @@ def describe(counts: Counter) -> str:
     return ", ".join(f"{counts[kind]} {kind}" for kind in ("failed", "passed", "skipped") if counts[kind]) or "no tests"
 
 
+def run_python(version: str) -> dict[str, Counter]:
+    """Every suite under one Python, by name."""
+    python = ROOT / ".venv" / version / "bin" / "python"
+    return {f"Python {version} ({SUPPORTED[version]}) {suite}": run_pytest(python, suite) for suite in SUITES}
+
+
 def main() -> int:
     start = time.monotonic()
     results = {"C++ engine": run_engine_tests()}
-    missing = []
-    for version, blender in SUPPORTED.items():
-        python = ROOT / ".venv" / version / "bin" / "python"
-        if not python.exists():
-            missing.append(f"Python {version} ({blender}): not run, no Python {version} was found by make setup")
-            continue
-        for suite in SUITES:
-            name = f"Python {version} ({blender}) {suite}"
-            print(f"\n{name}", flush=True)
-            results[name] = run_pytest(python, suite)
+    found = [version for version in SUPPORTED if (ROOT / ".venv" / version / "bin" / "python").exists()]
+    missing = [
+        f"Python {version} ({blender}): not run, no Python {version} was found by make setup"
+        for version, blender in SUPPORTED.items()
+        if version not in found
+    ]
+    print(f"Tests under Python {' and '.join(found)}: each folder of them speaks when it is done", flush=True)
+    with ThreadPoolExecutor() as pool:
+        for of_version in pool.map(run_python, found):
+            results |= of_version
     print()
     for name, counts in results.items():
         print(f"{name}: {describe(counts)}")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The zip that artists install: built, installed into an empty Blender and baked with, by its own bundled engine."""
 
+import fcntl
 import subprocess
 import sys
 import tomllib
@@ -35,11 +36,13 @@ print("baked with", os.path.relpath(dynamorph.__file__, folder))
 
 @pytest.fixture(scope="module")
 def archive():
-    packing = subprocess.run(
-        [sys.executable, ROOT / "tools" / "package.py", "extension"], capture_output=True, text=True, check=False
-    )
-    assert packing.returncode == 0, packing.stdout + packing.stderr
-    return next((ROOT / "dist").glob("dynamic_morph_targets-*.zip"))
+    with (ROOT / "build" / "packing.lock").open("w") as lock:  # `make test` runs two Pythons at once
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        packing = subprocess.run(
+            [sys.executable, ROOT / "tools" / "package.py", "extension"], capture_output=True, text=True, check=False
+        )
+        assert packing.returncode == 0, packing.stdout + packing.stderr
+        yield next((ROOT / "dist").glob("dynamic_morph_targets-*.zip"))
 
 
 def test_zip_holds_the_add_on_and_a_wheel_for_this_python(archive):

@@ -308,6 +308,48 @@ TEST_CASE("modal inertia of many bones: the pairs that are simplified stay withi
   }
 }
 
+TEST_CASE("inertia of nodes with transforms of their own: as if their bones had posed them, to round-off") {
+  for (int sets : {1, 2}) {
+    const auto body = scenes::two_bone_bar(sets);
+    const auto targets = scenes::targets(*body, sets - 1);
+    const FullModel full(body, targets, Law::linear, Blending::even);
+    const MatrixXd U = make_basis(full, 10).U;
+    std::vector<bool> pinned(body->free_of_node.size());
+    for (size_t i = 0; i < pinned.size(); ++i) pinned[i] = body->free_of_node[i] < 0;
+    const auto own = std::make_shared<SoftBody>(body->mesh, body->fill, VectorXd::Ones(body->fill.size()), body->shares,
+                                                pinned, MatrixXd(pinned.size(), 0));
+    const ReducedModel reduced(own, targets, reduce(full, U), Blending::even);
+    CHECK_THROWS_AS(reduced.modal_inertia(), std::invalid_argument);
+    std::array<VectorXd, Motion::kMoments> z, u;
+    std::array<SkinFrame, Motion::kPoses> poses;
+    Motion small, big;
+    small.share = big.share = StepRule(StepOptions{1 / 120.}).share();
+    small.lift = big.lift = Vector3d(0.1, -0.2, 0.3);
+    for (int m = 0; m < Motion::kMoments; ++m) {
+      z[m] = random_vector(10, 1e-3, 40 + m);
+      u[m] = U * z[m];
+      small.q[m] = &z[m];
+      big.q[m] = &u[m];
+    }
+    for (int n = 0; n < Motion::kPoses; ++n) {
+      poses[n].bones = 1.1 * scenes::bent(1.2 - 0.2 * n);
+      pose_nodes(body->skin, poses[n]);
+      big.bones[n] = &poses[n].bones;
+      small.bones[n] = &poses[n].nodes;
+    }
+    const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::LinSpaced(sets, 300, 100)};
+    FullModel::Inertia expected;
+    ReducedModel::Inertia found;
+    full.inertia(big, densities, expected);
+    reduced.inertia(small, densities, found);
+    const MatrixXd mass = U.transpose() * (expected.mass * U), damped = U.transpose() * (expected.damped * U);
+    const VectorXd force = U.transpose() * expected.force;
+    CHECK((mass - found.mass).norm() < 1e-12 * mass.norm());
+    CHECK((damped - found.damped).norm() < 1e-12 * damped.norm());
+    CHECK((force - found.force).norm() < 1e-12 * force.norm());
+  }
+}
+
 namespace {
 
 /// Mass and force of the motion from the tensors of all bones and pairs of bones, in double throughout.
