@@ -754,7 +754,7 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError.
 
     The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
-    per s^2, so that at a unit scale of 0.01 a body falls as on the moon's moon.
+    per s^2.
     """
     chosen = obj.dynamorph.simulation
     fps = scene.render.fps / scene.render.fps_base
