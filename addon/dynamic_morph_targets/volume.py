@@ -62,7 +62,10 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         fill, pinned = np.concatenate(fill), np.concatenate(pinned) | (softness < HELD)
         adrift = _adrift(mesh, pinned)
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
-        raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
+        raise dynamorph.Error(
+            f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint Soft "
+            "0 where it is attached"
+        )
     for nodes in adrift:
         pinned[nodes] = True
     glued = {name: sum(count[name] for count in glued) for name in glued[0]}
@@ -143,7 +146,8 @@ def _together(pieces: np.ndarray, numbers: list[int], meshes, embeddings) -> tup
 
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
     settings, cage = character.settings, character.cage
-    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(np.ptp(surface, axis=0))))
+    extent = np.ptp(surface[np.unique(character.triangles)], axis=0)
+    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(extent)))
     try:
         _, _, mesh = dynamorph.mesh_body(
             np.round(surface / grid) * grid,
