@@ -63,8 +63,8 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         adrift = _adrift(mesh, pinned)
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
-            f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint Soft "
-            "0 where it is attached"
+            f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint "
+            "Soft 0 where it is attached"
         )
     for nodes in adrift:
         pinned[nodes] = True
