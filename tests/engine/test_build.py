@@ -83,7 +83,7 @@ def test_the_painted_half_stretches_by_its_own_stiffness(cage):
         ends = [displacement[np.isclose(height, z), 2].mean() for z in (low, high)]
         return ends[1] - ends[0]
 
-    assert stretch(half, 0.2, 0.35) == pytest.approx(stretch(plain, 0.2, 0.35), rel=0.01)
+    assert stretch(half, 0.2, 0.35) == pytest.approx(stretch(plain, 0.2, 0.35), rel=0.03)
     assert stretch(half, 0.6, 0.75) == pytest.approx(stretch(plain, 0.6, 0.75) / 4, rel=0.03)
     # The bar is soft up to the paint, in between the cage interpolates.
     assert stretch(half, 0.2, 0.7) / stretch(plain, 0.2, 0.7) == pytest.approx((0.25 + 0.25 / 4) / 0.5, rel=0.05)
@@ -142,7 +142,7 @@ def test_a_cage_is_current_until_something_moves_it(cage):
 
 
 def test_settings_that_came_later_age_no_older_model(cage):
-    assert not {"cage thickness", "cage object"} & set(cage.dependencies)
+    assert not {"cage thickness", "cage grading", "cage object"} & set(cage.dependencies)
     assert not has_cage(cage, bar(cage_thickness=0.01))
     assert "cage thickness changed" in stale_reasons(build(bar(), previous=cage), bar(cage_thickness=0.01))
 
