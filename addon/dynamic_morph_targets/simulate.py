@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
 
 import dynamorph
 import numpy as np
@@ -18,9 +17,10 @@ from .scene_data import Bake, Character, RigSamples, SimulationSettings, determi
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
 NO_STEPS = {"steps": 0, "iterations": 0, "converged": True, "energy": 0.0, "teleported": False, "seconds": 0.0}
-CLOSED = 1e-4  # body sizes: a loop whose surface ends nearer to where it began is done
+CLOSED = 1e-6  # body sizes: a loop whose surface ends nearer to where it began is done
 SAME_POSE = 1e-3  # body sizes: poses whose skin, moved as a whole, is nearer are one
-PASSES = 20  # of a loop, at most
+PASSES = 40  # of a loop, at most
+REMEMBERED = 12  # passes of a loop that its next beginning is made of
 CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
 
 
@@ -100,6 +100,15 @@ class Player:
     @state.setter
     def state(self, state):
         self._simulation.state = state
+
+    @property
+    def past(self) -> np.ndarray:
+        """Its coordinates now and at the last three steps: (4, dofs)."""
+        return np.array(self.state[0])
+
+    @past.setter
+    def past(self, coordinates: np.ndarray):
+        self.state = list(coordinates), self.state[1]
 
     @property
     def size(self) -> float:
@@ -280,17 +289,46 @@ def simulate(
 def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
     """The frames of a loop, and by how many metres it is off at most where it begins again and a frame later.
 
-    Passes over its range, each going on from where the last came to, until one closes: in place and in velocity.
+    Passes over its range until one ends as it began: in place and, by the frame after, in velocity.
     """
-    frames = list(player.run(rig))
+    numbers, fixed_point = player.settings.frames[1:], _FixedPoint()
+    next_frame = rig[1 : 1 + player.settings.substeps], numbers[:1]  # none in a range of one frame
+    first = player.begin(rig)
     while True:
-        again = player.begin_again(rig, frames[-1])
-        following = player.play(rig[1:], player.settings.frames[1:])
-        ahead = list(islice(following, 1))  # none in a range of one frame
-        gap = max(player.gap(*pair) for pair in zip(frames, [frames[-1], *ahead], strict=False))
-        if gap <= CLOSED * player.size or player.passes == PASSES:
+        began = player.past
+        frames = [first, *player.play(rig[1:], numbers)]
+        ended = player.past
+        first = player.begin_again(rig, frames[-1])
+        start = player.state
+        pairs = list(zip(frames, [frames[-1], *player.play(*next_frame)], strict=False))
+        gap = max(player.gap(*pair) for pair in pairs)
+        if gap <= CLOSED * player.size or player.passes == PASSES or player.engine is None:
             return frames, gap
-        frames = [again, *ahead, *following]
+        off = np.concatenate([after.coordinates - before.coordinates for before, after in pairs])
+        player.state, player.number = start, player.settings.start
+        player.past = fixed_point.next(began, ended, off)
+        first = replace(first, coordinates=player.past[0])
+
+
+class _FixedPoint:
+    """Where repeated passes come to rest, by Anderson's acceleration: the next begins where the last ones, combined by
+    weights that sum to one, would have ended as they began, in the least squares sense. For a linear law that is exact
+    once there are as many passes as ways to be off (Walker and Ni 2011, Anderson acceleration for fixed-point
+    iterations).
+    """
+
+    def __init__(self):
+        self._passes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def next(self, began: np.ndarray, ended: np.ndarray, off: np.ndarray) -> np.ndarray:
+        """What to begin with after a pass; began, ended: of one shape; off (m,): how the pass failed to close."""
+        best = min((np.linalg.norm(pass_[2]) for pass_ in self._passes), default=np.inf)
+        if not np.linalg.norm(off) < 10.0 * best:  # far from linear: what was learned does not help
+            self._passes.clear()
+        self._passes = [*self._passes[1 - REMEMBERED :], (began, ended, off)]
+        _, ends, offs = (np.array(part) for part in zip(*self._passes, strict=True))
+        weights, *_ = np.linalg.lstsq((offs[:-1] - off).T, -off, rcond=1e-9)
+        return ended + np.tensordot(weights, ends[:-1] - ended, 1)
 
 
 def _player(model: Model, character: Character, settings: SimulationSettings, progress: Progress | None) -> Player:

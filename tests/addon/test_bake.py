@@ -189,7 +189,7 @@ def test_a_loop_closes(shot, travel):
     rig = cyclic(shot, travel=travel)
     bake, report = looped(shot, rig)
     apart = np.linalg.norm((bake.displacement(11) - bake.displacement(0)) @ shot.character.to_bind.T, axis=1).max()
-    assert apart <= report["gap"] * (1 + 1e-6) and report["gap"] <= 1e-4 * size(shot)
+    assert apart <= report["gap"] * (1 + 1e-6) and report["gap"] <= 1e-6 * size(shot)
     assert report["warnings"] == [] and report["steps"] == 11 * shot.settings.substeps
     once = replace(shot.settings, end=shot.settings.start + 11)
     single, _ = part("simulate").bake(shot.model, shot.character, rig, once)
@@ -207,14 +207,28 @@ def test_a_loop_closes_in_velocity_too(shot):
 
     player = simulate.Player(shot.model, character, settings)
     frames, gap = simulate.cycle(player, rig)
-    again = simulate.Player(shot.model, character, settings)
-    passed = list(again.run(rig))
-    while again.passes < player.passes - 1:
-        passed = [again.begin_again(rig, passed[-1]), *again.play(rig[1:], settings.frames[1:])]
-    assert np.array_equal(passed[-1].coordinates, frames[-1].coordinates)
-    again.begin_again(rig, passed[-1])
-    ahead = again.advance(rig[1 : 1 + settings.substeps], 2)
-    assert gap == max(again.gap(frames[0], frames[-1]), again.gap(frames[1], ahead)) <= 1e-4 * size(shot)
+    assert gap <= 1e-6 * size(shot)
+    assert player.passes < simulate.PASSES
+    substeps = settings.substeps  # the player has gone on by a frame: it plays the same cycle again
+    following = list(player.play(rig[1 + substeps :], settings.frames[2:]))
+    again = np.array([frame.coordinates for frame in following])
+    first = np.array([frame.coordinates for frame in frames])
+    assert again == pytest.approx(first[2:], abs=5e-5 * np.abs(first).max())
+    assert gap >= player.gap(frames[0], frames[-1])
+    settled = next(simulate.Player(shot.model, character, settings).run(rig))
+    assert player.gap(settled, frames[0]) > 1e3 * gap
+
+
+def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
+    """Of an affine map that hardly contracts, where passes alone would need thousands."""
+    random = np.random.default_rng(0)
+    turn, _ = np.linalg.qr(random.normal(size=(6, 6)))
+    shift, x = random.normal(size=6), np.zeros((1, 6))
+    fixed_point = part("simulate")._FixedPoint()
+    for _ in range(7):
+        ended = 0.999 * x @ turn + shift
+        x = fixed_point.next(x, ended, (ended - x)[0])
+    assert x == pytest.approx(0.999 * x @ turn + shift, abs=1e-9)
 
 
 @pytest.mark.parametrize("frames", [12, 1])
@@ -236,7 +250,7 @@ def test_a_loop_is_what_many_cycles_come_to(shot):
     long = replace(rig, pose=pose, rig_world=world, object_world=world)[: 1 + 11 * cycles * shot.settings.substeps]
     long = long[: 1 + (11 * cycles - 1) * shot.settings.substeps]
     motion = simulated(shot, long, end=shot.settings.start + 11 * cycles - 1)
-    assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=2e-3 * np.abs(motion).max())
+    assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=1e-4 * np.abs(motion).max())
 
 
 def test_a_pose_that_is_no_cycle_is_named(shot):
