@@ -7,6 +7,7 @@ details . weights.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import zipfile
 from collections.abc import Iterator
@@ -26,6 +27,22 @@ def surfaces(bake: Bake, vertices: np.ndarray, chunk: int = CHUNK) -> Iterator[n
     for first in range(0, len(bake.frames), chunk):
         frames = slice(first, first + chunk)
         yield vertices + _displaced(bake.coordinates[frames], bake.weights[frames], bake.modes, bake.details)
+
+
+def digest(bake: Bake) -> str:
+    """Identifies what was simulated: SHA-256 of all numbers of a bake."""
+    found = hashlib.sha256()
+    for name in ("frames", "coordinates", "weights", "modes", "details", "dry"):
+        array = np.ascontiguousarray(getattr(bake, name))
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
+
+
+def reach(bake: Bake, to_bind: np.ndarray) -> float:
+    """How far a vertex is displaced from the Basis at most, in metres; to_bind (3, 3): local to metric space."""
+    metric = replace(bake, modes=bake.modes @ to_bind.T, details=bake.details @ to_bind.T)
+    return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(metric, 0.0))
 
 
 def with_fewer_keys(bake: Bake, budget: int) -> tuple[Bake, float]:

@@ -16,7 +16,9 @@ from .scene_data import Bake, Character, RigSamples, SimulationSettings, determi
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
-NO_STEPS = {"steps": 0, "iterations": 0, "converged": True, "energy": 0.0, "teleported": False, "seconds": 0.0}
+NO_STEPS = {
+    "steps": 0, "iterations": 0, "converged": True, "residual": 0.0, "energy": 0.0, "teleported": False, "seconds": 0.0
+}  # fmt: skip
 CLOSED = 1e-6  # body sizes: a loop whose surface ends nearer to where it began is done
 SAME_POSE = 1e-3  # body sizes: poses whose skin, moved as a whole, is nearer are one
 PASSES = 40  # of a loop, at most
@@ -456,6 +458,8 @@ def _report(frames: list[Frame]) -> dict:
         "engine_seconds": sum(step["seconds"] for step in steps),
         "steps_per_second": float(np.median(rates)) if rates else 0.0,  # the median frame: machines have other work
         "iterations": sum(step["iterations"] for step in steps),
+        "residual": max(step["residual"] for step in steps),  # of the largest force
+        "energy": max(step["energy"] for step in steps),  # elastic, J
         "warnings": [],
     }
     unconverged = [frame.number for frame in frames if not frame.steps["converged"]]
