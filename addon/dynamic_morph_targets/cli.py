@@ -24,9 +24,10 @@ from pathlib import Path
 
 import bpy
 
-from . import changes, checks, clips, extract, jobs, materials, model_file, properties, sinks
+from . import changes, checks, clips, collect, extract, jobs, materials, model_file, properties, sinks
 from .scene_data import VARIANTS, Material, ModelSettings
 
+COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
@@ -172,6 +173,12 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         "--force-displacement", type=Path, metavar="CSV", help="pushes: newtons x, y, z, metres x, y, z; mesh's axes"
     )
     fit.add_argument("--patch", metavar="GROUP", help="vertex group looked at or pushed; default: the target's region")
+    collected = commands.add_parser("collect", help=COLLECT, description=COLLECT)
+    collected.set_defaults(run=run_collect)
+    collected.add_argument("folder", type=Path, help="with what --report wrote")
+    collected.add_argument("--expect", type=int, metavar="N", help="how many reports there should be")
+    collected.add_argument("-o", "--page", type=Path, metavar="FILE", required=True,
+                           help="the HTML to write, with a .json of the same name beside it")  # fmt: skip
     command("free", run_free, "remove bakes and restore the target keys")
     command("info", run_info, "print what the file holds", writes=False)
     return root
@@ -210,6 +217,8 @@ def number(setting):
 
 def open_file(args, opens_file: bool):
     """Make sure that the .blend is open, and that the result can be written, before any work."""
+    if args.run == run_collect:
+        return
     if opens_file:
         if not args.file.is_file():
             raise InputError(f"there is no file '{args.file}'")
@@ -272,6 +281,17 @@ def set_property(obj, change: str):
         setattr(target, field, number(target.bl_rna.properties[field])(text))
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(f"--set {change}: {error}") from error
+
+
+def run_collect(args):
+    """Raises CollectError when a bake failed or is missing, after the page is written."""
+    reports = collect.read(args.folder)
+    wrong = collect.failures(reports, args.expect)
+    model_file.save(args.page, collect.page(reports, wrong).encode())
+    model_file.save(args.page.with_suffix(".json"), json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
+    print(f"{len(reports)} reports in {args.page}")
+    if wrong:
+        raise collect.CollectError("; ".join(wrong))
 
 
 def run_check(args):

@@ -208,7 +208,10 @@ class StandIn:
             np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.01, (3, vertices, 3)),
             np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets), np.zeros((len(settings.frames), 3)),
         )  # fmt: skip
-        report = {"steps": 100, "steps_per_second": 1000.0, "smallest_det": 0.9, "inverted": 0, "warnings": []}
+        report = {
+            "steps": 100, "steps_per_second": 1000.0, "residual": 1e-7, "energy": 2.0, "smallest_det": 0.9,
+            "inverted": 0, "warnings": [],
+        }  # fmt: skip
         return bake, report | ({"gap": 3e-5} if settings.loop else {})
 
 

@@ -285,3 +285,27 @@ def test_reports(shot, run, stand_in):
     assert run(*bake)[0] == 2
     found = json.loads(path.read_text())
     assert found["exit_code"] == 2 and "it went wrong" in found["error"] and found["characters"] == []
+
+
+def test_collect_makes_one_page_of_many_bakes(shot, run, stand_in, tmp_path):
+    folder = tmp_path / "reports"
+    folder.mkdir()
+    for name in ("Arm", "Leg"):
+        bake = ("bake", shot, "--object", name, "-o", tmp_path / "baked.blend", "--report", folder / f"<{name}>.json")
+        assert run(*bake)[0] == 0
+    page = tmp_path / "index.html"
+    assert run("collect", folder, "--expect", 2, "-o", page)[0] == 0
+    text = page.read_text()
+    assert "&lt;Arm&gt;" in text and "All went well" in text and text.count("<tr>") == 3
+    assert set(json.loads(page.with_suffix(".json").read_text())["reports"]) == {"<Arm>", "<Leg>"}
+    code, _, errors = run("collect", folder, "--expect", 3, "-o", page)
+    assert code == 2 and "2 reports instead of 3" in errors and "2 reports instead of 3" in page.read_text()
+    broken = json.loads((folder / "<Leg>.json").read_text())
+    broken["characters"][0]["bake"]["energy"] = float("nan")
+    (folder / "<Leg>.json").write_text(json.dumps(broken))
+    code, _, errors = run("collect", folder, "-o", page)
+    assert code == 2 and "<Leg>: Leg: energy is not a number" in errors
+    (folder / "<Leg>.json").write_text("nonsense")
+    code, _, errors = run("collect", folder, "-o", page)
+    assert code == 2 and "'<Leg>.json' is no report" in errors
+    assert run("collect", tmp_path, "-o", tmp_path / "none" / "page.html")[0] == 2
