@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures bench bench-docs stubs format lint wheel extension clean
+.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness fuzz stubs format lint wheel extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -50,6 +50,15 @@ bench: build
 # docs/performance.md from the last `make bench`.
 bench-docs: build
 	@$(python) tests/benchmarks/performance_page.py
+
+# docs/robustness.md with its picture, from the characters of ../shared; takes about a minute.
+robustness: build
+	@$(python) tests/benchmarks/robustness_page.py
+
+# More spoiled meshes than `make test` tries: examples=2000 takes about 15 minutes. What fails is tried first next time.
+examples ?= 2000
+fuzz: build
+	@DYNAMORPH_FUZZ=$(examples) $(python) -m pytest --hypothesis-show-statistics tests/engine/test_defects.py
 
 stubs: build
 	@$(stubgen) -o cpp/bindings

@@ -19,6 +19,7 @@ def _modules():
         operators,
         overlays,
         panels,
+        piece_operators,
         preferences,
         presets,
         properties,
@@ -28,8 +29,8 @@ def _modules():
         watch,
     )
 
-    buttons = operators, setup_operators, target_operators, transfer_operators, influence_operators, live_operators
-    return preferences, properties, *buttons, presets, influence, live, watch, overlays, panels
+    buttons = operators, setup_operators, piece_operators, target_operators, transfer_operators, influence_operators
+    return preferences, properties, *buttons, live_operators, presets, influence, live, watch, overlays, panels
 
 
 def register():

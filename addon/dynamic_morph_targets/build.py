@@ -15,7 +15,7 @@ import dynamorph
 import numpy as np
 
 from . import volume
-from .scene_data import FREE_SETTINGS, Character, ModelSettings, Skeleton, Target
+from .scene_data import FREE_SETTINGS, LATER_SETTINGS, Character, ModelSettings, Skeleton, Target
 from .volume import Progress, Stages
 
 Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.ndarray]]
@@ -23,8 +23,11 @@ Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.nd
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
 REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
 FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
-MESH_DEPENDENCIES = ("mesh", "object scale", "bones at rest", "cage nodes", "pin radius")  # of the tetrahedra
-CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "Soft vertex group")  # of them and of what is held
+# Of the tetrahedra.
+MESH_DEPENDENCIES = (
+    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage object", "pin radius", "pieces"
+)  # fmt: skip
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group")  # of them and of what is held
 CAGE_SHARE = 0.35  # of the time of a build
 
 
@@ -93,12 +96,26 @@ class Model:
     def skeleton(self) -> Skeleton:
         return Skeleton(self.bone_names, self.parents, self.rest)
 
-    def soft_body(self) -> dynamorph.SoftBody:
-        mesh = dynamorph.TetMesh(self.nodes, self.tets)
-        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, self.node_weights)
+    @property
+    def free(self) -> np.ndarray:
+        """Which nodes (n,) no bone holds."""
+        return ~self.pinned.astype(bool)
 
-    def engine(self, character: Character) -> dynamorph.ReducedModel | dynamorph.FullModel:
-        """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another."""
+    def soft_body(self, probed: bool = False) -> dynamorph.SoftBody:
+        """probed: every free node has a transform of its own."""
+        mesh, weights = dynamorph.TetMesh(self.nodes, self.tets), None if probed else self.node_weights
+        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, weights)
+
+    def at_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; overshoots slightly."""
+        embedding = dynamorph.Embedding(self.embedding_nodes, self.embedding_weights)
+        return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), embedding, values)
+
+    def engine(self, character: Character, probed: bool = False) -> dynamorph.ReducedModel | dynamorph.FullModel:
+        """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another.
+
+        probed: as for `soft_body`.
+        """
         character = character.by_method()
         if len(character.targets) != len(self.displacements):
             raise ValueError(f"'{character.name}' has other targets than its model: build it again")
@@ -106,9 +123,9 @@ class Model:
         blending = dynamorph.Blending.__members__[character.settings.blending]
         law = dynamorph.Law.__members__[self.settings.law]
         if self.settings.solver == "FULL":
-            return dynamorph.FullModel(self.soft_body(), targets, law, blending)
+            return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
         tables = dynamorph.ReducedTables(law, self.basis, list(self.table_lambda), list(self.table_mu))
-        return dynamorph.ReducedModel(self.soft_body(), targets, tables, blending)
+        return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
 
     @property
     def stepper(self) -> type:
@@ -169,7 +186,7 @@ def build(
         modes=model.basis.shape[1],
         targets=len(targets),
         fallbacks=fallbacks,
-        warnings=_fallback_warnings(fallbacks, len(model.tets)),
+        warnings=model.summary["warnings"] + _fallback_warnings(fallbacks, len(model.tets)),
         seconds=stages.seconds,
     )
     return model
@@ -185,8 +202,9 @@ def build_cage(character: Character, progress: Progress | None = None, previous:
     authored = dependencies(character)
     stages = Stages(progress, CAGE_SHARE)
     mesh = _reusable(previous, authored)
-    model, _ = _with_flesh(character.by_method(), {name: authored[name] for name in CAGE_DEPENDENCIES}, mesh, stages)
-    model.summary.update(modes=0, warnings=[], seconds=stages.seconds)
+    of_cage = {name: authored[name] for name in CAGE_DEPENDENCIES if name in authored}
+    model, _ = _with_flesh(character.by_method(), of_cage, mesh, stages)
+    model.summary.update(modes=0, seconds=stages.seconds)
     return model
 
 
@@ -194,7 +212,7 @@ def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.Tet
     """The tetrahedra of an earlier model, if there are any and nothing they depend on has changed."""
     if previous is None or not len(previous.tets):
         return None
-    fits = all(previous.dependencies.get(name) == authored[name] for name in MESH_DEPENDENCIES)
+    fits = all(previous.dependencies.get(name) == authored.get(name) for name in MESH_DEPENDENCIES)
     return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
 
 
@@ -358,10 +376,14 @@ def dependencies(character: Character) -> dict[str, str]:
     }
     if (character.stiffness != 1.0).any():  # else there is none, as in the models from before there was
         parts["Stiffness vertex group"] = (character.stiffness,)
+    if character.pieces.any():
+        parts["pieces"] = (character.pieces,)
     for j, target in enumerate(character.targets):
         parts[f"shape {j}"] = (target.shape,)
+    if character.cage:
+        parts["cage object"] = character.cage[1:]
     for name, value in asdict(settings).items():
-        if name not in FREE_SETTINGS:
+        if name not in FREE_SETTINGS and value != LATER_SETTINGS.get(name):
             parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)
     return {name: _hash(arrays) for name, arrays in parts.items()}
 
@@ -372,7 +394,7 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
     if vertices != before:  # and with them all else
         return [f"the mesh has {vertices} vertices instead of {before}"]
     now, then = dependencies(character), model.dependencies
-    only_cage = set(then) == set(CAGE_DEPENDENCIES)
+    only_cage = set(then) <= set(CAGE_DEPENDENCIES)
     considered = CAGE_DEPENDENCIES if only_cage else {**now, **then}
     changed = [name for name in considered if now.get(name) != then.get(name)]
     names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
@@ -384,7 +406,7 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
 def has_cage(model: Model, character: Character) -> bool:
     """Whether `model` has the tetrahedra, and the nodes held by bones, that `character` asks for."""
     now = dependencies(character)
-    return len(model.tets) > 0 and all(model.dependencies.get(name) == now[name] for name in CAGE_DEPENDENCIES)
+    return len(model.tets) > 0 and all(model.dependencies.get(name) == now.get(name) for name in CAGE_DEPENDENCIES)
 
 
 def _hash(arrays: tuple[np.ndarray, ...]) -> str:

@@ -15,9 +15,9 @@ from zlib import crc32
 import bpy
 import numpy as np
 
-from . import extract
+from . import checks, extract
 from .extract import SceneError
-from .properties import KEY_REFERENCE, named_targets, plain
+from .properties import KEY_REFERENCE, clothes_in, followers, named_targets, parts_in, plain
 from .scene_data import FREE_SETTINGS, SimulationSettings
 
 
@@ -56,6 +56,7 @@ def outdated(obj) -> list[str]:
     if obj.dynamorph.model.stale:
         found.append(obj.dynamorph.model.stale)
     seen = _parsed(record.animation or "[]")
+    found += _piece_changes(obj)
     found += [
         f'animation of "{name}" changed'
         for (name, digest), (_, before) in zip(seen, then["animation"], strict=False)
@@ -77,9 +78,10 @@ def model_inputs(obj) -> dict:
     groups = {"soft_group": settings.soft_group, "stiffness_group": settings.stiffness_group}
     if settings.stiffness_group:
         groups["stiffness_factor"] = settings.stiffness_factor
+    groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
     targets = {name: {"mute": target.mute, "region": target.region} for name, target in named_targets(obj)}
-    return {"targets": targets, "model": model, "groups": groups}
+    return {"targets": targets, "model": model, "groups": groups, "scene": {"unit_scale": extract.unit_scale()}}
 
 
 def bake_inputs(obj, simulation: SimulationSettings) -> dict:
@@ -87,6 +89,7 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     settings = obj.dynamorph
     inputs = model_inputs(obj)
     inputs["model"] = asdict(settings.model.settings())
+    inputs["groups"]["armature_modifiers"] = checks.skinning_settings(obj)
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     for name, target in named_targets(obj):
         own = plain(target, skip=(*KEY_REFERENCE, "rig_world"))
@@ -99,7 +102,8 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
-    for part, group in (("model", settings.model), ("simulation", settings.simulation), ("groups", None)):
+    known = {"model": settings.model, "simulation": settings.simulation, "groups": None, "scene": None}
+    for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
         found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]
     return found
@@ -117,6 +121,13 @@ def _target_changes(obj, then: dict, now: dict) -> list[str]:
             changed = [_title(target, field) for field in after if before.get(field, after[field]) != after[field]]
             found += [f'{title.lower()} of "{target.name}" changed' for title in changed]
     return found
+
+
+def _piece_changes(obj) -> list[str]:
+    """Which other meshes do not show what the bake of `obj` should show."""
+    wanted, shown = clothes_in(obj, "WITH_BODY"), followers(obj)
+    found = [f'piece "{piece.name}" is new' for piece in wanted if piece not in shown]
+    return found + [f'piece "{piece.name}" is not with the body any more' for piece in shown if piece not in wanted]
 
 
 def _title(group, name: str) -> str:

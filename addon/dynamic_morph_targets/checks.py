@@ -13,12 +13,13 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from .properties import key_points
+from .properties import key_points, rig_of
 from .scene_data import Skeleton, Target, turned
 
 SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
 PLAUSIBLE = (0.02, 20.0)  # metres from corner to corner; a body of another size is probably not meant
 
+SKINNING_FIELDS = ("use_deform_preserve_volume", "use_multi_modifier", "vertex_group", "invert_vertex_group")
 # Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
 GENERATING = {
     "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
@@ -49,9 +50,15 @@ def problems(obj) -> Iterator[Problem]:
     missing = list(skinning(obj))
     yield from missing
     if not missing:
-        (modifier,) = armature_modifiers(obj)
-        yield from _order(obj, modifier)
-        yield from rig(obj, modifier)
+        modifiers = armature_modifiers(obj)
+        yield from _order(obj, modifiers[-1])
+        for modifier in modifiers:
+            yield from _modifier(obj, modifier)
+        main = main_modifier(obj).object
+        for armature in dict.fromkeys((main, *(modifier.object for modifier in modifiers))):
+            yield from _armature(armature)
+            if armature == main or deforming_bones(obj, armature):
+                yield from _bones(obj, armature)
     yield from _keys(obj)
 
 
@@ -67,16 +74,32 @@ def next_steps(obj) -> Iterator[Problem]:
 
 def notes(obj) -> Iterator[Problem]:
     """What does not hinder a simulation, but will be ignored or will hide its result."""
-    for modifier in armature_modifiers(obj)[:1]:
+    for modifier in armature_modifiers(obj)[-1:]:
         for before in _modifiers_before(obj, modifier):
             if before.type in DEFORMING:
                 yield Problem(f"'{obj.name}': modifier '{before.name}' before the Armature is not simulated")
+        yield from _scene_drivers(modifier.object)
+    reason = beyond_bones(obj)
+    if reason:
+        yield Problem(f"'{obj.name}' is skinned with {reason}, which takes longer to bake and to play than plain bones")
     yield from shared_mesh(obj)
     sculpting = obj.dynamorph.sculpt.active and obj.mode != "OBJECT"  # which shows that key alone on purpose
     if obj.show_only_shape_key and not sculpting:
         yield Problem(
             f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake", "UNPIN"
         )
+
+
+def _scene_drivers(armature) -> Iterator[Problem]:
+    """Drivers of the rig that read a scene: it is sampled in a scene of its own, where they stand still."""
+    owners = (owner.animation_data for owner in (armature, armature.data) if owner.animation_data)
+    for variable in (each for owner in owners for curve in owner.drivers for each in curve.driver.variables):
+        if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
+            yield Problem(
+                f"A driver of '{armature.name}' reads '{variable.targets[0].data_path}' of the scene, which stands "
+                "still in a bake: write 'frame' in its expression, or keep the property on the armature"
+            )
+            return
 
 
 def outgrown(obj) -> str:
@@ -91,16 +114,39 @@ def outgrown(obj) -> str:
 
 
 def skinning(obj) -> Iterator[Problem]:
-    """Yields nothing when there is one Armature modifier with an armature."""
-    modifiers = armature_modifiers(obj)
-    if not modifiers:
+    """Yields nothing when there is an Armature modifier with an armature."""
+    if not armature_modifiers(obj):
         yield Problem(
             f"'{obj.name}' has no Armature modifier with an armature: add one, or parent the mesh to it",
             "ADD_ARMATURE" if armature_for(obj) else "",
         )
-    elif len(modifiers) > 1:
-        names = " and ".join(f"'{m.name}'" for m in modifiers)
-        yield Problem(f"'{obj.name}' has more than one Armature modifier ({names}): keep one")
+
+
+def beyond_bones(obj) -> str:
+    """What makes Blender's skinning of `obj` more than sums of bone matrices, which the engine knows; '' if nothing."""
+    modifiers = armature_modifiers(obj)
+    if len(modifiers) > 1:
+        return "several Armature modifiers"
+    if any(modifier.use_deform_preserve_volume for modifier in modifiers):
+        return "Preserve Volume"
+    bendy = any(bone.bbone_segments > 1 for modifier in modifiers for bone in deforming_bones(obj, modifier.object))
+    return "bendy bones" if bendy else ""
+
+
+def skinning_settings(obj) -> list:
+    """What a bake depends on of the Armature modifiers and of bones that bend, fit for JSON."""
+    found = []
+    for modifier in armature_modifiers(obj):
+        bones = deforming_bones(obj, modifier.object)
+        bendy = {bone.name: bone.bbone_segments for bone in bones if bone.bbone_segments > 1}
+        found.append([modifier.object.name, *(getattr(modifier, name) for name in SKINNING_FIELDS), bendy])
+    return found
+
+
+def main_modifier(obj):
+    """The Armature modifier of `properties.rig_of`, or None."""
+    rig = rig_of(obj)
+    return next((modifier for modifier in armature_modifiers(obj) if modifier.object == rig), None)
 
 
 def armature_modifiers(obj) -> list:
@@ -136,6 +182,37 @@ def shared_mesh(obj) -> Iterator[Problem]:
             "make it single-user (Object > Relations > Make Single User > Object & Data)",
             "SINGLE_USER",
         )
+
+
+def follower(obj, piece) -> Iterator[Problem]:
+    """What keeps the mesh object `piece` from moving with the flesh of the soft skin `obj`."""
+    body, armature = obj.name, rig_of(obj)
+    modifiers = armature_modifiers(piece)
+    if piece == obj:
+        yield Problem(f"'{body}' cannot be a piece of itself: remove it from the Pieces")
+    elif not modifiers:
+        yield Problem(
+            f"'{piece.name}' has no Armature modifier with an armature: skin it to '{armature.name}', or choose Rigid"
+        )
+    elif all(modifier.object != armature for modifier in modifiers):
+        yield Problem(
+            f"'{piece.name}' is moved by another armature: choose '{armature.name}' in its Armature modifier, or Rigid"
+        )
+    if piece.dynamorph.targets:
+        yield Problem(f"'{piece.name}' is a soft skin of its own: choose Own Cage")
+    elif piece.dynamorph.follows not in (None, obj):
+        other = piece.dynamorph.follows.name
+        yield Problem(f"'{piece.name}' follows '{other}': free the bake of that first, or turn its Live off")
+    if piece.mode == "EDIT":
+        yield Problem(f"'{piece.name}' is in Edit Mode: leave it first")
+    if not piece.data.vertices:
+        yield Problem(f"Mesh '{piece.data.name}' has no vertices: remove '{piece.name}' from the Pieces")
+    keys = piece.data.shape_keys
+    if keys and not keys.use_relative:
+        yield Problem(f"'{piece.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
+    bound = next((m for m in piece.modifiers if obj in (getattr(m, "target", None), getattr(m, "object", None))), None)
+    if bound:
+        yield Problem(f"'{piece.name}' follows '{body}' by its modifier '{bound.name}' already: choose Rigid")
 
 
 def active_targets(obj) -> list:
@@ -178,18 +255,12 @@ def _modifier(obj, modifier):
         yield Problem(
             f"'{obj.name}': Armature modifier '{modifier.name}' is disabled in viewports: enable it", "ENABLE_MODIFIER"
         )
-    if modifier.use_deform_preserve_volume:
-        yield Problem(
-            f"'{obj.name}' uses Preserve Volume: turn it off in Armature modifier '{modifier.name}'", "PRESERVE_VOLUME"
-        )
     if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
         yield Problem(
             f"'{obj.name}' is skinned by bone envelopes: in Armature modifier '{modifier.name}' turn Bone Envelopes "
             "off and Vertex Groups on",
             "ENVELOPES",
         )
-    if modifier.use_multi_modifier:
-        yield Problem(f"'{obj.name}': turn Multi Modifier off in Armature modifier '{modifier.name}'", "MULTI_MODIFIER")
 
 
 def _armature(armature):
@@ -214,9 +285,6 @@ def _bones(obj, armature):
             f"'{obj.name}' has no vertex group named after a deforming bone of '{armature.name}': weight it first"
         )
         return
-    bendy = next((bone for bone in bones if bone.bbone_segments > 1), None)
-    if bendy:
-        yield Problem(f"Bone '{bendy.name}' of '{armature.name}' is a bendy bone: set its Segments to 1", "BENDY_BONES")
     multiplied = next((bone for bone in bones if bone.use_envelope_multiply), None)
     if multiplied:
         yield Problem(
@@ -289,14 +357,17 @@ def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
     return bool(np.linalg.norm(turned(first, second)) < SAME_POSE)
 
 
-def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, weights: np.ndarray) -> Iterator[Problem]:
-    """Whether a body is likely to be meant as it is, from what `Character` calls by the same names."""
+def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray) -> Iterator[Problem]:
+    """Whether a body is likely to be meant as it is.
+
+    vertices, to_bind: as of `Character`; left (V,): which of them no bone moves.
+    """
     size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
     if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
         yield Problem(f"'{name}' is {size:.3g} m long: check the scale, it will move like something of that size")
-    left = int((weights[:, -1] >= 1.0).sum())
-    if left:
+    count = int(left.sum())
+    if count:
         yield Problem(
-            f"{left} of the {len(vertices)} vertices of '{name}' have no bone weight: they stay behind when the "
+            f"{count} of the {len(vertices)} vertices of '{name}' have no bone weight: they stay behind when the "
             "armature moves; weight them"
         )

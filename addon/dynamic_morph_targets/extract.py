@@ -7,6 +7,7 @@ Skinning is Blender's: shape keys first, then the Armature modifier, weights nor
 from __future__ import annotations
 
 import hashlib
+import itertools
 import threading
 import time
 from contextlib import contextmanager
@@ -16,10 +17,13 @@ import bpy
 import numpy as np
 
 from . import checks
-from .properties import key_points, reconcile, rest_skeleton, rig_of
+from .nearest import nearest
+from .properties import clothes_in, key_points, parts_in, reconcile, rest_skeleton, rig_of
 from .scene_data import (
     Character,
+    Follower,
     ForceField,
+    OwnCage,
     RigSamples,
     SimulationSettings,
     Skeleton,
@@ -35,6 +39,8 @@ STRIP_FIELDS = (
     "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
     "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
 )  # fmt: skip
+FAR = 0.1  # body sizes: what follows the flesh from further away does not move like it
+MEMBER = 0.5  # weight from which a vertex belongs to a piece
 NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
 
 
@@ -76,15 +82,66 @@ def character(obj, without_targets=False) -> Character:
         skeleton=skeleton,
         target_sets=target_sets,
         settings=settings.model.settings(),
+        probed=bool(checks.beyond_bones(obj)),
+        pieces=_pieces(obj, groups),
+        cage=_own_cage(obj, modifier.object, to_bind),
     )
 
 
+def followers(obj, character: Character) -> list[Follower]:
+    """The other meshes that the flesh of `obj` carries along; character: what was read of it. Raises SceneError."""
+    pieces = clothes_in(obj, "WITH_BODY")
+    if not pieces:
+        return []
+    rig = armature_modifier(obj).object
+    body_world, _ = _worlds_at_start(obj, rig)
+    skin = character.vertices @ character.to_bind.T
+    found = []
+    for piece in pieces:
+        _refuse(checks.follower(obj, piece))
+        to_body = inverse(body_world) @ _worlds_at_start(piece, rig)[0]
+        vertices = (rest_points(piece) @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
+        found.append(
+            Follower(
+                piece.name,
+                piece.session_uid,
+                vertices,
+                inverse(to_body[:3, :3]),
+                nearest(vertices, skin, character.triangles),
+            )
+        )
+    return found
+
+
+def far_followers(character: Character, found: list[Follower]) -> list[str]:
+    """Warnings about what is too far from the skin to move as if it were flesh."""
+    far = FAR * np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    return [
+        f"'{follower.name}' is up to {follower.skin.distances.max():.2g} m from the skin of '{character.name}': if it "
+        "moves oddly, choose Own Cage or Rigid for it"
+        for follower in found
+        if follower.skin.distances.max() > far
+    ]
+
+
+def rest_points(obj) -> np.ndarray:
+    """Points (V, 3) of the mesh without its shape keys, local space. Raises SceneError."""
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    if obj.data.shape_keys:
+        points = key_points(obj.data.shape_keys.reference_key)
+    else:
+        obj.data.attributes["position"].data.foreach_get("vector", points.ravel())
+    if not np.isfinite(points).all():
+        raise SceneError(f"'{obj.name}' has vertices whose coordinates are not numbers: delete or repair them")
+    return points.astype(np.float64)
+
+
 def armature_modifier(obj):
-    """The one Armature modifier that skins `obj`. Raises SceneError."""
+    """The Armature modifier whose armature places the targets of `obj`. Raises SceneError."""
     if obj is None or obj.type != "MESH":
         raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
     _refuse(checks.skinning(obj))
-    return checks.armature_modifiers(obj)[0]
+    return checks.main_modifier(obj)
 
 
 def check_mesh(obj):
@@ -100,24 +157,33 @@ def _refuse(problems):
 
 def warnings(obj, character: Character) -> list[str]:
     """What will be ignored, or is not likely to be meant."""
-    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, character.weights))
+    left = _left_behind(obj, VertexGroups(obj))
+    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, left))
     return [problem.text for problem in found]
 
 
 def first_look(obj) -> list[str]:
     """All that is in the way of simulating `obj`, or not likely to be meant, before it is a soft skin."""
-    modifier = checks.armature_modifiers(obj)[0]
     found = [*checks.problems(obj), *checks.notes(obj)]
     try:
-        to_bind = _stretch(_worlds_at_start(obj, modifier.object)[0])
-        weights = _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+        to_bind = _stretch(_worlds_at_start(obj, rig_of(obj))[0])
+        left = _left_behind(obj, VertexGroups(obj))
     except SceneError as error:
         return [*(problem.text for problem in found), str(error)]
     points = np.empty((len(obj.data.vertices), 3), np.float32)
     obj.data.vertices.foreach_get("co", points.ravel())  # Edit Mode hides the attribute
     if len(points):
-        found += checks.body(obj.name, points, to_bind, weights)
+        found += checks.body(obj.name, points, to_bind, left)
     return [problem.text for problem in found]
+
+
+def _left_behind(obj, groups: VertexGroups) -> np.ndarray:
+    """Which vertices (V,) no bone moves."""
+    unmoved = [
+        _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), groups)[:, -1] >= 1.0
+        for modifier in checks.armature_modifiers(obj)
+    ]
+    return np.all(unmoved, axis=0)
 
 
 def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
@@ -206,6 +272,12 @@ class VertexGroups:
         return weights
 
 
+def skin_weights(obj) -> np.ndarray:
+    """Skin weights (V, B + 1) of any mesh with an Armature modifier, as `Character.weights`. Raises SceneError."""
+    modifier = armature_modifier(obj)
+    return _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+
+
 def _skin_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:
     bones = modifier.object.data.bones
     weights = groups.weights(skeleton.names)
@@ -240,12 +312,72 @@ def _stiffness(obj, groups: VertexGroups) -> np.ndarray:
     return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 
+def _pieces(obj, groups: VertexGroups) -> np.ndarray:
+    """Which piece each vertex belongs to, as `Character.pieces` says. Where groups overlap the first one counts.
+
+    Raises SceneError.
+    """
+    parts = parts_in(obj)
+    gone = next((part for part in parts if part.group not in obj.vertex_groups), None)
+    if gone:
+        raise SceneError(f"'{obj.name}': the vertex group '{gone.group}' of a piece is gone: remove the piece")
+    pieces, free = np.zeros(len(obj.data.vertices), np.int32), np.ones(len(obj.data.vertices), bool)
+    cages = itertools.count(1)
+    for part, weights in zip(parts, groups.weights([part.group for part in parts]).T, strict=True):
+        members = free & (weights >= MEMBER)
+        if part.choice != "WITH_BODY" and members.any():
+            pieces[members] = -1 if part.choice == "RIGID" else next(cages)
+        free &= ~members
+    return pieces
+
+
 def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
     bones = checks.deforming_bones(obj, rig)
-    ends = np.array([(*bone.head_local, 1.0, *bone.tail_local, 1.0) for bone in bones]).reshape(-1, 2, 4)
-    # Rounded like the stretch: the last digits of this product change when both objects are moved.
-    return (ends @ np.round(to_local, 5).T)[..., :3] @ to_bind.T + 0.0
+    ends = np.array([(*bone.head_local, *bone.tail_local) for bone in bones]).reshape(-1, 2, 3)
+    # Rounded like the stretch: the last digits of this transform change when both objects are moved.
+    size = np.cbrt(abs(determinant(to_local[:3, :3])))
+    units = 10.0 ** np.round(np.log10([size, size * np.abs(ends).max()]))
+    turn, shift = _rounded(to_local[:3, :3], units[0]), _rounded(to_local[:3, 3], units[1])
+    return (ends @ turn.T + shift) @ to_bind.T + 0.0
+
+
+def _own_cage(obj, rig, to_bind) -> OwnCage | None:
+    """The artist's cage as it is when the scene starts and the armature is at rest, bind space. Raises SceneError."""
+    cage = obj.dynamorph.model.cage_object
+    if cage is None:
+        return None
+    if cage.name not in bpy.context.scene.objects:
+        raise SceneError(f"Cage Object '{cage.name}' of '{obj.name}' is not in the scene any more: choose another")
+    if cage.mode == "EDIT":
+        raise SceneError(f"Cage Object '{cage.name}' is in Edit Mode: leave it first")
+    if cage.hide_viewport:
+        raise SceneError(f"Cage Object '{cage.name}' is disabled in viewports: enable it, and hide it by its eye")
+    with _at_rest(rig), _rig_scene(obj, rig) as (scene, _follower):
+        scene.collection.objects.link(cage)
+        scene.frame_set(bpy.context.scene.frame_start)
+        depsgraph = scene.view_layers[0].depsgraph
+        evaluated = cage.evaluated_get(depsgraph)
+        to_local = inverse(np.array(obj.evaluated_get(depsgraph).matrix_world)) @ np.array(evaluated.matrix_world)
+        mesh = evaluated.to_mesh()
+        points = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.vertices.foreach_get("co", points.ravel())
+        triangles = mesh_triangles(mesh)
+        evaluated.to_mesh_clear()
+    if not len(triangles):
+        raise SceneError(f"Cage Object '{cage.name}' has no faces: choose a closed mesh")
+    to_local = np.round(to_local, 5)  # as the bones' ends
+    return OwnCage(cage.name, (points @ to_local[:3, :3].T + to_local[:3, 3]) @ to_bind.T, triangles)
+
+
+@contextmanager
+def _at_rest(rig):
+    position = rig.data.pose_position
+    rig.data.pose_position = "REST"
+    try:
+        yield
+    finally:
+        rig.data.pose_position = position
 
 
 def mesh_triangles(mesh) -> np.ndarray:
@@ -256,12 +388,22 @@ def mesh_triangles(mesh) -> np.ndarray:
     return triangles
 
 
-def _worlds_at_start(obj, rig) -> list[np.ndarray]:
-    """World transforms of both when the scene starts: a model that depended on the current frame would age by playing.
+def unit_scale() -> float:
+    """Metres in a Blender unit, as the scene's unit settings say. All that is read of the world is in metres."""
+    units = bpy.context.scene.unit_settings
+    return 1.0 if units.system == "NONE" else units.scale_length
 
-    Raises SceneError.
+
+def _in_metres(worlds: np.ndarray, unit: float) -> np.ndarray:
+    """World transforms (..., 4, 4) for the world in metres instead of Blender units of `unit` metres."""
+    return worlds * np.array([unit, unit, unit, 1.0])[:, None]
+
+
+def _worlds_at_start(obj, rig) -> list[np.ndarray]:
+    """World transforms of both, metres, when the scene starts: a model that depended on the current frame would age by
+    playing. Raises SceneError.
     """
-    with _rig_scene(obj, rig) as scene:
+    with _rig_scene(obj, rig) as (scene, _follower):
         scene.frame_set(bpy.context.scene.frame_start)
         depsgraph = scene.view_layers[0].depsgraph
         worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
@@ -271,7 +413,7 @@ def _worlds_at_start(obj, rig) -> list[np.ndarray]:
         sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
         if sizes[-1] <= 1e-6 * sizes[0]:
             raise SceneError(f"'{moving.name}' is scaled to zero: give it a size")
-    return worlds
+    return [_in_metres(world, unit_scale()) for world in worlds]
 
 
 def _not_a_number(name: str, frame: int) -> str:
@@ -283,15 +425,19 @@ def _stretch(world) -> np.ndarray:
     values, vectors = np.linalg.eigh(world[:3, :3].T @ world[:3, :3])
     stretch = (vectors * np.sqrt(values)) @ vectors.T
     # Rounded, or the object's rotation would show in the last digits and make the model out of date.
-    unit = 10.0 ** np.floor(np.log10(stretch.max()))
-    return np.round(stretch / unit, 5) * unit + 0.0  # no negative zeros
+    return _rounded(stretch, 10.0 ** np.floor(np.log10(stretch.max())))
+
+
+def _rounded(values: np.ndarray, unit: float) -> np.ndarray:
+    """To five digits after the unit, which has the values' size: Blender's transforms have about seven."""
+    return np.round(values / unit, 5) * unit + 0.0  # no negative zeros
 
 
 # The pose ----------------------------------------------------------------------------------------------------------
 
 
 def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
-    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4).
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4), metres.
 
     depsgraph: where it is evaluated, if not where the artist sees it.
     """
@@ -311,12 +457,12 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
     return skeleton, skeleton.local_transforms(pose), rig_world
 
 
-def world_now(rig, depsgraph=None) -> np.ndarray:
-    """The evaluated world transform (4, 4) of the armature; depsgraph: as `current_pose`. Raises SceneError."""
-    world = np.array(rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
+def world_now(obj, depsgraph=None) -> np.ndarray:
+    """The evaluated world transform (4, 4) of an object, metres; depsgraph: as `current_pose`. Raises SceneError."""
+    world = np.array(obj.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
     if not np.isfinite(world).all():
-        raise SceneError(_not_a_number(rig.name, bpy.context.scene.frame_current))
-    return world
+        raise SceneError(_not_a_number(obj.name, bpy.context.scene.frame_current))
+    return _in_metres(world, unit_scale())
 
 
 def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
@@ -362,11 +508,25 @@ def _invertible(matrices: np.ndarray) -> np.ndarray:
 # The moving rig ----------------------------------------------------------------------------------------------------
 
 
-def sample_rig(obj, start: int, end: int, substeps: int) -> RigSamples:
-    """The rig at 1 + (end - start) * substeps times, at once. Raises SceneError."""
+def sample_rig(obj, start: int, end: int, substeps: int, probe=None) -> RigSamples:
+    """The rig at 1 + (end - start) * substeps times, at once; probe: as in `RigSampling`. Raises SceneError."""
     sampling = RigSampling(obj, start, end, substeps)
+    sampling.probe = probe
     sampling.advance(obj)
     return sampling.samples()
+
+
+def sample_present(obj, probe=None) -> RigSamples:
+    """One sample of the rig as the artist sees it posed now; probe: as in `RigSampling`. Raises SceneError."""
+    skeleton, local, rig_world = current_pose(obj)
+    pose, world = skeleton.pose(local)[None], world_now(obj)[None]
+    if probe is None:
+        return RigSamples(pose, rig_world[None], world)
+    rig, frame = armature_modifier(obj).object, bpy.context.scene.frame_float
+    with _rig_scene(obj, rig, probe) as (scene, follower):
+        scene.frame_set(int(frame), subframe=frame % 1.0)
+        nodes, held = (probe.in_poses(scene, follower, rig, poses) for poses in (pose, probe.poses))
+    return RigSamples(pose, rig_world[None], world, nodes=nodes, held=held)
 
 
 class RigSampling:
@@ -375,20 +535,24 @@ class RigSampling:
     It does so in slices, between which Blender does other things. Each makes a scene of its own, in a few milliseconds:
     one that stayed in between would be seen, saved, and brought back by undo. The user's frame and pose stay as they
     are.
+
+    probe: the nodes that Blender is to pose too (`probe.Probe`), to be set before the first slice.
     """
 
     def __init__(self, obj, start: int, end: int, substeps: int):
         rig = armature_modifier(obj).object
         self.start, self.substeps = start, substeps
+        self.probe = self._nodes = self._held = None
         self.done, self.count = 0, 1 + (end - start) * substeps
+        self._unit = unit_scale()
         self._skeleton = rest_skeleton(rig.data)
         self._order = pose_order(rig, self._skeleton)
-        self._moving = (rig.name, obj.name, *self._skeleton.names)
+        self._moving = _moving(obj, rig)
         sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
         self._sources = [source.name for source in sources]
         self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
         self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
-        self._fields = tuple(_empty_samples(source.field, self.count) for source in sources)
+        self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
 
     @property
     def frame(self) -> int:
@@ -403,14 +567,20 @@ class RigSampling:
         ends = time.perf_counter() + seconds
         rig = armature_modifier(obj).object
         sources = [bpy.context.scene.objects.get(name) for name in self._sources]
-        if (rig.name, obj.name, *rest_skeleton(rig.data).names) != self._moving or None in sources:
+        if _moving(obj, rig) != self._moving or None in sources:
             raise SceneError(f"'{obj.name}' or what moves it changed while it was read: start again")
-        with _rig_scene(obj, rig) as scene:
+        with _rig_scene(obj, rig, self.probe) as (scene, follower):
             for source in sources:
                 if source.name not in scene.collection.objects:  # the rig may be one
                     scene.collection.objects.link(source)
+            if self.probe and self._nodes is None:
+                scene.frame_set(self.start)
+                self._held = self.probe.in_poses(scene, follower, rig, self.probe.poses)
+                self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
                 self._read(scene, obj, rig, sources)
+                if self.probe:
+                    self.probe.read(scene, follower, self._nodes.points[self.done])
                 self.done += 1
                 if time.perf_counter() > ends:
                     break
@@ -431,8 +601,10 @@ class RigSampling:
 
     def samples(self) -> RigSamples:
         """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
-        samples = RigSamples(_ordered(self._columns, self._order), self._rig_world, self._object_world, self._fields)
-        worlds = np.stack([self._rig_world, self._object_world], axis=1)
+        worlds = _in_metres(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
+        fields = tuple(replace(field, world=_in_metres(field.world, self._unit)) for field in self._fields)
+        pose = _ordered(self._columns, self._order)
+        samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], fields, self._nodes, self._held)
         bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
         if len(bad):
             raise SceneError(_not_a_number(self._moving[bad[0, 1]], self._frame(bad[0, 0])))
@@ -440,6 +612,9 @@ class RigSampling:
         if len(flat):
             name, frame = self._moving[flat[0, 1]], self._frame(flat[0, 0])
             raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
+        for nodes in filter(None, (self._nodes, self._held)):
+            if not np.isfinite(nodes.points).all():
+                raise SceneError(_not_a_number(self._moving[1], self.start))
         for name, field in zip(self._sources, self._fields, strict=True):
             if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
                 raise SceneError(f"Force field '{name}' is not a number at some frame: check its drivers")
@@ -447,6 +622,12 @@ class RigSampling:
 
     def _frame(self, sample) -> int:
         return self.start + int(sample) // self.substeps
+
+
+def _moving(obj, rig) -> tuple[str, ...]:
+    """Names of what moves `obj`: the armature, the object, the bones, and other armatures that skin it."""
+    others = (modifier.object.name for modifier in checks.armature_modifiers(obj))
+    return (rig.name, obj.name, *rest_skeleton(rig.data).names, *others)
 
 
 def _force_fields(view_layer) -> list:
@@ -465,9 +646,9 @@ def _force_fields(view_layer) -> list:
     return found
 
 
-def _empty_samples(field, count: int) -> ForceField:
-    nearest = field.distance_min if field.use_min_distance else 0.0
-    farthest = field.distance_max if field.use_max_distance else np.inf
+def _empty_samples(field, count: int, unit: float) -> ForceField:
+    nearest = unit * field.distance_min if field.use_min_distance else 0.0
+    farthest = unit * field.distance_max if field.use_max_distance else np.inf
     plane = field.shape == "PLANE"
     return ForceField(
         field.type, plane, field.falloff_power, nearest, farthest, np.empty((count, 4, 4)), np.empty(count)
@@ -475,33 +656,38 @@ def _empty_samples(field, count: int) -> ForceField:
 
 
 @contextmanager
-def _rig_scene(obj, rig):
-    """A scene with the rig alone, so that a frame costs what the rig costs.
+def _rig_scene(obj, rig, probe=None):
+    """A scene with the rig, so that a frame costs what the rig costs; and an object that follows the mesh object.
 
-    An empty that copies the mesh object's transform makes the dependency graph evaluate that transform, with its
-    parents, constraints and drivers, but not the mesh.
+    That copies the mesh object's transform, which makes the dependency graph evaluate it, with its parents, constraints
+    and drivers, but not the mesh. It is empty, or a probe's mesh that is skinned like the body.
     """
     if render_runs():
         raise SceneError("Blender is rendering: wait until it is done")
     user = bpy.context.scene.render
     scene = bpy.data.scenes.new("Dynamorph Sampling")
-    probe = bpy.data.objects.new("Dynamorph Sampling", None)
+    mesh = probe and probe.mesh()
+    follower = bpy.data.objects.new("Dynamorph Sampling", mesh)
     try:
         for field in ("fps", "fps_base", "frame_map_old", "frame_map_new"):
             setattr(scene.render, field, getattr(user, field))
-        probe.constraints.new("COPY_TRANSFORMS").target = obj
+        follower.constraints.new("COPY_TRANSFORMS").target = obj
+        if probe:
+            probe.dress(follower, obj)
         scene.collection.objects.link(rig)
-        scene.collection.objects.link(probe)
-        yield scene
+        scene.collection.objects.link(follower)
+        yield scene, follower
     finally:
         bpy.data.scenes.remove(scene)
-        bpy.data.objects.remove(probe)
+        bpy.data.objects.remove(follower)
+        if mesh:
+            bpy.data.meshes.remove(mesh)
 
 
 def animation(obj) -> list[tuple[str, str]]:
-    """(name, hash of the F-curves and NLA strips) of the objects that move the skin: both and their parents."""
+    """(name, hash of the F-curves and NLA strips) of the objects that move the skin: all and their parents."""
     moving = []
-    for mover in (rig_of(obj), obj):
+    for mover in (rig_of(obj), obj, *(modifier.object for modifier in checks.armature_modifiers(obj))):
         while mover is not None and mover not in moving:
             moving.append(mover)
             mover = mover.parent
@@ -562,7 +748,11 @@ def hold_collapsed(samples: RigSamples, skeleton: Skeleton, before=None) -> tupl
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
-    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError."""
+    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError.
+
+    The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
+    per s^2, so that at a unit scale of 0.01 a body falls as on the moon's moon.
+    """
     chosen = obj.dynamorph.simulation
     fps = scene.render.fps / scene.render.fps_base
     own = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)

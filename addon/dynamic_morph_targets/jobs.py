@@ -19,10 +19,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, live_key, materials, model_file, preferences, sinks
+from . import changes, extract, live_key, materials, model_file, preferences, probe, properties, sinks
 from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
+CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 running: Batch | None = None  # the work whose progress the panels draw
@@ -258,13 +259,18 @@ class Job:
         self.model = None
         self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
         self.result = None
+        self.followers: list = []  # other meshes that the flesh carries along
+        self.carried: list = []  # their bakes
         self.size = 0  # of the bake, in bytes
+        self._read_from = 0.0  # of the whole, the part done before the rig is read
         self._error: BaseException | None = None
-        self.thread = threading.Thread(target=self._work, name=f"dynamorph {obj.name}", daemon=True)
+        self.thread = self._thread(self._compute)
 
     def prepare(self):
         """Check and read the scene at once; main thread."""
         self.read()
+        if self.needs_cage():
+            self._make_cage()
         self.sample()
         self._take_rig()
 
@@ -278,7 +284,11 @@ class Job:
         self.character = extract.character(obj, without_targets=self.only_cage)
         if self.bake:
             sinks.check(obj)
+            self.followers = extract.followers(obj, self.character)
+            for follower in self.followers:
+                sinks.check(find(follower.session_uid), needs_keys=False)
         self.warnings = extract.warnings(obj, self.character)
+        self.warnings += extract.far_followers(self.character, self.followers)
         with suppress(model_file.ModelFileError):  # then one of the reasons
             self.previous = load_model(obj)
         self.reasons = self._reasons(obj)
@@ -293,14 +303,36 @@ class Job:
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
         self._sampling = extract.RigSampling(obj, settings.start, settings.end, settings.substeps)
 
+    def needs_cage(self) -> bool:
+        """Whether there must be a cage before `sample`, because Blender is asked how it moves its nodes."""
+        build, _ = engine()
+        return self._probes() and not (self.previous and build.has_cage(self.previous, self.character))
+
+    def _probes(self) -> bool:
+        return bool(self._sampling and self.character.probed and self.character.settings.method != "STATIC")
+
+    def start_cage(self):
+        """Begin to make the cage, in a thread."""
+        self.thread = self._thread(self._make_cage)
+        self.thread.start()
+
+    def _make_cage(self):
+        build, _ = engine()
+        with self._stage("build"):
+            self.previous = build.build_cage(self.character, self._progress(0.0, CAGE), self.previous)
+        self._read_from = CAGE
+
     def sample(self, seconds: float = np.inf) -> bool:
         """Read the moving rig, if the job needs it, for about so long; True when all is read."""
         sampling = self._sampling
         if sampling is None:
             return True
         with self._stage("sample rig"):
-            done = sampling.advance(find(self.session_uid), seconds)
-        self._progress(0.0, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
+            obj = find(self.session_uid)
+            if self._probes() and sampling.probe is None:
+                sampling.probe = probe.Probe(obj, self.previous, self.character)
+            done = sampling.advance(obj, seconds)
+        self._progress(self._read_from, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
         return done
 
     def _reasons(self, obj) -> list[str]:
@@ -320,6 +352,7 @@ class Job:
 
     def start(self):
         """Begin to compute, in a thread."""
+        self.thread = self._thread(self._compute)
         self.thread.start()
 
     def wait(self, timeout: float | None = None) -> bool:
@@ -335,14 +368,19 @@ class Job:
 
     def target(self):
         """The object that the results are for. Raises SceneError when they do not fit it any more."""
-        obj = find(self.session_uid)
-        if len(obj.data.vertices) != len(self.character.vertices):
-            raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
-        return obj
+        for uid, vertices in self._meshes().items():
+            obj = find(uid)
+            if len(obj.data.vertices) != len(vertices):
+                raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
+        return find(self.session_uid)
+
+    def _meshes(self) -> dict[int, np.ndarray]:
+        """The vertices of all objects that results are for, by session_uid."""
+        return {self.session_uid: self.character.vertices, **{f.session_uid: f.vertices for f in self.followers}}
 
     def must_wait(self) -> bool:
         """Whether a bake cannot be written yet: the artist went on in Edit Mode, which has a mesh of its own."""
-        waits = self.bake and find(self.session_uid).mode == "EDIT"
+        waits = self.bake and any(find(uid).mode == "EDIT" for uid in self._meshes())
         if waits:
             self.message = "Waiting for you to leave Edit Mode"
         return waits
@@ -355,13 +393,24 @@ class Job:
         if not self.bake:
             return
         with self._stage("write keys"):
-            live_key.remove(obj)
-            self.size = sinks.write_modal_keys(obj, self.result)
+            self._write_keys(obj)
         record = obj.dynamorph.bake
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
         changes.look_at_animation(obj)
+
+    def _write_keys(self, obj):
+        pieces = [find(follower.session_uid) for follower in self.followers]
+        for piece in pieces:
+            sinks.check(piece, needs_keys=False)  # before anything is written
+        live_key.remove(obj)
+        for piece in properties.followers(obj):
+            if piece not in pieces:
+                sinks.free(piece)
+        self.size = sinks.write_modal_keys(obj, self.result)
+        for piece, carried in zip(pieces, self.carried, strict=True):
+            self.size += sinks.write_modal_keys(piece, carried, obj)
 
     def summary(self) -> str:
         """One line for the artist."""
@@ -386,7 +435,10 @@ class Job:
         made = self.model.summary
         if not made["tets"]:
             return ""
-        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {made['pinned'] / made['nodes']:.0%} held by bones"
+        quality = made.get("quality")  # models of older versions do not say
+        angles = f", angles {quality['min_dihedral']:.0f}° to {quality['max_dihedral']:.0f}°" if quality else ""
+        held = f"{made['pinned'] / made['nodes']:.0%} held by bones"
+        return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held}{angles}"
 
     def _store_model(self, obj):
         record = obj.dynamorph.model
@@ -414,9 +466,12 @@ class Job:
             bounce, volume = self.references[index] if index is not None else (0.0, 0.0)
             target.set_references(bounce, volume, measured[index or 0].material.poisson)
 
-    def _work(self):
+    def _thread(self, work) -> threading.Thread:
+        return threading.Thread(target=self._work, args=[work], name=f"dynamorph {self.name}", daemon=True)
+
+    def _work(self, work):
         try:
-            self._compute()
+            work()
         except _engine_errors() as error:  # the engine does not know whose cage it works on
             named = f"'{self.name}'" in str(error)
             self._error = error if named else type(error)(f"'{self.name}': {error}")
@@ -450,6 +505,7 @@ class Job:
             self.result, self.report = simulate.bake(
                 self.model, self.character, self.rig, self.settings, self._progress(start, 1.0)
             )
+            self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
         self.warnings += self.report["warnings"]
         first, last = self.model.summary.get("fitted", (self.settings.start, self.settings.end))
         if self.settings.start < first or self.settings.end > last:
@@ -460,7 +516,7 @@ class Job:
                 "Stiffness or Cage Nodes, or smooth the sculpt"
             )
         for name in ("coordinates", "weights", "modes", "details", "dry"):
-            if not np.isfinite(getattr(self.result, name)).all():
+            if not all(np.isfinite(getattr(bake, name)).all() for bake in (self.result, *self.carried)):
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
 
     def _progress(self, begin: float, end: float):
@@ -514,6 +570,11 @@ class Batch:
             self._at = job
             job.read()
             yield from self._turn(reading=True)
+        for job in filter(Job.needs_cage, self.jobs):
+            self._at = job
+            job.start_cage()
+            while not job.wait(pause):
+                yield from self._turn(reading=True)
         for job in self.jobs:
             self._at = job
             while not job.sample(seconds):

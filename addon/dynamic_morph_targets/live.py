@@ -8,6 +8,7 @@ loading move everything there; what it needs to know it asks anew at each frame.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 
 import bpy
@@ -15,7 +16,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import changes, events, extract, jobs, live_key, properties
+from . import changes, events, extract, jobs, live_key, probe, properties
 from .extract import SceneError
 from .scene_data import Character, Material, RigSamples, SimulationSettings
 
@@ -23,6 +24,7 @@ BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five 
 CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
 RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
 KEPT = 250  # latest frames from which it can go on again, when settings are changed there
+STATE_BYTES = 2**28  # that those may take, where each has the transforms of nodes
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 
 sessions: dict[int, Session] = {}  # by Object.session_uid
@@ -43,28 +45,71 @@ class Flesh:
             raise SceneError(f"'{obj.name}' has an unreduced model, too slow to play: choose Solver Reduced and build")
         _, simulate = jobs.engine()
         self.player = simulate.Player(self.model, self.character, extract.simulation_settings(obj, scene))
-        modes = np.zeros((0, *self.character.vertices.shape))
-        if self.model.basis.size:
-            modes = simulate.surface_modes(self.model, self.model.basis.T)
-        shapes = np.concatenate([modes, self.model.details])
+        self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
+        nodes = simulate.node_modes(self.model, self.model.basis.T)
+        modes = self.model.surface(nodes) if nodes.size else np.zeros((0, *self.character.vertices.shape))
         self.modes = len(modes)
         self.target_names = [target.name for target in self.character.by_method().targets]
-        self._rest = self.character.vertices.astype(np.float32).ravel()
-        self._shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
+        self.skin = Surface(obj, self.character.vertices, modes, self.model.details)
+        self.followers = []
+        for follower in extract.followers(obj, self.character):
+            piece = jobs.find(follower.session_uid)
+            shapes = simulate.carried(self.model, nodes, follower)
+            self.followers.append(Surface(piece, extract.rest_points(piece), *shapes))
 
     def values(self, frame) -> np.ndarray:
         """What `points` asks for: (r + J,) coordinates as shown, and target weights."""
         return np.concatenate([self.player.shown(frame), frame.weights])
 
     def points(self, values: np.ndarray) -> np.ndarray:
-        """Points (3 V,) of the surface, float32, local space."""
-        return self._rest + _blended(values, self._shapes)
+        """Points (3 V,) of the skin, float32, local space."""
+        return self.skin.points(values)
+
+    def add_keys(self, obj):
+        """The live keys of the soft skin `obj` and of what follows it. Raises SinkError."""
+        live_key.add(obj, self.target_names, [jobs.find(surface.session_uid) for surface in self.followers])
+
+    def show(self, values: np.ndarray) -> bool:
+        """Write the live keys; False when that of the skin is gone."""
+        shown = self.skin.show(values)
+        for surface in self.followers:
+            with suppress(SceneError):  # it was deleted
+                surface.show(values)
+        return shown
 
     def moved(self, values: np.ndarray) -> float:
         """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
         motion = values[: self.modes] - self.player.dry(values[self.modes :])
-        displacement = _blended(motion, self._shapes[: self.modes]).reshape(-1, 3)
+        displacement = _blended(motion, self.skin.shapes[: self.modes]).reshape(-1, 3)
         return float(np.linalg.norm(displacement @ self.character.to_bind.T, axis=1).max())
+
+
+class Surface:
+    """A mesh whose live key shows the flesh: the soft skin's own, or one that follows it.
+
+    vertices (V, 3), modes (r, V, 3), details (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): what the key
+    shows.
+    """
+
+    def __init__(self, obj, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
+        self.session_uid = obj.session_uid
+        self.written = None
+        self._rest = vertices.astype(np.float32).ravel()
+        shapes = np.concatenate([modes, details])
+        self.shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
+
+    def points(self, values: np.ndarray) -> np.ndarray:
+        """Points (3 V,), float32, local space."""
+        return self._rest + _blended(values, self.shapes)
+
+    def show(self, values: np.ndarray) -> bool:
+        """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
+        block = live_key.find(jobs.find(self.session_uid), self.written)
+        if block is None or 3 * len(block.points) != len(self._rest):
+            return False
+        self.written = self.points(values)
+        live_key.write(block, self.written)
+        return True
 
 
 def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
@@ -75,8 +120,8 @@ def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
 class Rig:
     """The rig at true sub-frames, as a bake reads it: blocks of frames, of which the latest are kept until an edit."""
 
-    def __init__(self, start: int, substeps: int, skeleton):
-        self.start, self.substeps, self.skeleton = start, substeps, skeleton
+    def __init__(self, start: int, substeps: int, skeleton, probe):
+        self.start, self.substeps, self.skeleton, self.probe = start, substeps, skeleton, probe
         self._blocks: dict[int, RigSamples] = {}
 
     def after(self, obj, frame: int) -> RigSamples:
@@ -84,10 +129,10 @@ class Rig:
         index, offset = divmod(frame - self.start, BLOCK)
         if index not in self._blocks:
             first = self.start + index * BLOCK
-            samples = extract.sample_rig(obj, first, first + BLOCK, self.substeps)
+            samples = extract.sample_rig(obj, first, first + BLOCK, self.substeps, self.probe)
             before = self._blocks.get(index - 1)
             self._blocks[index], _ = extract.hold_collapsed(samples, self.skeleton, before and before.pose[-1])
-            while len(self._blocks) > max(2, RIG_BYTES // samples.pose.nbytes):
+            while len(self._blocks) > max(2, RIG_BYTES // samples.nbytes):
                 del self._blocks[next(iter(self._blocks))]
         return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
 
@@ -101,7 +146,6 @@ class Session:
     def __init__(self, obj, scene):
         self.flesh = Flesh(obj, scene)
         self.content_id = obj.dynamorph.model.content_id
-        self.written = None  # (3 V,) what the live key shows
         self.first = self.last = self.now = None  # frames: simulated from, to; the one that shows, or just before
         self._frames: dict[int, object] = {}
         self._states: dict[int, tuple] = {}
@@ -109,16 +153,21 @@ class Session:
         self._placing, self._material = _placing(obj), _materials(obj)
         self._sampled = _sampling(obj)
         settings = self.flesh.player.settings
-        self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton)
+        moving = len(self.flesh.probe.rest) if self.flesh.probe else 1
+        self._kept = min(KEPT, max(1, STATE_BYTES // (4 * 96 * moving)))
+        self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton, self.flesh.probe)
 
     def fits(self, obj, settings: SimulationSettings) -> bool:
         """Whether this is still a session of the object's model, with steps as long."""
         mine = self.flesh.player.settings
         same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
+        if self.flesh.probe and _placing(obj) != self._placing:
+            return False  # the nodes were posed as the targets were captured
         return same and self.content_id == obj.dynamorph.model.content_id
 
-    def points(self, obj, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
-        """The surface (3 V,) at a frame, or between two. arrives: the start of the range begins anew, else it shows.
+    def values(self, obj, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
+        """What `Flesh.show` asks for, at a frame or between two. arrives: the start of the range begins anew, else it
+        shows.
 
         Raises SceneError.
         """
@@ -136,7 +185,7 @@ class Session:
             values += share * (self.flesh.values(self._frames[before + 1]) - values)
         if not np.isfinite(values).all():  # Python and drivers can set a gain to anything
             raise jobs.SelfCheckError(f"'{obj.name}': its motion is not numbers: reset the gains of its modes")
-        return self.flesh.points(values)
+        return values
 
     def rig_changed(self):
         """The rig moves otherwise from here on."""
@@ -187,9 +236,8 @@ class Session:
     def _begin_again(self, obj):
         """From the end of a cycle to its start, without a jump."""
         settings = self.flesh.player.settings
-        ends = [self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end)]
-        parts = zip(*((end.pose, end.rig_world, end.object_world) for end in ends), strict=True)
-        cycle = RigSamples(*(np.concatenate(part) for part in parts))
+        first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end))
+        cycle = first.and_then(last)
         self._start(settings.start, self.flesh.player.begin_again(cycle, self._frames[settings.end]))
 
     def _start(self, number: int, frame):
@@ -203,13 +251,13 @@ class Session:
 
     def _keep(self, number: int, frame):
         self._frames[number], self.last = frame, number
-        self._states[number % KEPT] = number, self.flesh.player.state
+        self._states[number % self._kept] = number, self.flesh.player.state
 
     def _rewind(self):
         """Forget the frames after the one that shows; if its state is no longer kept, all of them."""
         if self.now == self.last:
             return
-        number, state = self._states.get(self.now % KEPT, (None, None))
+        number, state = self._states.get(self.now % self._kept, (None, None))
         if number != self.now:
             self.first, self._frames = None, {}
             return
@@ -221,7 +269,7 @@ class Session:
 def _sampling(obj) -> tuple:
     """What the rig's samples depend on besides its animation."""
     render = bpy.context.scene.render
-    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new
+    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, extract.unit_scale()
 
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:
@@ -282,7 +330,7 @@ def turn_on(obj, scene):
     """
     global _any_live
     session = Session(obj, scene)
-    live_key.add(obj, session.flesh.target_names)
+    session.flesh.add_keys(obj)
     sessions[obj.session_uid], _any_live = session, True
     _problems.pop(obj.session_uid, None)
     follow(obj, scene)
@@ -321,12 +369,10 @@ def follow(obj, scene, arrives=True):
         session = sessions.get(uid)
         if session is None or not session.fits(obj, settings):
             session = sessions[uid] = Session(obj, scene)
-        block = live_key.find(obj, session.written)
-        if block is None:
+        if live_key.find(obj, session.flesh.skin.written) is None:
             turn_off(obj)
             return
-        session.written = session.points(obj, settings, scene.frame_float, arrives)
-        live_key.write(block, session.written)
+        session.flesh.show(session.values(obj, settings, scene.frame_float, arrives))
     except Exception as error:  # whatever it is: raised in a handler, it would be printed at every frame
         sessions.pop(uid, None)
         expected = isinstance(error, jobs.expected_errors())
@@ -382,7 +428,7 @@ def _edited(scene, depsgraph):
         rig = bones and properties.rig_of(obj)
         if bones and not (rig and properties.bones_key(rig.data) == session.bones):
             del sessions[obj.session_uid]
-        if is_on(obj) and live_key.find(obj, session.written) is None:
+        if is_on(obj) and live_key.find(obj, session.flesh.skin.written) is None:
             turn_off(obj)
 
 
@@ -416,7 +462,8 @@ def _loaded(*_args):
 @persistent
 def _before_save(*_args):
     """save_pre: note what the live keys look like, by which they are found after a rename."""
-    for obj in properties.soft_skins(bpy.data.objects):
+    skins = properties.soft_skins(bpy.data.objects)
+    for obj in [each for skin in skins for each in (skin, *properties.followers(skin))]:
         block = live_key.find(obj)
         if block is not None and obj.library is None:
             blocks = obj.data.shape_keys.key_blocks

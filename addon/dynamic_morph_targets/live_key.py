@@ -6,15 +6,27 @@ from __future__ import annotations
 import numpy as np
 
 from . import sinks
-from .properties import key_points, reconcile
+from .properties import followers, key_points, reconcile
 
 NAME = "Dynamorph Live"
 
 
-def add(obj, target_names):
-    """Add the key at value 1, and mute the keys of these targets: it contains their shapes. Raises SinkError."""
+def add(obj, target_names, pieces=()):
+    """Add the key at value 1, and mute the keys of these targets: it contains their shapes. Raises SinkError.
+
+    pieces: other meshes that follow the soft skin `obj`; each gets one too.
+    """
     sinks.check(obj)
+    for piece in pieces:
+        sinks.check(piece, needs_keys=False)
+    _add(obj, target_names)
+    for piece in pieces:
+        _add(piece, target_names, skin=obj)
+
+
+def _add(obj, target_names, skin=None):
     reconcile(obj)
+    sinks.follow(obj, skin)
     blocks = obj.data.shape_keys.key_blocks
     active = obj.active_shape_key_index
     block = obj.shape_key_add(name=NAME, from_mix=False)
@@ -22,16 +34,27 @@ def add(obj, target_names):
     block.relative_key = obj.data.shape_keys.reference_key
     obj.active_shape_key_index = active
     obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
-    sinks.mute_targets(obj, obj.dynamorph.live.muted, target_names)
+    sinks.mute_targets(obj, obj.dynamorph.live.muted, target_names, skin)
 
 
 def remove(obj):
-    """Remove the key, if it is there, and restore what it muted and the active key. Raises SinkError."""
+    """Remove the key of `obj` and of what follows it, where there is one, and restore what it muted and the active key.
+
+    Raises SinkError.
+    """
+    shown = (obj, *followers(obj))
+    for each in shown:
+        if find(each):
+            sinks.check_not_edited(each)
+    for each in shown:
+        _remove(each)
+
+
+def _remove(obj):
     reconcile(obj)
     record = obj.dynamorph.live
     block = find(obj)
     if block is not None:
-        sinks.check_not_edited(obj)
         blocks = obj.data.shape_keys.key_blocks
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         obj.shape_key_remove(block)
@@ -39,6 +62,8 @@ def remove(obj):
         obj.active_shape_key_index = index if index >= 0 else len(blocks) - 1
     sinks.unmute_targets(obj, record.muted)
     record.key.name = ""
+    if not obj.dynamorph.bake.keys:
+        sinks.leave(obj)
 
 
 def find(obj, written: np.ndarray | None = None):

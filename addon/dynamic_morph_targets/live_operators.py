@@ -80,16 +80,14 @@ class Preview:
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         if not self._was_live:
-            live_key.add(obj, self.flesh.target_names)
+            self.flesh.add_keys(obj)
         live.lent.add(self.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None):
-        """values: see Flesh.points. transform: in world space, of the rig. Raises SceneError when the key is gone."""
+        """values: see Flesh.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
         obj = jobs.find(self.session_uid)
-        block = live_key.find(obj)
-        if block is None:
+        if not self.flesh.show(values):
             raise SceneError("The live key was removed: the test stops")
-        live_key.write(block, self.flesh.points(values))
         if transform is not None:
             self._movers = self._movers or [_Mover(moved) for moved in movers(obj)]
             for mover in self._movers:
@@ -310,9 +308,10 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
-    """The rig in its present pose, shaken: samples at substeps, and the world transforms (S, 4, 4) that move it."""
-    skeleton, local, rig_world = extract.current_pose(obj)
-    object_world = np.array(obj.matrix_world)
+    """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
+    world, Blender units."""
+    still = extract.sample_present(obj, flesh.probe)
+    rig_world = still.rig_world[0]
     settings = flesh.player.settings
     count = 1 + round(SECONDS * settings.fps) * settings.substeps
     heights, angles = shake(kind, np.arange(count) * settings.step)
@@ -321,8 +320,9 @@ def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
     origin = rig_world[:3, 3]
     transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
     transforms[:, 2, 3] += heights * flesh.player.size
-    pose = np.broadcast_to(skeleton.pose(local), (count, *local.shape))
-    return RigSamples(pose, transforms @ rig_world, transforms @ object_world), transforms
+    samples = still.moved(transforms)
+    transforms[:, :3, 3] /= extract.unit_scale()
+    return samples, transforms
 
 
 class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
@@ -338,9 +338,7 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
         """A swing a second; in the background, one."""
         if not flesh.modes:
             raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
-        skeleton, local, rig_world = extract.current_pose(obj)
-        still = RigSamples(skeleton.pose(local)[None], rig_world[None], np.array(obj.matrix_world)[None])
-        weights = flesh.player.begin(still).weights
+        weights = flesh.player.begin(extract.sample_present(obj, flesh.probe)).weights
         return self._swinging(obj.session_uid, flesh, weights)
 
     @staticmethod

@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
-from . import events, jobs, properties, sinks
+from . import events, jobs, live_key, properties, sinks
 
 TICK = 0.05  # seconds between two turns of a job
 SLICE = 0.035  # of which it may hold the window, about
@@ -82,8 +82,19 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
 
     bl_idname = "dynamorph.free_bake"
     bl_label = "Free Bake"
+    needs_soft_skin = False
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if obstacle:
+            return obstacle
+        obj = properties.mesh_in(context)
+        return "" if obj.dynamorph.targets or properties.is_shown_on(obj) else "Press Add Soft Skin first"
 
     def apply(self, obj):
+        if not obj.dynamorph.targets:  # a piece, which may show Live
+            live_key.remove(obj)
         sinks.free(obj)
 
 

@@ -41,7 +41,7 @@ class Cage:
     pinned: np.ndarray
 
     def posed(self, bones: np.ndarray) -> np.ndarray:
-        """Positions (k, 3), world space, under skin matrices (B + 1, 3, 4)."""
+        """Positions (k, 3), in the space that skin matrices (B + 1, 3, 4) lead to."""
         skin = (self.weights @ bones.reshape(len(bones), 12).astype(np.float32)).reshape(-1, 3, 4)
         return np.einsum("kij,kj->ki", skin[:, :, :3], self.rest) + skin[:, :, 3]
 
@@ -87,6 +87,7 @@ def _order(session_uid: int, _bones: tuple) -> list[int]:
 def skin_matrices(obj, depsgraph) -> np.ndarray | None:
     """Skin matrices (B + 1, 3, 4) float32 of the built model: of the pose in which the mesh is shown.
 
+    They lead to the world in Blender units, which is where it is drawn.
     None if the armature has other bones now than when it was built.
     """
     model = jobs.load_model(obj)

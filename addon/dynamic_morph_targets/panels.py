@@ -10,10 +10,11 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Menu, Panel, UIList
 
-from . import changes, checks, influence, jobs, live, live_operators, properties, setup_operators, sinks
+from . import changes, checks, influence, jobs, live, live_operators, pieces, properties, setup_operators, sinks
 
 LINE = 34  # characters that fit into the sidebar at its default width
 FEW_BONES = 8  # of a target: more are folded away
+FEW_NOTES = 3  # about what is left alone
 WIDE = 340  # pixels, at a resolution scale of 1: a list this wide has room for more than names
 
 
@@ -59,6 +60,22 @@ class DYNAMORPH_MT_targets(Menu):
         layout.operator("dynamorph.select_key", icon="SHAPEKEY_DATA")
 
 
+class DYNAMORPH_UL_pieces(UIList):
+    """The pieces of a character, each with what moves it."""
+
+    def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, _index):
+        row = layout.row(align=True)
+        row.enabled = jobs.running is None
+        name = item.group or (item.object.name if item.object else item.name)
+        icon = "GROUP_VERTEX" if item.group else "OBJECT_DATA"
+        row.label(
+            text=name.removeprefix(pieces.PREFIX),
+            icon="ERROR" if pieces.problem(data.id_data, item) else icon,
+            translate=False,
+        )
+        row.prop(item, "choice", text="")
+
+
 class DYNAMORPH_UL_modes(UIList):
     """The modes of the built model."""
 
@@ -77,9 +94,15 @@ def draw_soft_skin(layout, context, obj):
         draw_message(layout, jobs.engine_problem())
     draw_problems(layout, obj)
     if not obj.dynamorph.targets:
+        if obj.dynamorph.follows:
+            text = iface_("'{name}' moves with '{body}'").format(name=obj.name, body=obj.dynamorph.follows.name)
+            draw_message(layout, text, icon="LINKED")
+        if properties.is_shown_on(obj):
+            layout.operator("dynamorph.free_bake", icon="X")
         layout.operator("dynamorph.add_soft_skin", icon="ADD")
         return
     draw_cage(layout, context, obj)
+    draw_pieces(layout, obj)
     draw_targets(layout, obj)
     draw_influence(layout, context, obj)
     draw_model(layout, obj)
@@ -124,7 +147,12 @@ def draw_cage(layout, context, obj):
     column = body.column()
     column.enabled = jobs.running is None
     column.prop(settings.model, "cage_nodes")
+    column.prop(settings.model, "cage_object")
+    thickness = column.row()
+    thickness.active = settings.model.cage_object is None
+    thickness.prop(settings.model, "cage_thickness")
     column.prop(settings.model, "pin_radius")
+    column.prop(settings.model, "separate")
     draw_painted_group(column, obj, "SOFT")
     draw_painted_group(column, obj, "STIFFNESS")
     if settings.stiffness_group:
@@ -142,6 +170,49 @@ def draw_painted_group(layout, obj, which: str):
     button = row.row(align=True)
     button.ui_units_x = 2.5  # the name of the group needs the rest
     button.operator("dynamorph.paint_group", text=text).which = which
+
+
+# Pieces of the character -------------------------------------------------------------------------------------------
+
+
+def draw_pieces(layout, obj):
+    settings = obj.dynamorph
+    header, body = layout.panel("dynamorph_pieces", default_closed=True)
+    count = len(settings.pieces)
+    header.label(text=iface_("Pieces ({count})").format(count=count) if count else iface_("Pieces"), translate=False)
+    if not body:
+        return
+    row = body.row()
+    row.template_list("DYNAMORPH_UL_pieces", "", settings, "pieces", settings, "active_piece_index", rows=3)
+    column = row.column(align=True)
+    column.operator("dynamorph.add_piece", text="", icon="ADD")
+    column.operator("dynamorph.remove_piece", text="", icon="REMOVE")
+    column.operator("dynamorph.select_piece", text="", icon="RESTRICT_SELECT_OFF")
+    if settings.active_piece:
+        draw_piece(body, obj, settings.active_piece)
+    body.operator("dynamorph.find_pieces", icon="VIEWZOOM")
+    alone = list(pieces.left_alone(obj))
+    for text in alone[:FEW_NOTES]:
+        draw_message(body, text, icon="INFO")
+    if len(alone) > FEW_NOTES:
+        draw_message(body, iface_("And {count} more like them").format(count=len(alone) - FEW_NOTES), icon="BLANK1")
+
+
+def draw_piece(layout, obj, piece):
+    column = layout.column(align=True)
+    column.enabled = jobs.running is None
+    if not piece.group:
+        column.prop(piece, "object")
+    if not piece.object:
+        column.prop_search(piece, "group", obj, "vertex_groups")
+    if pieces.problem(obj, piece):
+        draw_message(layout, pieces.problem(obj, piece))
+    elif piece.object and piece.choice == "OWN_CAGE" and not piece.object.dynamorph.targets:
+        text = iface_("'{name}' needs a soft skin of its own").format(name=piece.object.name)
+        draw_message(layout, text, icon="INFO")
+        button = layout.row()
+        button.context_pointer_set("object", piece.object)
+        button.operator("dynamorph.add_soft_skin", icon="ADD")
 
 
 # Targets -----------------------------------------------------------------------------------------------------------
@@ -369,7 +440,7 @@ def draw_setup(layout):
         row.operator("dynamorph.load_setup", icon="IMPORT")
 
 
-# Pieces ------------------------------------------------------------------------------------------------------------
+# What panels are made of -------------------------------------------------------------------------------------------
 
 
 def draw_job(layout, operator: str, icon: str, text: str | None = None):

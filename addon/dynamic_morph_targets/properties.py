@@ -41,8 +41,16 @@ NEVER = 1e5  # frames: of a swing that nothing damps
 
 
 def rig_of(obj):
-    """The armature object of the first Armature modifier that has one, or None."""
-    return next((m.object for m in obj.modifiers if m.type == "ARMATURE" and m.object), None)
+    """The armature object that places the targets of `obj`, or None: of the first Armature modifier that skins it.
+
+    That has a deforming bone with a vertex group; if none has, the first that has an armature.
+    """
+    rigs = [m.object for m in obj.modifiers if m.type == "ARMATURE" and m.object]
+    if len(rigs) < 2:
+        return rigs[0] if rigs else None
+    groups = set(obj.vertex_groups.keys())
+    skins = (rig for rig in rigs if any(bone.use_deform and bone.name in groups for bone in rig.data.bones))
+    return next(skins, rigs[0])
 
 
 def rest_skeleton(armature) -> Skeleton:
@@ -315,6 +323,40 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)
 
 
+def _is_other_mesh(chosen, obj) -> bool:
+    return obj.type == "MESH" and obj != chosen.id_data
+
+
+def _cage_chosen(model, _context):
+    from . import watch  # which looks at what is authored here
+
+    if model.content_id:
+        watch.look_soon()
+
+
+class DynamorphPiece(PropertyGroup):
+    """Eyes, teeth, clothes: another mesh object, or a part of this mesh. `name` is what it was called when found."""
+
+    object: PointerProperty(
+        name="Object", description="Another mesh on the same armature; none for a part of this mesh",
+        type=bpy.types.Object, poll=_is_other_mesh, override=OVERRIDE,
+    )  # fmt: skip
+    group: StringProperty(
+        name="Vertex Group", description="Of a part of this mesh: its vertices have a weight of a half or more",
+        override=OVERRIDE,
+    )  # fmt: skip
+    choice: EnumProperty(
+        name="Moves",
+        description="What moves the piece",
+        items=(
+            ("WITH_BODY", "With Body", "The flesh that it is in, or nearest to, carries it along"),
+            ("OWN_CAGE", "Own Cage", "It is simulated by itself, in a cage of its own"),
+            ("RIGID", "Rigid", "Its bones alone"),
+        ),
+        default="WITH_BODY", override=OVERRIDE,
+    )  # fmt: skip
+
+
 class DynamorphModel(PropertyGroup):
     """How the model of an object is built, and what came of it."""
 
@@ -367,14 +409,32 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     cage_nodes: IntProperty(
         name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
-        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=10_000,
+        default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=20_000,
         override=OVERRIDE,
+    )  # fmt: skip
+    cage_thickness: FloatProperty(
+        name="Cage Thickness",
+        description="How far the cage stands off the skin at least. It does so anyway by about a tenth of the size of "
+        "its tetrahedra",
+        default=ModelSettings.cage_thickness, min=0.0, soft_max=0.1, subtype="DISTANCE", override=OVERRIDE,
+    )  # fmt: skip
+    cage_object: PointerProperty(
+        name="Cage Object",
+        description="Closed mesh around the skin in rest pose, as it is when the scene starts, to be filled with "
+        "tetrahedra instead of the automatic cage",
+        type=bpy.types.Object, poll=_is_other_mesh, update=_cage_chosen, override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
         description="How far from a bone to the skin the flesh is held by the bone: 0 only at the bone",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE,
+    )  # fmt: skip
+    separate: BoolProperty(
+        name="Separate Touching Parts",
+        description="Cut the cage where it joins parts of the skin that merely touch, such as an arm and the side it "
+        "hangs at, so that they move by themselves",
+        default=ModelSettings.separate, override=OVERRIDE,
     )  # fmt: skip
     vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
     cage: StringProperty(name="Cage", description="What the cage of the model is made of")
@@ -526,6 +586,18 @@ class DynamorphSettings(PropertyGroup):
         description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
         default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
     )  # fmt: skip
+    pieces: CollectionProperty(
+        name="Pieces", description="Parts of the mesh, and other meshes, that do not simply belong to the body",
+        type=DynamorphPiece, override=OVERRIDE_LIST,
+    )  # fmt: skip
+    active_piece_index: IntProperty(
+        name="Active Piece", description="Index of the piece selected in the list", min=0, override=OVERRIDE
+    )
+    follows: PointerProperty(
+        name="Follows", description="The soft skin whose motion the bake or Live shows on this mesh",
+        type=bpy.types.Object,
+    )  # fmt: skip
+    had_keys: BoolProperty(name="Had Shape Keys", description="Whether the mesh had a Basis before it followed")
     model: PointerProperty(
         name="Model", description="How the model is built, and what came of it", type=DynamorphModel, override=OVERRIDE
     )
@@ -547,6 +619,11 @@ class DynamorphSettings(PropertyGroup):
         """The target selected in the list, or None."""
         inside = 0 <= self.active_target_index < len(self.targets)
         return self.targets[self.active_target_index] if inside else None
+
+    @property
+    def active_piece(self):
+        """The piece selected in the list, or None."""
+        return self.pieces[self.active_piece_index] if self.active_piece_index < len(self.pieces) else None
 
 
 def _show_influence(display, _context):
@@ -667,6 +744,7 @@ def _follow_groups(obj):
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
     users = [(settings, "soft_group"), (settings, "stiffness_group"), *((each, "region") for each in settings.targets)]
+    users += [(piece, "group") for piece in settings.pieces]
     for user, name in users:
         if getattr(user, name) in renamed:
             setattr(user, name, renamed[getattr(user, name)])
@@ -719,6 +797,27 @@ def soft_skins(objects):
     return [obj for obj in objects if obj.type == "MESH" and obj.dynamorph.targets]
 
 
+def parts_in(obj) -> list:
+    """The pieces of a soft skin that are parts of its own mesh."""
+    return [piece for piece in obj.dynamorph.pieces if piece.group]
+
+
+def clothes_in(obj, choice: str) -> list:
+    """The other meshes that are pieces of a soft skin with this choice, without those that are deleted."""
+    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == choice]
+    return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
+
+
+def is_shown_on(obj) -> bool:
+    """Whether there are keys of a bake or of Live on a mesh."""
+    return bool(obj.dynamorph.bake.keys or obj.dynamorph.live.key.name)
+
+
+def followers(obj) -> list:
+    """The meshes that show the motion of the soft skin `obj` now, by its bake or by Live."""
+    return [other for other in bpy.data.objects if other.dynamorph.follows == obj]
+
+
 def mesh_in(context):
     """The mesh object that buttons and panels are about, or None: the active one, of an armature the soft skin on it.
 
@@ -761,6 +860,7 @@ CLASSES = (
     DynamorphBone,
     DynamorphBonePose,
     DynamorphTarget,
+    DynamorphPiece,
     DynamorphModel,
     DynamorphMode,
     DynamorphLive,

@@ -4,13 +4,14 @@
 `extract` fills these from a Blender scene, `build` and `simulate` consume them, `sinks` writes the result back.
 
 Spaces: *local* is the mesh object's own space (what shape keys store), *bind* is local space with the object's scale
-applied, so lengths are metres there, *world* is Blender's world space.
+applied, so lengths are metres there, *world* is Blender's world space in metres (`extract.unit_scale`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -128,23 +129,77 @@ class ForceField:
 
 
 @dataclass(frozen=True)
+class PosedNodes:
+    """n nodes of the flesh where Blender's own modifiers put them, at S sample times.
+
+    rest (n, 3) bind space. points (S, 4, n, 3) float32, the object's space: of the nodes, and of the nodes moved by
+    `reach` metres along each axis of bind space.
+    """
+
+    rest: np.ndarray
+    reach: float
+    points: np.ndarray
+
+    def __getitem__(self, samples: slice) -> PosedNodes:
+        return replace(self, points=self.points[samples])
+
+    def transforms(self, object_world: np.ndarray) -> np.ndarray:
+        """[A | a] (S, n, 3, 4), bind to world space; exact at rest. object_world (S, 4, 4)."""
+        out = np.empty((len(self.points), len(self.rest), 3, 4))
+        for points, world, frames in zip(self.points, object_world, out, strict=True):
+            here, *beside = points @ world[:3, :3].T
+            frames[..., 3] = here + world[:3, 3]
+            for axis, moved in enumerate(beside):
+                frames[..., axis] = (moved - here) / self.reach
+                frames[..., 3] -= frames[..., axis] * self.rest[:, axis, None]
+        return out
+
+
+@dataclass(frozen=True)
 class RigSamples:
     """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4).
 
-    fields: what pushes the skin then.
+    fields: what pushes the skin then. nodes: the free nodes as Blender poses them, where bones do not say it; held:
+    the same (S = J) in the targets' captured poses, the objects being where they are at the first sample.
     """
 
     pose: np.ndarray
     rig_world: np.ndarray
     object_world: np.ndarray
     fields: tuple[ForceField, ...] = ()
+    nodes: PosedNodes | None = None
+    held: PosedNodes | None = None
 
     def __len__(self) -> int:
         return len(self.pose)
 
     def __getitem__(self, samples: slice) -> RigSamples:
         fields = tuple(field[samples] for field in self.fields)
-        return RigSamples(self.pose[samples], self.rig_world[samples], self.object_world[samples], fields)
+        nodes = self.nodes and self.nodes[samples]
+        own = (part[samples] for part in (self.pose, self.rig_world, self.object_world))
+        return RigSamples(*own, fields, nodes, self.held)
+
+    def and_then(self, other: RigSamples) -> RigSamples:
+        """These samples and others of the same rig, without fields."""
+        parts = zip(*((s.pose, s.rig_world, s.object_world) for s in (self, other)), strict=True)
+        points = self.nodes and np.concatenate([self.nodes.points, other.nodes.points])
+        nodes = self.nodes and replace(self.nodes, points=points)
+        return RigSamples(*map(np.concatenate, parts), nodes=nodes, held=self.held)
+
+    def moved(self, transforms: np.ndarray) -> RigSamples:
+        """The first of these samples, moved as a whole by transforms (S, 4, 4) of the world, without fields."""
+        count = len(transforms)
+        pose = np.broadcast_to(self.pose[0], (count, *self.pose.shape[1:]))
+        nodes = self.nodes
+        if nodes:
+            nodes = replace(nodes, points=np.broadcast_to(nodes.points[0], (count, *nodes.points.shape[1:])))
+        own = transforms @ self.rig_world[0], transforms @ self.object_world[0]
+        return RigSamples(pose, *own, nodes=nodes, held=self.held)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of what grows with the samples, about."""
+        return self.pose.nbytes + (self.nodes.points.nbytes if self.nodes else 0)
 
     def skin_matrices(self, skeleton: Skeleton, to_bind: np.ndarray) -> np.ndarray:
         """The transforms that carry bind space to world space, one for each bone and one for the object itself.
@@ -232,6 +287,8 @@ VARIANTS: dict[str, dict[str, str]] = {
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+# Settings that came later, at the value that builds what was built before: a model from then stays up to date.
+LATER_SETTINGS = {"cage_thickness": 0.0, "separate": True}
 
 
 @dataclass(frozen=True)
@@ -245,7 +302,17 @@ class ModelSettings:
     modes: int = 20
     fit_to_shot: bool = False  # choose the modes from how the shot moves
     cage_nodes: int = 2000
+    cage_thickness: float = 0.0  # metres that the cage stands off the skin at least
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
+    separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
+
+
+class OwnCage(NamedTuple):
+    """The artist's cage: points (C, 3) bind space, triangles (D, 3); name: of its object."""
+
+    name: str
+    points: np.ndarray
+    triangles: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -255,7 +322,9 @@ class Character:
     vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
-    deforming bones, bind space.
+    deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
+    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
+    with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
     """
 
     name: str
@@ -269,6 +338,13 @@ class Character:
     skeleton: Skeleton
     target_sets: tuple[TargetSet, ...]
     settings: ModelSettings = field(default_factory=ModelSettings)
+    probed: bool = False
+    cage: OwnCage | None = None
+    pieces: np.ndarray = None
+
+    def __post_init__(self):
+        if self.pieces is None:
+            object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
 
     @property
     def targets(self) -> list[Target]:
@@ -291,6 +367,39 @@ class Character:
             )
             return replace(self, target_sets=sets)
         return self
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """The nearest points of a triangle mesh to P points.
+
+    corners (P, 3): vertices of the triangle each lies on; weights (P, 3): its barycentric coordinates there;
+    distances (P,): to it.
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    distances: np.ndarray
+
+    def carry(self, values: np.ndarray) -> np.ndarray:
+        """The values (V, ...) of the mesh's vertices at the points: (P, ...)."""
+        return np.einsum("pc,pc...->p...", self.weights, values[self.corners])
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
+
+    session_uid: of its object. vertices (P, 3): at rest, in the character's bind space; from_body (3, 3) carries
+    displacements in the character's local space to the mesh's own; skin: the points of the character's surface nearest
+    to the vertices.
+    """
+
+    name: str
+    session_uid: int
+    vertices: np.ndarray
+    from_body: np.ndarray
+    skin: SurfaceMap
 
 
 @dataclass(frozen=True)
@@ -328,6 +437,7 @@ class Bake:
 
     frames (F,), coordinates (F, r), weights (F, J), modes (r, V, 3), details (J, V, 3): what the cage cannot carry of
     each target's shape. target_names (J,). dry (F, r): the coordinates of the targets' shapes alone, without motion.
+    node_modes (r, n, 3): the modes of the cage's nodes, bind space, for what else moves with the flesh.
     """
 
     frames: np.ndarray
@@ -337,6 +447,7 @@ class Bake:
     details: np.ndarray
     target_names: tuple[str, ...]
     dry: np.ndarray
+    node_modes: np.ndarray | None = None
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""

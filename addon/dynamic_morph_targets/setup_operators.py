@@ -67,12 +67,12 @@ def _owned(data):
 
 
 def _in_modifier(**values) -> Callable:
-    """A fix that sets properties of the Armature modifier."""
+    """A fix that sets properties of the Armature modifiers."""
 
     def apply(obj):
-        (modifier,) = checks.armature_modifiers(obj)
-        for name, value in values.items():
-            setattr(modifier, name, value)
+        for modifier in checks.armature_modifiers(obj):
+            for name, value in values.items():
+                setattr(modifier, name, value)
 
     return apply
 
@@ -81,19 +81,24 @@ def _in_bones(name: str, value) -> Callable:
     """A fix that sets a property of every bone that skins the mesh."""
 
     def apply(obj):
-        rig = properties.rig_of(obj)
-        _owned(rig.data)
-        for bone in checks.deforming_bones(obj, rig):
-            setattr(bone, name, value)
+        for rig in _rigs(obj):
+            _owned(rig.data)
+            for bone in checks.deforming_bones(obj, rig):
+                setattr(bone, name, value)
 
     return apply
+
+
+def _rigs(obj) -> list:
+    """The armature objects that skin `obj`."""
+    return [modifier.object for modifier in checks.armature_modifiers(obj)]
 
 
 def _leave_edit_mode(obj):
     objects = bpy.context.view_layer.objects
     active = objects.active
-    for edited in (obj, properties.rig_of(obj)):
-        if edited and edited.mode == "EDIT":
+    for edited in (obj, *_rigs(obj)):
+        if edited.mode == "EDIT":
             objects.active = edited
             bpy.ops.object.mode_set(mode="OBJECT")
     objects.active = active
@@ -112,17 +117,19 @@ def _add_armature_modifier(obj):
 
 
 def _move_below(obj):
-    (armature,) = checks.armature_modifiers(obj)
+    *_, armature = checks.armature_modifiers(obj)
     for modifier in reversed(checks.generating_before(obj, armature)):  # each to the place next to it: keeps the order
         obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
 
 
 def _pose_position(obj):
-    _owned(properties.rig_of(obj).data).pose_position = "POSE"
+    for rig in _rigs(obj):
+        _owned(rig.data).pose_position = "POSE"
 
 
 def _enable_armature(obj):
-    _owned(properties.rig_of(obj)).hide_viewport = False
+    for rig in _rigs(obj):
+        _owned(rig).hide_viewport = False
 
 
 def _add_basis(obj):
@@ -158,24 +165,12 @@ FIXES = {
     "ENABLE_MODIFIER": Fix(
         "Enable Modifier", "Show the Armature modifier in viewports", _in_modifier(show_viewport=True)
     ),
-    "PRESERVE_VOLUME": Fix(
-        "Turn off Preserve Volume", "Turn Preserve Volume off. This changes how the skin looks where bones twist",
-        _in_modifier(use_deform_preserve_volume=False),
-    ),
     "ENVELOPES": Fix(
         "Skin by Vertex Groups", "Turn Bone Envelopes off and Vertex Groups on in the Armature modifier",
         _in_modifier(use_bone_envelopes=False, use_vertex_groups=True),
     ),
-    "MULTI_MODIFIER": Fix(
-        "Turn off Multi Modifier", "Let the Armature modifier deform what comes out of the modifiers before it",
-        _in_modifier(use_multi_modifier=False),
-    ),
     "POSE_POSITION": Fix("Pose Position", "Let the armature show its pose, not its rest position", _pose_position),
     "ENABLE_ARMATURE": Fix("Enable Armature", "Enable the armature in viewports", _enable_armature),
-    "BENDY_BONES": Fix(
-        "Straighten Bendy Bones", "Give every bone that deforms the mesh a single segment",
-        _in_bones("bbone_segments", 1),
-    ),
     "ENVELOPE_MULTIPLY": Fix(
         "Turn off Envelope Multiply", "Turn Envelope Multiply off for every bone that deforms the mesh",
         _in_bones("use_envelope_multiply", False),

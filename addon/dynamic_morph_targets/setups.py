@@ -6,6 +6,7 @@ A setup names shape keys, bones and vertex groups, and holds none of their conte
     format, version
     targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
     skin, model, simulation: properties by name; modes: a list of such
+    pieces: a list, each its properties and "object", the name of another mesh or ""
 
 What a file leaves out stays as it is. `check` refuses a setup wholly, before `apply` writes anything.
 """
@@ -17,6 +18,7 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
+import bpy
 import numpy as np
 
 from . import extract, model_file
@@ -25,6 +27,7 @@ from .properties import (
     DynamorphBonePose,
     DynamorphMode,
     DynamorphModel,
+    DynamorphPiece,
     DynamorphSettings,
     DynamorphSimulation,
     DynamorphTarget,
@@ -32,19 +35,20 @@ from .properties import (
     plain,
 )
 from .scene_data import ModelSettings, determinant, turned
-from .targets import ensure_basis
+from .sinks import ensure_basis
 
 FORMAT = "dynamorph setup"
 VERSION = 1
 
 # Properties that are results, clues or a choice in the interface.
 NOT_AUTHORED = {
-    DynamorphSettings: ("name", "groups", "active_target_index", "active_mode_index"),
+    DynamorphSettings: ("name", "groups", "active_target_index", "active_mode_index", "active_piece_index", "had_keys"),
     DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
     DynamorphSimulation: ("name",),
     DynamorphMode: ("name",),
     DynamorphTarget: KEY_REFERENCE[1:],  # the name is in the file
     DynamorphBonePose: ("name",),
+    DynamorphPiece: (),
 }
 PARTS = {"skin": DynamorphSettings, "model": DynamorphModel, "simulation": DynamorphSimulation}
 GROUPS = ("soft_group", "stiffness_group")
@@ -75,6 +79,11 @@ def of_object(obj) -> dict:
         "model": authored(settings.model),
         "simulation": authored(settings.simulation),
         "modes": [authored(mode) for mode in settings.modes],
+        "pieces": [
+            {**authored(piece), "object": piece.object.name if piece.object else ""}
+            for piece in settings.pieces
+            if piece.object or piece.group
+        ],
     }
 
 
@@ -102,6 +111,8 @@ def apply(obj, setup: dict) -> dict[str, list[str]]:
         settings.modes.add()
     for mode, values in zip(settings.modes, modes, strict=False):
         assign(mode, values)
+    if "pieces" in setup:
+        _apply_pieces(obj, setup["pieces"], lacking)
     return lacking.names
 
 
@@ -122,9 +133,23 @@ def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
     settings.active_target_index = min(settings.active_target_index, len(settings.targets) - 1)
 
 
+def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
+    meshes = {other.name: other for other in bpy.context.scene.objects if other.type == "MESH" and other != obj}
+    obj.dynamorph.pieces.clear()
+    for entry in entries:
+        if entry.get("object"):
+            there = lacking.present("objects", [entry["object"]], meshes)
+        else:
+            there = lacking.present("vertex groups", [entry["group"]], obj.vertex_groups)
+        if there:
+            piece = obj.dynamorph.pieces.add()
+            assign(piece, _simple(entry))
+            piece.object = meshes[entry["object"]] if entry.get("object") else None
+
+
 def _simple(entry: dict) -> dict:
-    """Of a target's entry what is a property of its own."""
-    return {name: value for name, value in entry.items() if name not in ("bones", "pose")}
+    """Of the entry of a target or piece what is a simple property of its own."""
+    return {name: value for name, value in entry.items() if name not in ("bones", "pose", "object")}
 
 
 def _apply_pose(target, rig, pose: dict[str, dict], lacking: _Lacking):
@@ -192,8 +217,8 @@ def check(setup):
     version = setup.get("version")
     if type(version) is not int or not 1 <= version <= VERSION:
         raise SetupError(f"The setup has version {version!r:.40}, this add-on reads 1 to {VERSION}: update the add-on")
-    targets, modes = setup.get("targets"), setup.get("modes", [])
-    if not isinstance(targets, list) or not targets or not isinstance(modes, list):
+    targets, modes, pieces = setup.get("targets"), setup.get("modes", []), setup.get("pieces", [])
+    if not isinstance(targets, list) or not targets or not isinstance(modes, list) or not isinstance(pieces, list):
         raise SetupError("The setup has no list of targets")
     for target in targets:
         _check_target(target)
@@ -203,6 +228,8 @@ def check(setup):
         raise SetupError(f"Two targets are called '{doubles[0]}'")
     for i, mode in enumerate(modes):
         _check_values(f"Mode {i + 1}", DynamorphMode, mode)
+    for i, piece in enumerate(pieces):
+        _check_piece(f"Piece {i + 1}", piece)
     for part, kind in PARTS.items():
         _check_values(part.capitalize(), kind, setup.get(part, {}))
 
@@ -227,6 +254,13 @@ def _check_target(target):
     flat = determinant(np.array(list(matrices.values()), float).reshape(-1, 4, 4)[:, :3, :3]) == 0
     if flat.any():
         raise SetupError(f"{where}: {list(matrices)[flat.argmax()]} is a transform that flattens")
+
+
+def _check_piece(where: str, piece):
+    names = [piece.get(kind, "") for kind in ("object", "group")] if isinstance(piece, dict) else []
+    if not all(map(_is_text, names)) or not any(names):
+        raise SetupError(f"{where} names neither an object nor a vertex group")
+    _check_values(where, DynamorphPiece, _simple(piece))
 
 
 def _check_values(where: str, kind, values):

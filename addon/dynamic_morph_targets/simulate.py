@@ -12,13 +12,15 @@ import dynamorph
 import numpy as np
 
 from .build import Model, Progress, build
-from .scene_data import Bake, Character, RigSamples, SimulationSettings, determinant, inverse
+from .scene_data import Bake, Character, Follower, RigSamples, SimulationSettings, determinant, inverse
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
+CHUNK_NODES = 2**18  # transforms of nodes made at once, if those are known: 25 MB
 TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
 NO_STEPS = {
     "steps": 0, "iterations": 0, "converged": True, "residual": 0.0, "energy": 0.0, "teleported": False, "seconds": 0.0
 }  # fmt: skip
+FLAT = 1e-9  # determinant of a node's transform below which it has no size
 CLOSED = 1e-6  # body sizes: a loop whose surface ends nearer to where it began is done
 SAME_POSE = 1e-3  # body sizes: poses whose skin, moved as a whole, is nearer are one
 PASSES = 40  # of a loop, at most
@@ -86,7 +88,7 @@ class Player:
         self._shapes = np.zeros((len(self._character.targets), 0))
         self._simulation = _NothingMoves()
         if model.settings.method != "STATIC":
-            self.engine = engine or model.engine(self._character)
+            self.engine = engine or model.engine(self._character, self._character.probed)
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = self._stepper()
         self.gains = np.ones(self._shapes.shape[1])
@@ -113,6 +115,11 @@ class Player:
         self.state = list(coordinates), self.state[1]
 
     @property
+    def probed(self) -> bool:
+        """Whether it asks for `RigSamples.nodes`."""
+        return self._character.probed and self.engine is not None
+
+    @property
     def size(self) -> float:
         """Diagonal of the body's bounding box, metres."""
         return float(np.linalg.norm(np.ptp(self._character.vertices @ self._character.to_bind.T, axis=0)))
@@ -125,7 +132,7 @@ class Player:
     def begin(self, rig: RigSamples) -> Frame:
         """The frame settings.start. rig: its sample and those that follow it, of which the first counts."""
         self._hold_targets(rig[:1])
-        bones, weights = self._posed(rig[:2])
+        bones, weights = self._posed(rig[:2])  # or nodes, if those are known
         if self.settings.begin == "REST":
             self.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
@@ -176,8 +183,9 @@ class Player:
         substeps = self.settings.substeps
         if len(rig) != len(numbers) * substeps:
             raise ValueError(f"rig: expected {len(numbers) * substeps} samples, got {len(rig)}")
-        for first in range(0, len(numbers), CHUNK):
-            chunk = numbers[first : first + CHUNK]
+        frames = max(1, CHUNK_NODES // (len(rig.nodes.rest) * substeps)) if rig.nodes else CHUNK
+        for first in range(0, len(numbers), frames):
+            chunk = numbers[first : first + frames]
             samples = rig[first * substeps : (first + len(chunk)) * substeps]
             bones, weights = self._posed(samples)
             for k, number in enumerate(chunk):
@@ -218,10 +226,8 @@ class Player:
         return self._skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
 
     def _skinned(self, rig: RigSamples) -> np.ndarray:
-        """The skin at rest, posed as the rig is: (S, V, 3), world space."""
-        matrices = np.tensordot(self._posed(rig)[0], self._character.weights, (1, 1))  # (S, 3, 4, V)
-        rest = self._character.vertices @ self._character.to_bind.T
-        return np.einsum("sijv,vj->svi", matrices[:, :, :3], rest) + matrices[:, :, 3].swapaxes(1, 2)
+        """The skin at rest, posed as the rig is: (S, V, 3), world space; of it what moves as is known."""
+        return np.array([self._skin.posed(frame) for frame in self._frames(rig)])[:, self._skin.known]
 
     def _stepper(self):
         settings, full = self.settings, self.model.settings.solver == "FULL"
@@ -238,13 +244,35 @@ class Player:
         """Sculpted shapes are what the artist saw under gravity, so each is held up in its own pose."""
         self._first = first
         if any(self.settings.gravity):
-            self._simulation.hold_targets(_target_frames(self.model, self._character, first))
+            self._simulation.hold_targets(self._target_frames(first))
+
+    def _target_frames(self, rig: RigSamples) -> np.ndarray:
+        """Transforms as `_frames` of the targets' captured poses (J, ...), with the armature where it stood then."""
+        targets = self._character.targets
+        pose = self.model.skeleton.pose(np.array([target.local for target in targets]))
+        rig_world = np.array([_resized(target.rig_world, rig.rig_world[0]) for target in targets])
+        object_world = rig_world @ inverse(rig.rig_world[0]) @ rig.object_world[0]
+        return self._frames(RigSamples(pose, rig_world, object_world, nodes=rig.held))
 
     def _posed(self, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
-        """Skin matrices (S, B + 1, 3, 4) and target weights (S, J)."""
-        skeleton = self.model.skeleton
-        local = skeleton.local_transforms(rig.pose, placing_bones(self._character))
-        return rig.skin_matrices(skeleton, self.model.to_bind), self._space.weights(local)
+        """Transforms as `_frames`, and target weights (S, J)."""
+        local = self.model.skeleton.local_transforms(rig.pose, placing_bones(self._character))
+        return self._frames(rig), self._space.weights(local)
+
+    def _frames(self, rig: RigSamples) -> np.ndarray:
+        """The transforms that the engine asks for: of the bones (S, B + 1, 3, 4), or of the free nodes (S, n, 3, 4)."""
+        model = self.model
+        if not self.probed:
+            return rig.skin_matrices(model.skeleton, model.to_bind)
+        if rig.nodes is None or len(rig.nodes.rest) != model.free.sum():
+            raise ValueError(f"'{self._character.name}' was sampled without the nodes of its model: sample it again")
+        frames = rig.nodes.transforms(rig.object_world)
+        flat = np.abs(determinant(frames[..., :3])) < FLAT
+        if flat.any():  # bones scaled to zero, which `extract.hold_collapsed` holds
+            sample, node = np.nonzero(flat)
+            bones = rig.skin_matrices(model.skeleton, model.to_bind)[sample]
+            frames[flat] = np.einsum("kb,kbij->kij", model.node_weights[model.free][node], bones)
+        return frames
 
     def _push(self, fields, sample: int, bones: np.ndarray) -> np.ndarray | None:
         """What the force fields do to the nodes, from where the flesh is now; None without any."""
@@ -384,15 +412,34 @@ def bake(
         report["gap"] = gap
         report["warnings"] += _loop_warnings(player, rig, gap)
     report.update(_worst_elements(player, frames))
-    if player.engine is None:
-        modes = np.zeros((0, *character.vertices.shape))
-    elif model.settings.solver == "FULL":
-        coordinates, dry, modes, report["compression_error"] = _compress(model, coordinates, dry)
-    else:
-        modes = surface_modes(model, model.basis.T)
+    free = model.basis.T
+    if model.settings.solver == "FULL" and player.engine is not None:
+        coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
+    modes = node_modes(model, free)
+    surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
     report["seconds"] = time.perf_counter() - began
     names = tuple(target.name for target in character.by_method().targets)
-    return Bake(settings.frames, coordinates, weights, modes, model.details, names, dry), report
+    return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+
+
+def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
+    """The same shot of what the flesh carries along, in the follower's own local space."""
+    modes, details = carried(model, bake.node_modes, follower)
+    return replace(bake, modes=modes, details=details)
+
+
+def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.ndarray, np.ndarray]:
+    """What modes (r, n, 3) of the nodes, bind space, and the model's details do to a follower of P vertices.
+
+    Returns (r, P, 3) and (J, P, 3) in its local space. Where it is outside the cage the nearest tetrahedron goes on
+    there, bounded; of the details it has those of the skin nearest to it.
+    """
+    details = np.moveaxis(follower.skin.carry(np.moveaxis(model.details, 0, 1)), 1, 0) @ follower.from_body.T
+    if not len(model.tets):
+        return np.zeros((0, *follower.vertices.shape)), details
+    embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes, model.tets), follower.vertices)
+    bind = np.einsum("pa,rpac->rpc", embedding.weights, modes[:, embedding.nodes])
+    return bind @ np.linalg.inv(model.to_bind).T @ follower.from_body.T, details
 
 
 def _loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
@@ -409,35 +456,43 @@ def _loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
 
 
 class _Skin:
-    """The skin in world space, for force fields: where it is, and which nodes carry what acts on it."""
+    """The skin in world space: where it is, and which nodes carry what acts on it."""
 
     def __init__(self, model: Model, character: Character):
         self.model = model
-        self.weights = character.weights
         self.rest = character.vertices @ character.to_bind.T
+        self._weights = character.weights
+        self._carriers, self.known = None, slice(None)
+        if character.probed and len(model.tets):
+            # The bones do not say where it is, the free nodes do: each vertex is moved like those that carry it, on
+            # average. What only held nodes carry is not known, but nothing that acts there has an effect.
+            carried = model.embedding_weights.clip(0.0) * model.free[model.embedding_nodes]
+            total = carried.sum(axis=1, keepdims=True)
+            self.known = total[:, 0] > 0.0
+            self._weights = carried / np.where(total > 0.0, total, np.inf)
+            self._carriers = (np.cumsum(model.free) - 1)[model.embedding_nodes]
         corners = self.rest[character.triangles]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         thirds = np.repeat(np.linalg.norm(across, axis=1) / 6.0, 3)
         self.areas = np.bincount(character.triangles.ravel(), thirds, len(self.rest))  # m^2
 
-    def push(self, fields, sample: int, bones: np.ndarray, displacement: np.ndarray) -> np.ndarray | None:
-        """Newtons on the nodes (n, 3), world space; bones (B + 1, 3, 4), displacement of the nodes (n, 3)."""
+    def posed(self, frames: np.ndarray, displacement=0.0) -> np.ndarray:
+        """The skin (V, 3), displaced by (V, 3) in bind space, at the transforms that the engine gets (B + 1, 3, 4)."""
+        if self._carriers is None:
+            matrices = np.tensordot(self._weights, frames, 1)
+        else:
+            matrices = np.einsum("va,vaij->vij", self._weights, frames[self._carriers])
+        return np.einsum("vij,vj->vi", matrices[:, :, :3], self.rest + displacement) + matrices[:, :, 3]
+
+    def push(self, fields, sample: int, frames: np.ndarray, displacement: np.ndarray) -> np.ndarray | None:
+        """Newtons on the nodes (n, 3), world space; frames as for `posed`, displacement of the nodes (n, 3)."""
         acting = [field for field in fields if field.strength[sample]]
         if not acting:
             return None
         model = self.model
-        moved = self.rest + np.einsum("va,vac->vc", model.embedding_weights, displacement[model.embedding_nodes])
-        skin = np.tensordot(self.weights, bones, 1)
-        points = np.einsum("vij,vj->vi", skin[:, :, :3], moved) + skin[:, :, 3]
+        moved = np.einsum("va,vac->vc", model.embedding_weights, displacement[model.embedding_nodes])
+        points = self.posed(frames, moved)
         return model.on_nodes(self.areas[:, None] * sum(field.pull(sample, points) for field in acting))
-
-
-def _target_frames(model: Model, character: Character, rig: RigSamples) -> np.ndarray:
-    """Skin matrices (J, B + 1, 3, 4) of the targets' captured poses, with the armature where it stood then."""
-    pose = model.skeleton.pose(np.array([target.local for target in character.targets]))
-    rig_world = np.array([_resized(target.rig_world, rig.rig_world[0]) for target in character.targets])
-    object_world = rig_world @ inverse(rig.rig_world[0]) @ rig.object_world[0]
-    return RigSamples(pose, rig_world, object_world).skin_matrices(model.skeleton, model.to_bind)
 
 
 def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
@@ -507,18 +562,20 @@ def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return determinant(corners[:, 1:] - corners[:, :1])
 
 
-def surface_modes(model: Model, free: np.ndarray) -> np.ndarray:
-    """Displacement of the surface (r, V, 3), local space, from rows over the free nodes (r, 3 free)."""
+def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
+    """Displacement of all nodes (r, n, 3), bind space, from rows over the free nodes (r, 3 free)."""
     modes = np.zeros((len(free), len(model.nodes), 3))
-    modes[:, ~model.pinned.astype(bool)] = free.reshape(len(free), -1, 3)
-    return model.surface(modes)
+    if not modes.size:  # static morph targets
+        return modes
+    modes[:, model.free] = free.reshape(len(free), -1, 3)
+    return modes
 
 
 def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
 
-    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, surface modes, and the
-    largest error of `wet` in metres.
+    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3 free),
+    and the largest error of `wet` in metres.
     """
     _, s, modes = np.linalg.svd(wet, full_matrices=False)
     modes = modes[: min(model.settings.modes, len(s))]
@@ -526,4 +583,4 @@ def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarra
     modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(dry)]])
     coordinates = wet @ modes.T
     error = float(np.abs(wet - coordinates @ modes).max())
-    return coordinates, dry @ modes.T, surface_modes(model, modes), error
+    return coordinates, dry @ modes.T, modes, error

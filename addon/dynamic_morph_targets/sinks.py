@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from . import checks
-from .properties import basis_hash, key_points, key_reach, reconcile
+from .properties import basis_hash, followers, key_points, key_reach, reconcile
 from .scene_data import Bake
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
@@ -29,18 +29,21 @@ class SinkError(ValueError):
     """The result cannot be written here. The message names the data and what to do."""
 
 
-def check(obj):
-    """Refuse, before any work, data to which a bake cannot be written. Raises SinkError."""
+def check(obj, needs_keys=True):
+    """Refuse, before any work, data to which a bake cannot be written. Raises SinkError.
+
+    needs_keys: there must be a Basis already.
+    """
     if obj.type != "MESH":
         raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
     keys = obj.data.shape_keys
-    if keys is None:
+    if keys is None and needs_keys:
         raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
-    check_local(obj, obj.data, keys)
+    check_local(obj, obj.data, *filter(None, [keys]))
     for problem in checks.shared_mesh(obj):
         raise SinkError(problem.text)
     check_not_edited(obj)
-    animation = keys.animation_data
+    animation = keys and keys.animation_data
     if animation is None:
         return
     if animation.use_tweak_mode:
@@ -73,19 +76,22 @@ def check_local(*blocks):
             )
 
 
-def write_modal_keys(obj, bake: Bake) -> int:
+def write_modal_keys(obj, bake: Bake, skin=None) -> int:
     """Write the bake as modal shape keys and F-curves, replacing the previous bake of `obj`. Raises SinkError.
 
-    The old bake goes only when the new one is complete; its Influence stays. Returns the bytes that Blender keeps.
+    The old bake goes only when the new one is complete; its Influence stays. skin: the soft skin that `obj` follows,
+    if it is none itself; its Basis is made if there is none. Returns the bytes that Blender keeps.
     """
-    check(obj)
+    check(obj, needs_keys=skin is None)
     reconcile(obj)
     if bake.modes.shape[1] != len(obj.data.vertices):
         raise SinkError(
             f"Mesh '{obj.name}' has {len(obj.data.vertices)} vertices, the bake {bake.modes.shape[1]}: bake again"
         )
-    keys = _scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
     record = obj.dynamorph.bake
+    followed = obj.dynamorph.follows
+    follow(obj, skin)
+    keys = _scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
     old = _baked_names(obj)  # now: a new key may look like an old one, or take the name of one that was deleted
     before = obj.data.shape_keys.animation_data is not None
     had_animation_data = record.had_animation_data if record.keys else before
@@ -101,13 +107,40 @@ def write_modal_keys(obj, bake: Bake) -> int:
         obj.active_shape_key_index = active_index
         if not before:
             obj.data.shape_keys.animation_data_clear()
+        if followed is None:
+            leave(obj)
         raise
     obj.active_shape_key_index = active_index
     _keep_influence(_strip(obj.data.shape_keys, record.action), _strip(obj.data.shape_keys, action))
     _free(obj, old)
     _record(obj, names, [key.name for key in keys], action, had_animation_data)
-    mute_targets(obj, record.muted, bake.target_names)
+    mute_targets(obj, record.muted, bake.target_names, skin)
     return sum(key.bytes() for key in keys)
+
+
+def ensure_basis(obj):
+    """Make the shape key that the others are relative to, unless there is one."""
+    if obj.data.shape_keys is None:
+        obj.shape_key_add(name="Basis", from_mix=False)
+
+
+def follow(obj, skin):
+    """Note that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
+    settings = obj.dynamorph
+    if settings.follows != skin:
+        settings.had_keys = settings.had_keys if settings.follows else obj.data.shape_keys is not None
+        settings.follows = skin
+    ensure_basis(obj)
+
+
+def leave(obj):
+    """The inverse of `follow`, when the keys are gone."""
+    settings, keys = obj.dynamorph, obj.data.shape_keys
+    if settings.follows is None:
+        return
+    settings.follows = None
+    if not settings.had_keys and keys and len(keys.key_blocks) == 1:  # the artist has added none
+        obj.shape_key_clear()
 
 
 def influence_strip(obj):
@@ -121,17 +154,32 @@ def show_influence(obj):
     strip = influence_strip(obj)
     if strip:
         strip.mute = strip.mute
+        share_influence(obj)
+
+
+def share_influence(obj):
+    """Give what follows a soft skin the influence of its bake, set or animated."""
+    strip = influence_strip(obj)
+    for other in filter(None, map(influence_strip, followers(obj))):
+        if strip and _influence(other) != _influence(strip):
+            _keep_influence(strip, other)
+            other.mute = other.mute
 
 
 def free(obj):
-    """Remove the bake of `obj`, if any, and restore what it changed: keys, order, active key, mute, animation data.
+    """Remove the bake of `obj` and of what follows it, if any, and restore what it changed: keys, order, active key,
+    mute, animation data.
 
     Raises SinkError.
     """
-    if obj.dynamorph.bake.keys and obj.data.shape_keys:  # else the artist has removed all there was
-        check(obj)
-    reconcile(obj)
-    _free(obj, _baked_names(obj))
+    baked = (obj, *followers(obj))
+    for each in baked:
+        if each.dynamorph.bake.keys and each.data.shape_keys:  # else the artist has removed all there was
+            check(each)
+    for each in baked:
+        reconcile(each)
+        _free(each, _baked_names(each))
+        leave(each)
 
 
 def _baked_names(obj) -> list[str]:
@@ -259,13 +307,23 @@ def _strip(keys, action):
     return next((strip for strip in strips if strip.action_slot and strip.action_slot.name_display == MOTION), None)
 
 
+def _influence(strip) -> tuple:
+    """The influence of a strip, set or animated, to be compared."""
+    curve = strip.fcurves.find("influence")
+    points = np.empty(2 * len(curve.keyframe_points) if curve else 0, np.float32)
+    if curve:
+        curve.keyframe_points.foreach_get("co", points)
+    return strip.influence, points.tobytes()
+
+
 def _keep_influence(old, new):
-    """Set the influence of a new strip as the artist has set or animated that of the old one; both may be None."""
+    """Set the influence of a strip as the artist has set or animated that of another; both may be None."""
     curve = old and old.fcurves.find("influence")
     if not (curve and new):
         return
     new.influence = old.influence
     copy = new.fcurves.find("influence")
+    copy.keyframe_points.clear()
     copy.extrapolation = curve.extrapolation
     copy.keyframe_points.add(len(curve.keyframe_points))
     handles = ("handle_left_type", "handle_right_type", "handle_left", "handle_right")
@@ -309,12 +367,15 @@ def _record(obj, names, wanted, action, had_animation_data):
     record.active_index = obj.active_shape_key_index
 
 
-def mute_targets(obj, muted, simulated):
-    """The result contains the targets' shapes, so their own keys rest. muted: the list that remembers them."""
+def mute_targets(obj, muted, simulated, skin=None):
+    """The result contains the targets' shapes, so their own keys rest, and keys called so of what follows a soft skin.
+
+    muted: the list that remembers them; skin: as for `write_modal_keys`.
+    """
     blocks = obj.data.shape_keys.key_blocks
-    for target in obj.dynamorph.targets[1:]:
+    for target in (skin or obj).dynamorph.targets[1:]:
         index = blocks.find(target.name)
-        if target.name not in simulated or index < 0:
+        if target.name not in simulated or index < 1:
             continue
         key = muted.add()
         key.refer_to(blocks, index)

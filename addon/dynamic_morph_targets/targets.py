@@ -12,18 +12,13 @@ from . import checks, extract, jobs
 from .extract import SceneError
 from .properties import KEY_REFERENCE, assign, key_points, plain, rig_of
 from .scene_data import Skeleton, turned
+from .sinks import ensure_basis
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 MIRROR_TOLERANCE = 1e-3  # of the mesh's size: how far from its mirror image a vertex's partner may be
 
 
 # Shape keys --------------------------------------------------------------------------------------------------------
-
-
-def ensure_basis(obj):
-    """Make the shape key that the others are relative to, unless there is one."""
-    if obj.data.shape_keys is None:
-        obj.shape_key_add(name="Basis", from_mix=False)
 
 
 def new_key(obj, name: str, shape: np.ndarray):

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import bpy
 import numpy as np
-from mathutils.bvhtree import BVHTree
 
 from . import extract, setups, targets
 from .extract import SceneError
-from .properties import key_points, rig_of
+from .nearest import nearest
+from .properties import rig_of
 from .scene_data import determinant, inverse
 
 
@@ -92,18 +91,11 @@ def size(obj) -> float:
 
 
 def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
-    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now. Raises SceneError."""
-    world = np.array(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world)
-    if not np.isfinite(world).all() or determinant(world[:3, :3]) == 0:
-        raise SceneError(f"'{obj.name}' is scaled to zero, or has a transform that is not a number: check its scale")
-    points = np.empty((len(obj.data.vertices), 3), np.float32)
-    if obj.data.shape_keys:
-        points = key_points(obj.data.shape_keys.reference_key)
-    else:
-        obj.data.attributes["position"].data.foreach_get("vector", points.ravel())
-    if not np.isfinite(points).all():
-        raise SceneError(f"'{obj.name}' has vertices whose coordinates are not numbers: delete or repair them")
-    return points.astype(np.float64), world
+    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now, metres. Raises SceneError."""
+    world = extract.world_now(obj)
+    if determinant(world[:3, :3]) == 0:
+        raise SceneError(f"'{obj.name}' is scaled to zero: give it a size")
+    return extract.rest_points(obj), world
 
 
 def _moved(points: np.ndarray, world: np.ndarray) -> np.ndarray:
@@ -114,6 +106,7 @@ def _own_groups(source) -> list[str]:
     """Names of the vertex groups that the soft skin uses, without those that tie the mesh to bones."""
     settings = source.dynamorph
     names = [getattr(settings, field) for field in setups.GROUPS] + [target.region for target in settings.targets]
+    names += [piece.group for piece in settings.pieces]
     skinned = {bone.name for bone in rig_of(source).data.bones if bone.use_deform}
     return [name for name in dict.fromkeys(names) if name in source.vertex_groups and name not in skinned]
 
@@ -123,71 +116,3 @@ def _write_group(obj, name: str, weights: np.ndarray):
     group.remove(range(len(weights)))
     for vertex in np.flatnonzero(weights).tolist():
         group.add([vertex], weights[vertex], "REPLACE")
-
-
-# Nearest points of a surface ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class SurfaceMap:
-    """The nearest points of a triangle mesh to P points.
-
-    corners (P, 3): vertices of the triangle each lies on; weights (P, 3): its barycentric coordinates there;
-    distances (P,): to it.
-    """
-
-    corners: np.ndarray
-    weights: np.ndarray
-    distances: np.ndarray
-
-    def carry(self, values: np.ndarray) -> np.ndarray:
-        """The values (V, ...) of the mesh's vertices at the points: (P, ...)."""
-        return np.einsum("pc,pc...->p...", self.weights, values[self.corners])
-
-
-def nearest(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> SurfaceMap:
-    """points (P, 3), vertices (V, 3) in one space, all finite; triangles (T, 3), at least one.
-
-    A point that is a vertex of the mesh gets that vertex's values exactly.
-    """
-    centre = vertices.mean(axis=0)  # the tree has single precision
-    tree = BVHTree.FromPolygons((vertices - centre).tolist(), triangles.tolist(), all_triangles=True)
-    corners = triangles[[tree.find_nearest(point)[2] for point in (points - centre).tolist()]]
-    weights = _closest(points, vertices[corners])
-    return SurfaceMap(corners, weights, _distances(points, vertices[corners], weights))
-
-
-def _closest(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Barycentric coordinates (P, 3) of the points nearest to (P, 3) on triangles (P, 3, 3)."""
-    on_plane, on_edges = _on_plane(points, corners), _on_edges(points, corners)
-    # Where a triangle has next to no area, those on its plane are anything, or NaN.
-    nearer = _distances(points, corners, on_plane) <= _distances(points, corners, on_edges)
-    return np.where(((on_plane >= 0.0).all(axis=1) & nearer)[:, None], on_plane, on_edges)
-
-
-def _distances(points, corners, weights) -> np.ndarray:
-    return np.linalg.norm(np.einsum("pc,pcx->px", weights, corners) - points, axis=1)
-
-
-def _on_plane(points, corners) -> np.ndarray:
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    offset = points - corners[:, 0]
-    ff, fs, ss = _dot(first, first), _dot(first, second), _dot(second, second)
-    of, os = _dot(offset, first), _dot(offset, second)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = np.array([ss * of - fs * os, ff * os - fs * of]) / (ff * ss - fs * fs)
-        return np.stack([1.0 - u - v, u, v], axis=1)
-
-
-def _on_edges(points, corners) -> np.ndarray:
-    choices = np.zeros((3, *corners.shape[:2]))
-    for k in range(3):
-        start, edge = corners[:, k], corners[:, k - 2] - corners[:, k]
-        along = np.clip(_dot(points - start, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
-        choices[k, :, k], choices[k, :, k - 2] = 1.0 - along, along
-    distances = np.linalg.norm(np.einsum("kpc,pcx->kpx", choices, corners) - points, axis=-1)
-    return choices[distances.argmin(axis=0), np.arange(len(points))]
-
-
-def _dot(first, second) -> np.ndarray:
-    return np.einsum("px,px->p", first, second)

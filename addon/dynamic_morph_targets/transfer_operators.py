@@ -92,6 +92,7 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
     def _copy(self, source, others):
         transfer.check(source, others, self.replace)
         setup, size = setups.of_object(source), transfer.size(source)
+        setup["pieces"] = [piece for piece in setup["pieces"] if not piece["object"]]  # those follow one soft skin
         copies = [transfer.copy(source, obj) for obj in others]
         for obj, made in zip(others, copies, strict=True):
             if obj.dynamorph.targets:
@@ -126,8 +127,8 @@ def report_lacking(operator, obj, lacking: dict[str, list[str]]):
 
 def length(metres: float) -> str:
     """As the scene's units show it."""
-    units = bpy.context.scene.unit_settings
-    return bpy.utils.units.to_string(units.system, "LENGTH", metres * units.scale_length, precision=3).strip()
+    system = bpy.context.scene.unit_settings.system
+    return bpy.utils.units.to_string(system, "LENGTH", metres, precision=3).strip()
 
 
 CLASSES = (DYNAMORPH_OT_save_setup, DYNAMORPH_OT_load_setup, DYNAMORPH_OT_copy_to_selected)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import dynamorph
 import numpy as np
@@ -15,7 +15,10 @@ from .scene_data import Character
 
 Progress = Callable[[float, str], bool]
 
+GRID = 2.0**-11  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
+MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
 HELD = 0.05  # nodes softer than this in the Soft group are free
+FEWEST_NODES = 50  # of a piece's own cage
 
 
 @dataclass(frozen=True)
@@ -42,31 +45,192 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
     Raises dynamorph.Error with advice when the skin cannot be filled or nothing holds it.
     """
     surface = character.vertices @ character.to_bind.T
+    cages = _cages(character, surface)
     with stages("Meshing", 0.30) as report:
-        if mesh is None:
-            mesh = _tetrahedra(character, surface, report)
+        defects = dynamorph.closed_surface(surface, character.triangles)[2]
+        if mesh is None or len(cages) > 1:
+            meshes = [_tetrahedra(cage, surface, turn) for cage, turn in _in_turn(cages.values(), report)]
+        else:
+            meshes = [_whole(mesh)]
     with stages("Embedding", 0.05) as report:
-        embedding = dynamorph.embed(mesh, surface)
-        fill = dynamorph.fill_fractions(mesh, surface, character.triangles, progress=report)
+        filled = [
+            _filled(*each, surface, turn) for each, turn in _in_turn(zip(cages.values(), meshes, strict=True), report)
+        ]
+        meshes, embeddings, fill, pinned, glued, outside = zip(*filled, strict=True)
+        mesh, embedding = _together(character.pieces, list(cages), meshes, embeddings)
         stiffness, weights, softness, shares = _inherited(character, mesh, embedding)
-        pinned = _pinned(character, mesh, surface) | (softness < HELD)
-    if not pinned.any():
+        fill, pinned = np.concatenate(fill), np.concatenate(pinned) | (softness < HELD)
+        adrift = _adrift(mesh, pinned)
+    if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
-    summary = {"nodes": len(mesh.nodes), "tets": len(mesh.tets), "pinned": int(pinned.sum())}
+    for nodes in adrift:
+        pinned[nodes] = True
+    glued = {name: sum(count[name] for count in glued) for name in glued[0]}
+    summary = {
+        "nodes": len(mesh.nodes),
+        "tets": len(mesh.tets),
+        "pinned": int(pinned.sum()),
+        "defects": defects,
+        "quality": dynamorph.tet_quality(mesh),
+        "glued": glued,
+        "held_parts": len(adrift),
+        "warnings": [text for texts in outside for text in texts]
+        + _glued_warnings(character, glued)
+        + [_adrift_warning(character, embedding, nodes) for nodes in adrift],
+    }
     return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, summary)
 
 
+# Cages: of the body, and of pieces that have their own ---------------------------------------------------------------
+
+
+def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
+    """What each cage holds, by the number of its piece: the character with those triangles and its share of the nodes.
+
+    A triangle between pieces counts with the one of the largest number. Rigid pieces have no cage.
+    """
+    number = character.pieces[character.triangles].max(axis=1, initial=-1)
+    if not number.any():
+        return {0: character}
+    corners = surface[character.triangles].swapaxes(0, 1)
+    area = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
+    share = character.settings.cage_nodes / max(area[number >= 0].sum(), 1e-300)
+    cages = {}
+    for piece in np.unique(number[number >= 0]):
+        of_piece = number == piece
+        cage_nodes = max(FEWEST_NODES, round(share * area[of_piece].sum()))
+        cages[int(piece)] = replace(
+            character.with_settings(cage_nodes=cage_nodes),
+            triangles=character.triangles[of_piece],
+            cage=None if piece else character.cage,
+        )
+    if not cages:
+        raise dynamorph.Error(f"'{character.name}': every piece of it is rigid: let one be simulated with the body")
+    return cages
+
+
+def _in_turn(steps, report) -> list[tuple]:
+    """The steps, each with a progress of its own: they take about as long."""
+    steps = list(steps)
+    return [
+        (step, lambda fraction, turn=turn: report((turn + fraction) / len(steps))) for turn, step in enumerate(steps)
+    ]
+
+
+def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report) -> tuple:
+    """A cage's mesh as cut, its embedding, fill, what its bones hold, what was glued, and warnings."""
+    mesh, embedding, glued = _parted(cage, mesh, surface)
+    fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
+    return mesh, embedding, fill, _pinned(cage, mesh, surface), glued, _outside(cage, embedding)
+
+
+def _together(pieces: np.ndarray, numbers: list[int], meshes, embeddings) -> tuple:
+    """One mesh of the cages, which nothing couples, and the embedding (V,) of each piece in its own.
+
+    A vertex of a piece without a cage has no weights: the flesh does not move it.
+    """
+    if len(meshes) == 1 and (pieces == numbers[0]).all():
+        return meshes[0], embeddings[0]
+    first = np.cumsum([0] + [len(mesh.nodes) for mesh in meshes])
+    nodes, weights = np.zeros((len(pieces), 4), np.int32), np.zeros((len(pieces), 4))
+    for number, start, embedding in zip(numbers, first, embeddings, strict=False):
+        own = pieces == number
+        nodes[own], weights[own] = embedding.nodes[own] + start, embedding.weights[own]
+    tets = np.concatenate([mesh.tets + start for mesh, start in zip(meshes, first, strict=False)])
+    mesh = dynamorph.TetMesh(np.concatenate([mesh.nodes for mesh in meshes]), tets)
+    return mesh, dynamorph.Embedding(nodes, weights)
+
+
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
-    settings = character.settings
-    _, _, mesh = dynamorph.mesh_body(
-        surface,
-        character.triangles,
-        settings.cage_nodes,
-        bones=character.bone_segments,
-        held=settings.pin_radius,
-        progress=report,
-    )
+    settings, cage = character.settings, character.cage
+    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(np.ptp(surface, axis=0))))
+    try:
+        _, _, mesh = dynamorph.mesh_body(
+            np.round(surface / grid) * grid,
+            character.triangles,
+            settings.cage_nodes,
+            cage=cage and cage[1:],
+            thickness=settings.cage_thickness,
+            bones=np.round(character.bone_segments / grid) * grid,
+            held=settings.pin_radius,
+            progress=report,
+        )
+    except dynamorph.Error as error:
+        raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
     return mesh
+
+
+def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
+    """Says which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when it is most of it."""
+    if character.cage is None:
+        return []
+    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    left = float((embedding.distances > 1e-5 * size)[character.pieces == 0].mean())
+    if left > MOSTLY:
+        raise dynamorph.Error(
+            f"Cage Object '{character.cage.name}' leaves out {left:.0%} of '{character.name}': it must enclose the "
+            "skin as it is in rest pose when the scene starts. Move or enlarge it, or clear Cage Object"
+        )
+    warning = f"{left:.1%} of the skin lies outside Cage Object '{character.cage.name}' and follows its nearest part"
+    return [warning] if left else []
+
+
+# Parts that touch ----------------------------------------------------------------------------------------------------
+
+
+def _parted(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> tuple:
+    """The mesh, cut where it joins skin that merely touches, the skin's embedding in it, and the counts."""
+    parting = dynamorph.Parting(mesh, surface, cage.triangles)
+    tets = int(parting.glued.sum())
+    if not tets or not cage.settings.separate:
+        return mesh, dynamorph.embed(mesh, surface), {"tets": tets, "split_nodes": 0}
+    cut = parting.cut()
+    return cut, parting.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
+
+
+def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
+    """A mesh as it was before it was cut: doubled nodes are one again."""
+    _, first, place = np.unique(mesh.nodes, axis=0, return_index=True, return_inverse=True)
+    kept = np.sort(first)
+    return dynamorph.TetMesh(mesh.nodes[kept], np.searchsorted(kept, first[place.ravel()])[mesh.tets])
+
+
+def _glued_warnings(character: Character, glued: dict) -> list[str]:
+    if not glued["tets"] or character.settings.separate:
+        return []
+    return [
+        f"{glued['tets']} tetrahedra join parts of the skin that merely touch: turn on Separate Touching Parts, raise "
+        "Cage Nodes, or move the parts away from each other in the rest pose"
+    ]
+
+
+# What nothing holds --------------------------------------------------------------------------------------------------
+
+
+def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
+    """The nodes of each part of the mesh that fewer than three nodes hold: it could move or turn without resistance."""
+    part = np.arange(len(mesh.nodes))
+    while True:  # the smallest number of its part spreads to every node
+        lowest = part.copy()
+        np.minimum.at(lowest, mesh.tets, part[mesh.tets].min(axis=1, keepdims=True))
+        lowest = lowest[lowest]
+        if (lowest == part).all():
+            break
+        part = lowest
+    held = np.bincount(part[pinned], minlength=len(part))
+    return [np.flatnonzero(part == root) for root in np.unique(part) if held[root] < 3]
+
+
+def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes: np.ndarray) -> str:
+    on_it = np.isin(embedding.nodes[:, 0], nodes) & embedding.weights.any(axis=1)
+    bone = [*character.skeleton.names, "the object"][character.weights[on_it].sum(axis=0).argmax()]
+    return (
+        f"A part of {int(on_it.sum())} vertices at '{bone}' is held by no bone, so it moves rigidly with its bones: "
+        "paint Soft 0 where it is attached"
+    )
+
+
+# What the flesh inherits ---------------------------------------------------------------------------------------------
 
 
 def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> tuple:

@@ -30,9 +30,14 @@ def _after_undo(*_args):
 def _check_changed(_scene, depsgraph):
     """depsgraph_update_post."""
     if any(obj.dynamorph.model.content_id for obj in properties.changed_objects(depsgraph)):
-        events.soon(_look_at_meshes, PATIENCE)
-    if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
+        look_soon()
+    if any(isinstance(update.id, (bpy.types.Action, bpy.types.Key)) for update in depsgraph.updates):
         events.soon(_look_at_animations, PATIENCE)
+
+
+def look_soon():
+    """Look a while later whether the models still fit their meshes and cages."""
+    events.soon(_look_at_meshes, PATIENCE)
 
 
 def _look_at_meshes():
@@ -48,6 +53,7 @@ def _look_at_animations():
     for obj in properties.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.bake.keys and obj.is_editable:
             changes.look_at_animation(obj)
+            sinks.share_influence(obj)
 
 
 @persistent

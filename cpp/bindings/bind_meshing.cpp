@@ -2,6 +2,8 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "dynamorph/cage.hpp"
+#include "dynamorph/closed_surface.hpp"
+#include "dynamorph/parting.hpp"
 #include "dynamorph/tetrahedralize.hpp"
 
 namespace py = pybind11;
@@ -25,6 +27,12 @@ void check_rows(const FloatArray& array, const char* name, Eigen::Index expected
                                 shape_of(array));
 }
 
+py::array_t<bool> to_array(const std::vector<bool>& flags) {
+  py::array_t<bool> array(flags.size());
+  std::copy(flags.begin(), flags.end(), array.mutable_data());
+  return array;
+}
+
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 void bind_tet_mesh(py::module_& m) {
@@ -41,6 +49,12 @@ tet that is flat or inside out, or a node of no tet.)")
       .def_property_readonly("volumes", &volumes, "Volumes (m,), cubic metres.");
 
   py::class_<Embedding>(m, "Embedding", "Where V surface points sit in a TetMesh.")
+      .def(py::init([](const Tets& nodes, const decltype(Embedding::weights)& weights) {
+             if (nodes.rows() != weights.rows() || (nodes.size() > 0 && nodes.minCoeff() < 0))
+               throw std::invalid_argument("nodes, weights: expected one row a point, and no negative node");
+             return Embedding{nodes, weights, VectorXd::Zero(nodes.rows())};
+           }),
+           "nodes"_a, "weights"_a, "One that was kept: nodes, weights (V, 4); its distances are not known.")
       .def_readonly("nodes", &Embedding::nodes, "The nodes (V, 4) that carry each point: those of one tet.")
       .def_readonly("weights", &Embedding::weights, "Their weights (V, 4): rows sum to 1; negative only outside.")
       .def_readonly("distances", &Embedding::distances, "Distance (V,) to the mesh, metres: 0 inside.")
@@ -55,20 +69,41 @@ tet that is flat or inside out, or a node of no tet.)")
           "values"_a, "Values (V, k) at the points from values (n, k) at the nodes.");
 }
 
+py::dict to_dict(const Defects& d) {
+  return py::dict("boundary_loops"_a = d.boundary_loops, "open_edges"_a = d.open_edges,
+                  "nonmanifold_edges"_a = d.nonmanifold_edges, "flipped_faces"_a = d.flipped_faces,
+                  "duplicate_faces"_a = d.duplicate_faces, "degenerate_faces"_a = d.degenerate_faces,
+                  "stray_vertices"_a = d.stray_vertices, "components"_a = d.components);
+}
+
 void bind_meshers(py::module_& m) {
   m.def(
+      "closed_surface",
+      [](const FloatArray& vertices, const IntArray& faces) {
+        const Points v = points(vertices, "vertices");
+        const Triangles f = triangles(faces);
+        const ClosedSurface closed = without_gil([&] { return close_surface(v, f); });
+        return py::make_tuple(closed.vertices, closed.triangles, to_dict(closed.defects));
+      },
+      "vertices"_a, "triangles"_a, R"(A closed surface with its faces outward, made of any triangle soup.
+
+vertices (V, 3): metres. triangles (T, 3): vertex indices. Vertices that lie together are welded, faces that are there
+twice dropped, faces turned outward, holes capped. Returns the vertices (W, 3), the triangles (U, 3), caps last, and
+what was wrong: counts by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.)");
+  m.def(
       "make_cage",
-      [](const FloatArray& vertices, const IntArray& faces, int target_vertices, const py::object& progress) {
+      [](const FloatArray& vertices, const IntArray& faces, int target_vertices, double thickness,
+         const py::object& progress) {
         const Points v = points(vertices, "vertices");
         const Triangles f = triangles(faces);
         const ProgressFn report = with_gil(progress);
-        Cage cage = without_gil([&] { return make_cage(v, f, target_vertices, report); });
+        Cage cage = without_gil([&] { return make_cage(v, f, target_vertices, thickness, report); });
         return std::make_pair(std::move(cage.vertices), std::move(cage.triangles));
       },
-      "vertices"_a, "triangles"_a, "target_vertices"_a, "progress"_a = py::none(),
+      "vertices"_a, "triangles"_a, "target_vertices"_a, "thickness"_a = 0.0, "progress"_a = py::none(),
       R"(A closed cage of about `target_vertices` vertices around any triangle soup.
 
-vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
+vertices (V, 3): metres. triangles (T, 3): vertex indices. thickness: metres that the cage stands off at least. progress: called with 0..1, returns False to cancel.
 Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not
 between 1e-6 and 1e6 m across.)");
   m.def(
@@ -104,7 +139,7 @@ A point outside takes the nearest tet, extrapolating as far as weights of -1/2.)
         return without_gil([&] { return fill_fractions(mesh, v, f, report); });
       },
       "mesh"_a, "vertices"_a, "triangles"_a, "progress"_a = py::none(),
-      R"(Fraction (m,) of each tet that the body fills, 0.05 .. 1; the body need not be closed.
+      R"(Fraction (m,) of each tet that the body fills, 0.05 .. 1; any soup, which is closed first.
 
 vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.)");
   m.def(
@@ -122,19 +157,20 @@ Least squares at the points, smooth inside. Constants stay constant; overshoots 
 and normalising.)");
   m.def(
       "points_on_bones",
-      [](const FloatArray& vertices, const IntArray& faces, const FloatArray& heads, const FloatArray& tails,
-         double ratio) {
-        const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
-        const Triangles f = triangles(faces);
+      [](const FloatArray& vertices, const IntArray& faces, const FloatArray& skin, const IntArray& skin_faces,
+         const FloatArray& heads, const FloatArray& tails, double ratio) {
+        const Points v = points(vertices, "vertices"), s = points(skin, "skin"), h = points(heads, "heads"),
+                     t = points(tails, "tails");
+        const Triangles f = triangles(faces), g = triangles(skin_faces);
         check_rows(tails, "tails", h.rows());
-        return without_gil([&] { return points_on_bones(v, f, h, t, ratio); });
+        return without_gil([&] { return points_on_bones(v, f, s, g, h, t, ratio); });
       },
-      "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
+      "vertices"_a, "triangles"_a, "skin"_a, "skin_triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
       R"(Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
 
 As nodes they tie the flesh to a bone that would else pass between nodes; where there is room, three around the bone
 within what it holds (ratio, as for pinned), so that the body cannot spin about it. vertices (C, 3), triangles (D, 3): the cage.
-heads, tails (B, 3): the bones at rest. All metres, in one space.)");
+skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.)");
   m.def(
       "pinned",
       [](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces, const FloatArray& heads,
@@ -142,10 +178,7 @@ heads, tails (B, 3): the bones at rest. All metres, in one space.)");
         const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
         const Triangles f = triangles(faces);
         check_rows(tails, "tails", h.rows());
-        const std::vector<bool> held = without_gil([&] { return pinned(mesh, v, f, h, t, ratio); });
-        py::array_t<bool> result(held.size());
-        std::copy(held.begin(), held.end(), result.mutable_data());
-        return result;
+        return to_array(without_gil([&] { return pinned(mesh, v, f, h, t, ratio); }));
       },
       "mesh"_a, "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
       R"(Whether the bones hold each node, bool (n,).
@@ -155,10 +188,35 @@ all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (
 the mesh's space.)");
 }
 
+void bind_parting(py::module_& m) {
+  py::class_<Parting>(m, "Parting", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+
+Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
+distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.)")
+      .def(py::init([](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces) {
+             const Points v = points(vertices, "vertices");
+             const Triangles f = triangles(faces);
+             return without_gil([&] { return std::make_unique<Parting>(mesh, v, f); });
+           }),
+           "mesh"_a, "vertices"_a, "triangles"_a, R"(Finds the glued tetrahedra.
+
+vertices (V, 3): metres. triangles (T, 3): the outward skin in the mesh, open or not. Raises ValueError on wrong shapes
+or indices.)")
+      .def_property_readonly(
+          "glued", [](const Parting& self) { return to_array(self.glued()); }, "Which tetrahedra are glued, bool (m,).")
+      .def("cut", &Parting::cut, py::call_guard<py::gil_scoped_release>(),
+           R"(The TetMesh with a crack between glued tetrahedra.
+
+The same tetrahedra; the nodes along the crack are doubled, the doubles at the end.)")
+      .def("embed", &Parting::embed, "cut"_a, py::call_guard<py::gil_scoped_release>(),
+           "The Embedding of the V vertices in the mesh as cut, each in a tetrahedron that belongs to skin near it.");
+}
+
 }  // namespace
 
 void bind_meshing(py::module_& m) {
   bind_tet_mesh(m);
   bind_meshers(m);
   bind_body_in_mesh(m);
+  bind_parting(m);
 }

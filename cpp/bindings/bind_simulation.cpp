@@ -389,12 +389,15 @@ void bind_models(py::module_& m) {
 
   py::class_<SoftBody, std::shared_ptr<SoftBody>>(m, "SoftBody", "What all models of one character share.")
       .def(py::init([](const TetMesh& mesh, const VectorXd& fill, const VectorXd& stiffness, const MatrixXd& shares,
-                       const std::vector<bool>& pinned, const MatrixXd& weights) {
-             return std::make_shared<SoftBody>(mesh, fill, stiffness, shares, pinned, weights);
+                       const std::vector<bool>& pinned, const std::optional<MatrixXd>& weights) {
+             return std::make_shared<SoftBody>(mesh, fill, stiffness, shares, pinned,
+                                               weights.value_or(MatrixXd(mesh.nodes.rows(), 0)));
            }),
            "mesh"_a, "fill"_a, "stiffness"_a, "shares"_a, "pinned"_a, "weights"_a,
            "fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's "
-           "part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale.")
+           "part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None "
+           "where "
+           "a transform of every free node is known instead: such a body has as many bones.")
       .def_readonly("size", &SoftBody::size, "Bounding-box diagonal, metres.")
       .def_readonly("free_nodes", &SoftBody::free_nodes)
       .def_readonly("volumes", &SoftBody::volumes, "Lumped volume of the free nodes by target set, m^3.")

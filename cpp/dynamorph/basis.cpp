@@ -94,7 +94,19 @@ LinearModes solve_modes(const Factored& factored, const std::string& name, int k
   return modes;
 }
 
-double largest(const Eigen::Ref<const VectorXd>& x) { return x.cwiseAbs().maxCoeff(); }
+/// How far displacements (3 free, k) together move a node, at most, whatever the axes.
+double largest(const MatrixXd& u) {
+  VectorXd squares = u.rowwise().squaredNorm();
+  return std::sqrt(squares.reshaped(3, u.rows() / 3).colwise().sum().maxCoeff());
+}
+
+/// From end to end through the flesh's centre, metres, whatever the axes.
+double width(const SoftBody& body) {
+  double farthest = 0;
+  for (Eigen::Index i = 0; i < body.rest.size(); i += 3)
+    farthest = std::max(farthest, (body.rest.segment<3>(i) - body.centre).norm());
+  return 2 * farthest;
+}
 
 /// The inertial loads (3 free, at most kLoads) that bones put on the flesh for unit density: each bone accelerating
 /// along and about each axis, the strongest combinations of all bones by SVD, scaled by their strength.
@@ -163,13 +175,14 @@ struct Candidates {
                        ///< derivatives out and large motions lock: docs/decisions)
   MatrixXd bending;    ///< derivatives of pairs of those modes, quadratic in their scale
   MatrixXd responses;  ///< static, to the bones' loads
-  double response;     ///< how far a uniform acceleration moves the flesh, in the scale of the responses
+  double response;     ///< how far uniform accelerations move the flesh, in the scale of the responses
 };
 
 Candidates candidates(const FullModel& model, int target, int k, const MatrixXd& loads, const ProgressFn& progress) {
   const int bent = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
   const Eigen::Index pairs = bent * (bent + 1) / 2;
-  const double expected = double(k + pairs + loads.cols() + 4 * k);  // solves: the eigensolver takes a few for a mode
+  const double expected =
+      double(k + pairs + loads.cols() + 3 + 4 * k);  // solves: the eigensolver takes a few for a mode
   double solves = 0;
   const Factored factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
@@ -180,9 +193,10 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   for (int i = 0; i < bent; ++i) curvatures.col(pair_index(bent, i, i)) /= 2;
   out.bending = factored.solve_all(std::move(curvatures));
   out.responses = factored.solve_all(loads);
-  VectorXd uniform = VectorXd::Zero(factored.mass.size());
-  for (Eigen::Index i = 2; i < uniform.size(); i += 3) uniform(i) = factored.mass(i) / model.targets()[target].density;
-  out.response = largest(factored.solve(uniform));
+  MatrixXd uniform = MatrixXd::Zero(factored.mass.size(), 3);
+  for (Eigen::Index i = 0; i < uniform.rows(); ++i)
+    uniform(i, i % 3) = factored.mass(i) / model.targets()[target].density;
+  out.response = largest(factored.solve_all(std::move(uniform))) / std::sqrt(3.0);
   return out;
 }
 
@@ -264,7 +278,7 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   std::vector<Candidates> found(distinct.size());
   in_parallel(int(found.size()), progress,
               [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
-  RowMajor all = in_common_units(found, 0.1 * model.body().size, root);
+  RowMajor all = in_common_units(found, 0.1 * width(model.body()), root);
 
   // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.
   const double total = all.squaredNorm();

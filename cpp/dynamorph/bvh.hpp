@@ -35,6 +35,13 @@ class Bvh {
     if (!nodes.empty()) nearest(0, p, best, visit);
   }
 
+  /// Calls visit(item) for the items whose box the line from p meets before distance `best`, in units of `direction`;
+  /// visit lowers `best` when it meets its item sooner.
+  template <class Visit>
+  void along(const Vector3d& p, const Vector3d& direction, const double& best, Visit visit) const {
+    if (!nodes.empty()) along(0, p, direction, best, visit);
+  }
+
   std::vector<Node> nodes;
   std::vector<int> order;
 
@@ -79,6 +86,25 @@ class Bvh {
     }
     if (near_distance < best) nearest(near, p, best, visit);
     if (far_distance < best) nearest(far, p, best, visit);
+  }
+
+  template <class Visit>
+  void along(int index, const Vector3d& p, const Vector3d& direction, const double& best, Visit& visit) const {
+    const Node& node = nodes[index];
+    double enter = 0, leave = best;
+    for (int axis = 0; axis < 3; ++axis) {
+      const double low = node.box.min()[axis] - p[axis], high = node.box.max()[axis] - p[axis];
+      if (direction[axis] == 0 && low <= 0 && high >= 0) continue;  // 0 / 0 on the side of a box
+      enter = std::max(enter, std::min(low / direction[axis], high / direction[axis]));
+      leave = std::min(leave, std::max(low / direction[axis], high / direction[axis]));
+    }
+    if (enter > leave) return;
+    if (node.leaf()) {
+      for (int i = node.begin; i < node.end; ++i) visit(order[i]);
+      return;
+    }
+    along(index + 1, p, direction, best, visit);
+    along(node.right, p, direction, best, visit);
   }
 };
 

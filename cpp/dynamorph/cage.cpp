@@ -12,11 +12,9 @@
 
 #include <array>
 #include <cmath>
-#include <map>
-#include <sstream>
 #include <vector>
 
-#include "dynamorph/surface.hpp"
+#include "dynamorph/closed_surface.hpp"
 
 namespace dynamorph {
 
@@ -25,83 +23,34 @@ namespace {
 using Kernel = CGAL::Exact_predicates_inexact_constructions_kernel;
 using Wrap = CGAL::Surface_mesh<Kernel::Point_3>;
 
-/// The input in a unit box, welded: what CGAL takes.
+/// The closed input in a unit box: what CGAL takes.
 struct Soup {
   std::vector<Kernel::Point_3> points;
   std::vector<std::array<std::size_t, 3>> triangles;
 };
 
-/// x = origin + size * unit
-struct UnitBox {
-  Vector3d origin;
-  double size;
-};
-
-void check_finite(const Points& vertices) {
-  std::ostringstream list;
-  int bad = 0;
-  for (Eigen::Index i = 0; i < vertices.rows(); ++i)
-    if (!vertices.row(i).allFinite() && ++bad <= 5) list << (bad > 1 ? ", " : "") << i;
-  if (bad == 0) return;
-  std::ostringstream message;
-  message << bad << " of " << vertices.rows() << " vertices have a NaN or infinite coordinate (first: " << list.str()
-          << "). Delete them, or reset the shape key or modifier that moves them.";
-  throw Error(message.str());
-}
-
-UnitBox unit_box(const Points& vertices, const Triangles& triangles) {
-  if (triangles.rows() == 0) throw Error("The mesh has no faces. Model some, or un-hide them, then build again.");
-  Eigen::AlignedBox3d box;
-  Vector3d mean = Vector3d::Zero();
-  for (int i : triangles.reshaped()) {
-    box.extend(Vector3d(vertices.row(i)));
-    mean += vertices.row(i) / double(triangles.size());
-  }
-  const double size = box.diagonal().norm();
-  if (!(size > 1e-6 && size < 1e6)) {
-    std::ostringstream message;
-    message << "The mesh is " << size
-            << " m across; sizes from 1e-6 to 1e6 m can be built. Scale it and apply the scale.";
-    throw Error(message.str());
-  }
-  Matrix3d covariance = Matrix3d::Zero();
-  for (int i : triangles.reshaped()) {
-    const Vector3d d = (vertices.row(i).transpose() - mean) / size;
-    covariance += d * d.transpose() / double(triangles.size());
-  }
-  const double thickness = Eigen::SelfAdjointEigenSolver<Matrix3d>(covariance).eigenvalues()[0];
-  if (thickness < 1e-12)  // squared, relative
-    throw Error("The mesh is flat: it has no volume to simulate. Give it thickness (Solidify modifier, applied).");
-  return {box.min(), size};
-}
-
-Soup weld(const Points& vertices, const Triangles& triangles, const UnitBox& box) {
-  constexpr double tolerance = 1e-6;
-  std::map<std::array<std::int64_t, 3>, std::size_t> cells;
+Soup to_unit(const ClosedSurface& surface, const UnitBox& box) {
   Soup soup;
-  const auto index = [&](int vertex) {
-    const Vector3d p = (vertices.row(vertex).transpose() - box.origin) / box.size;
-    const std::array<std::int64_t, 3> cell{std::llround(p.x() / tolerance), std::llround(p.y() / tolerance),
-                                           std::llround(p.z() / tolerance)};
-    const auto [it, is_new] = cells.emplace(cell, soup.points.size());
-    if (is_new) soup.points.emplace_back(p.x(), p.y(), p.z());
-    return it->second;
-  };
-  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
-    const std::array<std::size_t, 3> f{index(triangles(t, 0)), index(triangles(t, 1)), index(triangles(t, 2))};
+  for (Eigen::Index i = 0; i < surface.vertices.rows(); ++i) {
+    const Vector3d p = (surface.vertices.row(i).transpose() - box.origin) / box.size;
+    soup.points.emplace_back(p.x(), p.y(), p.z());
+  }
+  for (Eigen::Index t = 0; t < surface.triangles.rows(); ++t) {
+    const std::array<std::size_t, 3> f{std::size_t(surface.triangles(t, 0)), std::size_t(surface.triangles(t, 1)),
+                                       std::size_t(surface.triangles(t, 2))};
     if (!CGAL::collinear(soup.points[f[0]], soup.points[f[1]], soup.points[f[2]])) soup.triangles.push_back(f);
   }
   return soup;
 }
 
-Wrap wrap(const Soup& soup, double alpha) {
+Wrap wrap(const Soup& soup, double alpha, double thickness) {
   Wrap result;
-  CGAL::alpha_wrap_3(soup.points, soup.triangles, alpha, 0.2 * alpha, result);
+  CGAL::alpha_wrap_3(soup.points, soup.triangles, alpha, std::max(0.2 * alpha, thickness), result);
   return result;
 }
 
 /// The wrap whose number of vertices is nearest to the target.
-Wrap wrap_with_vertices(const Soup& soup, int target, const ProgressFn& progress) {
+Wrap wrap_with_vertices(const Soup& soup, int target, double thickness, const ProgressFn& progress) {
   constexpr int tries = 8;
   constexpr double close_enough = 0.07;
   double slope = -2;  // d log(count) / d log(alpha) of a smooth surface
@@ -109,7 +58,7 @@ Wrap wrap_with_vertices(const Soup& soup, int target, const ProgressFn& progress
   Wrap best;
   double best_error = HUGE_VAL;
   for (int i = 0; i < tries && best_error > close_enough; ++i) {
-    Wrap candidate = wrap(soup, std::exp(x));
+    Wrap candidate = wrap(soup, std::exp(x), thickness);
     report(progress, 1 - std::pow(0.6, i + 1));
     const double y = std::log(std::max<double>(candidate.number_of_vertices(), 1) / target);
     if (std::abs(y) < best_error) {
@@ -145,13 +94,14 @@ Cage to_cage(const Wrap& wrap, const UnitBox& box) {
 
 }  // namespace
 
-Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices, const ProgressFn& progress) {
+Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness,
+               const ProgressFn& progress) {
   if (target_vertices < 4)
     throw std::invalid_argument("target_vertices: expected at least 4, got " + std::to_string(target_vertices));
-  check_triangles(vertices, triangles);
-  check_finite(vertices);
-  const UnitBox box = unit_box(vertices, triangles);
-  const Wrap wrap = wrap_with_vertices(weld(vertices, triangles, box), target_vertices, progress);
+  if (!(thickness >= 0)) throw std::invalid_argument("thickness: expected 0 or more, got " + std::to_string(thickness));
+  const ClosedSurface closed = close_surface(vertices, triangles);
+  const UnitBox box = unit_box(closed.vertices, closed.triangles);
+  const Wrap wrap = wrap_with_vertices(to_unit(closed, box), target_vertices, thickness / box.size, progress);
   if (wrap.number_of_faces() == 0)
     throw Error("No closed cage could be wrapped around the mesh. Raise the cage resolution, or thicken the mesh.");
   return to_cage(wrap, box);

@@ -217,6 +217,7 @@ DYNAMORPH_INLINE Doubles largest(const LaneVector<Doubles>& values) {
 
 Crowd::Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int size)
     : size_(size), alone_(std::move(model), std::move(options)) {
+  alone_.model().modal_inertia();  // there must be one
   if (size < 1) throw std::invalid_argument("size: expected at least one character, got " + std::to_string(size));
 }
 

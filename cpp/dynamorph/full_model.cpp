@@ -45,9 +45,15 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
     throw Error("every node of the cage is held by a bone: lower the bone pinning or raise the cage resolution");
 
   const Eigen::Index f = Eigen::Index(free_nodes.size());
-  MatrixXd free_weights(f, weights.cols());
-  for (Eigen::Index i = 0; i < f; ++i) free_weights.row(i) = weights.row(free_nodes[i]);
-  skin = normalized(free_weights);
+  own_transforms = weights.cols() == 0;
+  if (own_transforms) {
+    skin.resize(f, f);
+    skin.setIdentity();
+  } else {
+    MatrixXd free_weights(f, weights.cols());
+    for (Eigen::Index i = 0; i < f; ++i) free_weights.row(i) = weights.row(free_nodes[i]);
+    skin = normalized(free_weights);
+  }
   rest = restrict_to_free(flat(mesh.nodes));
   volumes.resize(f, sets());
   for (int s = 0; s < sets(); ++s) {
@@ -76,6 +82,26 @@ VectorXd SoftBody::expand(const VectorXd& free_values) const {
   VectorXd out = VectorXd::Zero(3 * free_of_node.size());
   for (size_t i = 0; i < free_nodes.size(); ++i) out.segment<3>(3 * free_nodes[i]) = free_values.segment<3>(3 * i);
   return out;
+}
+
+void NodeMotion::evaluate(const SoftBody& body, const Motion& motion) {
+  sum.resize(body.rest.size());
+  for (Eigen::Index i = 0; i < sum.size(); i += 3) sum.segment<3>(i) = -motion.lift;
+  frame.bones = *motion.bones[0];
+  pose_nodes(body.skin, frame);
+  for (int n = 0; n < Motion::kPoses; ++n) {
+    if (motion.share.col(n).isZero(0)) continue;
+    if (n > 0) {
+      past.bones = *motion.bones[n];
+      pose_nodes(body.skin, past);
+    }
+    const double share = motion.share.col(n).sum();
+    bind = share * body.rest;
+    for (int m = 0; m < Motion::kMoments; ++m)
+      if (motion.share(m, n) != 0) bind += motion.share(m, n) * *motion.q[m];
+    to_world(n > 0 ? past : frame, share, bind, posed);
+    sum += posed;
+  }
 }
 
 void SetDensities::blend(const std::vector<MorphTarget>& targets, int sets, const VectorXd& w) {
@@ -198,27 +224,13 @@ double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& for
 }
 
 void FullModel::inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const {
-  out.force.setZero(dofs());
-  out.frame.bones = *motion.bones[0];
-  pose_nodes(body_->skin, out.frame);
-  for (int n = 0; n < Motion::kPoses; ++n) {
-    if (motion.share.col(n).isZero(0)) continue;
-    if (n > 0) {
-      out.past.bones = *motion.bones[n];
-      pose_nodes(body_->skin, out.past);
-    }
-    const double sum = motion.share.col(n).sum();
-    out.bind = sum * body_->rest;
-    for (int m = 0; m < Motion::kMoments; ++m)
-      if (motion.share(m, n) != 0) out.bind += motion.share(m, n) * *motion.q[m];
-    to_world(n > 0 ? out.past : out.frame, sum, out.bind, out.posed);
-    out.force += out.posed;
-  }
+  out.nodes.evaluate(*body_, motion);
+  out.force.resize(dofs());
   if (out.mass.nonZeros() != assembly_.pattern().nonZeros()) out.mass = out.damped = assembly_.pattern();
   values(out.mass).setZero();
   values(out.damped).setZero();
   for (size_t i = 0; i < body_->free_nodes.size(); ++i) {
-    const auto A = transform(out.frame.nodes, Eigen::Index(i)).leftCols<3>();
+    const auto A = transform(out.nodes.frame.nodes, Eigen::Index(i)).leftCols<3>();
     const Matrix3d square = A.transpose() * A;
     const double mass = body_->volumes.row(i).dot(densities.density);
     const double damped = body_->volumes.row(i).dot(densities.damped);
@@ -227,9 +239,9 @@ void FullModel::inertia(const Motion& motion, const SetDensities& densities, Ine
         out.mass.coeffRef(3 * i + r, 3 * i + c) = mass * square(r, c);
         out.damped.coeffRef(3 * i + r, 3 * i + c) = damped * square(r, c);
       }
-    out.force.segment<3>(3 * i) = mass * (out.force.segment<3>(3 * i) - motion.lift);
+    out.force.segment<3>(3 * i) = mass * out.nodes.sum.segment<3>(3 * i);
   }
-  pull_back(out.frame, out.force);
+  pull_back(out.nodes.frame, out.force);
 }
 
 MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces) {

@@ -38,7 +38,8 @@ struct MorphTarget {
 /// What all models of one character share. Throws std::invalid_argument when sizes disagree.
 struct SoftBody {
   /// fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of
-  /// a tet, rows sum to one; pinned (n); weights (n, B), any positive scale.
+  /// a tet, rows sum to one; pinned (n); weights (n, B), any positive scale. With weights (n, 0) the skinning is not
+  /// known: every free node is a bone of its own, and what is called bones' transforms is one for each of them.
   SoftBody(TetMesh mesh, VectorXd fill, const VectorXd& stiffness, MatrixXd shares, const std::vector<bool>& pinned,
            const Eigen::Ref<const MatrixXd>& weights);
 
@@ -48,6 +49,7 @@ struct SoftBody {
   VectorXd stiffness_scale;       ///< (m) fill times painted stiffness
   std::vector<int> free_nodes;    ///< node of each free node
   std::vector<int> free_of_node;  ///< -1 where pinned
+  bool own_transforms;            ///< of every free node
   SkinWeights skin;               ///< (free nodes, B)
   VectorXd rest;                  ///< X of the free nodes (3 free)
   MatrixXd volumes;               ///< (free nodes, S) lumped, m^3
@@ -60,6 +62,17 @@ struct SoftBody {
   int sets() const { return int(shares.cols()); }
   VectorXd restrict_to_free(const VectorXd& node_values) const;  ///< (3n) -> (3 free)
   VectorXd expand(const VectorXd& free_values) const;            ///< (3 free) -> (3n), zero at pins
+};
+
+/// The free nodes in motion, and scratch.
+struct NodeMotion {
+  SkinFrame frame;  ///< in the pose of the motion's first bones
+  VectorXd sum;     ///< what inertia pulls on (3 free), metres, world space
+  SkinFrame past;
+  VectorXd bind, posed;
+
+  /// Of `motion`, whose coordinates are displacements (3 free).
+  void evaluate(const SoftBody& body, const Motion& motion);
 };
 
 /// Density and mass damping of each target set at weights w: sum_j w_j rho_j and sum_j w_j alpha_j rho_j.
@@ -93,8 +106,7 @@ class FullModel {
     Matrix mass;     ///< A^T M A
     Matrix damped;   ///< the same with M times mass damping
     VectorXd force;  ///< A^T M times the motion
-    SkinFrame frame, past;
-    VectorXd bind, posed;
+    NodeMotion nodes;
   };
 
   FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending);

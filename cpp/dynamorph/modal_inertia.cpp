@@ -5,82 +5,25 @@
 #include <cmath>
 #include <map>
 
+#include "dynamorph/modal_terms.hpp"
+
 namespace dynamorph {
 
 namespace {
 
-using Eigen::Index;
+using namespace terms;
 
 // Parts of the force at which pairs of bones are simplified. All together they change Herbert's dive (sample_blends) by
 // 1e-4 of its motion; skin weights below 1 %, which count as zero, change it more.
 constexpr double kNegligible = 1e-5;  ///< left out, whatever the pose
 constexpr double kUnnoticed = 1e-7;   ///< left out in a pose that turns the bones so little against each other
 constexpr double kSlight = 1e-4;      ///< acts on the flesh as if it did not move in the modes
-constexpr int kRigid = 12, kSymmetric = 6, kSkew = 3;
 using BoneMotion = ModalInertia::BoneMotion;
 using EightMotion = ModalInertia::EightMotion;
 using EightInertia = ModalInertia::EightInertia;
 
-/// Of eight terms: coefficients that their tensors are contracted with.
-struct Coefficients {
-  Floats rigid[kRigid];                                      ///< of the rest positions, and of the weights alone
-  Floats differences[Motion::kMoments][kSymmetric + kSkew];  ///< of the modes, for each backward difference
-  Floats mass[kSymmetric];
-};
-
-/// Shares of the backward differences q_0, q_0 - q_1, q_0 - 2 q_1 + q_2, ... instead of the coordinates themselves.
-/// Each has the size of what it adds to the force, which therefore keeps its digits in single precision.
-using Shares = Eigen::Matrix<double, Motion::kMoments, Motion::kPoses, Eigen::RowMajor>;
-Shares shares_of_differences(const Eigen::Matrix<double, Motion::kMoments, Motion::kPoses>& share) {
-  Eigen::Matrix4d binomials;
-  binomials << 1, 1, 1, 1, 0, -1, -2, -3, 0, 0, 1, 3, 0, 0, 0, -1;
-  return binomials * share;
-}
-
-/// Backward differences of each mode, one after another.
-void take_differences(const Motion& motion, std::vector<float>& y) {
-  const VectorXd &q0 = *motion.q[0], &q1 = *motion.q[1], &q2 = *motion.q[2], &q3 = *motion.q[3];
-  y.clear();
-  for (Index k = 0; k < q0.size(); ++k)
-    for (double difference : {q0(k), q0(k) - q1(k), q0(k) - 2 * q1(k) + q2(k), q0(k) - 3 * q1(k) + 3 * q2(k) - q3(k)})
-      y.push_back(float(difference));
-}
-
-/// Symmetric and skew parts that the tensors are stored by: xx yy zz, xy yz zx; xy yz zx.
-DYNAMORPH_INLINE void split(const Floats G[3][4], Floats* parts) {
-  for (int i = 0; i < 3; ++i) {
-    const int j = (i + 1) % 3;
-    parts[i] = G[i][i];
-    parts[3 + i] = G[i][j] + G[j][i];
-    parts[6 + i] = G[i][j] - G[j][i];
-  }
-}
-
-/// From eight terms' own motions, entry after entry. sign: 1 of a bone, whose mass counts by how far it is from rigid;
-/// -1 of a pair.
-DYNAMORPH_INLINE void contract_bones(const Floats (*motion)[12], const Floats& sign, Coefficients& out) {
-  Floats R[3][3], G[3][4];
-  for (int i = 0; i < 3; ++i)
-    for (int j = 0; j < 3; ++j) R[i][j] = sign * motion[0][4 * i + j];
-  for (int m = 0; m <= Motion::kMoments; ++m) {
-    const Floats* D = motion[m];
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < (m == 1 ? 4 : 3); ++j) G[i][j] = R[0][i] * D[j] + R[1][i] * D[4 + j] + R[2][i] * D[8 + j];
-    if (m == 0)
-      for (int i = 0; i < 3; ++i) {
-        out.mass[i] = G[i][i] - (0.5F + 0.5F * sign);
-        out.mass[3 + i] = 2 * G[i][(i + 1) % 3];
-      }
-    else
-      split(G, out.differences[m - 1]);
-    if (m == 1)
-      for (int i = 0; i < 3; ++i)
-        for (int j = 0; j < 4; ++j) out.rigid[4 * i + j] = G[i][j];
-  }
-}
-
 /// How much the mass's coefficients can change it.
-DYNAMORPH_INLINE float largest(const Coefficients& c) {
+DYNAMORPH_INLINE float largest(const Coefficients<Floats>& c) {
   Floats most = c.mass[0] * c.mass[0];
   for (int e = 1; e < kSymmetric; ++e) most += c.mass[e] * c.mass[e];
   float out = 0;
@@ -88,48 +31,9 @@ DYNAMORPH_INLINE float largest(const Coefficients& c) {
   return std::sqrt(out);
 }
 
-/// force += tensors : coefficients, and with kHeavy the mass, packed: of eight terms (Table: const Floats*) or of one
-/// term for eight characters (const float*). slopes: 9 coefficients of each mode.
-template <bool kHeavy, class Table>
-DYNAMORPH_INLINE void add_terms(Table table, Index r, const Floats* __restrict slopes, const Coefficients& c,
-                                Floats* __restrict force, Floats* __restrict mass) {
-  constexpr int kEntries = kSymmetric + kSkew;
-  for (Index k = 0; k < r; ++k) {
-    const Floats* own = slopes + kEntries * k;
-    Floats sums[3] = {};  // independent, or each addition would wait for the one before
-    for (int e = 0; e < kRigid; ++e) sums[e % 3] += table[e] * c.rigid[e];
-    table += kRigid;
-    for (int e = 0; e < kSymmetric; ++e) sums[e % 3] += table[e] * own[e];
-    // Two loops, each of which keeps its coefficients in registers.
-    if (kHeavy) {
-      Table row = table;
-      for (Index l = k; l < r; row += l == k ? kSymmetric : kEntries, ++l) {
-        Floats heavy[2] = {};
-        for (int e = 0; e < kSymmetric; ++e) heavy[e % 2] += row[e] * c.mass[e];
-        *mass++ += heavy[0] + heavy[1];
-      }
-    }
-    table += kSymmetric;
-    for (Index l = k + 1; l < r; ++l, table += kEntries) {
-      const Floats* other = slopes + kEntries * l;
-      Floats theirs[2] = {};
-      for (int e = 0; e < kSymmetric; ++e) {
-        sums[e % 3] += table[e] * other[e];
-        theirs[e % 2] += table[e] * own[e];
-      }
-      for (int e = kSymmetric; e < kEntries; ++e) {
-        sums[e % 3] += table[e] * other[e];
-        theirs[e % 2] -= table[e] * own[e];
-      }
-      force[l] += theirs[0] + theirs[1];
-    }
-    force[k] += (sums[0] + sums[1]) + sums[2];
-  }
-}
-
 /// The part of a force that does not depend on the coordinates.
 template <class Table>
-DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients& c, Floats* __restrict force) {
+DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<Floats>& c, Floats* __restrict force) {
   for (Index k = 0; k < r; ++k) {
     Floats sums[3] = {};
     for (int e = 0; e < kRigid; ++e) sums[e % 3] += table[e] * c.rigid[e];
@@ -143,19 +47,13 @@ DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients& c, Flo
 template <class Table, class Y>
 DYNAMORPH_INLINE void add_contribution(const Floats (*motion)[12], const Floats& sign, double influence, const Y* y,
                                        Index r, Table table, Floats* slopes, Floats* force, Floats* mass) {
-  Coefficients c;
+  Coefficients<Floats> c;
   contract_bones(motion, sign, c);
   const float change = largest(c);
   const bool pairs = influence < HUGE_VAL;
   if (pairs && change * influence < kUnnoticed) return;
   if (pairs && change * influence < kSlight) return add_rigid(table, r, c, force);
-  for (int e = 0; e < kSymmetric + kSkew; ++e) {
-    const Floats c0 = c.differences[0][e], c1 = c.differences[1][e], c2 = c.differences[2][e], c3 = c.differences[3][e];
-    for (Index l = 0; l < r; ++l) {
-      const Y* own = y + Motion::kMoments * l;
-      slopes[9 * l + e] = (own[0] * c0 + own[1] * c1) + (own[2] * c2 + own[3] * c3);
-    }
-  }
+  take_slopes(c, y, r, slopes);
   if (change > 1e-6F)  // bones are rigid to Blender's single precision
     add_terms<true>(table, r, slopes, c, force, mass);
   else
@@ -203,29 +101,6 @@ void add_lanes(const Floats* sums, Index count, float* totals) {
   }
 }
 
-/// What one bone contributes to the terms (BoneMotion), of one character or of eight. bones: its twelve entries in each
-/// pose; shares (kMoments, kPoses), row-major. Only the sums are rounded: each has the size of what it adds to the
-/// force.
-template <class Value, class Single>
-DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, const Vector3d& centre,
-                              const Vector3d& lift, Single (*out)[12]) {
-  for (int i = 0; i < 3; ++i) {
-    Value first[4];  // the row of the first difference, whose translation is moved to the centre
-    for (int j = 0; j < 4; ++j) {
-      const int e = 4 * i + j;
-      const Value b0 = bones[0][e], b1 = bones[1][e], b2 = bones[2][e], b3 = bones[3][e], b4 = bones[4][e];
-      to_single(b0, out[0][e]);
-      first[j] = shares[0] * b0 + shares[1] * b1 + shares[2] * b2 + shares[3] * b3 + shares[4] * b4;
-      for (int m = 1; m < Motion::kMoments; ++m) {
-        const double* share = shares + m * Motion::kPoses;
-        to_single(share[0] * b0 + share[1] * b1 + share[2] * b2 + share[3] * b3 + share[4] * b4, out[m + 1][e]);
-      }
-    }
-    first[3] += first[0] * centre[0] + first[1] * centre[1] + first[2] * centre[2] - lift[i];
-    for (int j = 0; j < 4; ++j) to_single(first[j], out[1][4 * i + j]);
-  }
-}
-
 DYNAMORPH_MULTIVERSION
 void combine_one(const double* const* bones, const double* shares, const Vector3d& centre, const Vector3d& lift,
                  float (*out)[12]) {
@@ -269,32 +144,6 @@ void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<in
     const float less = signs[t] < 0;
     for (int m = 0; m <= Motion::kMoments; ++m)
       for (int e = 0; e < 12; ++e) lanes[m][e][t] = a[m][e] - less * b[m][e];
-  }
-}
-
-/// visit(node, bones, volume) for the bones (b, b) of every node and the pairs (b, c), b < c, that share it.
-template <class Visit>
-void for_each_term(const SoftBody& body, int set, const Visit& visit) {
-  for (Index i = 0; i < body.skin.rows(); ++i)
-    for (SkinWeights::InnerIterator b(body.skin, i); b; ++b)
-      for (SkinWeights::InnerIterator c(body.skin, i); c; ++c)
-        if (b.col() <= c.col())
-          visit(i, std::pair(int(b.col()), int(c.col())),
-                body.volumes(i, set) * b.value() * (b.col() == c.col() ? 1 : c.value()));
-}
-
-/// One node's tensor in the order of add_terms: U (3, r) of the node, X its rest position.
-void node_tensor(const Eigen::Ref<const Eigen::Matrix3Xd>& U, const Vector3d& X, VectorXd& out) {
-  double* entry = out.data();
-  for (Index k = 0; k < U.cols(); ++k) {
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 4; ++j) *entry++ = U(i, k) * (j < 3 ? X(j) : 1);
-    for (Index l = k; l < U.cols(); ++l) {
-      for (int i = 0; i < 3; ++i) *entry++ = U(i, k) * U(i, l);
-      for (double sign : {1.0, -1.0})
-        for (int i = 0, j = 1; i < 3 && (sign > 0 || l > k); ++i, j = (i + 1) % 3)
-          *entry++ = 0.5 * (U(i, k) * U(j, l) + sign * U(j, k) * U(i, l));
-    }
   }
 }
 
@@ -351,8 +200,8 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
   std::map<Bones, Index> column;
   for (const Group& group : set.groups)
     for (const Bones& bones : group.bones) column.emplace(bones, Index(column.size()));
-  MatrixXd sums = MatrixXd::Zero(entries(), Index(column.size()));
-  VectorXd entry(entries());
+  MatrixXd sums = MatrixXd::Zero(entries(r_), Index(column.size()));
+  VectorXd entry(entries(r_));
   Index seen = -1;
   for_each_term(body, s, [&](Index i, const Bones& bones, double part) {
     const auto found = column.find(bones);
@@ -365,13 +214,13 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
     for (Index l = k; l < r_; ++l, ++p)
       for (Index i = 0; i < body.volumes.rows(); ++i)
         set.mass(p) += body.volumes(i, s) * U.col(k).segment<3>(3 * i).dot(U.col(l).segment<3>(3 * i));
-  set.table.assign(set.groups.size() * entries(), Floats{});
-  set.terms.resize(column.size() * entries());
+  set.table.assign(set.groups.size() * entries(r_), Floats{});
+  set.terms.resize(column.size() * entries(r_));
   Index next = 0;
   for (size_t g = 0; g < set.groups.size(); ++g)
     for (size_t lane = 0; lane < set.groups[g].bones.size(); ++lane, ++next)
-      for (Index e = 0; e < entries(); ++e)
-        set.table[g * entries() + e][lane] = set.terms[next * entries() + e] = float(sums(e, next));
+      for (Index e = 0; e < entries(r_); ++e)
+        set.table[g * entries(r_) + e][lane] = set.terms[next * entries(r_) + e] = float(sums(e, next));
 }
 
 void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities, Result& out) const {
@@ -400,7 +249,7 @@ void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities,
       alignas(64) Floats sign;
       std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<float*>(&sign));
       add_eight_terms(lanes, sign, set.groups[g].influence, out.differences.data(), r_,
-                      set.table.data() + g * entries(), out.slopes.data(), out.sums.data(), out.sums.data() + r_);
+                      set.table.data() + g * entries(r_), out.slopes.data(), out.sums.data(), out.sums.data() + r_);
     }
     add_lanes(out.sums.data(), Index(out.sums.size()) / kLanes, out.totals.data());
     const double density = densities.density(s), damped = densities.damped(s);
@@ -441,7 +290,7 @@ void ModalInertia::evaluate(const EightMotion& motion, const Doubles* density, c
     for (size_t g = 0; g < set.groups.size(); ++g)
       for (size_t t = 0; t < set.groups[g].bones.size(); ++t) {
         const Bones& bones = set.groups[g].bones[t];
-        const float* table = set.terms.data() + (g * kLanes + t) * entries();
+        const float* table = set.terms.data() + (g * kLanes + t) * entries(r_);
         add_term_of_eight(bone(bones.first), set.groups[g].signs[t] < 0 ? bone(bones.second) : nullptr,
                           set.groups[g].influence, out.differences.data(), r_, table, out.slopes.data(),
                           out.sums.data(), out.sums.data() + r_);

@@ -78,11 +78,9 @@ class ModalInertia {
   struct Tensors {
     VectorXd mass;              ///< U^T M1 U, packed upper triangle
     std::vector<Group> groups;  ///< bones, then pairs, the most influential first
-    LaneVector<Floats> table;   ///< entries() of each group
+    LaneVector<Floats> table;   ///< terms::entries of each group
     std::vector<float> terms;   ///< the same, entries() of one term after another
   };
-  /// Entries of a term's tensor.
-  Eigen::Index entries() const { return (12 + 6) * r_ + 9 * r_ * (r_ - 1) / 2; }
   int used(int bone);  ///< its place in used_, where it is added
   void tabulate(const SoftBody& body, const MatrixXd& U, int set, Tensors& out) const;
 

@@ -49,6 +49,11 @@ const MatrixXd& checked_basis(const SoftBody& body, const MatrixXd& U) {
   return U;
 }
 
+std::variant<ModalInertia, NodalInertia> inertia_of(const std::shared_ptr<const SoftBody>& body, const MatrixXd& U) {
+  if (body->own_transforms) return NodalInertia(body, U);
+  return ModalInertia(*body, U);
+}
+
 /// Taylor shift of a table from v = z - z_j to z; the energy and force (r) there.
 double recentre(const TableLayout& layout, const VectorXd& coordinates, VectorXd& table, VectorXd& force) {
   const Eigen::Index r = layout.r, pairs = layout.pairs();
@@ -111,7 +116,7 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
       U_(checked_basis(*body_, tables.basis)),
       layout_(tables.layout()),
       padded_pairs_(whole_chunks(layout_.pairs())),
-      inertia_(*body_, U_) {
+      inertia_(inertia_of(body_, U_)) {
   const Eigen::Index r = U_.cols();
   if (tables.lambda.size() != targets_.size() || tables.mu.size() != targets_.size())
     throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
@@ -200,6 +205,19 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
                                         blend.v.data(), dofs(), force.data(), stiffness.data());
   force += blend.force;
   return blend.energy + blend.force.dot(blend.v) + energy;
+}
+
+void ReducedModel::inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const {
+  if (const auto* nodal = std::get_if<NodalInertia>(&inertia_))
+    nodal->evaluate(motion, densities, out.nodes, out.mass, out.damped, out.force);
+  else
+    std::get<ModalInertia>(inertia_).evaluate(motion, densities, out);
+}
+
+const ModalInertia& ReducedModel::modal_inertia() const {
+  if (body_->own_transforms)
+    throw std::invalid_argument("model: its nodes have transforms of their own, which a crowd's cannot");
+  return std::get<ModalInertia>(inertia_);
 }
 
 void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {

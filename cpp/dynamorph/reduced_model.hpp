@@ -2,7 +2,10 @@
 // The soft skin in a modal subspace, u = U z, with the interface of FullModel.
 #pragma once
 
+#include <variant>
+
 #include "dynamorph/modal_inertia.hpp"
+#include "dynamorph/nodal_inertia.hpp"
 #include "dynamorph/polynomials.hpp"
 
 namespace dynamorph {
@@ -15,7 +18,9 @@ double linearize(const VectorXd& table, const TableLayout& layout, const VectorX
 class ReducedModel {
  public:
   using Matrix = MatrixXd;
-  using Inertia = ModalInertia::Result;
+  struct Inertia : ModalInertia::Result {
+    NodalInertia::Scratch nodes;
+  };
 
   struct Blend {
     VectorXd weights;
@@ -47,10 +52,9 @@ class ReducedModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
-  void inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const {
-    inertia_.evaluate(motion, densities, out);
-  }
-  const ModalInertia& modal_inertia() const { return inertia_; }
+  void inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const;
+  /// Throws std::invalid_argument when there is none, because the nodes have transforms of their own.
+  const ModalInertia& modal_inertia() const;
   void displacement(const VectorXd& z, VectorXd& u) const;
   void project(const VectorXd& f, VectorXd& out) const;
   VectorXd target(int j) const { return coordinates_[j]; }
@@ -76,7 +80,7 @@ class ReducedModel {
   std::vector<VectorXd> rest_stiffness_;  ///< packed K_j at z_j
   std::vector<VectorXd> forces_;          ///< of forces blending, at z = 0
   std::vector<double> energies_;
-  ModalInertia inertia_;
+  std::variant<ModalInertia, NodalInertia> inertia_;
 };
 
 }  // namespace dynamorph

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "dynamorph/closed_surface.hpp"
 #include "dynamorph/parallel.hpp"
 #include "dynamorph/surface.hpp"
 
@@ -158,7 +159,7 @@ VectorXd volumes(const TetMesh& mesh) {
   return v;
 }
 
-Embedding embed(const TetMesh& mesh, const Points& points) {
+Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_carry) {
   if (!points.allFinite()) throw Error("The surface has a NaN or infinite coordinate. Fix or delete that vertex.");
   if (mesh.tets.rows() == 0) throw std::invalid_argument("mesh: expected at least one tet");
   const std::vector<Tet> tets = prepare(mesh);
@@ -167,15 +168,21 @@ Embedding embed(const TetMesh& mesh, const Points& points) {
   for (Eigen::Index i = 0; i < points.rows(); ++i) {
     const Vector3d p = points.row(i);
     double best = infinity;
-    int nearest = 0;
+    int nearest = -1;
     Vector3d closest = p;
-    tree.nearest(p, best, [&](int t) {
-      const Vector3d q = tets[t].closest(p);
-      if ((q - p).squaredNorm() >= best) return;
-      best = (q - p).squaredNorm();
-      closest = q;
-      nearest = t;
-    });
+    const auto search = [&](bool any) {
+      best = infinity;
+      tree.nearest(p, best, [&](int t) {
+        const Vector3d q = tets[t].closest(p);
+        if ((q - p).squaredNorm() >= best || !(any || may_carry(i, t))) return;
+        best = (q - p).squaredNorm();
+        closest = q;
+        nearest = t;
+      });
+      return best < infinity;
+    };
+    search(true);
+    if (may_carry && !may_carry(i, nearest) && !search(false)) search(true);
     e.nodes.row(i) = mesh.tets.row(nearest);
     e.weights.row(i) = tets[nearest].bounded_weights(p, closest);
     e.distances[i] = std::sqrt(best);
@@ -196,7 +203,8 @@ SparseMatrix Embedding::matrix(Eigen::Index node_count) const {
 VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Triangles& triangles,
                         const ProgressFn& progress) {
   constexpr Eigen::Index kBlock = 256;  // of tets
-  const Surface surface(vertices, triangles);
+  const ClosedSurface closed = close_surface(vertices, triangles);
+  const Surface surface(closed.vertices, closed.triangles);
   const std::vector<Vector4d> samples = sample_weights();
   const Eigen::Index tets = mesh.tets.rows();
   VectorXd fractions(tets);
@@ -222,15 +230,15 @@ MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const 
   return solver.solve(e.transpose() * values);
 }
 
-Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& heads, const Points& tails,
-                       double ratio) {
+Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& skin, const Triangles& faces,
+                       const Points& heads, const Points& tails, double ratio) {
   if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
-  const Surface surface(cage, triangles);
+  const Surface surface(cage, triangles), body(skin, faces);
   double spacing = 0;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
     spacing += (cage.row(triangles(t, 0)) - cage.row(triangles(t, 1))).norm() / double(triangles.rows());
   const double room = 0.4 * spacing;  // nodes nearer to the cage or to each other make slivers
-  constexpr double inside = 0.75;     // of the held radius: the cage is wider than the body
+  constexpr double inside = 0.75;     // of the held radius
   std::vector<Vector3d> kept;
   const auto keep = [&](const Vector3d& p) {
     const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room; };
@@ -245,7 +253,7 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
     const int pieces = std::max(1, int(std::round(along.norm() / spacing)));
     for (int i = 0; i <= pieces; ++i) {
       const Vector3d p = head + along * i / pieces;
-      const double radius = surface.contains(p) ? inside * ratio * surface.distance(p) : 0;
+      const double radius = surface.contains(p) ? inside * ratio * body.distance(p) : 0;
       bool around = false;
       for (int corner = 0; corner < 3 && std::sqrt(3) * radius >= room; ++corner) {
         const double angle = M_PI / 3 * (2 * corner + i % 2);  // each triangle turned against the last
@@ -262,7 +270,9 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
 std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Triangles& triangles, const Points& heads,
                          const Points& tails, double ratio) {
   if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
-  const Surface surface(vertices, triangles);
+  const ClosedSurface closed = close_surface(vertices, triangles);
+  const Surface body(closed.vertices, closed.triangles);
+  const Surface skin(closed.vertices, closed.triangles.topRows(closed.authored));
   std::vector<bool> held(mesh.nodes.rows());
   for (Eigen::Index i = 0; i < mesh.nodes.rows(); ++i) {
     const Vector3d p = mesh.nodes.row(i);
@@ -270,7 +280,7 @@ std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Tria
     for (Eigen::Index b = 0; b < heads.rows(); ++b)
       to_bone = std::min(to_bone, distance_to_segment(p, heads.row(b), tails.row(b)));
     // Written so that no bones (an infinite distance) hold nothing.
-    held[i] = (1 - ratio) * to_bone < ratio * surface.distance(p) && surface.contains(p);
+    held[i] = (1 - ratio) * to_bone < ratio * skin.distance(p) && body.contains(p);
   }
   return held;
 }

@@ -35,10 +35,15 @@ struct Embedding {
   SparseMatrix matrix(Eigen::Index node_count) const;
 };
 
-Embedding embed(const TetMesh& mesh, const Points& points);
+/// Whether a tet may carry a point.
+using MayCarry = std::function<bool(Eigen::Index point, int tet)>;
+
+/// may_carry: all tets by default; where none may, the nearest does.
+Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_carry = {});
 
 /// Fraction of each tet that the body fills, 0.05 .. 1: a cage is larger than the body and has webs between limbs, and
-/// both mass and stiffness go with the fraction. The floor keeps every node massive and every tet stiff.
+/// both mass and stiffness go with the fraction. The floor keeps every node massive and every tet stiff. The surface is
+/// closed first (`close_surface`, here and in `pinned`).
 VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Triangles& triangles,
                         const ProgressFn& progress = {});
 
@@ -49,10 +54,10 @@ MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const 
 
 /// Points (k, 3) along the bones (segments from head to tail), about as far apart as the cage's vertices, where the
 /// cage leaves room for them: as nodes they tie the flesh to a bone that would else pass between nodes. Where there is
-/// room, three around the bone within what it holds (`ratio` as for `pinned`): a body held along a mere line could spin
-/// about it.
-Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& heads, const Points& tails,
-                       double ratio);
+/// room, three around the bone within what it holds (`ratio` and `skin` as for `pinned`): a body held along a mere line
+/// could spin about it.
+Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& skin, const Triangles& faces,
+                       const Points& heads, const Points& tails, double ratio);
 
 /// True for the nodes that the bones hold: those whose distance to the nearest bone (segment from head to tail) is less
 /// than `ratio` of the way from bone to skin. 0 holds none, 1 all nodes inside the body; nodes outside are never held.

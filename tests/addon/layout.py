@@ -67,6 +67,9 @@ class Layout:
 
     column = split = box = grid_flow = row
 
+    def context_pointer_set(self, _name, _data):
+        pass
+
     def separator(self, **_options):
         pass
 

@@ -132,8 +132,8 @@ def driven(obj):
     drive(obj, "smile", "angle", angle=("ROT_X", "upper"))
 
 
-def preserving_volume(obj):
-    obj.modifiers["Armature"].use_deform_preserve_volume = True
+def enveloped(obj):
+    obj.modifiers["Armature"].use_bone_envelopes = True
 
 
 def sculpting(obj):
@@ -178,6 +178,13 @@ def preset_saved(obj):
     PRESET.write_text("import bpy\nbpy.context.object.dynamorph.active_target.stiffness = 777.0\n")
 
 
+def piece_listed(obj):
+    """Another mesh on the armature, which is a piece."""
+    other_mesh_selected(obj)
+    piece = obj.dynamorph.pieces.add()
+    piece.object, piece.name = bpy.data.objects["Sleeve"], "Sleeve"
+
+
 def other_mesh_selected(obj):
     other = bpy.data.objects.new("Sleeve", obj.data.copy())
     bpy.context.scene.collection.objects.link(other)
@@ -194,6 +201,7 @@ SETUP, PRESET = str(FOLDER / "setup.json"), FOLDER / "preset.py"
 
 
 CALLS = {  # what a button needs before it, and what it is given
+    "add_piece": (other_mesh_selected, {}),
     "add_soft_skin": (no_soft_skin, {}),
     "add_target": (posed, {"key": "smile"}),
     "apply_material": (target_selected, {"preset": "FAT"}),
@@ -206,9 +214,10 @@ CALLS = {  # what a button needs before it, and what it is given
     "copy_slot": (target_selected, {}),
     "copy_to_selected": (other_mesh_selected, {}),
     "duplicate_target": (target_selected, {}),
+    "find_pieces": (other_mesh_selected, {}),
     "finish_sculpt": (sculpting, {}),
     "fit_material": (built, {"frequency": 5.0, "settle": 0.5}),
-    "fix": (preserving_volume, {"problem": "PRESERVE_VOLUME"}),
+    "fix": (enveloped, {"problem": "ENVELOPES"}),
     "free_bake": (baked, {}),
     "go_to_pose": (target_selected, {}),
     "live": (built, {}),
@@ -219,10 +228,12 @@ CALLS = {  # what a button needs before it, and what it is given
     "new_from_pose": (posed, {"key": "Bent"}),
     "paint_group": (target_selected, {"which": "SOFT"}),
     "remove_bone": (target_selected, {"bone": "lower"}),
+    "remove_piece": (piece_listed, {}),
     "remove_target": (target_selected, {}),
     "reset_gains": (gained, {}),
     "sculpt_target": (target_selected, {}),
     "select_key": (target_selected, {}),
+    "select_piece": (piece_listed, {}),
     "suggest_pose": (captured_on_the_way, {}),
     "suggest_targets": (driven, {}),
     "swap_slot": (two_slots, {}),

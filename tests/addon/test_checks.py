@@ -19,6 +19,7 @@ from test_extract import (
     preserve_volume,
     rest_position,
     subdivided_first,
+    two_armatures,
 )
 
 OPS = bpy.ops.dynamorph
@@ -46,10 +47,6 @@ def disabled_armature(obj):
     rig_of(obj).hide_viewport = True
 
 
-def multi_modifier(obj):
-    obj.modifiers["Armature"].use_multi_modifier = True
-
-
 def envelope_multiply(obj):
     for bone in rig_of(obj).data.bones:
         bone.use_envelope_multiply = True
@@ -70,10 +67,7 @@ PUT_RIGHT = [
     (rest_position, "POSE_POSITION"),
     (disabled_armature, "ENABLE_ARMATURE"),
     (hidden_modifier, "ENABLE_MODIFIER"),
-    (preserve_volume, "PRESERVE_VOLUME"),
     (envelopes, "ENVELOPES"),
-    (multi_modifier, "MULTI_MODIFIER"),
-    (bendy, "BENDY_BONES"),
     (envelope_multiply, "ENVELOPE_MULTIPLY"),
     (subdivided_first, "MOVE_BELOW"),
     (absolute_keys, "RELATIVE_KEYS"),
@@ -157,7 +151,7 @@ def test_the_armature_is_found_by_parent_or_by_bones_of_the_groups_names(scene, 
 
 def test_a_linked_armature_is_left_alone(scene, soft_arm, tmp_path):
     rest_position(soft_arm)
-    bendy(soft_arm)
+    envelope_multiply(soft_arm)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     with bpy.data.libraries.load(str(tmp_path / "arm.blend"), link=True) as (_, data):
@@ -167,21 +161,48 @@ def test_a_linked_armature_is_left_alone(scene, soft_arm, tmp_path):
     activate(obj)
     for fix in fixes(obj):
         refused(OPS.fix, "Armature 'Arm Rig' is linked.*make it local", problem=fix)
-    assert fixes(obj) == ["POSE_POSITION", "BENDY_BONES"]
+    assert fixes(obj) == ["POSE_POSITION", "ENVELOPE_MULTIPLY"]
 
 
 # Order, cost, and the button that begins ---------------------------------------------------------------------------
 
 
 def test_problems_come_in_the_order_of_work(soft_arm):
-    for spoil in (pinned_key, absolute_keys, bendy, rest_position, preserve_volume, subdivided_first, edit_mode):
+    spoiling = pinned_key, absolute_keys, envelope_multiply, rest_position, envelopes, subdivided_first, edit_mode
+    for spoil in spoiling:
         spoil(soft_arm)
     assert fixes(soft_arm) == [
-        "LEAVE_EDIT_MODE", "MOVE_BELOW", "PRESERVE_VOLUME", "POSE_POSITION", "BENDY_BONES", "RELATIVE_KEYS", "UNPIN",
+        "LEAVE_EDIT_MODE", "MOVE_BELOW", "ENVELOPES", "POSE_POSITION", "ENVELOPE_MULTIPLY", "RELATIVE_KEYS", "UNPIN",
     ]  # fmt: skip
     while fixes(soft_arm):
         OPS.fix(problem=fixes(soft_arm)[0])
     assert found(soft_arm) == []
+
+
+def two_armatures_disabled(obj):
+    """Twice the same armature, so that each problem of it is said once."""
+    two_armatures(obj)
+    obj.modifiers["Second"].show_viewport = False
+    rig_of(obj).hide_viewport = True
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [(preserve_volume, "Preserve Volume"), (bendy, "bendy bones"), (two_armatures, "several Armature modifiers")],
+)
+def test_what_blender_skins_itself_is_no_problem_but_a_note(soft_arm, change, words):
+    change(soft_arm)
+    (note,) = found(soft_arm)
+    assert words in note.text and "takes longer" in note.text and not note.fix
+    assert part("extract").character(soft_arm).probed
+
+
+def test_all_armature_modifiers_are_put_right(soft_arm):
+    two_armatures_disabled(soft_arm)
+    assert fixes(soft_arm) == ["ENABLE_MODIFIER", "ENABLE_ARMATURE"]
+    for fix in fixes(soft_arm):
+        OPS.fix(problem=fix)
+    assert fixes(soft_arm) == [] and soft_arm.modifiers["Second"].show_viewport
 
 
 def test_drawing_reads_no_points_and_no_weights(soft_arm, monkeypatch):
@@ -212,7 +233,7 @@ def added(obj):
 
 
 def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
-    for spoil in (preserve_volume, rest_position, bendy):
+    for spoil in (envelopes, rest_position, envelope_multiply):
         spoil(arm)
     for group in arm.vertex_groups:
         group.remove([3, 4, 5])
@@ -220,9 +241,9 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
     bpy.context.view_layer.update()
     warnings = " ".join(added(arm))
     for words in (
-        "Preserve Volume",
+        "bone envelopes",
         "rest position",
-        "bendy",
+        "Envelope Multiply",
         " m long: check the scale",
         "3 of the 272 vertices of 'Arm' have no",
     ):
@@ -230,7 +251,7 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
     assert len(arm.dynamorph.targets) == 1
     shown = " ".join(drawn(arm))  # what the reports say stays to be read, each once
     assert (
-        shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' uses Preserve") == 1
+        shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' is skinned by") == 1
     )
 
 

@@ -427,10 +427,7 @@ def zero_scale(obj):
     [
         (no_armature, "'Arm' has no Armature modifier"),
         (empty_armature_modifier, "'Arm' has no Armature modifier"),
-        (two_armatures, "'Arm'.*'Armature' and 'Second'.*keep one"),
-        (preserve_volume, "'Arm' uses Preserve Volume: turn it off"),
         (envelopes, "'Arm'.*turn Bone Envelopes off"),
-        (bendy, "'lower'.*bendy.*Segments to 1"),
         (no_length, "'lower'.*no length"),
         (rest_position, "'Arm Rig'.*rest position"),
         (no_groups, "'Arm' has no vertex group"),

@@ -127,22 +127,22 @@ def test_gravity_is_still_balanced_after_a_transform_is_applied(scene, arm, kind
         assert np.abs(job.result.displacement(k) - target.shape).max() < 1e-5
 
 
-# Skinning that is not linear ---------------------------------------------------------------------------------------
+# Skinning by more than weights -------------------------------------------------------------------------------------
 
 
-def preserve_volume(obj):
-    obj.modifiers["Armature"].use_deform_preserve_volume = True
+def envelopes(obj):
+    obj.modifiers["Armature"].use_bone_envelopes = True
 
 
-def bendy(obj):
-    rig_of(obj).data.bones["lower"].bbone_segments = 4
+def envelope_multiply(obj):
+    rig_of(obj).data.bones["lower"].use_envelope_multiply = True
 
 
 @pytest.mark.parametrize(
     "change, words",
     [
-        (preserve_volume, "'Arm' uses Preserve Volume: turn it off in Armature modifier 'Armature'"),
-        (bendy, "Bone 'lower' of 'Arm Rig' is a bendy bone: set its Segments to 1"),
+        (envelopes, "'Arm' is skinned by bone envelopes: in Armature modifier 'Armature' turn"),
+        (envelope_multiply, "Bone 'lower' of 'Arm Rig': turn off Envelope Multiply"),
     ],
 )
 def test_other_skinning_is_refused_and_nothing_changes(scene, skin, change, words):

@@ -564,7 +564,7 @@ def test_nearest_points_of_a_surface():
     triangles = np.concatenate([rng.permutation(30).reshape(-1, 3) for _ in range(3)])
     triangles = np.concatenate([triangles, [[0, 0, 1], [2, 2, 2]]])  # without area
     points = np.concatenate([rng.normal(size=(200, 3)) * 2.0, vertices])
-    found = part("transfer").nearest(points, vertices, triangles)
+    found = part("nearest").nearest(points, vertices, triangles)
     steps = np.linspace(0.0, 1.0, 60)
     grid = np.array([(1 - a - b, a, b) for a in steps for b in steps if a + b <= 1.0 + 1e-9])
     dense = np.einsum("gc,tcx->tgx", grid, vertices[triangles]).reshape(-1, 3)
@@ -582,13 +582,13 @@ def test_nearest_points_of_triangles_whose_corners_are_in_a_line():
     start, along = rng.uniform(-1.0, 1.0, (2000, 3)), 0.1 * rng.normal(size=(2000, 3))
     corners = np.stack([start, start + along, start + 0.5 * along], axis=1)
     points = start + rng.uniform(0.0, 1.0, (2000, 1)) * along
-    weights = part("transfer")._closest(points, corners)
+    weights = part("nearest")._closest(points, corners)
     np.testing.assert_allclose(np.einsum("pc,pcx->px", weights, corners), points, atol=1e-14)
 
 
 def test_a_character_of_13_thousand_vertices_takes_less_than_two_seconds(rich):
     """Of nearest points and shapes, which is what grows; the machine may be busy: the time of this process counts."""
-    transfer = part("transfer")
+    nearest = part("nearest").nearest
     side = 115
     x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
     vertices = np.stack([x, y, np.sin(x * 0.1) * 5], axis=-1).reshape(-1, 3) * 0.01
@@ -599,7 +599,7 @@ def test_a_character_of_13_thousand_vertices_takes_less_than_two_seconds(rich):
     rng = np.random.default_rng(1)
     points = vertices + rng.normal(size=vertices.shape) * 0.002
     began = time.process_time()
-    found = transfer.nearest(points, vertices, triangles)
+    found = nearest(points, vertices, triangles)
     for _ in range(10):
         found.carry(vertices)
     assert time.process_time() - began < 2.0

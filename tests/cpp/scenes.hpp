@@ -89,8 +89,9 @@ inline std::shared_ptr<const ReducedModel> reduced_model(std::shared_ptr<const S
   return std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, r).U), blending);
 }
 
-/// A bar of 0.8 m on `count` bones along it, each of which moves what is near; held at x = 0.
-inline std::shared_ptr<const SoftBody> chain_bar(int count) {
+/// A bar of 0.8 m on `count` bones along it, each of which moves what is near; held at x = 0. Each set has less of it
+/// towards the end than the one before.
+inline std::shared_ptr<const SoftBody> chain_bar(int count, int sets = 1) {
   const TetMesh mesh = bar(16, 2, 2, 0.05);
   const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
   MatrixXd weights(n, count);
@@ -100,7 +101,10 @@ inline std::shared_ptr<const SoftBody> chain_bar(int count) {
     for (int b = 0; b < count; ++b) weights(i, b) = std::exp(-2 * (along - b) * (along - b));
     pinned[i] = mesh.nodes(i, 0) < 1e-9;
   }
-  return std::make_shared<SoftBody>(mesh, VectorXd::Ones(m), VectorXd::Ones(m), MatrixXd::Ones(m, 1), pinned, weights);
+  MatrixXd shares(m, sets);
+  for (int s = 0; s < sets; ++s) shares.col(s) = VectorXd::LinSpaced(m, 1, 1.0 / (1 + s));
+  shares.array().colwise() /= shares.rowwise().sum().array().eval();
+  return std::make_shared<SoftBody>(mesh, VectorXd::Ones(m), VectorXd::Ones(m), shares, pinned, weights);
 }
 
 }  // namespace scenes

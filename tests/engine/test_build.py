@@ -141,6 +141,19 @@ def test_a_cage_is_current_until_something_moves_it(cage):
     assert "cage nodes changed" in stale_reasons(cage, bar(cage_nodes=500))
 
 
+def test_settings_that_came_later_age_no_older_model(cage):
+    assert not {"cage thickness", "cage object"} & set(cage.dependencies)
+    assert not has_cage(cage, bar(cage_thickness=0.01))
+    assert "cage thickness changed" in stale_reasons(build(bar(), previous=cage), bar(cage_thickness=0.01))
+
+
+def test_the_cage_stands_off_and_says_what_it_is_made_of(cage):
+    thick = build_cage(bar(cage_thickness=0.1, cage_nodes=300))
+    assert np.ptp(thick.nodes, axis=0).min() > np.ptp(cage.nodes, axis=0).min() + 0.1
+    assert thick.summary["defects"]["components"] == 1 and not thick.summary["defects"]["open_edges"]
+    assert 0 < thick.summary["quality"]["min_dihedral"] < 60
+
+
 def test_softer_skin_is_held_otherwise_in_the_same_tetrahedra(cage):
     softer = replace(bar(), softness=np.where(bar().vertices[:, 2] <= 2 * HELD, 0.0, 1.0))
     assert not has_cage(cage, softer)

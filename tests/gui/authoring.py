@@ -33,15 +33,15 @@ sections = {}  # that a later step closes
 @step("A problem, with its Fix")
 def problem():
     modifier = skin().modifiers["Armature"]
-    modifier.use_deform_preserve_volume = True  # not by hand
+    modifier.use_bone_envelopes = True  # not by hand
     yield from driver.drawn()
-    fix = "dynamorph.fix(problem='PRESERVE_VOLUME')"
+    fix = "dynamorph.fix(problem='ENVELOPES')"
     x, row = yield from sidebar.find(fix)
     left, y, width, height = sidebar.box
     bottom = int(row) - 110
     yield from driver.keep("problem", sidebar, (left, bottom, width, y + height - bottom))
     yield from sidebar.press(fix)
-    yield from until(lambda: not modifier.use_deform_preserve_volume, "the problem to be fixed")
+    yield from until(lambda: not modifier.use_bone_envelopes, "the problem to be fixed")
     assert not list(addon("checks").problems(skin()))
 
 

@@ -3,3 +3,4 @@
 
 from dynamorph._core import *  # noqa: F403
 from dynamorph.meshing import mesh_body as mesh_body
+from dynamorph.meshing import tet_quality as tet_quality

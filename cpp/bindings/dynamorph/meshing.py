@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import functools
+import heapq
+import itertools
 import math
 import os
 import signal
@@ -17,12 +19,18 @@ from pathlib import Path
 
 import numpy as np
 
-from dynamorph._core import Cancelled, Error, TetMesh, make_cage, points_on_bones, tetrahedralize
+from dynamorph._core import Cancelled, Error, TetMesh, closed_surface, make_cage, points_on_bones, tetrahedralize
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
-EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER = 2, 3, 4
-# For tests only: makes the child crash, hang or allocate without end.
+EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER = 2, 3, 4, 5
+# Where TetGen fails, crashes or hangs is a matter of luck: another cage, a little coarser or finer, mostly gets by.
+RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
+# For tests only: makes the child crash, hang or allocate without end; "crash once": at the first resolution.
 FAULT_VARIABLE = "DYNAMORPH_MESHER_FAULT"
+
+
+class _MesherFailed(Error):
+    """Another cage may get by."""
 
 
 def mesh_body(
@@ -30,34 +38,92 @@ def mesh_body(
     triangles: np.ndarray,
     target_nodes: int,
     *,
+    cage: tuple[np.ndarray, np.ndarray] | None = None,
+    thickness: float = 0.0,
     bones: np.ndarray | None = None,
     held: float = 0.4,
-    time_limit: float = 60.0,
+    time_limit: float | None = None,
     memory_limit_gb: float = 4.0,
     progress: Callable[[float], bool] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     """Wraps a closed cage around any triangle soup and fills it with about `target_nodes` nodes.
 
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. bones (B, 2, 3): heads and tails of bones along which
-    nodes are wanted, metres. held: how far of the way to the skin the bones hold the flesh. time_limit: seconds.
-    progress: called with 0..1 every 50 ms, returns False to cancel.
+    vertices (V, 3): metres. triangles (T, 3): vertex indices. cage: vertices (C, 3) and triangles (D, 3) of a closed
+    surface to be filled instead of a wrap. thickness: metres that the wrap stands off the body at least. bones
+    (B, 2, 3): heads and tails of bones along which nodes are wanted, metres. held: how far of the way to the skin the
+    bones hold the flesh. time_limit: seconds in all, None for as many as fit the nodes. progress: called with 0..1
+    every 50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
-    or indices; Error, saying what to do, when the mesh cannot be used or the mesher crashes, hangs or takes too much
-    memory; Cancelled.
+    or indices; Error, saying what to do, when the mesh cannot be used, or the mesher crashes, hangs or takes too much
+    memory at all resolutions near the one that is asked for; Cancelled.
     """
-    vertices, triangles = _checked(vertices, triangles)
     bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
     if bones.ndim != 3 or bones.shape[1:] != (2, 3):
         raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
+    arrays = [*_checked(vertices, triangles), bones, *_closed(cage)]
+    deadline = time.monotonic() + (time_limit or 60.0 + target_nodes / 50)
+    resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
+    failure = None
+    for resolution in resolutions:
+        seconds = (deadline - time.monotonic()) / (1 if resolution == resolutions[-1] else 2)
+        arguments = [target_nodes, seconds, memory_limit_gb, held, thickness, resolution]
+        try:
+            return _mesh_in_child(arrays, arguments, progress)
+        except _MesherFailed as error:
+            failure = error
+    raise Error(str(failure))
+
+
+def _mesh_in_child(arrays: list[np.ndarray], arguments: list, progress) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as answer:
-        np.save(request, vertices, allow_pickle=False)
-        np.save(request, triangles, allow_pickle=False)
-        np.save(request, bones, allow_pickle=False)
+        for array in arrays:
+            np.save(request, array, allow_pickle=False)
         request.seek(0)
-        _run_child([target_nodes, time_limit, memory_limit_gb, held], request, answer, time_limit, progress)
+        _run_child(arguments, request, answer, progress)
         answer.seek(0)
-        cage_vertices, cage_triangles, nodes, tets = (np.load(answer, allow_pickle=False) for _ in range(4))
-    return cage_vertices, cage_triangles, TetMesh(nodes, tets)
+        vertices, triangles, nodes, tets = (np.load(answer, allow_pickle=False) for _ in range(4))
+    return vertices, triangles, TetMesh(nodes, tets)
+
+
+def _closed(cage: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+    """The artist's cage, welded and outward, or one of nothing. Raises Error when it has holes."""
+    if cage is None:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
+    vertices, triangles, defects = closed_surface(*_checked(*cage))
+    if defects["boundary_loops"]:
+        raise Error(
+            f"The cage has {defects['boundary_loops']} holes. Close them (Mesh > Clean Up > Fill Holes), or use the "
+            "automatic cage."
+        )
+    return vertices, triangles
+
+
+def tet_quality(mesh: TetMesh) -> dict[str, float]:
+    """How well shaped the tetrahedra are: min_dihedral and max_dihedral, degrees; under_5, the fraction of dihedral
+    angles below 5 degrees; mean_aspect and max_aspect, the longest edge over the radius of the inscribed sphere, 1 for
+    a regular tetrahedron.
+    """
+    corners = mesh.nodes[mesh.tets]
+    areas = []  # vectors of the faces, each across from its corner
+    for a, b, c in ((1, 3, 2), (0, 2, 3), (0, 3, 1), (0, 1, 2)):
+        areas.append(np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a]) / 2)
+    pairs = list(itertools.combinations(range(4), 2))
+    angles = np.stack([_angle(-areas[i], areas[j]) for i, j in pairs])
+    longest = np.max([np.linalg.norm(corners[:, i] - corners[:, j], axis=1) for i, j in pairs], axis=0)
+    radius = 3 * mesh.volumes / sum(np.linalg.norm(area, axis=1) for area in areas)
+    aspect = longest / (2 * math.sqrt(6) * radius)
+    return {
+        "min_dihedral": float(angles.min()),
+        "max_dihedral": float(angles.max()),
+        "under_5": float((angles < 5).mean()),
+        "mean_aspect": float(aspect.mean()),
+        "max_aspect": float(aspect.max()),
+    }
+
+
+def _angle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angles (m,) between vectors (m, 3), degrees."""
+    return np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), np.einsum("mi,mi->m", first, second)))
 
 
 def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -68,8 +134,9 @@ def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     return arrays
 
 
-def _run_child(arguments: list, request, answer, time_limit: float, progress: Callable[[float], bool] | None) -> None:
+def _run_child(arguments: list, request, answer, progress: Callable[[float], bool] | None) -> None:
     """Runs `_child` on open files; its standard error carries progress (numbers) and, at the end, a message."""
+    time_limit, memory_limit_gb = arguments[1:3]
     # Isolated, with our own paths: nothing of the artist's Python environment, and inside Blender its bundled Python.
     paths = [str(Path(module.__file__).absolute().parent.parent) for module in (sys.modules["dynamorph"], np)]
     code = f"import sys; sys.path[:0] = {paths!r}; from dynamorph.meshing import _child; _child()"
@@ -90,14 +157,14 @@ def _run_child(arguments: list, request, answer, time_limit: float, progress: Ca
             if progress and not progress(fraction[0]):
                 raise Cancelled("cancelled")
             if time.monotonic() > deadline:
-                raise Error(f"Meshing took longer than {time_limit:g} s and was stopped. {TRY_THIS}")
+                raise _MesherFailed(f"Meshing took too long and was stopped. {TRY_THIS}")
             time.sleep(0.05)
     finally:  # also on KeyboardInterrupt, or an exception of progress's own
         child.kill()
         child.wait()
         reader.join()
         child.stderr.close()
-    _raise_failure(child.returncode, "\n".join(message), memory_limit_gb=arguments[2])
+    _raise_failure(child.returncode, "\n".join(message), memory_limit_gb)
 
 
 def _read_reports(stream, fraction: list[float], message: list[str]) -> None:
@@ -113,12 +180,14 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
         return
     if code == EXIT_ERROR:
         raise Error(message)
+    if code == EXIT_MESHER:
+        raise _MesherFailed(message)
     if code == EXIT_CALLER:
         raise ValueError(message)
     if code == EXIT_MEMORY:
         raise Error(f"Meshing needed more than {memory_limit_gb:g} GB of memory. Lower the cage resolution.")
     if code < 0:
-        raise Error(f"The mesher crashed on this mesh ({signal.Signals(-code).name}). {TRY_THIS}")
+        raise _MesherFailed(f"The mesher crashed on this mesh ({signal.Signals(-code).name}). {TRY_THIS}")
     last_line = message.rpartition("\n")[2]
     raise Error(f"The mesher failed on this mesh (exit code {code}: {last_line}). {TRY_THIS}")
 
@@ -126,18 +195,28 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
 def _child() -> None:
     """The child's main: arrays from standard input to standard output."""
     target_nodes = int(sys.argv[1])
-    time_limit, memory_limit_gb, held = map(float, sys.argv[2:5])
+    time_limit, memory_limit_gb, held, thickness, resolution = map(float, sys.argv[2:])
     _limit_resources(time_limit, memory_limit_gb)
     try:
-        _fault(os.environ.get(FAULT_VARIABLE))
-        vertices, triangles, bones = (np.load(sys.stdin.buffer, allow_pickle=False) for _ in range(3))
-        for array in _mesh(vertices, triangles, bones, held, target_nodes):
+        _fault(os.environ.get(FAULT_VARIABLE, ""), resolution)
+        body, bones, cage = _load(2), *_load(1), _load(2)
+        if len(cage[1]):
+            cage = _refined(*cage, int(_surface_share(target_nodes) * target_nodes))
+            arrays = _filled(cage, body, bones, held, target_nodes)
+        else:
+            arrays = _wrapped(body, bones, held, target_nodes, thickness, resolution)
+        for array in arrays:
             np.save(sys.stdout.buffer, array, allow_pickle=False)
     except (Error, ValueError) as error:
         print(error, file=sys.stderr)
-        sys.exit(EXIT_ERROR if isinstance(error, Error) else EXIT_CALLER)
+        codes = {_MesherFailed: EXIT_MESHER, Error: EXIT_ERROR}
+        sys.exit(codes.get(type(error), EXIT_CALLER))
     except MemoryError:
         sys.exit(EXIT_MEMORY)
+
+
+def _load(count: int) -> list[np.ndarray]:
+    return [np.load(sys.stdin.buffer, allow_pickle=False) for _ in range(count)]
 
 
 def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
@@ -152,18 +231,57 @@ def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
 
 
-def _mesh(vertices, triangles, bones, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
-    """A cage that leaves room for nodes inside; again with fewer vertices while good tets need too many nodes."""
-    # Fitted to many characters: the surface's share of the nodes falls as the mesh gets finer.
-    share = np.clip(0.62 - 0.12 * math.log(target_nodes / 2000, 4), 0.4, 0.7)
-    cage_vertices = share * target_nodes
+def _wrapped(body, bones, held: float, target_nodes: int, thickness: float, resolution: float) -> tuple:
+    """A cage that leaves room for nodes inside; another while good tets need too many nodes, or have room for few."""
+    cage_vertices = _surface_share(target_nodes) * target_nodes * resolution
+    best, best_error = (), math.inf
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
-        cage = make_cage(vertices, triangles, max(int(cage_vertices), 4), progress)
-        mesh = tetrahedralize(*cage, target_nodes, points_on_bones(*cage, bones[:, 0], bones[:, 1], held))
-        if len(mesh.nodes) <= 1.1 * target_nodes:
+        cage = make_cage(*body, max(int(cage_vertices), 4), thickness, progress)
+        arrays = _filled(cage, body, bones, held, target_nodes)
+        nodes = len(arrays[2])
+        error = abs(math.log(nodes / target_nodes))
+        if error < best_error:
+            best, best_error = arrays, error
+        if best_error < 0.1:
             break
-        cage_vertices *= target_nodes / len(mesh.nodes)
+        cage_vertices *= target_nodes / nodes
+    return best
+
+
+def _surface_share(nodes: int) -> float:
+    """What part of the nodes lies on the cage. Fitted to many characters: it falls as the mesh gets finer."""
+    return float(np.clip(0.62 - 0.12 * math.log(nodes / 2000, 4), 0.4, 0.7))
+
+
+def _refined(vertices: np.ndarray, triangles: np.ndarray, target_vertices: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same surface with at least so many vertices: its longest edge is halved, again and again."""
+    points = [tuple(point) for point in vertices.tolist()]
+    opposite = {}  # the corner across from a directed edge
+    for a, b, c in triangles.tolist():
+        opposite |= {(a, b): c, (b, c): a, (c, a): b}
+    if len(opposite) < triangles.size:  # some edge has more than two triangles
+        return vertices, triangles
+    heap = [(-math.dist(points[a], points[b]), a, b) for a, b in opposite if a < b]
+    heapq.heapify(heap)
+    while len(points) < target_vertices:
+        _, a, b = heapq.heappop(heap)
+        c, d, middle = opposite.pop((a, b)), opposite.pop((b, a)), len(points)
+        points.append(tuple((p + q) / 2 for p, q in zip(points[a], points[b], strict=True)))
+        for p, q, r in ((a, middle, c), (middle, b, c), (b, middle, d), (middle, a, d)):
+            opposite |= {(p, q): r, (q, r): p, (r, p): q}
+        for end in (a, b, c, d):
+            heapq.heappush(heap, (-math.dist(points[end], points[middle]), end, middle))
+    return np.array(points), np.array([(a, b, c) for (a, b), c in opposite.items() if a < min(b, c)], np.int32)
+
+
+def _filled(cage, body, bones, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
+    """The cage and the nodes and tets inside. Raises _MesherFailed."""
+    try:
+        inner = points_on_bones(*cage, *body, bones[:, 0], bones[:, 1], held)
+        mesh = tetrahedralize(*cage, target_nodes, inner)
+    except Error as error:
+        raise _MesherFailed(str(error)) from error
     return *cage, mesh.nodes, mesh.tets
 
 
@@ -172,7 +290,10 @@ def _report(attempt: int, done: float) -> bool:
     return True
 
 
-def _fault(kind: str | None) -> None:
+def _fault(kind: str, resolution: float) -> None:
+    kind, _, once = kind.partition(" ")
+    if once and resolution != RESOLUTIONS[0]:
+        return
     if kind == "crash":
         signal.raise_signal(signal.SIGSEGV)
     elif kind == "hang":

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Nine rigged, animated characters of ../shared that nobody here made, opened as an artist opens them."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+ASSETS = Path(__file__).parents[3] / "shared" / "assets"
+NODES, SUBSTEPS = 800, 2  # of the cage, and a frame: enough to see what goes wrong, and quick
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A character with one of its clips. keys: shape key -> frame of the clip whose pose is that target's; without
+    any, the flesh is one material. scale: what an artist answers to the warning that the body is of no likely size."""
+
+    file: str
+    clip: str
+    frames: tuple[int, int]
+    keys: dict[str, int] = field(default_factory=dict)
+    scale: float = 1.0
+
+    @property
+    def path(self) -> Path:
+        return ASSETS / self.file
+
+
+SHOTS = {
+    "Cylinder": Shot("cylinder_4bones.blend", "gen_bend_and_stop", (8, 24), {"bulge_elbow": 30}),
+    "Shoulder": Shot("mh_shoulder_arm_4bones.blend", "gen_raise_flex", (24, 40), {"biceps_bulge_L": 40}),
+    "MakeHuman, male": Shot("mh_male_53bones.blend", "gen_jump", (18, 34), {"muscular": 37}),
+    "MakeHuman, chubby": Shot(
+        "mh_chubby_53bones.blend", "gen_run_in_place", (40, 56), {"thigh_muscle_L": 49, "thigh_muscle_R": 58}
+    ),
+    "Cesium Man": Shot("CesiumMan_notexture.glb", "Anim_0", (10, 26)),
+    "Fox": Shot("Fox.glb", "Run", (5, 21), scale=0.01),
+    "KayKit knight": Shot("KayKit_Knight.glb", "1H_Melee_Attack_Chop", (5, 21)),
+    "T-rex": Shot("Quaternius_Trex.glb", "Armature|TRex_Run", (5, 21), scale=0.2),
+    "Robot": Shot("RobotExpressive.glb", "Walking", (3, 19), scale=0.4),
+}
+
+
+def open_shot(shot: Shot):
+    """The character's largest skinned mesh as a soft skin that plays the shot's clip; the scene has its frames."""
+    open_file(shot)
+    scene, body = bpy.context.scene, largest_skinned()
+    scene.frame_start, scene.frame_end = shot.frames
+    bpy.context.view_layer.objects.active = body
+    play(body.modifiers["Armature"].object, bpy.data.actions[shot.clip])
+    resize(body, shot.scale)
+    if body.data.shape_keys and body.data.shape_keys.animation_data:
+        body.data.shape_keys.animation_data.action = None  # it moves keys that are no targets
+    bpy.ops.dynamorph.add_soft_skin()
+    for key in body.data.shape_keys.key_blocks:
+        key.mute = key.name not in shot.keys and key != body.data.shape_keys.reference_key  # it would show on top
+    for key, frame in shot.keys.items():
+        scene.frame_set(frame)
+        bpy.ops.dynamorph.add_target(key=key)
+    model = body.dynamorph.model
+    model.cage_nodes, model.method = NODES, "DYNAMIC" if shot.keys else "SINGLE"
+    scene.frame_set(scene.frame_start)
+    return body
+
+
+def open_file(shot: Shot):
+    """The file as it is."""
+    if shot.path.suffix == ".glb":
+        bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+        bpy.ops.import_scene.gltf(filepath=str(shot.path))
+    else:
+        bpy.ops.wm.open_mainfile(filepath=str(shot.path))
+
+
+def largest_skinned():
+    """The mesh object with an Armature modifier that has the most vertices."""
+    skinned = [obj for obj in bpy.context.scene.objects if obj.type == "MESH" and "Armature" in obj.modifiers]
+    return max(skinned, key=lambda obj: len(obj.data.vertices))
+
+
+def play(rig, action):
+    rig.animation_data.action = action
+    rig.animation_data.action_slot = rig.animation_data.action_suitable_slots[0]  # some have one for the keys, too
+
+
+def resize(obj, scale: float):
+    """Scale the whole character, by what all of it is parented to."""
+    while obj.parent:
+        obj = obj.parent
+    obj.scale *= scale
+    bpy.context.view_layer.update()
+
+
+@dataclass(frozen=True)
+class Baked:
+    """A character's object and the job that baked it."""
+
+    body: object
+    job: object
+
+    @property
+    def skin(self) -> np.ndarray:
+        """(V, 3), bind space."""
+        return self.job.character.vertices @ self.job.character.to_bind.T
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the bounding box, metres."""
+        return float(np.linalg.norm(np.ptp(self.skin, axis=0)))
+
+    @cached_property
+    def displacements(self) -> np.ndarray:
+        """(F, V, 3), bind space."""
+        result = self.job.result
+        local = np.array([result.displacement(k) for k in range(len(result.frames))])
+        return local @ self.job.character.to_bind.T
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Which vertices (V,) of the skin the cage's tetrahedra hold."""
+        model = self.job.model
+        carried = np.einsum("va,vac->vc", model.embedding_weights, model.nodes[model.embedding_nodes])
+        return np.linalg.norm(carried - self.skin, axis=1) < 1e-6 * self.size
+
+
+def bake(jobs, body) -> Baked:
+    """The scene's frames. jobs: the add-on's module, by whichever name it is loaded."""
+    job = jobs.Job(body, goal="BAKE", substeps=SUBSTEPS)
+    jobs.run(job)
+    return Baked(body, job)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh of the artist's own as the cage: read where the skin rests, a dependency of the model, refused with advice."""
+
+import bpy
+import numpy as np
+import pytest
+from builders import make_mesh, part, refused, rig_of
+from mathutils import Matrix
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (-1, 1) for x in (-1, 1)])
+FACES = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6)]
+LOW, HIGH = -0.1, 2.1  # around the arm
+
+
+@pytest.fixture
+def caged(soft_arm):
+    """The arm with a box for its cage, which stands on another place and is scaled."""
+    soft_arm.dynamorph.model.cage_nodes = 200
+    soft_arm.dynamorph.model.modes = 8
+    box = make_mesh(bpy.context.scene, "Box", CORNERS, FACES)
+    box.matrix_world = Matrix.LocRotScale((0, 0, LOW), None, (0.5, 0.5, HIGH - LOW))
+    bpy.context.view_layer.update()
+    soft_arm.dynamorph.model.cage_object = box
+    return soft_arm
+
+
+def box_of(obj):
+    return obj.dynamorph.model.cage_object
+
+
+def reasons(obj):
+    return part("jobs").stale_reasons(obj, part("extract").character(obj))
+
+
+def test_the_model_is_made_in_the_artists_cage(caged):
+    bpy.ops.dynamorph.build()
+    model = part("jobs").load_model(caged)
+    np.testing.assert_allclose(model.nodes.min(axis=0), (-0.5, -0.5, LOW), atol=1e-4)
+    np.testing.assert_allclose(model.nodes.max(axis=0), (0.5, 0.5, HIGH), atol=1e-4)
+    assert abs(len(model.nodes) / 200 - 1) < 0.2
+    assert reasons(caged) == []
+
+
+def test_the_cage_is_read_at_rest_and_at_the_start(caged):
+    """Skinned like the body, moved together with it, and whatever the current frame."""
+    rig, box = rig_of(caged), box_of(caged)
+    for bone in ("upper", "lower"):
+        group = box.vertex_groups.new(name=bone)
+        group.add(range(8), 0.5, "REPLACE")
+    box.modifiers.new("Armature", "ARMATURE").object = rig
+    expected = part("extract").character(caged).cage
+    bpy.context.scene.frame_set(20)  # bent
+    bent = part("extract").character(caged).cage
+    np.testing.assert_array_equal(bent.points, expected.points)
+    assert rig.data.pose_position == "POSE"
+    for moved in (rig, box, caged):
+        moved.matrix_world = Matrix.Translation((3.0, 1.0, 0.5)) @ moved.matrix_world
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(part("extract").character(caged).cage.points, expected.points, atol=1e-4)
+
+
+def test_the_cage_is_a_dependency(caged):
+    bpy.ops.dynamorph.build()
+    box = box_of(caged)
+    box.name = "Renamed"
+    assert reasons(caged) == []
+    box.location.x += 0.05
+    assert reasons(caged) == ["cage object changed"]
+    box.location.x -= 0.05
+    box.data.vertices[0].co.x -= 0.1
+    assert reasons(caged) == ["cage object changed"]
+    box.data.vertices[0].co.x += 0.1
+    assert reasons(caged) == []
+    caged.dynamorph.model.cage_object = None
+    assert reasons(caged) == ["cage object changed"]
+
+
+def test_a_deleted_cage_is_missed_or_forgotten(caged):
+    box = box_of(caged)
+    bpy.context.scene.collection.objects.unlink(box)  # what Delete leaves of an object that is used
+    refused(bpy.ops.dynamorph.build, "'Box' of 'Arm' is not in the scene any more")
+    bpy.data.objects.remove(box)
+    bpy.ops.dynamorph.build()
+    assert part("jobs").load_model(caged).nodes[:, 0].max() < 0.45
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda box: box.data.clear_geometry(), "'Box' has no faces"),
+        (lambda box: setattr(box, "hide_viewport", True), "'Box' is disabled in viewports"),
+        (lambda box: box.modifiers.new("Build", "BUILD"), "'Box'.*has 1 holes.*Fill Holes"),
+        (lambda box: setattr(box, "scale", (0.5, 0.5, 0.4)), "'Box' leaves out .* of 'Arm'.*enlarge"),
+    ],
+    ids=["empty", "disabled", "open", "too small"],
+)
+def test_an_unusable_cage_is_refused_with_its_name(caged, spoil, words):
+    box = box_of(caged)
+    spoil(box)
+    if "BUILD" in [modifier.type for modifier in box.modifiers]:
+        box.modifiers["Build"].frame_start, box.modifiers["Build"].frame_duration = -5, 10
+    refused(bpy.ops.dynamorph.build, words)
+
+
+def test_only_other_meshes_can_be_cages(caged):
+    candidates = part("properties")._can_be_cage
+    model = caged.dynamorph.model
+    assert candidates(model, box_of(caged))
+    assert not candidates(model, caged)
+    assert not candidates(model, rig_of(caged))
+
+
+def test_undo_brings_the_cage_back(caged):
+    bpy.ops.ed.undo_push(message="with a cage")
+    caged.dynamorph.model.cage_object = None
+    bpy.ops.ed.undo_push(message="without")
+    bpy.ops.ed.undo()
+    assert box_of(bpy.data.objects["Arm"]).name == "Box"

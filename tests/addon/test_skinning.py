@@ -1,0 +1,491 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Skinning that is more than sums of bone matrices: what the engine gets is what Blender shows."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from builders import activate, add_key, evaluated_points, part, rig_of
+from mathutils import Matrix
+from test_extract import constrained, masked, mirrored, moved_and_scaled, not_deforming, parented_and_animated
+from test_with_engine import scaled_and_travelling
+
+FRAMES = 1, 7, 20
+
+
+# Rigs --------------------------------------------------------------------------------------------------------------
+
+
+def preserve_volume(obj):
+    obj.modifiers["Armature"].use_deform_preserve_volume = True
+
+
+def twisting(obj):
+    """A forearm that twists by 140 degrees."""
+    preserve_volume(obj)
+    bone = rig_of(obj).pose.bones["lower"]
+    for frame, angle in ((1, 0.0), (20, 2.5)):
+        bone.rotation_euler.y = angle
+        bone.keyframe_insert("rotation_euler", frame=frame)
+
+
+def growing(obj):
+    twisting(obj)
+    bone = rig_of(obj).pose.bones["lower"]
+    for frame, scale in ((1, (1.0, 1.0, 1.0)), (20, (1.4, 1.0, 0.8))):
+        bone.scale = scale
+        bone.keyframe_insert("scale", frame=frame)
+
+
+def bendy(obj):
+    rig = rig_of(obj)
+    activate(rig)
+    bpy.ops.object.mode_set(mode="EDIT")
+    rig.data.edit_bones["lower"].use_connect = True  # so that both bend where they meet
+    bpy.ops.object.mode_set(mode="OBJECT")
+    activate(obj)
+    for bone in rig.data.bones:
+        bone.bbone_segments = 8
+    rig.pose.bones["lower"].bbone_curveinx = 0.4
+    rig.pose.bones["upper"].bbone_rollout = 0.8
+
+
+def bendy_and_twisting(obj):
+    bendy(obj)
+    twisting(obj)
+
+
+def with_second_armature(obj):
+    """A bone of another armature, which travels, moves the end."""
+    rig = rig_of(obj).copy()
+    rig.data, rig.name = rig.data.copy(), "Second Rig"
+    rig.data.bones["upper"].name, rig.data.bones["lower"].name = "root", "tip"
+    rig.animation_data_clear()
+    bpy.context.scene.collection.objects.link(rig)
+    for frame, angle in ((1, 0.0), (20, 0.6)):
+        rig.pose.bones["tip"].rotation_euler.z = angle
+        rig.pose.bones["tip"].keyframe_insert("rotation_euler", frame=frame)
+        rig.location.x = 0.02 * frame
+        rig.keyframe_insert("location", frame=frame)
+    obj.vertex_groups.new(name="tip").add(list(range(200, 272)), 0.4, "REPLACE")
+    obj.modifiers.new("Second", "ARMATURE").object = rig
+    return obj.modifiers["Second"]
+
+
+def two_armatures(obj):
+    with_second_armature(obj).use_deform_preserve_volume = True
+
+
+def unrelated_armature_first(obj):
+    """An armature without bones for this mesh places no targets, wherever it stands."""
+    second = with_second_armature(obj)
+    obj.vertex_groups.remove(obj.vertex_groups["tip"])
+    obj.modifiers.move(obj.modifiers.find(second.name), 0)
+
+
+def hybrid(obj):
+    """The usual mix of linear and dual quaternion skinning: one armature twice, by a painted mask."""
+    twisting(obj)
+    obj.modifiers["Armature"].use_deform_preserve_volume = False
+    second = obj.modifiers.new("Second", "ARMATURE")
+    second.object, second.use_deform_preserve_volume, second.use_multi_modifier = rig_of(obj), True, True
+    mask = obj.vertex_groups.new(name="Twist")
+    for index in range(60, 272):
+        mask.add([index], index / 272, "REPLACE")
+    second.vertex_group = "Twist"
+
+
+def five_influences(obj):
+    """More bones at a vertex than an exporter would keep."""
+    rig = rig_of(obj)
+    activate(rig)
+    bpy.ops.object.mode_set(mode="EDIT")
+    for i in range(3):
+        bone = rig.data.edit_bones.new(f"muscle {i}")
+        bone.head, bone.tail, bone.parent = (0.1 * i, 0.1, 0.5), (0.1 * i, 0.1, 1.5), rig.data.edit_bones["lower"]
+    bpy.ops.object.mode_set(mode="OBJECT")
+    activate(obj)
+    for i in range(3):
+        obj.vertex_groups.new(name=f"muscle {i}").add(list(range(272)), 0.1 + 0.1 * i, "REPLACE")
+        bone = rig.pose.bones[f"muscle {i}"]
+        bone.rotation_mode, bone.rotation_euler = "XYZ", (0.1 * i, 0.3, -0.2 * i)
+
+
+def groups_without_bones(obj):
+    group = obj.vertex_groups.new(name="Clothes")
+    group.add(list(range(272)), 0.7, "REPLACE")
+
+
+def locked_groups(obj):
+    for group in obj.vertex_groups:
+        group.lock_weight = True
+
+
+def zero_weights(obj):
+    """Vertices without groups, with weights of zero, and with less than Blender heeds."""
+    for group in obj.vertex_groups:
+        group.remove([3, 4, 5])
+        group.add([6, 7], 0.0, "REPLACE")
+        group.add([8, 9], 3e-5, "REPLACE")
+    obj.vertex_groups["upper"].add([40], 0.2, "REPLACE")  # the sum is not one
+
+
+def both(first, second):
+    def change(obj):
+        first(obj)
+        second(obj)
+
+    change.__name__ = f"{first.__name__}, {second.__name__}"
+    return change
+
+
+LINEAR = [
+    five_influences, groups_without_bones, locked_groups, zero_weights, masked, not_deforming, moved_and_scaled,
+    mirrored,
+]  # fmt: skip
+QUATERNIONS = [
+    preserve_volume, twisting, growing, two_armatures, unrelated_armature_first, hybrid,
+    *(both(twisting, change) for change in (*LINEAR, parented_and_animated, constrained)),
+]  # fmt: skip
+BENDY = [bendy, bendy_and_twisting, both(bendy, moved_and_scaled), both(bendy, zero_weights)]
+
+
+def skin_probe(obj, displacement=0.0):
+    """A probe of the vertices instead of nodes, displaced (V, 3) in local space; their places in bind space."""
+    character = part("extract").character(obj)
+    rest = (character.vertices + displacement) @ character.to_bind.T
+    everything = SimpleNamespace(
+        nodes=rest, free=np.ones(len(rest), bool), to_bind=character.to_bind, at_nodes=lambda values: values
+    )
+    return part("probe").Probe(obj, everything, character), rest
+
+
+def moved(transforms, bind) -> np.ndarray:
+    """World positions (..., n, 3) of points in bind space."""
+    return np.einsum("...nij,nj->...ni", transforms[..., :3], bind) + transforms[..., 3]
+
+
+def displace(obj, displacement):
+    """Show the mesh displaced (V, 3), local space."""
+    rest = part("extract").character(obj).vertices
+    block = add_key(obj, "displaced", 0.0)
+    block.points.foreach_set("co", (rest + displacement).astype(np.float32).ravel())
+    block.value = 1.0
+
+
+def flesh_motion(obj) -> np.ndarray:
+    """Displacements (V, 3) as large as those of flesh, local space."""
+    return np.random.default_rng(3).normal(0.0, 0.03, (len(obj.data.vertices), 3))
+
+
+# The probe ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("change", [*LINEAR, *QUATERNIONS, *BENDY], ids=lambda change: change.__name__)
+def test_the_probe_is_posed_as_blender_poses_the_mesh(scene, soft_arm, change):
+    change(soft_arm)
+    bpy.context.view_layer.update()
+    probe, rest = skin_probe(soft_arm)
+    samples = part("extract").sample_rig(soft_arm, 1, 20, 1, probe)
+    posed = moved(samples.nodes.transforms(samples.object_world), rest)
+    for frame in FRAMES:
+        scene.frame_set(frame)
+        theirs = evaluated_points(soft_arm)
+        assert np.abs(posed[frame - 1] - theirs).max() < 1e-6 * np.ptp(theirs, axis=0).max()
+
+
+@pytest.mark.parametrize("change", [*LINEAR, *QUATERNIONS], ids=lambda change: change.__name__)
+def test_displaced_flesh_is_carried_as_blender_carries_it(scene, soft_arm, change):
+    """For weights that are fixed the transform is exact, however far from rest."""
+    change(soft_arm)
+    motion = flesh_motion(soft_arm)
+    probe, rest = skin_probe(soft_arm)
+    samples = part("extract").sample_rig(soft_arm, 1, 20, 1, probe)
+    to_bind = part("extract").character(soft_arm).to_bind
+    posed = moved(samples.nodes.transforms(samples.object_world), rest + motion @ to_bind.T)
+    displace(soft_arm, motion)
+    for frame in FRAMES:
+        scene.frame_set(frame)
+        theirs = evaluated_points(soft_arm)
+        assert np.abs(posed[frame - 1] - theirs).max() < 1e-5 * np.ptp(theirs, axis=0).max()
+
+
+def test_bendy_bones_carry_flesh_to_first_order(scene, soft_arm):
+    """What bends a vertex depends on where it is: off by the square of the displacement."""
+    bendy(soft_arm)
+    rig_of(soft_arm).location.z = -0.04  # no vertex is where two segments meet: there the derivative jumps
+    motion = flesh_motion(soft_arm)
+    probe, rest = skin_probe(soft_arm)
+    samples = part("extract").sample_rig(soft_arm, 20, 20, 1, probe)
+    transforms = samples.nodes.transforms(samples.object_world)[0]
+    scene.frame_set(20)
+    displace(soft_arm, np.zeros_like(motion))
+    still, errors = evaluated_points(soft_arm), []
+    for factor in (1.0, 0.1):
+        displace(soft_arm, factor * motion)
+        soft_arm.data.shape_keys.key_blocks[-2].value = 0.0
+        shown = evaluated_points(soft_arm)
+        error = np.sqrt(np.mean((moved(transforms, rest + factor * motion) - shown) ** 2))
+        errors.append(error / np.sqrt(np.mean((shown - still) ** 2)))
+    assert errors[0] < 0.1 and errors[1] < 0.4 * errors[0]
+    # Probed where the flesh is, there is nothing to approximate.
+    probe, there = skin_probe(soft_arm, 0.1 * motion)
+    samples = part("extract").sample_rig(soft_arm, 20, 20, 1, probe)
+    assert np.abs(moved(samples.nodes.transforms(samples.object_world)[0], there) - shown).max() < 1e-5
+
+
+def test_probing_in_slices_is_the_same_and_leaves_nothing_between_them(soft_arm):
+    twisting(soft_arm)
+    extract = part("extract")
+    kinds = "scenes", "objects", "meshes", "armatures", "actions"
+    before = [len(getattr(bpy.data, kind)) for kind in kinds]
+    probe, _ = skin_probe(soft_arm)
+    sampling = extract.RigSampling(soft_arm, 1, 20, 2)
+    sampling.probe = probe
+    while not sampling.advance(soft_arm, 0.0):
+        assert [len(getattr(bpy.data, kind)) for kind in kinds] == before
+    at_once = extract.sample_rig(soft_arm, 1, 20, 2, probe)
+    np.testing.assert_array_equal(sampling.samples().nodes.points, at_once.nodes.points)
+    np.testing.assert_array_equal(sampling.samples().held.points, at_once.held.points)
+    assert at_once[5:7].nodes.points.shape == (2, 4, 272, 3) and len(at_once[5:7].held.points) == 2
+
+
+@pytest.mark.parametrize("inherit", ["FULL", "ALIGNED", "NONE"])
+def test_captured_poses_are_taken_again(scene, soft_arm, inherit):
+    """A target's pose holds what constraints and bones' inheritance made of it; the copy that takes it has none."""
+    twisting(soft_arm)
+    rig = rig_of(soft_arm)
+    rig.data.bones["lower"].inherit_scale = inherit
+    rig.data.bones["lower"].use_inherit_rotation = inherit != "NONE"
+    rig.pose.bones["upper"].rotation_euler.z, rig.pose.bones["upper"].scale.x = 0.4, 1.2
+    limit = rig.pose.bones["lower"].constraints.new("LIMIT_ROTATION")
+    limit.use_limit_y, limit.max_y, limit.owner_space = True, 1.0, "LOCAL"
+    scene.frame_set(20)
+    soft_arm.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.capture_pose()
+    probe, rest = skin_probe(soft_arm)
+    samples = part("extract").sample_rig(soft_arm, 20, 20, 1, probe)
+    held = moved(samples.held.transforms(np.repeat(samples.object_world, 2, axis=0)), rest)
+    assert np.abs(held[1] - evaluated_points(soft_arm)).max() < 1e-5
+    assert [c.type for c in rig.pose.bones["lower"].constraints] == ["LIMIT_ROTATION"]
+
+
+# Bakes -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_arm(soft_arm):
+    """The arm with a coarse cage, so that it builds in a second."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    soft_arm.dynamorph.model.cage_nodes = 200
+    soft_arm.dynamorph.model.modes = 8
+    return soft_arm
+
+
+def run(obj, **options):
+    job = part("jobs").Job(obj, **{"goal": "BAKE", **options})
+    part("jobs").run(job)
+    return job
+
+
+@pytest.mark.parametrize(
+    "change", [twisting, growing, hybrid, two_armatures, bendy, both(twisting, scaled_and_travelling)],
+    ids=lambda change: change.__name__,
+)  # fmt: skip
+def test_blender_shows_what_the_engine_computed(scene, small_arm, change):
+    """The skin, displaced by the bake, where a probe of it says that the engine has it."""
+    change(small_arm)
+    job = run(small_arm)
+    assert np.abs(job.result.coordinates).max() > 0 and job.report["inverted"] == 0
+    for k in (0, 6, 19):
+        displacement = job.result.displacement(k)
+        probe, there = skin_probe(small_arm, displacement if change is bendy else 0.0)
+        samples = part("extract").sample_rig(small_arm, k + 1, k + 1, 1, probe)
+        if change is not bendy:
+            there = there + displacement @ job.character.to_bind.T
+        scene.frame_set(k + 1)
+        shown = evaluated_points(small_arm)
+        posed = moved(samples.nodes.transforms(samples.object_world)[0], there)
+        round_off = 1e-7 * np.abs(shown).max()  # far from the origin Blender has no more digits
+        assert np.abs(posed - shown).max() < 1e-5 * np.ptp(shown, axis=0).max() + round_off
+
+
+def test_the_nodes_move_with_the_skin(scene, small_arm):
+    """Transforms of the nodes, carried to the skin, put it about where Blender does."""
+    twisting(small_arm)
+    job = run(small_arm)
+    player = part("simulate").Player(job.model, job.character, job.settings)
+    skin = player._skin
+    frames = player._frames(job.rig[-1:])
+    scene.frame_set(20)
+    small_arm.data.shape_keys.key_blocks.foreach_set("mute", [True] * len(small_arm.data.shape_keys.key_blocks))
+    apart = np.linalg.norm(skin.posed(frames[0]) - evaluated_points(small_arm), axis=1)[skin.known]
+    assert skin.known.sum() > 150 and np.median(apart) < 0.02 and apart.max() < 0.2
+
+
+@pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
+def test_on_plain_bones_both_ways_are_one(small_arm, monkeypatch, solver):
+    small_arm.dynamorph.model.solver = solver
+    small_arm.dynamorph.simulation.end = 8
+    small_arm.dynamorph.simulation.use_scene_range = False
+    monkeypatch.setattr(part("checks"), "beyond_bones", lambda _obj: "a test")
+    dense = run(small_arm)
+    monkeypatch.undo()
+    plain = run(small_arm)
+    assert dense.rig.nodes is not None and plain.rig.nodes is None and plain.reasons == []
+    apart = [np.abs(dense.result.displacement(k) - plain.result.displacement(k)).max() for k in range(8)]
+    moved_by = max(np.abs(plain.result.displacement(k)).max() for k in range(8))
+    assert moved_by > 0.01 and max(apart) < 2e-6
+
+
+def test_a_target_is_held_against_gravity_in_its_own_pose(small_arm):
+    twisting(small_arm)
+    bpy.context.scene.frame_set(20)
+    small_arm.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.capture_pose()
+    job = run(small_arm)
+    assert any(job.settings.gravity)
+    still = replace(job.settings, start=20, end=20)
+    held, _ = part("simulate").bake(job.model, job.character, job.rig[-1:], still)
+    shape = job.character.targets[1].shape
+    assert np.abs(held.displacement(0) - shape).max() < 1e-5
+    without = replace(job.rig[-1:], held=None)
+    with pytest.raises(ValueError, match="sampled without the nodes"):
+        part("simulate").bake(job.model, job.character, without, still)
+
+
+def test_a_loop_a_jump_and_wind(scene, small_arm):
+    """All that looks at where the skin is, without bones that could say it."""
+    twisting(small_arm)
+    rig = rig_of(small_arm)
+    small_arm.parent = rig
+    for frame, x in ((1, 0.0), (9, 0.0), (10, 50.0), (20, 50.0)):
+        rig.location.x = x
+        rig.keyframe_insert("location", frame=frame)
+    wind = bpy.data.objects.new("Wind", None)
+    scene.collection.objects.link(wind)
+    activate(wind)
+    bpy.ops.object.forcefield_toggle()
+    wind.field.type, wind.field.strength = "WIND", 40.0
+    activate(small_arm)
+    job = run(small_arm)
+    assert any("rig jumps at frame 10" in text for text in job.warnings)
+    assert max(np.abs(job.result.displacement(k)).max() for k in range(20)) < 0.5
+    player = part("simulate").Player(job.model, job.character, job.settings)
+    player.begin(job.rig[:2])
+    rest = job.character.vertices @ job.character.to_bind.T
+    assert player.pose_gap(job.rig[:1]) < 1e-12 and player.pose_gap(job.rig) > 0.1
+    assert player._skinned(job.rig[:1])[0] == pytest.approx(rest[player._skin.known], abs=1e-5)
+    push = player._push(job.rig.fields, 0, player._frames(job.rig[:1])[0])
+    assert push.sum(axis=0)[2] == pytest.approx(40.0 * player._skin.areas.sum(), rel=1e-6)
+    small_arm.dynamorph.simulation.loop = True
+    assert "gap" in run(small_arm).report
+
+
+def test_bones_scaled_to_zero_are_held(small_arm):
+    twisting(small_arm)
+    bone = rig_of(small_arm).pose.bones["lower"]
+    for frame, scale in ((1, 1.0), (8, 1.0), (9, 0.0), (12, 0.0), (13, 1.0)):
+        bone.scale = (scale, scale, scale)
+        bone.keyframe_insert("scale", frame=frame)
+    job = run(small_arm)
+    assert any("Bones scaled to zero are held" in text for text in job.warnings)
+    assert max(np.abs(job.result.displacement(k)).max() for k in range(20)) < 1.0
+
+
+def test_the_bake_is_outdated_by_the_modifiers_and_the_model_is_not(small_arm):
+    run(small_arm)
+    assert part("changes").outdated(small_arm) == []
+    preserve_volume(small_arm)
+    assert part("changes").outdated(small_arm) == ["Armature modifiers changed"]
+    job = run(small_arm)
+    assert job.reasons == [] and part("changes").outdated(small_arm) == []
+    rig_of(small_arm).data.bones["lower"].bbone_segments = 4
+    assert part("changes").outdated(small_arm) == ["Armature modifiers changed"]
+
+
+def test_the_animation_of_every_armature_counts(small_arm):
+    two_armatures(small_arm)
+    names = [name for name, _ in part("extract").animation(small_arm)]
+    assert names == ["Arm Rig", "Arm", "Second Rig"]
+
+
+def test_a_cage_is_made_before_the_rig_is_read_and_serves_the_model(small_arm):
+    preserve_volume(small_arm)
+    jobs = part("jobs")
+    job = jobs.Job(small_arm, "BAKE")
+    seen = []
+    jobs.run(job, lambda job: seen.append(job.fraction))
+    assert seen == sorted(seen) and job.model.summary["seconds"]["meshing"] < 0.01
+    assert set(job.seconds) == {"build", "sample rig", "measure", "simulate", "store model", "write keys"}
+    assert not jobs.Job(small_arm, "BUILD").needs_cage()
+    again = jobs.Job(small_arm, "BAKE")
+    again.read()
+    assert not again.needs_cage() and again.reasons == []
+
+
+def test_cancelled_while_the_cage_is_made(small_arm):
+    preserve_volume(small_arm)
+    jobs = part("jobs")
+    batch = jobs.Batch([jobs.Job(small_arm, "BAKE")], "BAKE")
+    steps = batch.steps(0.0, 0.0)
+    next(steps), next(steps)
+    assert batch.jobs[0].thread.is_alive()
+    batch.cancel()
+    with pytest.raises(jobs.Cancelled):
+        list(steps)
+    assert small_arm.dynamorph.model.content_id == ""
+
+
+@pytest.mark.parametrize("method", ["STATIC", "SINGLE", "SHAPE"])
+def test_other_methods(small_arm, method):
+    twisting(small_arm)
+    small_arm.dynamorph.model.method = method
+    job = run(small_arm)
+    assert (job.rig.nodes is None) == (method == "STATIC")
+    assert np.isfinite(job.result.displacement(19)).all()
+
+
+def test_modes_are_fitted_to_a_shot(small_arm):
+    twisting(small_arm)
+    small_arm.dynamorph.model.fit_to_shot = True
+    assert run(small_arm, goal="BUILD").model.summary["fitted"] == [1, 20]
+
+
+# Live --------------------------------------------------------------------------------------------------------------
+
+
+def test_playback_is_the_bake(scene, small_arm):
+    both(twisting, bendy)(small_arm)
+    job = run(small_arm)
+    bpy.ops.dynamorph.free_bake()
+    part("live")._loaded()
+    scene.frame_set(1)
+    bpy.ops.dynamorph.live()
+    block = small_arm.data.shape_keys.key_blocks["Dynamorph Live"]
+    for k in range(20):
+        scene.frame_set(k + 1)
+        assert part("live").problem(small_arm) == ""
+        shown = part("properties").key_points(block) - job.character.vertices
+        assert np.abs(shown - job.result.displacement(k)).max() < 2e-6
+    scene.frame_set(20)
+    small_arm.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.capture_pose()  # is probed anew
+    scene.frame_set(21)
+    assert part("live").problem(small_arm) == ""
+
+
+def test_previews(scene, small_arm):
+    twisting(small_arm)
+    run(small_arm, goal="BUILD")
+    part("live")._loaded()
+    scene.frame_set(12)
+    for button in (lambda: bpy.ops.dynamorph.shake_test(kind="HOP"), bpy.ops.dynamorph.play_mode):
+        assert button() == {"FINISHED"}
+    samples = part("extract").sample_present(small_arm, skin_probe(small_arm)[0])
+    away = samples.moved(np.array([Matrix.Translation((0, 0, z)) for z in (0.0, 2.0)]))
+    first, second = away.nodes.transforms(away.object_world)
+    assert (second - first)[..., 3] == pytest.approx(np.tile([0.0, 0.0, 2.0], (272, 1)), abs=1e-6)
+    assert (second - first)[..., :3] == pytest.approx(0.0)

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make robustness`: docs/robustness.md and its picture, from the characters of ../shared. No number is typed here."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_robustness_")  # before bpy is imported
+ROOT = Path(__file__).resolve().parents[2]
+sys.path += [str(ROOT / "tests" / "addon"), str(ROOT / "sample_blends")]
+
+import bpy  # noqa: E402
+import characters  # noqa: E402
+import dynamic_morph_targets  # noqa: E402
+import dynamorph  # noqa: E402
+import numpy as np  # noqa: E402
+from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
+from dynamic_morph_targets import extract, jobs  # noqa: E402
+from mathutils import Vector  # noqa: E402
+from performance_page import grid  # noqa: E402
+
+PAGE = ROOT / "docs" / "robustness.md"
+PICTURE = "images/robustness.png"
+MESHES = characters.ASSETS.parent / "meshes"
+CELL, ACROSS = (390, 300), 3  # pixels of a picture, pictures in a row
+FROM = Vector((0.65, -1.0, 0.3)).normalized()  # where the camera stands
+SURFACE_NODES = 600
+ABSENT = "-"
+DEFECTS = {
+    "open edges": "open_edges",
+    "non-manifold edges": "nonmanifold_edges",
+    "flipped faces": "flipped_faces",
+    "duplicate faces": "duplicate_faces",
+    "degenerate faces": "degenerate_faces",
+    "stray vertices": "stray_vertices",
+    "loose parts": "components",
+}
+
+PAGE_TEXT = """# Robustness
+
+What becomes of meshes and rigs that nobody here made. `make robustness` measures and writes this page; nothing on it is
+written by hand. `tests/addon/test_characters.py` asserts for each character, in Blender 4.5 and 5.2, that the bake is
+finite and bounded, that Blender shows what the engine computed, and that *Free Bake* restores the object.
+
+Blender {blender}, {machine}.
+
+## Characters
+
+The largest skinned mesh of each file as it is opened or imported, made a soft skin with the materials of a new one,
+about {nodes} nodes and {substeps} substeps a frame. Where a file has shape keys some are targets; the others are
+simulated with a single material. The fox and the T-rex are scaled to a likely size first, as *Add Soft Skin* asks for.
+
+![Each character at a frame of its bake]({picture})
+
+### Meshes
+
+What the wrapped cage has to bear with; it is no part of the mesh that is simulated, which stays as it is.
+
+{defects}
+### Cages
+
+*Dihedral angles* are those between faces of a tetrahedron. *Inside*: of the skin's vertices. *Glued* tetrahedra would
+join skin that is far apart along the mesh. *Held loose parts* of the cage had no bone in them.
+
+{cages}
+### Bakes
+
+*Farthest* is the flesh from where its bones alone have it, at worst. *Inside out* are tetrahedra in the worst frame.
+
+{bakes}
+## Surfaces
+
+All {surfaces} mesh objects of these files and of `../shared/meshes`, skinned or not, each wrapped and filled with about
+{surface_nodes} nodes: {meshed} were, {contained} of them with every vertex inside, in {median:.2f} s in the middle and
+{seconds:.1f} s at most. Of their dihedral angles {slivers} are under 5°.
+{refused}"""
+
+
+@dataclass
+class Tally:
+    """What came of meshing many surfaces."""
+
+    seconds: list[float] = field(default_factory=list)
+    contained: int = 0
+    refused: list[str] = field(default_factory=list)
+    angles: list[np.ndarray] = field(default_factory=list)
+
+
+def main() -> int:
+    missing = [shot.file for shot in characters.SHOTS.values() if not shot.path.exists()]
+    if missing:
+        print(f"robustness: ../shared/assets has no {', '.join(missing)}: nothing is written")
+        return 0
+    dynamic_morph_targets.register()
+    try:
+        write_page()
+    finally:
+        dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered
+    print(f"written to {PAGE.relative_to(ROOT)}", flush=True)
+    os._exit(0)  # Blender 4.5 waits for ever for a thread of its own when it exits after it has rendered
+
+
+def write_page() -> None:
+    defects, cages, bakes, pictures = [], [], [], []
+    for name, shot in characters.SHOTS.items():
+        with quiet():
+            baked = characters.bake(jobs, characters.open_shot(shot))
+            pictures.append(picture(baked))
+        defects.append((name, *mesh_row(baked)))
+        cages.append((name, *cage_row(baked)))
+        clip = shot.clip.rpartition("|")[2]
+        bakes.append((name, f"{clip}, {shot.frames[0]} to {shot.frames[1]}", *bake_row(baked)))
+        print(f"{name}: {' | '.join(cages[-1][1:])} | {' | '.join(bakes[-1][2:])}", flush=True)
+    draw(pictures)
+    tally = mesh_surfaces()
+    page = PAGE_TEXT.format(
+        blender=bpy.app.version_string,
+        machine=f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        nodes=characters.NODES,
+        substeps=characters.SUBSTEPS,
+        picture=PICTURE,
+        defects=grid(("", "vertices", "faces", *DEFECTS), defects),
+        cages=grid(("", "nodes", "tetrahedra", "smallest dihedral angle", "under 5°", "inside", "glued",
+                    "held loose parts"), cages),
+        bakes=grid(("", "clip, frames", "build", "bake", "farthest", "of the size", "inside out", "finite"), bakes),
+        surfaces=len(tally.seconds) + len(tally.refused),
+        surface_nodes=SURFACE_NODES,
+        meshed=len(tally.seconds),
+        contained=tally.contained,
+        seconds=max(tally.seconds),
+        median=float(np.median(tally.seconds)),
+        slivers=f"{100 * np.mean(np.concatenate(tally.angles) < 5.0):.2f} %",
+        refused="\n".join(["", *(f"- {text}" for text in tally.refused)]),
+    )  # fmt: skip
+    PAGE.write_text(page.rstrip() + "\n", encoding="utf-8")
+
+
+# Characters -----------------------------------------------------------------------------------------------------------
+
+
+def mesh_row(baked: characters.Baked) -> list[str]:
+    mesh, found = baked.body.data, baked.job.model.summary.get("defects", {})
+    counts = [len(mesh.vertices), len(mesh.polygons), *(found.get(key) for key in DEFECTS.values())]
+    return [ABSENT if count is None else f"{count:,}" for count in counts]
+
+
+def cage_row(baked: characters.Baked) -> list[str]:
+    model = baked.job.model
+    angles = dihedral_angles(model.nodes, model.tets)
+    known = model.summary
+    return [
+        f"{len(model.nodes):,}",
+        f"{len(model.tets):,}",
+        f"{angles.min():.1f}°",
+        f"{100 * np.mean(angles < 5.0):.2f} %",
+        f"{100 * baked.inside.mean():.1f} %",
+        str(known.get("glued", {}).get("tets", ABSENT)),
+        str(known.get("held_parts", ABSENT)),
+    ]
+
+
+def bake_row(baked: characters.Baked) -> list[str]:
+    job = baked.job
+    farthest = np.linalg.norm(baked.displacements, axis=2).max()
+    built = job.seconds["build"]
+    return [
+        f"{built:.2f} s",
+        f"{sum(job.seconds.values()) - built:.2f} s",
+        f"{1000 * farthest:.0f} mm",
+        f"{100 * farthest / baked.size:.1f} %",
+        f"{job.report['inverted']:,}",
+        "yes" if np.isfinite(baked.displacements).all() else "no",
+    ]
+
+
+def dihedral_angles(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """The six (m, 6) of each tetrahedron, degrees."""
+    corners = nodes[tets]
+    faces = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+    a, b, c = (corners[:, faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    first, second = np.triu_indices(4, 1)
+    cosines = -np.einsum("mkc,mkc->mk", normals[:, first], normals[:, second])
+    return np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
+
+
+# The picture ----------------------------------------------------------------------------------------------------------
+
+
+def picture(baked: characters.Baked):
+    """The whole character at the frame where the flesh is farthest."""
+    scene = bpy.context.scene
+    scene.frame_set(int(baked.job.result.frames[np.linalg.norm(baked.displacements, axis=2).max(axis=1).argmax()]))
+    shown = [obj for obj in scene.objects if obj.type == "MESH" and obj.parent and obj.visible_get()]
+    for obj in scene.objects:
+        obj.hide_render = obj not in shown and obj.type != "LIGHT"
+    turn = FROM.to_track_quat("Z", "Y").to_matrix()
+    seen = np.array([turn.transposed() @ obj.matrix_world @ Vector(c) for obj in shown for c in obj.bound_box])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    width, height, depth = high - low
+    camera = bpy.data.objects.new("Picture", bpy.data.cameras.new("Picture"))
+    scene.collection.objects.link(camera)
+    camera.data.type, camera.data.clip_end = "ORTHO", 4.0 * depth
+    camera.data.ortho_scale = 1.1 * max(width, height * CELL[0] / CELL[1])  # across the picture
+    camera.matrix_world = turn.to_4x4()
+    camera.location = turn @ Vector((*(0.5 * (low + high))[:2], high[2] + depth))
+    scene.camera = camera
+    scene.world = scene.world or bpy.data.worlds.new("World")
+    scene.world.color = (0.25, 0.28, 0.32)
+    return render([scene.frame_current], CELL, "BLENDER_WORKBENCH")[0]
+
+
+def draw(pictures: list) -> None:
+    names = list(characters.SHOTS)
+    rows = [
+        Row("", "", pictures[first : first + ACROSS], names[first : first + ACROSS])
+        for first in range(0, len(names), ACROSS)
+    ]
+    about = "Each at the frame where its flesh is farthest from where the bones alone have it"
+    save(compose("Nine characters, baked", about, [""] * ACROSS, rows), PAGE.parent / PICTURE, small=True)
+
+
+# Surfaces -------------------------------------------------------------------------------------------------------------
+
+
+def mesh_surfaces() -> Tally:
+    tally = Tally()
+    for name, vertices, triangles in surfaces():
+        began = time.perf_counter()
+        try:
+            *_, mesh = dynamorph.mesh_body(vertices, triangles, SURFACE_NODES)
+        except dynamorph.Error as error:
+            tally.refused.append(f"{name}: {error}")
+            continue
+        tally.seconds.append(time.perf_counter() - began)
+        outside = dynamorph.embed(mesh, vertices[np.unique(triangles)]).distances
+        tally.contained += bool(outside.max() < 1e-6 * np.linalg.norm(np.ptp(vertices, axis=0)))
+        tally.angles.append(dihedral_angles(mesh.nodes, mesh.tets).ravel())
+    return tally
+
+
+def surfaces() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """(name, vertices (V, 3), triangles (T, 3)) of all there are, metres."""
+    for shot in characters.SHOTS.values():
+        with quiet():
+            characters.open_file(shot)
+        for obj in bpy.context.scene.objects:
+            if obj.type == "MESH" and obj.data.polygons:
+                points = np.array([obj.matrix_world @ vertex.co for vertex in obj.data.vertices], float)
+                yield f"{shot.file}, {obj.name}", points, extract.mesh_triangles(obj.data)
+    for file in sorted(MESHES.glob("*.npz")):
+        with np.load(file) as stored:
+            yield file.name, stored["V"], boundary(stored["T"])
+
+
+def boundary(tets: np.ndarray) -> np.ndarray:
+    """The faces (T, 3) that belong to one tetrahedron alone."""
+    faces = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
+    _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[counts == 1]]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
