@@ -25,7 +25,8 @@ REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wante
 FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
 # Of the tetrahedra.
 MESH_DEPENDENCIES = (
-    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage object", "pin radius", "pieces"
+    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "cage object",
+    "pin radius", "pieces",
 )  # fmt: skip
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group")  # of them and of what is held
 CAGE_SHARE = 0.35  # of the time of a build

@@ -96,6 +96,9 @@ def followers(obj, character: Character) -> list[Follower]:
     rig = armature_modifier(obj).object
     body_world, _ = _worlds_at_start(obj, rig)
     skin = character.vertices @ character.to_bind.T
+    of_body = (character.pieces[character.triangles] == 0).all(axis=1)
+    if not of_body.any():
+        raise SceneError(f"'{obj.name}' has no body to carry its pieces: choose With Body for a part of it")
     found = []
     for piece in pieces:
         _refuse(checks.follower(obj, piece))
@@ -107,7 +110,7 @@ def followers(obj, character: Character) -> list[Follower]:
                 piece.session_uid,
                 vertices,
                 inverse(to_body[:3, :3]),
-                nearest(vertices, skin, character.triangles),
+                nearest(vertices, skin, character.triangles[of_body]),
             )
         )
     return found
@@ -751,7 +754,7 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError.
 
     The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
-    per s^2, so that at a unit scale of 0.01 a body falls as on the moon's moon.
+    per s^2.
     """
     chosen = obj.dynamorph.simulation
     fps = scene.render.fps / scene.render.fps_base

@@ -87,8 +87,8 @@ def _order(session_uid: int, _bones: tuple) -> list[int]:
 def skin_matrices(obj, depsgraph) -> np.ndarray | None:
     """Skin matrices (B + 1, 3, 4) float32 of the built model: of the pose in which the mesh is shown.
 
-    They lead to the world in Blender units, which is where it is drawn.
-    None if the armature has other bones now than when it was built.
+    They lead to the world in Blender units, which is where it is drawn. Linear also where Blender's skinning is not,
+    which is near enough to be looked at. None if the armature has other bones now than when it was built.
     """
     model = jobs.load_model(obj)
     modifier = extract.armature_modifier(obj)

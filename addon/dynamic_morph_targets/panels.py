@@ -151,6 +151,7 @@ def draw_cage(layout, context, obj):
     thickness = column.row()
     thickness.active = settings.model.cage_object is None
     thickness.prop(settings.model, "cage_thickness")
+    column.prop(settings.model, "cage_grading")
     column.prop(settings.model, "pin_radius")
     column.prop(settings.model, "separate")
     draw_painted_group(column, obj, "SOFT")

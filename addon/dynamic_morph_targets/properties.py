@@ -418,6 +418,12 @@ class DynamorphModel(PropertyGroup):
         "its tetrahedra",
         default=ModelSettings.cage_thickness, min=0.0, soft_max=0.1, subtype="DISTANCE", override=OVERRIDE,
     )  # fmt: skip
+    cage_grading: FloatProperty(
+        name="Cage Grading",
+        description="How much finer the cage is where targets move the skin, at the expense of the rest: for sculpts "
+        "of small detail. 0: the same everywhere, which is best for how flesh swings",
+        default=ModelSettings.cage_grading, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE,
+    )  # fmt: skip
     cage_object: PointerProperty(
         name="Cage Object",
         description="Closed mesh around the skin in rest pose, as it is when the scene starts, to be filled with "

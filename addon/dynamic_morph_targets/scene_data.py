@@ -288,7 +288,7 @@ VARIANTS: dict[str, dict[str, str]] = {
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.
-LATER_SETTINGS = {"cage_thickness": 0.0, "separate": True}
+LATER_SETTINGS = {"cage_thickness": 0.0, "cage_grading": 0.0, "separate": True}
 
 
 @dataclass(frozen=True)
@@ -303,6 +303,7 @@ class ModelSettings:
     fit_to_shot: bool = False  # choose the modes from how the shot moves
     cage_nodes: int = 2000
     cage_thickness: float = 0.0  # metres that the cage stands off the skin at least
+    cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
 

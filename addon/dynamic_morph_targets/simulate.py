@@ -13,6 +13,7 @@ import numpy as np
 
 from .build import Model, Progress, build
 from .scene_data import Bake, Character, Follower, RigSamples, SimulationSettings, determinant, inverse
+from .volume import parts_of
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 CHUNK_NODES = 2**18  # transforms of nodes made at once, if those are known: 25 MB
@@ -264,7 +265,7 @@ class Player:
         model = self.model
         if not self.probed:
             return rig.skin_matrices(model.skeleton, model.to_bind)
-        if rig.nodes is None or len(rig.nodes.rest) != model.free.sum():
+        if rig.nodes is None or not np.array_equal(rig.nodes.rest, model.nodes[model.free]):
             raise ValueError(f"'{self._character.name}' was sampled without the nodes of its model: sample it again")
         frames = rig.nodes.transforms(rig.object_world)
         flat = np.abs(determinant(frames[..., :3])) < FLAT
@@ -437,8 +438,11 @@ def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.nda
     details = np.moveaxis(follower.skin.carry(np.moveaxis(model.details, 0, 1)), 1, 0) @ follower.from_body.T
     if not len(model.tets):
         return np.zeros((0, *follower.vertices.shape)), details
-    embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes, model.tets), follower.vertices)
-    bind = np.einsum("pa,rpac->rpc", embedding.weights, modes[:, embedding.nodes])
+    part = parts_of(model.tets, len(model.nodes))  # pieces may have a cage of their own in the same place
+    under = part[model.embedding_nodes[np.unique(follower.skin.corners), 0]]
+    used, tets = np.unique(model.tets[np.isin(part[model.tets[:, 0]], under)], return_inverse=True)
+    embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes[used], tets.reshape(-1, 4)), follower.vertices)
+    bind = np.einsum("pa,rpac->rpc", embedding.weights, modes[:, used[embedding.nodes]])
     return bind @ np.linalg.inv(model.to_bind).T @ follower.from_body.T, details
 
 

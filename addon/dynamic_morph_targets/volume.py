@@ -62,7 +62,10 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         fill, pinned = np.concatenate(fill), np.concatenate(pinned) | (softness < HELD)
         adrift = _adrift(mesh, pinned)
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
-        raise dynamorph.Error(f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning")
+        raise dynamorph.Error(
+            f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint "
+            "Soft 0 where it is attached"
+        )
     for nodes in adrift:
         pinned[nodes] = True
     glued = {name: sum(count[name] for count in glued) for name in glued[0]}
@@ -143,7 +146,8 @@ def _together(pieces: np.ndarray, numbers: list[int], meshes, embeddings) -> tup
 
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
     settings, cage = character.settings, character.cage
-    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(np.ptp(surface, axis=0))))
+    extent = np.ptp(surface[np.unique(character.triangles)], axis=0)
+    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(extent)))
     try:
         _, _, mesh = dynamorph.mesh_body(
             np.round(surface / grid) * grid,
@@ -151,6 +155,8 @@ def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.
             settings.cage_nodes,
             cage=cage and cage[1:],
             thickness=settings.cage_thickness,
+            grading=settings.cage_grading,
+            moved=_moved(character),
             bones=np.round(character.bone_segments / grid) * grid,
             held=settings.pin_radius,
             progress=report,
@@ -158,6 +164,13 @@ def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.
     except dynamorph.Error as error:
         raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
     return mesh
+
+
+def _moved(character: Character) -> np.ndarray:
+    """How far targets move each vertex (V,) at most, 1 where it is farthest."""
+    shapes = np.array([target.shape for target in character.targets]) @ character.to_bind.T
+    farthest = np.linalg.norm(shapes, axis=2).max(axis=0)
+    return farthest / max(farthest.max(), 1e-300)
 
 
 def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
@@ -207,16 +220,21 @@ def _glued_warnings(character: Character, glued: dict) -> list[str]:
 # What nothing holds --------------------------------------------------------------------------------------------------
 
 
-def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
-    """The nodes of each part of the mesh that fewer than three nodes hold: it could move or turn without resistance."""
-    part = np.arange(len(mesh.nodes))
-    while True:  # the smallest number of its part spreads to every node
+def parts_of(tets: np.ndarray, nodes: int) -> np.ndarray:
+    """The part (n,) of a mesh of tets (m, 4) that each of its nodes belongs to: the smallest number of its nodes."""
+    part = np.arange(nodes)
+    while True:  # it spreads to every node
         lowest = part.copy()
-        np.minimum.at(lowest, mesh.tets, part[mesh.tets].min(axis=1, keepdims=True))
+        np.minimum.at(lowest, tets, part[tets].min(axis=1, keepdims=True))
         lowest = lowest[lowest]
         if (lowest == part).all():
-            break
+            return part
         part = lowest
+
+
+def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
+    """The nodes of each part of the mesh that fewer than three nodes hold: it could move or turn without resistance."""
+    part = parts_of(mesh.tets, len(mesh.nodes))
     held = np.bincount(part[pinned], minlength=len(part))
     return [np.flatnonzero(part == root) for root in np.unique(part) if held[root] < 3]
 

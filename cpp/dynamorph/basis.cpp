@@ -113,13 +113,15 @@ double width(const SoftBody& body) {
 MatrixXd bone_loads(const SoftBody& body) {
   constexpr Eigen::Index kLoads = 24;
   const VectorXd mass = unit_mass(body);
-  const Eigen::Index nodes = body.skin.rows(), bones = body.skin.cols();
+  // Nodes with transforms of their own are loaded as if one bone moved them.
+  const Eigen::Index nodes = body.skin.rows(), bones = body.own_transforms ? 1 : body.skin.cols();
   const auto X = [&](Eigen::Index i) { return Vector3d(body.rest.segment<3>(3 * i)); };
   MatrixXd centres = MatrixXd::Zero(3, bones);
   VectorXd weight = VectorXd::Zero(bones), spread = weight;
   const auto for_each = [&](const auto& visit) {
     for (Eigen::Index i = 0; i < nodes; ++i)
-      for (SkinWeights::InnerIterator it(body.skin, i); it; ++it) visit(i, it.col(), it.value() * mass(3 * i));
+      for (SkinWeights::InnerIterator it(body.skin, i); it; ++it)
+        visit(i, bones > 1 ? it.col() : 0, it.value() * mass(3 * i));
   };
   for_each([&](Eigen::Index i, Eigen::Index b, double m) {
     weight(b) += m;

@@ -7,7 +7,7 @@
 #include <map>
 #include <numeric>
 
-#include "dynamorph/surface.hpp"
+#include "dynamorph/closed_surface.hpp"
 
 namespace dynamorph {
 
@@ -30,10 +30,16 @@ double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& 
              : infinity;  // not so for NaN: a triangle along the line
 }
 
+Surface closed(const Points& vertices, const Triangles& triangles) {
+  check_triangles(vertices, triangles);
+  if (triangles.rows() == 0) return Surface(vertices, triangles);
+  const ClosedSurface closed = close_surface(vertices, triangles);
+  return Surface(closed.vertices, closed.triangles);
+}
+
 }  // namespace
 
-Flesh::Flesh(const Points& vertices, const Triangles& triangles, double spacing) {
-  check_triangles(vertices, triangles);
+Flesh::Flesh(const Points& vertices, const Triangles& triangles, double spacing) : body_(closed(vertices, triangles)) {
   weld(vertices, triangles);
   refine(spacing);
   connect();
@@ -202,19 +208,29 @@ int Flesh::nearest_corner(int triangle, const Vector3d& p) const {
 }
 
 int Flesh::nearest(const Vector3d& p) const {
+  const Place any = nearest_place(p, false);
+  if (any.triangle < 0) return -1;
+  // Inside another part that overlaps this one: not this one's, although it is near.
+  const bool other = any.outside && body_.contains(p);
+  const Place own = other ? nearest_place(p, true) : any;
+  const Place& place = own.triangle < 0 ? any : own;
+  return nearest_corner(place.triangle, place.at);
+}
+
+Flesh::Place Flesh::nearest_place(const Vector3d& p, bool only_around) const {
   double best = infinity;
-  int nearest = -1;
-  Vector3d at = p;
+  Place place;
   bvh_.nearest(p, best, [&](int t) {
     const auto& [a, b, c] = triangles_[t];
-    if (buried_[a] && buried_[b] && buried_[c]) return;
+    if (buried_[a] || buried_[b] || buried_[c]) return;
     const Vector3d q = closest_on_triangle(p, points_[a], points_[b], points_[c]);
     if ((q - p).squaredNorm() >= best) return;
+    const bool outside = (points_[b] - points_[a]).cross(points_[c] - points_[a]).dot(p - q) > 0;
+    if (outside && only_around) return;
     best = (q - p).squaredNorm();
-    nearest = t;
-    at = q;
+    place = {t, q, outside};
   });
-  return nearest < 0 ? -1 : nearest_corner(nearest, at);
+  return place;
 }
 
 Ways::Ways(const Flesh& flesh) : flesh_(flesh), length_(flesh.size(), infinity) {}

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "dynamorph/bvh.hpp"
+#include "dynamorph/surface.hpp"
 #include "dynamorph/types.hpp"
 
 namespace dynamorph {
@@ -36,12 +37,19 @@ class Flesh {
   int part(int i) const { return part_[i]; }
   const std::vector<Step>& steps(int i) const { return steps_[i]; }
 
-  /// The point of the skin around p. Skin that lies inside another part, or touches it, is none: between parts that
-  /// overlap it would be the other's. -1 when there is no skin.
+  /// The point of the skin that is around p, or nearest to it outside of the body; -1 when there is no skin. Skin that
+  /// lies inside another part, or touches it, is none: where parts overlap it would be the other's.
   int nearest(const Vector3d& p) const;
 
  private:
   using Triangle = std::array<int, 3>;
+
+  /// On the skin.
+  struct Place {
+    int triangle = -1;
+    Vector3d at = Vector3d::Zero();
+    bool outside = false;  // of it lies what it is nearest to
+  };
 
   void weld(const Points& vertices, const Triangles& triangles);
   void refine(double spacing);
@@ -51,6 +59,7 @@ class Flesh {
   void find_buried(double off);
   void look_through();
   int opposite(int from) const;
+  Place nearest_place(const Vector3d& p, bool only_around) const;
   int nearest_corner(int triangle, const Vector3d& p) const;
 
   std::vector<int> of_vertex_;
@@ -60,6 +69,7 @@ class Flesh {
   std::vector<int> part_;
   std::vector<bool> buried_;  // inside another place of the same part, or touching it
   Bvh bvh_ = Bvh({});
+  Surface body_;
 };
 
 /// The shortest ways from one point of the skin, found as far as they are asked for.

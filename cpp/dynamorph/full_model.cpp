@@ -84,26 +84,6 @@ VectorXd SoftBody::expand(const VectorXd& free_values) const {
   return out;
 }
 
-void NodeMotion::evaluate(const SoftBody& body, const Motion& motion) {
-  sum.resize(body.rest.size());
-  for (Eigen::Index i = 0; i < sum.size(); i += 3) sum.segment<3>(i) = -motion.lift;
-  frame.bones = *motion.bones[0];
-  pose_nodes(body.skin, frame);
-  for (int n = 0; n < Motion::kPoses; ++n) {
-    if (motion.share.col(n).isZero(0)) continue;
-    if (n > 0) {
-      past.bones = *motion.bones[n];
-      pose_nodes(body.skin, past);
-    }
-    const double share = motion.share.col(n).sum();
-    bind = share * body.rest;
-    for (int m = 0; m < Motion::kMoments; ++m)
-      if (motion.share(m, n) != 0) bind += motion.share(m, n) * *motion.q[m];
-    to_world(n > 0 ? past : frame, share, bind, posed);
-    sum += posed;
-  }
-}
-
 void SetDensities::blend(const std::vector<MorphTarget>& targets, int sets, const VectorXd& w) {
   density.setZero(sets);
   damped.setZero(sets);
@@ -224,13 +204,27 @@ double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& for
 }
 
 void FullModel::inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const {
-  out.nodes.evaluate(*body_, motion);
-  out.force.resize(dofs());
+  out.force.setZero(dofs());
+  out.frame.bones = *motion.bones[0];
+  pose_nodes(body_->skin, out.frame);
+  for (int n = 0; n < Motion::kPoses; ++n) {
+    if (motion.share.col(n).isZero(0)) continue;
+    if (n > 0) {
+      out.past.bones = *motion.bones[n];
+      pose_nodes(body_->skin, out.past);
+    }
+    const double sum = motion.share.col(n).sum();
+    out.bind = sum * body_->rest;
+    for (int m = 0; m < Motion::kMoments; ++m)
+      if (motion.share(m, n) != 0) out.bind += motion.share(m, n) * *motion.q[m];
+    to_world(n > 0 ? out.past : out.frame, sum, out.bind, out.posed);
+    out.force += out.posed;
+  }
   if (out.mass.nonZeros() != assembly_.pattern().nonZeros()) out.mass = out.damped = assembly_.pattern();
   values(out.mass).setZero();
   values(out.damped).setZero();
   for (size_t i = 0; i < body_->free_nodes.size(); ++i) {
-    const auto A = transform(out.nodes.frame.nodes, Eigen::Index(i)).leftCols<3>();
+    const auto A = transform(out.frame.nodes, Eigen::Index(i)).leftCols<3>();
     const Matrix3d square = A.transpose() * A;
     const double mass = body_->volumes.row(i).dot(densities.density);
     const double damped = body_->volumes.row(i).dot(densities.damped);
@@ -239,9 +233,9 @@ void FullModel::inertia(const Motion& motion, const SetDensities& densities, Ine
         out.mass.coeffRef(3 * i + r, 3 * i + c) = mass * square(r, c);
         out.damped.coeffRef(3 * i + r, 3 * i + c) = damped * square(r, c);
       }
-    out.force.segment<3>(3 * i) = mass * out.nodes.sum.segment<3>(3 * i);
+    out.force.segment<3>(3 * i) = mass * (out.force.segment<3>(3 * i) - motion.lift);
   }
-  pull_back(out.nodes.frame, out.force);
+  pull_back(out.frame, out.force);
 }
 
 MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces) {

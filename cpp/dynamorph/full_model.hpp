@@ -64,17 +64,6 @@ struct SoftBody {
   VectorXd expand(const VectorXd& free_values) const;            ///< (3 free) -> (3n), zero at pins
 };
 
-/// The free nodes in motion, and scratch.
-struct NodeMotion {
-  SkinFrame frame;  ///< in the pose of the motion's first bones
-  VectorXd sum;     ///< what inertia pulls on (3 free), metres, world space
-  SkinFrame past;
-  VectorXd bind, posed;
-
-  /// Of `motion`, whose coordinates are displacements (3 free).
-  void evaluate(const SoftBody& body, const Motion& motion);
-};
-
 /// Density and mass damping of each target set at weights w: sum_j w_j rho_j and sum_j w_j alpha_j rho_j.
 struct SetDensities {
   VectorXd density, damped;
@@ -106,7 +95,8 @@ class FullModel {
     Matrix mass;     ///< A^T M A
     Matrix damped;   ///< the same with M times mass damping
     VectorXd force;  ///< A^T M times the motion
-    NodeMotion nodes;
+    SkinFrame frame, past;
+    VectorXd bind, posed;
   };
 
   FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending);

@@ -1,23 +1,26 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Inertia of a soft skin in modes, node by node: for skinning that is not linear in the bones' matrices, where
-// ModalInertia's sums do not exist, and to compare those with. In double; the cost grows with the nodes.
+// ModalInertia's sums do not exist. In double; the cost grows with the nodes.
+//
+//   mass = sum_i m_i (A_i U_i)^T (A_i U_i),  force = sum_i m_i (A_i U_i)^T y_i,  y_i what the motion adds up to at node
+//   i.
 #pragma once
 
 #include "dynamorph/full_model.hpp"
+#include "dynamorph/lanes.hpp"
 
 namespace dynamorph {
 
 class NodalInertia {
  public:
   /// In the basis U (3 free, r).
-  NodalInertia(std::shared_ptr<const SoftBody> body, MatrixXd U) : body_(std::move(body)), U_(std::move(U)) {}
+  NodalInertia(std::shared_ptr<const SoftBody> body, const MatrixXd& U);
 
+  /// Nothing is allocated after the first time.
   struct Scratch {
-    std::array<VectorXd, Motion::kMoments> displacements;
-    NodeMotion nodes;
-    VectorXd root;    ///< of each node's mass
-    MatrixXd modes;   ///< M^(1/2) A U (3 free, r)
-    MatrixXd damped;  ///< the same with M times mass damping
+    std::array<SkinFrame, Motion::kPoses> poses;
+    MatrixXd displacements;  ///< of the modes in each pose (r, kPoses)
+    LaneVector<Doubles> modes, force, mass, damped;
   };
 
   /// U^T A^T M A U (r, r), the same with M times mass damping, and the force of `motion` (r).
@@ -26,7 +29,8 @@ class NodalInertia {
 
  private:
   std::shared_ptr<const SoftBody> body_;
-  MatrixXd U_;
+  Eigen::Index r_;
+  LaneVector<Doubles> table_;  ///< of eight nodes after the other: U mode after mode, then X; three numbers each
 };
 
 }  // namespace dynamorph

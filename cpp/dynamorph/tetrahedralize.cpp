@@ -48,7 +48,7 @@ void load(tetgenio& in, const Points& points, const Triangles& triangles) {
 
 /// The mesh without tets of no volume, which between them and their neighbours leave no gap.
 TetMesh without_flat(const TetMesh& mesh) {
-  constexpr double flat = 1e-14;  // of the cube of the longest edge
+  constexpr double flat = 1e-9;  // of the cube of the longest edge
   const VectorXd volume = volumes(mesh);
   std::vector<int> kept;
   for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {

@@ -328,6 +328,25 @@ def test_pieces_survive_saving(dressed, tmp_path):
     assert "'Renamed' moves with 'Arm'" in " ".join(drawn(sleeve))
 
 
+def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
+    """A buckle with a cage of its own, in the same place as the sleeve: the sleeve stays with the arm."""
+    twin = make_sleeve(coarse(soft_arm), away=1.0)
+    add_piece(soft_arm, twin)
+    with_buckle = soft_arm.dynamorph.pieces.add()
+    group = soft_arm.vertex_groups.new(name="Buckle")
+    upper = [v.index for v in soft_arm.data.vertices if v.co.z > 1.5]
+    group.add(upper, 1.0, "REPLACE")
+    with_buckle.group, with_buckle.choice = "Buckle", "OWN_CAGE"
+    job = bake(soft_arm)
+    parts = part("volume").parts_of(job.model.tets, len(job.model.nodes))
+    body = parts[job.model.embedding_nodes[job.character.pieces == 0, 0]]
+    assert len(np.unique(parts)) > len(np.unique(body))
+    (follower,) = job.followers
+    other = np.isin(parts, np.setdiff1d(parts, body))
+    modes, _ = part("simulate").carried(job.model, job.result.node_modes * other[:, None], follower)
+    assert not modes.any()
+
+
 # What Find Pieces finds --------------------------------------------------------------------------------------------
 
 

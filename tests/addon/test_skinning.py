@@ -312,6 +312,33 @@ def test_blender_shows_what_the_engine_computed(scene, small_arm, change):
         assert np.abs(posed - shown).max() < 1e-5 * np.ptp(shown, axis=0).max() + round_off
 
 
+@pytest.mark.parametrize("change", [lambda obj: None, twisting], ids=["bones", "twisting"])
+def test_modifiers_before_the_armature_stay_with_a_note(scene, small_arm, change):
+    """They bend what the shape keys make of the mesh, which is what the bake writes."""
+    change(small_arm)
+    cage = bpy.data.objects.new("Cage", bpy.data.lattices.new("Cage"))
+    scene.collection.objects.link(cage)
+    cage.scale, cage.location.z = (2.0, 2.0, 4.0), 1.0
+    for point in cage.data.points[:4]:
+        point.co_deform.x += 0.05
+    kinds = "LATTICE", "CORRECTIVE_SMOOTH"
+    for place, kind in enumerate(kinds):
+        small_arm.modifiers.new(kind.title(), kind)
+        small_arm.modifiers.move(len(small_arm.modifiers) - 1, place)
+    small_arm.modifiers["Lattice"].object = cage
+    job = run(small_arm)
+    notes = [text for text in job.warnings if "before the Armature is not simulated" in text]
+    assert len(notes) == 2 and [modifier.type for modifier in small_arm.modifiers] == [*kinds, "ARMATURE"]
+    scene.frame_set(12)
+    with_both = evaluated_points(small_arm)
+    baked = part("properties").key_points(small_arm.data.shape_keys.reference_key) + job.result.displacement(11)
+    bpy.ops.dynamorph.free_bake()
+    displace(small_arm, baked - job.character.vertices)
+    assert np.abs(evaluated_points(small_arm) - with_both).max() < 1e-5
+    small_arm.modifiers["Lattice"].show_viewport = False
+    assert np.abs(evaluated_points(small_arm) - with_both).max() > 1e-3
+
+
 def test_the_nodes_move_with_the_skin(scene, small_arm):
     """Transforms of the nodes, carried to the skin, put it about where Blender does."""
     twisting(small_arm)
@@ -446,6 +473,15 @@ def test_other_methods(small_arm, method):
     job = run(small_arm)
     assert (job.rig.nodes is None) == (method == "STATIC")
     assert np.isfinite(job.result.displacement(19)).all()
+
+
+def test_methods_are_compared(small_arm):
+    twisting(small_arm)
+    job = part("jobs").Job(small_arm, "BAKE", frames=(1, 3))
+    job.prepare()
+    variants = {name: part("scene_data").VARIANTS[name] for name in ("DMT StVK reduced", "DMT StVK full")}
+    found = part("report").compare(job.character, job.rig, job.settings, variants)["variants"]
+    assert found["DMT StVK reduced"]["steps"] > 0 and found["DMT StVK reduced"]["error"]["rms_total"] < 1.0
 
 
 def test_modes_are_fitted_to_a_shot(small_arm):

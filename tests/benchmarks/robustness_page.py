@@ -202,7 +202,7 @@ def picture(baked: characters.Baked):
     shown = [obj for obj in scene.objects if obj.type == "MESH" and obj.parent and obj.visible_get()]
     for obj in scene.objects:
         obj.hide_render = obj not in shown and obj.type != "LIGHT"
-    turn = FROM.to_track_quat("Z", "Y").to_matrix()
+    turn = FROM.to_track_quat("Z", "Y").to_matrix().to_4x4()
     seen = np.array([turn.transposed() @ obj.matrix_world @ Vector(c) for obj in shown for c in obj.bound_box])
     low, high = seen.min(axis=0), seen.max(axis=0)
     width, height, depth = high - low
@@ -210,7 +210,7 @@ def picture(baked: characters.Baked):
     scene.collection.objects.link(camera)
     camera.data.type, camera.data.clip_end = "ORTHO", 4.0 * depth
     camera.data.ortho_scale = 1.1 * max(width, height * CELL[0] / CELL[1])  # across the picture
-    camera.matrix_world = turn.to_4x4()
+    camera.matrix_world = turn
     camera.location = turn @ Vector((*(0.5 * (low + high))[:2], high[2] + depth))
     scene.camera = camera
     scene.world = scene.world or bpy.data.worlds.new("World")

@@ -320,6 +320,7 @@ TEST_CASE("inertia of nodes with transforms of their own: as if their bones had 
                                                 pinned, MatrixXd(pinned.size(), 0));
     const ReducedModel reduced(own, targets, reduce(full, U), Blending::even);
     CHECK_THROWS_AS(reduced.modal_inertia(), std::invalid_argument);
+    CHECK(make_basis(FullModel(own, targets, Law::linear, Blending::even), 10).U.cols() == 10);
     std::array<VectorXd, Motion::kMoments> z, u;
     std::array<SkinFrame, Motion::kPoses> poses;
     Motion small, big;
@@ -347,6 +348,12 @@ TEST_CASE("inertia of nodes with transforms of their own: as if their bones had 
     CHECK((mass - found.mass).norm() < 1e-12 * mass.norm());
     CHECK((damped - found.damped).norm() < 1e-12 * damped.norm());
     CHECK((force - found.force).norm() < 1e-12 * force.norm());
+
+    for (int n = 0; n < Motion::kPoses; ++n) small.bones[n] = &poses[n].bones;  // of the body with bones
+    ReducedModel::Inertia posed;
+    NodalInertia(body, U).evaluate(small, densities, posed.nodes, posed.mass, posed.damped, posed.force);
+    CHECK((posed.mass - found.mass).norm() < 1e-14 * mass.norm());
+    CHECK((posed.force - found.force).norm() < 1e-14 * force.norm());
   }
 }
 

@@ -142,7 +142,7 @@ def test_a_cage_is_current_until_something_moves_it(cage):
 
 
 def test_settings_that_came_later_age_no_older_model(cage):
-    assert not {"cage thickness", "cage object"} & set(cage.dependencies)
+    assert not {"cage thickness", "cage grading", "cage object"} & set(cage.dependencies)
     assert not has_cage(cage, bar(cage_thickness=0.01))
     assert "cage thickness changed" in stale_reasons(build(bar(), previous=cage), bar(cage_thickness=0.01))
 

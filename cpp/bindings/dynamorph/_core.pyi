@@ -7,7 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -42,6 +42,10 @@ class Embedding:
     """
     Where V surface points sit in a TetMesh.
     """
+    def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, 4]"], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 4]"]) -> None:
+        """
+        One that was kept: nodes, weights (V, 4); its distances are not known.
+        """
     def interpolate(self, values: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
         Values (V, k) at the points from values (n, k) at the nodes.
@@ -60,6 +64,35 @@ class Embedding:
     def weights(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 4]"]:
         """
         Their weights (V, 4): rows sum to 1; negative only outside.
+        """
+class Parting:
+    """
+    Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+    
+    Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
+    distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.
+    """
+    def __init__(self, mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> None:
+        """
+        Finds the glued tetrahedra.
+        
+        vertices (V, 3): metres. triangles (T, 3): the outward skin in the mesh, open or not. Raises ValueError on wrong shapes
+        or indices.
+        """
+    def cut(self) -> TetMesh:
+        """
+        The TetMesh with a crack between glued tetrahedra.
+        
+        The same tetrahedra; the nodes along the crack are doubled, the doubles at the end.
+        """
+    def embed(self, cut: TetMesh) -> Embedding:
+        """
+        The Embedding of the V vertices in the mesh as cut, each in a tetrahedron that belongs to skin near it.
+        """
+    @property
+    def glued(self) -> numpy.typing.NDArray[numpy.bool]:
+        """
+        Which tetrahedra are glued, bool (m,).
         """
 class Kernel:
     """
@@ -286,9 +319,9 @@ class SoftBody:
     """
     What all models of one character share.
     """
-    def __init__(self, mesh: TetMesh, fill: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], shares: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], pinned: collections.abc.Sequence[bool], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]) -> None:
+    def __init__(self, mesh: TetMesh, fill: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], shares: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], pinned: collections.abc.Sequence[bool], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None) -> None:
         """
-        fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale.
+        fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None where a transform of every free node is known instead: such a body has as many bones.
         """
     def extend_shapes(self, embedding: Embedding, surfaces: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> numpy.typing.NDArray[numpy.float64]:
         """
@@ -541,14 +574,6 @@ class Crowd:
         """
         (N, r) of the last step, a copy.
         """
-def closed_surface(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"], dict]:
-    """
-    A closed surface with its faces outward, made of any triangle soup.
-    
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. Vertices that lie together are welded, faces that are there
-    twice dropped, faces turned outward, holes capped. Returns the vertices (W, 3), the triangles (U, 3), caps last, and
-    what was wrong: counts by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.
-    """
 def embed(mesh: TetMesh, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> Embedding:
     """
     Embeds surface points (V, 3), metres, by barycentric weights.
@@ -564,7 +589,7 @@ def extend_to_nodes(mesh: TetMesh, embedding: Embedding, values: typing.Annotate
     """
 def fill_fractions(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], progress: typing.Any = None) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
     """
-    Fraction (m,) of each tet that the body fills, 0.05 .. 1; any soup, which is closed first.
+    Fraction (m,) of each tet that the body fills, 0.05 .. 1; the body need not be closed.
     
     vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
     """
@@ -572,11 +597,11 @@ def make_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, p
     """
     r modes: the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool, False raises Cancelled.
     """
-def make_cage(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, thickness: typing.SupportsFloat | typing.SupportsIndex = 0.0, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
+def make_cage(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
     """
     A closed cage of about `target_vertices` vertices around any triangle soup.
     
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. thickness: metres that the cage stands off at least. progress: called with 0..1, returns False to cancel.
+    vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
     Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not
     between 1e-6 and 1e6 m across.
     """
@@ -588,13 +613,13 @@ def pinned(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, num
     all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All metres, in
     the mesh's space.
     """
-def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], skin: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], skin_triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
     """
     Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
     
     As nodes they tie the flesh to a bone that would else pass between nodes; where there is room, three around the bone
     within what it holds (ratio, as for pinned), so that the body cannot spin about it. vertices (C, 3), triangles (D, 3): the cage.
-    skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.
+    heads, tails (B, 3): the bones at rest. All metres, in one space.
     """
 def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], progress: typing.Any = None) -> ReducedTables:
     """

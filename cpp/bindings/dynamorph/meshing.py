@@ -40,6 +40,8 @@ def mesh_body(
     *,
     cage: tuple[np.ndarray, np.ndarray] | None = None,
     thickness: float = 0.0,
+    grading: float = 0.0,
+    moved: np.ndarray | None = None,
     bones: np.ndarray | None = None,
     held: float = 0.4,
     time_limit: float | None = None,
@@ -49,7 +51,8 @@ def mesh_body(
     """Wraps a closed cage around any triangle soup and fills it with about `target_nodes` nodes.
 
     vertices (V, 3): metres. triangles (T, 3): vertex indices. cage: vertices (C, 3) and triangles (D, 3) of a closed
-    surface to be filled instead of a wrap. thickness: metres that the wrap stands off the body at least. bones
+    surface to be filled instead of a wrap. thickness: metres that the wrap stands off the body at least.
+    grading: 0 for tets of one size .. 1 for much finer ones where the body is moved, by moved (V,), 0..1. bones
     (B, 2, 3): heads and tails of bones along which nodes are wanted, metres. held: how far of the way to the skin the
     bones hold the flesh. time_limit: seconds in all, None for as many as fit the nodes. progress: called with 0..1
     every 50 ms, returns False to cancel.
@@ -60,7 +63,10 @@ def mesh_body(
     bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
     if bones.ndim != 3 or bones.shape[1:] != (2, 3):
         raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
-    arrays = [*_checked(vertices, triangles), bones, *_closed(cage)]
+    moved = np.zeros(len(vertices)) if moved is None or not grading else grading * np.asarray(moved, np.float64)
+    if moved.shape != (len(vertices),):
+        raise ValueError(f"moved: expected one number a vertex, got shape {moved.shape}")
+    arrays = [*_checked(vertices, triangles), moved, bones, *_closed(cage)]
     deadline = time.monotonic() + (time_limit or 60.0 + target_nodes / 50)
     resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
     failure = None
@@ -199,12 +205,13 @@ def _child() -> None:
     _limit_resources(time_limit, memory_limit_gb)
     try:
         _fault(os.environ.get(FAULT_VARIABLE, ""), resolution)
-        body, bones, cage = _load(2), *_load(1), _load(2)
+        body, (moved, bones), cage = _load(2), _load(2), _load(2)
         if len(cage[1]):
-            cage = _refined(*cage, int(_surface_share(target_nodes) * target_nodes))
+            wanted = int(_surface_share(target_nodes) * target_nodes)
+            cage = _graded(_refined(cage, _coarser(wanted, moved)), wanted, body, moved)
             arrays = _filled(cage, body, bones, held, target_nodes)
         else:
-            arrays = _wrapped(body, bones, held, target_nodes, thickness, resolution)
+            arrays = _wrapped(body, moved, bones, held, target_nodes, thickness, resolution)
         for array in arrays:
             np.save(sys.stdout.buffer, array, allow_pickle=False)
     except (Error, ValueError) as error:
@@ -231,13 +238,14 @@ def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
 
 
-def _wrapped(body, bones, held: float, target_nodes: int, thickness: float, resolution: float) -> tuple:
+def _wrapped(body, moved, bones, held: float, target_nodes: int, thickness: float, resolution: float) -> tuple:
     """A cage that leaves room for nodes inside; another while good tets need too many nodes, or have room for few."""
     cage_vertices = _surface_share(target_nodes) * target_nodes * resolution
     best, best_error = (), math.inf
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
-        cage = make_cage(*body, max(int(cage_vertices), 4), thickness, progress)
+        wanted = max(int(cage_vertices), 4)
+        cage = _graded(make_cage(*body, _coarser(wanted, moved), thickness, progress), wanted, body, moved)
         arrays = _filled(cage, body, bones, held, target_nodes)
         nodes = len(arrays[2])
         error = abs(math.log(nodes / target_nodes))
@@ -254,25 +262,58 @@ def _surface_share(nodes: int) -> float:
     return float(np.clip(0.62 - 0.12 * math.log(nodes / 2000, 4), 0.4, 0.7))
 
 
-def _refined(vertices: np.ndarray, triangles: np.ndarray, target_vertices: int) -> tuple[np.ndarray, np.ndarray]:
-    """The same surface with at least so many vertices: its longest edge is halved, again and again."""
+def _coarser(vertices: int, moved: np.ndarray) -> int:
+    """With how many vertices a cage begins that is to be finer in places."""
+    return max(int((1 - 0.4 * moved.max(initial=0.0)) * vertices), 4)
+
+
+def _graded(cage, target_vertices: int, body, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same surface with that many vertices, the more of them the more the body is moved nearby."""
+    return _refined(cage, target_vertices, 1 + 4 * _moved_nearby(cage, body, moved)) if moved.any() else cage
+
+
+def _refined(cage, target_vertices: int, fineness: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The same surface with at least so many vertices: its longest edge is halved, again and again.
+
+    fineness (C,): how much longer an edge counts than it is.
+    """
+    vertices, triangles = cage
     points = [tuple(point) for point in vertices.tolist()]
+    fineness = [1.0] * len(points) if fineness is None else fineness.tolist()
     opposite = {}  # the corner across from a directed edge
     for a, b, c in triangles.tolist():
         opposite |= {(a, b): c, (b, c): a, (c, a): b}
     if len(opposite) < triangles.size:  # some edge has more than two triangles
         return vertices, triangles
-    heap = [(-math.dist(points[a], points[b]), a, b) for a, b in opposite if a < b]
+
+    def length(a: int, b: int) -> float:
+        return math.dist(points[a], points[b]) * (fineness[a] + fineness[b])
+
+    heap = [(-length(a, b), a, b) for a, b in opposite if a < b]
     heapq.heapify(heap)
     while len(points) < target_vertices:
         _, a, b = heapq.heappop(heap)
         c, d, middle = opposite.pop((a, b)), opposite.pop((b, a)), len(points)
         points.append(tuple((p + q) / 2 for p, q in zip(points[a], points[b], strict=True)))
+        fineness.append((fineness[a] + fineness[b]) / 2)
         for p, q, r in ((a, middle, c), (middle, b, c), (b, middle, d), (middle, a, d)):
             opposite |= {(p, q): r, (q, r): p, (r, p): q}
         for end in (a, b, c, d):
-            heapq.heappush(heap, (-math.dist(points[end], points[middle]), end, middle))
+            heapq.heappush(heap, (-length(end, middle), end, middle))
     return np.array(points), np.array([(a, b, c) for (a, b), c in opposite.items() if a < min(b, c)], np.int32)
+
+
+def _moved_nearby(cage, body, moved: np.ndarray) -> np.ndarray:
+    """How much the body is moved near each vertex (C,) of the cage: it fades out over two of its edges."""
+    vertices, triangles = cage
+    moving = np.flatnonzero(moved > 0.05)
+    moving = moving[:: max(1, len(moving) // 1000)]
+    reach = 2 * np.linalg.norm(vertices[triangles[:, 0]] - vertices[triangles[:, 1]], axis=1).mean()
+    nearby = np.zeros(len(vertices))
+    for point, amount in zip(body[0][moving], moved[moving], strict=True):
+        distance = np.linalg.norm(vertices - point, axis=1)
+        np.maximum(nearby, amount * np.exp(-((distance / reach) ** 2)), out=nearby)
+    return nearby
 
 
 def _filled(cage, body, bones, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
