@@ -24,7 +24,7 @@ from pathlib import Path
 
 import bpy
 
-from . import changes, checks, clips, collect, extract, jobs, materials, model_file, properties, sinks
+from . import changes, checks, clips, collect, extract, jobs, materials, model_file, properties, share, sinks
 from .scene_data import VARIANTS, Material, ModelSettings
 
 COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
@@ -45,13 +45,27 @@ def main(argv, opens_file: bool = False) -> int:
     except SystemExit as stop:  # argparse has printed why; Blender must not be ended by it
         return stop.code if isinstance(stop.code, int) else BAD_INPUT
     # Blender swallows the first Ctrl-C unless Python's own handler is in place.
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    handlers = {
+        signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, _preempted),
+    }
     try:
         return _run(args, opens_file)
     finally:
-        if handler is not None:  # Blender's own is set in C: Python cannot put it back, and Blender ends here anyway
-            signal.signal(signal.SIGINT, handler)
+        for number, handler in handlers.items():
+            if (
+                handler is not None
+            ):  # Blender's own is set in C: Python cannot put it back, and Blender ends here anyway
+                signal.signal(number, handler)
         sys.stdout.flush()
+
+
+class Preempted(BaseException):
+    """A scheduler wants the machine for something else."""
+
+
+def _preempted(_number, _frame):
+    raise Preempted
 
 
 def _run(args, opens_file: bool) -> int:
@@ -60,6 +74,8 @@ def _run(args, opens_file: bool) -> int:
     try:
         open_file(args, opens_file)
         args.run(args)
+    except Preempted:
+        code, error = TRY_AGAIN, "stopped by a signal, nothing was saved: run it again, with --share it goes on"
     except KeyboardInterrupt:
         code, error = INTERRUPTED, "interrupted, nothing was saved"
     except jobs.SelfCheckError as failure:
@@ -142,7 +158,7 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
         chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
         if writes:
-            target = sub.add_mutually_exclusive_group(required=True)
+            target = sub.add_mutually_exclusive_group(required=name != "build")
             target.add_argument("-o", "--output", type=Path, metavar="FILE", help="the .blend to write")
             target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
         return sub
@@ -158,6 +174,9 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         add_settings(sub, "model", MODEL_SETTINGS)
         sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
                          help="set a target's property first, as Flexed.stiffness=5e4; may be repeated")  # fmt: skip
+        sub.add_argument("--share", type=Path, metavar="FOLDER",
+                         help="keep models and unfinished bakes there, and go on with those that are")  # fmt: skip
+        sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to tell of progress")
     for sub in (check, bake, build):
         sub.add_argument("--report", type=Path, metavar="FILE", help="write what came of it as JSON, even if it fails")
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
@@ -245,7 +264,10 @@ def check_substeps(args):
 def run_job(args):
     """bake and build."""
     check_substeps(args)
+    if not (args.output or args.in_place or args.share):
+        raise InputError("say where the model goes: --output, --in-place or --share")
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
+    shared = share.Share(args.share.resolve()) if args.share else None
     done = args.done
     for obj in chosen_objects(args):
         for change in args.changes:
@@ -255,16 +277,19 @@ def run_job(args):
                 if (value := getattr(args, name, None)) is not None:
                     setattr(group, name, value.upper() if isinstance(value, str) else value)
         frames = tuple(args.frames) if args.frames else None
-        job = jobs.Job(obj, args.goal, frames, args.substeps, folder, rebuild=args.goal == "BUILD")
-        jobs.run(job, Progress())
+        rebuild = args.goal == "BUILD" and shared is None
+        job = jobs.Job(obj, args.goal, frames, args.substeps, folder, rebuild, shared)
+        jobs.run(job, Progress(args.progress == "openjd"))
         for reason in job.reasons:
             print(f"{job.name}: built: {reason}")
         for warning in job.warnings:
             print(f"{job.name}: warning: {warning}")
         done.append(job)
-    seconds = save(args)
+    seconds = save(args) if args.output or args.in_place else 0.0
     for job in done:
         print_table(job, seconds)
+        if job.shot and shared:
+            shared.forget(job)
 
 
 def set_property(obj, change: str):
@@ -421,9 +446,10 @@ def save(args) -> float:
 
 
 class Progress:
-    """Prints a line when the stage changes and at each tenth, not at each tick."""
+    """Prints a line at each tenth, not at each tick. openjd: as Open Job Description's schedulers read it."""
 
-    def __init__(self):
+    def __init__(self, openjd=False):
+        self.openjd = openjd
         self.tenth = -1
 
     def __call__(self, job):
@@ -431,6 +457,8 @@ class Progress:
         if tenth > self.tenth:
             self.tenth = tenth
             print(f"{job.name}: {10 * tenth:3d} %  {job.message}", flush=True)
+            if self.openjd:
+                print(f"openjd_progress: {10 * tenth}\nopenjd_status: {job.name}: {job.message}", flush=True)
 
 
 def print_table(job, save_seconds: float):

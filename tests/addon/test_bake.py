@@ -244,7 +244,7 @@ def test_static_morph_targets_loop_too(shot, frames):
 def test_a_loop_is_what_many_cycles_come_to(shot):
     rig = cyclic(shot, travel=0.5)
     bake, _ = looped(shot, rig)
-    cycles = 12
+    cycles = 40
     world = np.concatenate([rig.rig_world[:-1] + c * (rig.rig_world[-1] - rig.rig_world[0]) for c in range(cycles)])
     pose = np.concatenate([rig.pose[:-1]] * cycles)
     long = replace(rig, pose=pose, rig_world=world, object_world=world)[: 1 + 11 * cycles * shot.settings.substeps]
