@@ -238,7 +238,6 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
     spacing += (cage.row(triangles(t, 0)) - cage.row(triangles(t, 1))).norm() / double(triangles.rows());
   const double room = 0.4 * spacing;  // nodes nearer to the cage or to each other make slivers
-  constexpr double inside = 0.75;     // of the held radius
   std::vector<Vector3d> kept;
   const auto keep = [&](const Vector3d& p) {
     const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room; };
@@ -253,7 +252,9 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
     const int pieces = std::max(1, int(std::round(along.norm() / spacing)));
     for (int i = 0; i <= pieces; ++i) {
       const Vector3d p = head + along * i / pieces;
-      const double radius = surface.contains(p) ? inside * ratio * body.distance(p) : 0;
+      // Well within what is held, and away from the cage too.
+      const double radius =
+          surface.contains(p) ? ratio * std::min(0.75 * surface.distance(p), 0.9 * body.distance(p)) : 0;
       bool around = false;
       for (int corner = 0; corner < 3 && std::sqrt(3) * radius >= room; ++corner) {
         const double angle = M_PI / 3 * (2 * corner + i % 2);  // each triangle turned against the last

@@ -83,7 +83,7 @@ def test_the_painted_half_stretches_by_its_own_stiffness(cage):
         ends = [displacement[np.isclose(height, z), 2].mean() for z in (low, high)]
         return ends[1] - ends[0]
 
-    assert stretch(half, 0.2, 0.35) == pytest.approx(stretch(plain, 0.2, 0.35), rel=0.01)
+    assert stretch(half, 0.2, 0.35) == pytest.approx(stretch(plain, 0.2, 0.35), rel=0.03)
     assert stretch(half, 0.6, 0.75) == pytest.approx(stretch(plain, 0.6, 0.75) / 4, rel=0.03)
     # The bar is soft up to the paint, in between the cage interpolates.
     assert stretch(half, 0.2, 0.7) / stretch(plain, 0.2, 0.7) == pytest.approx((0.25 + 0.25 / 4) / 0.5, rel=0.05)
