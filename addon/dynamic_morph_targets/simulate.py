@@ -219,7 +219,11 @@ class Player:
 
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with each mode's gain on its motion about the targets' shapes."""
-        return frame.coordinates + (self.gains - 1.0) * (frame.coordinates - self.dry(frame.weights))
+        return self.with_gains(frame.coordinates, self.dry(frame.weights))
+
+    def with_gains(self, coordinates: np.ndarray, dry: np.ndarray) -> np.ndarray:
+        """As `shown`, of coordinates (..., dofs) with and without motion."""
+        return coordinates + (self.gains - 1.0) * (coordinates - dry)
 
     def _ask(self):
         """Raises dynamorph.Cancelled when it is not to go on."""
@@ -467,7 +471,7 @@ class Shot:
         report = _report(player.settings.frames, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, dry))
-        coordinates, free = dry + player.gains * (coordinates - dry), model.basis.T
+        coordinates, free = player.with_gains(coordinates, dry), model.basis.T
         if model.settings.solver == "FULL" and player.engine is not None:
             coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
         modes = node_modes(model, free)
