@@ -6,24 +6,30 @@
 
 Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 75 a file could
 not be read or written (a full disk, a lost network: try again), 130 Ctrl-C.
+
+--report writes what came of a command as JSON, also when it fails. Its keys: docs/file_format.md.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import platform
 import signal
 import sys
 import time
+import tomllib
 from dataclasses import asdict, fields
 from pathlib import Path
 
 import bpy
 
-from . import changes, extract, jobs, materials, properties, sinks
-from .scene_data import VARIANTS, ModelSettings
+from . import changes, checks, clips, collect, extract, jobs, materials, model_file, properties, share, sinks
+from .scene_data import VARIANTS, Material, ModelSettings
 
+COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
+SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 SIMULATION_SETTINGS = ("begin", "preroll", "loop")
 
@@ -39,27 +45,101 @@ def main(argv, opens_file: bool = False) -> int:
     except SystemExit as stop:  # argparse has printed why; Blender must not be ended by it
         return stop.code if isinstance(stop.code, int) else BAD_INPUT
     # Blender swallows the first Ctrl-C unless Python's own handler is in place.
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    handlers = {
+        signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, _preempted),
+    }
+    try:
+        return _run(args, opens_file)
+    finally:
+        for number, handler in handlers.items():
+            if (
+                handler is not None
+            ):  # Blender's own is set in C: Python cannot put it back, and Blender ends here anyway
+                signal.signal(number, handler)
+        sys.stdout.flush()
+
+
+class Preempted(BaseException):
+    """A scheduler wants the machine for something else."""
+
+
+def _preempted(_number, _frame):
+    raise Preempted
+
+
+def _run(args, opens_file: bool) -> int:
+    """Run the command, and report what came of it; returns its exit code."""
+    args.done, code, error = [], DONE, ""
     try:
         open_file(args, opens_file)
         args.run(args)
-        return DONE
+    except Preempted:
+        code, error = TRY_AGAIN, "stopped by a signal, nothing was saved: run it again, with --share it goes on"
     except KeyboardInterrupt:
-        print("dynamorph: interrupted, nothing was saved", file=sys.stderr)
-        return INTERRUPTED
-    except jobs.SelfCheckError as error:
-        print(f"dynamorph: error: {error}", file=sys.stderr)
-        return SELF_CHECK_FAILED
-    except OSError as error:
-        print(f"dynamorph: error: {error}: try again", file=sys.stderr)
-        return TRY_AGAIN
-    except jobs.expected_errors() as error:
-        print(f"dynamorph: error: {error}", file=sys.stderr)
-        return BAD_INPUT
-    finally:
-        if handler is not None:  # Blender's own is set in C: Python cannot put it back, and Blender ends here anyway
-            signal.signal(signal.SIGINT, handler)
-        sys.stdout.flush()
+        code, error = INTERRUPTED, "interrupted, nothing was saved"
+    except jobs.SelfCheckError as failure:
+        code, error = SELF_CHECK_FAILED, f"error: {failure}"
+    except OSError as failure:
+        code, error = TRY_AGAIN, f"error: {failure}: try again"
+    except jobs.expected_errors() as failure:
+        code, error = BAD_INPUT, f"error: {failure}"
+    if error:
+        print(f"dynamorph: {error}", file=sys.stderr)
+    if getattr(args, "report", None):
+        try:
+            model_file.save(args.report, json.dumps(record(args, code, error), indent=1).encode() + b"\n")
+        except OSError as failure:
+            print(f"dynamorph: error: {failure}: try again", file=sys.stderr)
+            return code or TRY_AGAIN
+    return code
+
+
+def record(args, code: int, error: str) -> dict:
+    """What --report writes."""
+    return {
+        "versions": versions(),
+        "file": Path(bpy.data.filepath).name,
+        "characters": [character_record(job) for job in args.done],
+        "exit_code": code,
+        "error": error,
+    }
+
+
+def versions() -> dict:
+    manifest = tomllib.loads((Path(__file__).parent / "blender_manifest.toml").read_text(encoding="utf-8"))
+    return {
+        "dynamorph": manifest["version"],
+        "blender": bpy.app.version_string,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def character_record(job) -> dict:
+    """What a job made, of one character."""
+    found = {
+        "name": job.name,
+        "built": job.reasons,
+        "model": find_model(job.name).content_id,
+        "summary": job.model.summary,
+        "seconds": {stage: round(seconds, 4) for stage, seconds in job.seconds.items()},
+        "warnings": job.warnings,
+    }
+    if job.bake:
+        found["bake"] = {
+            "hash": clips.digest(job.result),
+            "frames": [job.settings.start, job.settings.end],
+            "fps": job.settings.fps,
+            "substeps": job.settings.substeps,
+            "max_displacement": clips.reach(job.result, job.character.to_bind),
+            **{name: value for name, value in job.report.items() if name != "warnings"},
+        }
+    return found
+
+
+def find_model(name: str):
+    return bpy.context.scene.objects[name].dynamorph.model
 
 
 def parser(opens_file: bool) -> argparse.ArgumentParser:
@@ -78,11 +158,12 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
         chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
         if writes:
-            target = sub.add_mutually_exclusive_group(required=True)
+            target = sub.add_mutually_exclusive_group(required=name != "build")
             target.add_argument("-o", "--output", type=Path, metavar="FILE", help="the .blend to write")
             target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
         return sub
 
+    check = command("check", run_check, "say what is in the way of a build, and what is not likely to be meant", False)
     bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
@@ -91,6 +172,13 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     build.set_defaults(goal="BUILD", frames=None, substeps=None)
     for sub in (bake, build):
         add_settings(sub, "model", MODEL_SETTINGS)
+        sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
+                         help="set a target's property first, as Flexed.stiffness=5e4; may be repeated")  # fmt: skip
+        sub.add_argument("--share", type=Path, metavar="FOLDER",
+                         help="keep models and unfinished bakes there, and go on with those that are")  # fmt: skip
+        sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to tell of progress")
+    for sub in (check, bake, build):
+        sub.add_argument("--report", type=Path, metavar="FILE", help="write what came of it as JSON, even if it fails")
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
     report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
                         help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
@@ -104,6 +192,12 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         "--force-displacement", type=Path, metavar="CSV", help="pushes: newtons x, y, z, metres x, y, z; mesh's axes"
     )
     fit.add_argument("--patch", metavar="GROUP", help="vertex group looked at or pushed; default: the target's region")
+    collected = commands.add_parser("collect", help=COLLECT, description=COLLECT)
+    collected.set_defaults(run=run_collect)
+    collected.add_argument("folder", type=Path, help="with what --report wrote")
+    collected.add_argument("--expect", type=int, metavar="N", help="how many reports there should be")
+    collected.add_argument("-o", "--page", type=Path, metavar="FILE", required=True,
+                           help="the HTML to write, with a .json of the same name beside it")  # fmt: skip
     command("free", run_free, "remove bakes and restore the target keys")
     command("info", run_info, "print what the file holds", writes=False)
     return root
@@ -142,6 +236,8 @@ def number(setting):
 
 def open_file(args, opens_file: bool):
     """Make sure that the .blend is open, and that the result can be written, before any work."""
+    if args.run == run_collect:
+        return
     if opens_file:
         if not args.file.is_file():
             raise InputError(f"there is no file '{args.file}'")
@@ -168,24 +264,81 @@ def check_substeps(args):
 def run_job(args):
     """bake and build."""
     check_substeps(args)
+    if not (args.output or args.in_place or args.share):
+        raise InputError("say where the model goes: --output, --in-place or --share")
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
-    done = []
+    shared = share.Share(args.share.resolve()) if args.share else None
+    done = args.done
     for obj in chosen_objects(args):
+        for change in args.changes:
+            set_property(obj, change)
         for group, names in ((obj.dynamorph.model, MODEL_SETTINGS), (obj.dynamorph.simulation, SIMULATION_SETTINGS)):
             for name in names:
                 if (value := getattr(args, name, None)) is not None:
                     setattr(group, name, value.upper() if isinstance(value, str) else value)
         frames = tuple(args.frames) if args.frames else None
-        job = jobs.Job(obj, args.goal, frames, args.substeps, folder, rebuild=args.goal == "BUILD")
-        jobs.run(job, Progress())
+        rebuild = args.goal == "BUILD" and shared is None
+        job = jobs.Job(obj, args.goal, frames, args.substeps, folder, rebuild, shared)
+        jobs.run(job, Progress(args.progress == "openjd"))
         for reason in job.reasons:
             print(f"{job.name}: built: {reason}")
         for warning in job.warnings:
             print(f"{job.name}: warning: {warning}")
         done.append(job)
-    seconds = save(args)
+    seconds = save(args) if args.output or args.in_place else 0.0
     for job in done:
         print_table(job, seconds)
+        if job.shot and shared:
+            shared.forget(job)
+
+
+def set_property(obj, change: str):
+    """TARGET.PROPERTY=VALUE, a wedge of a farm; the name of a target may have dots in it. Raises InputError."""
+    where, _, text = change.partition("=")
+    name, _, field = where.rpartition(".")
+    target = obj.dynamorph.targets.get(name)
+    if target is None:
+        names = ", ".join(target.name for target in obj.dynamorph.targets)
+        raise InputError(f"--set {change}: '{obj.name}' has no target named '{name}': it has {names}")
+    if field not in SETTABLE:
+        raise InputError(f"--set {change}: a target has no '{field}': there are {', '.join(SETTABLE)}")
+    try:
+        setattr(target, field, number(target.bl_rna.properties[field])(text))
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        raise InputError(f"--set {change}: {error}") from error
+
+
+def run_collect(args):
+    """Raises CollectError when a bake failed or is missing, after the page is written."""
+    reports = collect.read(args.folder)
+    wrong = collect.failures(reports, args.expect)
+    model_file.save(args.page, collect.page(reports, wrong).encode())
+    model_file.save(args.page.with_suffix(".json"), json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
+    print(f"{len(reports)} reports in {args.page}")
+    if wrong:
+        raise collect.CollectError("; ".join(wrong))
+
+
+def run_check(args):
+    """Raises InputError when something is in the way."""
+    jobs.engine()
+    in_the_way = 0
+    for obj in chosen_objects(args):
+        problems = [problem.text for problem in (*checks.problems(obj), *checks.next_steps(obj))]
+        notes = []
+        if not problems:
+            try:
+                notes = extract.warnings(obj, extract.character(obj))
+            except jobs.expected_errors() as error:
+                problems = [str(error)]
+        for kind, texts in (("error", problems), ("warning", notes)):
+            for text in texts:
+                print(f"{obj.name}: {kind}: {text}")
+        if not problems:
+            print(f"{obj.name}: can be built")
+        in_the_way += len(problems)
+    if in_the_way:
+        raise InputError(f"{in_the_way} problem{'s' * (in_the_way > 1)} in the way, listed above")
 
 
 def run_report(args):
@@ -293,9 +446,10 @@ def save(args) -> float:
 
 
 class Progress:
-    """Prints a line when the stage changes and at each tenth, not at each tick."""
+    """Prints a line at each tenth, not at each tick. openjd: as Open Job Description's schedulers read it."""
 
-    def __init__(self):
+    def __init__(self, openjd=False):
+        self.openjd = openjd
         self.tenth = -1
 
     def __call__(self, job):
@@ -303,6 +457,8 @@ class Progress:
         if tenth > self.tenth:
             self.tenth = tenth
             print(f"{job.name}: {10 * tenth:3d} %  {job.message}", flush=True)
+            if self.openjd:
+                print(f"openjd_progress: {10 * tenth}\nopenjd_status: {job.name}: {job.message}", flush=True)
 
 
 def print_table(job, save_seconds: float):

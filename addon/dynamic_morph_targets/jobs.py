@@ -19,12 +19,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, live_key, materials, model_file, preferences, probe, properties, sinks
+from . import changes, extract, live_key, materials, model_file, preferences, probe, properties, share, sinks
 from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
 CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
+
+STRETCH = 1000  # frames of a shot that are read and simulated at once: bounds memory
+SHARED_STRETCH = 100  # the same where they are kept for other processes, which go on from there
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
@@ -233,10 +236,16 @@ class Job:
     """Builds the model of one object if that is necessary, and with the goal "BAKE" simulates and writes the shot.
 
     goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE". frames: (start, end), substeps: override the
-    object's settings. folder: where large models go. rebuild: build even when the model is up to date.
+    object's settings. folder: where large models go. rebuild: build even when the model is up to date. share: where
+    built models and unfinished bakes are kept for other processes.
+
+    A long shot is read and simulated in stretches, one after the other.
     """
 
-    def __init__(self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, rebuild=False):
+    def __init__(
+        self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, rebuild=False,
+        share: share.Share | None = None,
+    ):  # fmt: skip
         self.session_uid = obj.session_uid
         self.name = obj.name
         self.goal = goal
@@ -246,6 +255,7 @@ class Job:
         self.substeps = substeps
         self.folder = folder
         self.rebuild = rebuild
+        self.share = share
         self.fraction = 0.0
         self.message = ""
         self.cancelled = False
@@ -255,7 +265,10 @@ class Job:
         self.report: dict = {}  # of the simulation
         self.previous = None  # the model that the object had
         self.inputs: dict = {}  # of the bake
-        self.settings = self.rig = self._sampling = None  # the shot
+        self.settings = self.rig = self._sampling = self._probe = None  # the shot, of which rig is the last stretch
+        self.shot = None  # simulate.Shot
+        self._whole = True
+        self.resumed: dict = {}  # what another process kept of it
         self.model = None
         self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
         self.result = None
@@ -267,15 +280,15 @@ class Job:
         self.thread = self._thread(self._compute)
 
     def prepare(self):
-        """Check and read the scene at once; main thread."""
-        self.read()
+        """Check and read the scene at once, all of the shot; main thread."""
+        self.read(whole=True)
         if self.needs_cage():
             self._make_cage()
         self.sample()
         self._take_rig()
 
-    def read(self):
-        """Check and read the character and its settings."""
+    def read(self, whole=False):
+        """Check and read the character and its settings. whole: the shot is to be one stretch."""
         self.message = "Reading the character"
         engine()
         preferences.use_threads()
@@ -301,7 +314,28 @@ class Job:
             return
         self.settings = settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
-        self._sampling = extract.RigSampling(obj, settings.start, settings.end, settings.substeps)
+        self._whole = whole or settings.loop or fits
+        if self.share and self.bake and not (self._whole or self.character.probed):
+            self.resumed = self.share.unfinished(self)
+        if self.resumed:
+            self._first = extract.sample_rig(obj, settings.start, settings.start, 1)
+        self._next_stretch(obj)
+
+    def _next_stretch(self, obj):
+        """What is to be read next."""
+        settings = self.settings
+        done = self.shot.done if self.shot else len(self.resumed.get("coordinates", ()))
+        first = settings.start + max(done - 1, 0)
+        frames = settings.end - first if self._whole else SHARED_STRETCH if self.share else STRETCH
+        self._sampling = extract.RigSampling(obj, first, min(first + frames, settings.end), settings.substeps)
+        self._sampling.probe = self._probe
+
+    def go_on(self) -> bool:
+        """Whether there is another stretch to be read and simulated, after one is."""
+        if not self.shot or self.shot.is_complete:
+            return False
+        self._next_stretch(find(self.session_uid))
+        return True
 
     def needs_cage(self) -> bool:
         """Whether there must be a cage before `sample`, because Blender is asked how it moves its nodes."""
@@ -330,7 +364,7 @@ class Job:
         with self._stage("sample rig"):
             obj = find(self.session_uid)
             if self._probes() and sampling.probe is None:
-                sampling.probe = probe.Probe(obj, self.previous, self.character)
+                sampling.probe = self._probe = probe.Probe(obj, self.previous, self.character)
             done = sampling.advance(obj, seconds)
         self._progress(self._read_from, 0.2)(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
         return done
@@ -347,8 +381,13 @@ class Job:
         """Check what was sampled; any thread. Raises SceneError."""
         if self._sampling:
             samples, self._sampling = self._sampling.samples(), None
-            self.rig, warnings = extract.hold_collapsed(samples, self.character.skeleton)
-            self.warnings += warnings
+            before = self.rig.pose[-1] if self.rig else self.resumed.get("pose")
+            if before is not None:  # the frame that was the last is the first again
+                samples = samples[1:]
+            self.rig = samples
+            if len(samples):
+                self.rig, warnings = extract.hold_collapsed(samples, self.character.skeleton, before)
+                self.warnings += [text for text in warnings if text not in self.warnings]
 
     def start(self):
         """Begin to compute, in a thread."""
@@ -486,25 +525,42 @@ class Job:
                     self.model = build.build_cage(self.character, self._progress(0.0, 1.0), self.previous)
             return
         self._take_rig()
-        start = 0.2
-        built = 0.95 if self.character.settings.fit_to_shot else 0.7
-        if self.reasons:
-            with self._stage("build"):
-                progress = self._progress(start, built if self.bake else 1.0)
-                self.model = simulate.build_for(self.character, self.rig, self.settings, progress, self.previous)
-            with self._stage("measure"):
-                for reference in materials.references(self.model, self.character):
-                    self.references.append(reference)
-                    if self.cancelled:
-                        return
-            start = built
-            self.warnings += self.model.summary["warnings"]
-        if not self.bake:
+        if self.model is None:
+            self._build(simulate)
+        if not self.bake or self.cancelled:
             return
         with self._stage("simulate"):
-            self.result, self.report = simulate.bake(
-                self.model, self.character, self.rig, self.settings, self._progress(start, 1.0)
-            )
+            if self.shot is None:
+                begin = self.fraction if self.reasons else 0.2
+                self.shot = simulate.Shot(self.model, self.character, self.settings, self._progress(begin, 1.0))
+                if self.resumed:
+                    self.shot.resume(self.resumed, self._first)
+            self.shot.play(self.rig)
+        if self.share and not (self._whole or self.character.probed):
+            self.share.keep(self)
+        if self.shot.is_complete:
+            self._finish(simulate)
+
+    def _build(self, simulate):
+        built = 0.95 if self.character.settings.fit_to_shot else 0.7
+        with self._stage("build"):
+            self.model = self.share and self.share.built(self.character)
+            if not self.model:
+                progress = self._progress(0.2, built if self.bake else 1.0)
+                self.model = simulate.build_for(self.character, self.rig, self.settings, progress, self.previous)
+                if self.share:
+                    self.share.keep_model(self.model)
+        with self._stage("measure"):
+            for reference in materials.references(self.model, self.character):
+                self.references.append(reference)
+                if self.cancelled:
+                    return
+        self.fraction = built
+        self.warnings += self.model.summary["warnings"]
+
+    def _finish(self, simulate):
+        with self._stage("simulate"):
+            self.result, self.report = self.shot.bake()
             self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
         self.warnings += self.report["warnings"]
         first, last = self.model.summary.get("fitted", (self.settings.start, self.settings.end))
@@ -581,9 +637,11 @@ class Batch:
                 yield from self._turn(reading=True)
         for job in self.jobs:
             self._at = job
-            job.start()
-            while not job.wait(pause):
-                yield from self._turn()
+            yield from self._computed(job, pause)
+            while job.go_on():
+                while not job.sample(seconds):
+                    yield from self._turn(reading=True)
+                yield from self._computed(job, pause)
         while waiting := next((job for job in self.jobs if job.must_wait()), None):
             self._at = waiting
             yield from self._turn()
@@ -591,6 +649,11 @@ class Batch:
             job.target()
         for job in self.jobs:
             job.commit()
+
+    def _computed(self, job: Job, pause: float) -> Iterator[None]:
+        job.start()
+        while not job.wait(pause):
+            yield from self._turn()
 
     def _turn(self, reading=False) -> Iterator[None]:
         """The window's turn, and what came of it."""

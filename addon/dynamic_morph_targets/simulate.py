@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
 
 import dynamorph
 import numpy as np
@@ -19,11 +18,13 @@ from .volume import parts_of
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 CHUNK_NODES = 2**18  # transforms of nodes made at once, if those are known: 25 MB
 TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
-NO_STEPS = {"steps": 0, "iterations": 0, "converged": True, "energy": 0.0, "teleported": False, "seconds": 0.0}
+STEP = ("steps", "iterations", "converged", "residual", "energy", "teleported", "seconds")  # what a frame's steps say
+NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True}
 FLAT = 1e-9  # determinant of a node's transform below which it has no size
-CLOSED = 1e-4  # body sizes: a loop whose surface ends nearer to where it began is done
+CLOSED = 1e-6  # body sizes: a loop whose surface ends nearer to where it began is done
 SAME_POSE = 1e-3  # body sizes: poses whose skin, moved as a whole, is nearer are one
-PASSES = 20  # of a loop, at most
+PASSES = 40  # of a loop, at most
+REMEMBERED = 12  # passes of a loop that its next beginning is made of
 CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
 
 
@@ -81,13 +82,13 @@ class Player:
         self.number, self.passes = settings.start, 0
         self.engine = None
         self._keep_going = keep_going
-        self._character = character.by_method()
-        self._space = pose_space(self._character)
+        self.character = character.by_method()
+        self._space = pose_space(self.character)
         self._first: RigSamples | None = None  # the sample that it began with
-        self._shapes = np.zeros((len(self._character.targets), 0))
+        self._shapes = np.zeros((len(self.character.targets), 0))
         self._simulation = _NothingMoves()
         if model.settings.method != "STATIC":
-            self.engine = engine or model.engine(self._character, self._character.probed)
+            self.engine = engine or model.engine(self.character, self.character.probed)
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = self._stepper()
         self.gains = np.ones(self._shapes.shape[1])
@@ -105,14 +106,23 @@ class Player:
         self._simulation.state = state
 
     @property
+    def past(self) -> np.ndarray:
+        """Its coordinates now and at the last three steps: (4, dofs)."""
+        return np.array(self.state[0])
+
+    @past.setter
+    def past(self, coordinates: np.ndarray):
+        self.state = list(coordinates), self.state[1]
+
+    @property
     def probed(self) -> bool:
         """Whether it asks for `RigSamples.nodes`."""
-        return self._character.probed and self.engine is not None
+        return self.character.probed and self.engine is not None
 
     @property
     def size(self) -> float:
         """Diagonal of the body's bounding box, metres."""
-        return float(np.linalg.norm(np.ptp(self._character.vertices @ self._character.to_bind.T, axis=0)))
+        return float(np.linalg.norm(np.ptp(self.character.vertices @ self.character.to_bind.T, axis=0)))
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
         """Every frame from settings.start to settings.end, one pass; rig: 1 + (end - start) * substeps samples."""
@@ -135,6 +145,11 @@ class Player:
             self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
         self.number = self.settings.start
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
+
+    def resume(self, first: RigSamples, state):
+        """Go on from the `state` of another player that began with the sample `first`; its next frames are to come."""
+        self._hold_targets(first)
+        self.state = state
 
     def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
         """From `frame`, the last of a cycle, back to the first, where the soft skin goes on as it came.
@@ -204,7 +219,11 @@ class Player:
 
     def shown(self, frame: Frame) -> np.ndarray:
         """The frame's coordinates with each mode's gain on its motion about the targets' shapes."""
-        return frame.coordinates + (self.gains - 1.0) * (frame.coordinates - self.dry(frame.weights))
+        return self.with_gains(frame.coordinates, self.dry(frame.weights))
+
+    def with_gains(self, coordinates: np.ndarray, dry: np.ndarray) -> np.ndarray:
+        """As `shown`, of coordinates (..., dofs) with and without motion."""
+        return coordinates + (self.gains - 1.0) * (coordinates - dry)
 
     def _ask(self):
         """Raises dynamorph.Cancelled when it is not to go on."""
@@ -238,7 +257,7 @@ class Player:
 
     def _target_frames(self, rig: RigSamples) -> np.ndarray:
         """Transforms as `_frames` of the targets' captured poses (J, ...), with the armature where it stood then."""
-        targets = self._character.targets
+        targets = self.character.targets
         pose = self.model.skeleton.pose(np.array([target.local for target in targets]))
         rig_world = np.array([_resized(target.rig_world, rig.rig_world[0]) for target in targets])
         object_world = rig_world @ inverse(rig.rig_world[0]) @ rig.object_world[0]
@@ -246,7 +265,7 @@ class Player:
 
     def _posed(self, rig: RigSamples) -> tuple[np.ndarray, np.ndarray]:
         """Transforms as `_frames`, and target weights (S, J)."""
-        local = self.model.skeleton.local_transforms(rig.pose, placing_bones(self._character))
+        local = self.model.skeleton.local_transforms(rig.pose, placing_bones(self.character))
         return self._frames(rig), self._space.weights(local)
 
     def _frames(self, rig: RigSamples) -> np.ndarray:
@@ -255,7 +274,7 @@ class Player:
         if not self.probed:
             return rig.skin_matrices(model.skeleton, model.to_bind)
         if rig.nodes is None or not np.array_equal(rig.nodes.rest, model.nodes[model.free]):
-            raise ValueError(f"'{self._character.name}' was sampled without the nodes of its model: sample it again")
+            raise ValueError(f"'{self.character.name}' was sampled without the nodes of its model: sample it again")
         frames = rig.nodes.transforms(rig.object_world)
         flat = np.abs(determinant(frames[..., :3])) < FLAT
         if flat.any():  # bones scaled to zero, which `extract.hold_collapsed` holds
@@ -272,7 +291,7 @@ class Player:
 
     @cached_property
     def _skin(self) -> _Skin:
-        return _Skin(self.model, self._character)
+        return _Skin(self.model, self.character)
 
 
 class _NothingMoves:
@@ -309,17 +328,46 @@ def simulate(
 def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
     """The frames of a loop, and by how many metres it is off at most where it begins again and a frame later.
 
-    Passes over its range, each going on from where the last came to, until one closes: in place and in velocity.
+    Passes over its range until one ends as it began: in place and, by the frame after, in velocity.
     """
-    frames = list(player.run(rig))
+    numbers, fixed_point = player.settings.frames[1:], _FixedPoint()
+    next_frame = rig[1 : 1 + player.settings.substeps], numbers[:1]  # none in a range of one frame
+    first = player.begin(rig)
     while True:
-        again = player.begin_again(rig, frames[-1])
-        following = player.play(rig[1:], player.settings.frames[1:])
-        ahead = list(islice(following, 1))  # none in a range of one frame
-        gap = max(player.gap(*pair) for pair in zip(frames, [frames[-1], *ahead], strict=False))
-        if gap <= CLOSED * player.size or player.passes == PASSES:
+        began = player.past
+        frames = [first, *player.play(rig[1:], numbers)]
+        ended = player.past
+        first = player.begin_again(rig, frames[-1])
+        start = player.state
+        pairs = list(zip(frames, [frames[-1], *player.play(*next_frame)], strict=False))
+        gap = max(player.gap(*pair) for pair in pairs)
+        if gap <= CLOSED * player.size or player.passes == PASSES or player.engine is None:
             return frames, gap
-        frames = [again, *ahead, *following]
+        off = np.concatenate([after.coordinates - before.coordinates for before, after in pairs])
+        player.state, player.number = start, player.settings.start
+        player.past = fixed_point.next(began, ended, off)
+        first = replace(first, coordinates=player.past[0])
+
+
+class _FixedPoint:
+    """Where repeated passes come to rest, by Anderson's acceleration: the next begins where the last ones, combined by
+    weights that sum to one, would have ended as they began, in the least squares sense. For a linear law that is exact
+    once there are as many passes as ways to be off (Walker and Ni 2011, Anderson acceleration for fixed-point
+    iterations).
+    """
+
+    def __init__(self):
+        self._passes: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    def next(self, began: np.ndarray, ended: np.ndarray, off: np.ndarray) -> np.ndarray:
+        """What to begin with after a pass; began, ended: of one shape; off (m,): how the pass failed to close."""
+        best = min((np.linalg.norm(pass_[2]) for pass_ in self._passes), default=np.inf)
+        if not np.linalg.norm(off) < 10.0 * best:  # far from linear: what was learned does not help
+            self._passes.clear()
+        self._passes = [*self._passes[1 - REMEMBERED :], (began, ended, off)]
+        _, ends, offs = (np.array(part) for part in zip(*self._passes, strict=True))
+        weights, *_ = np.linalg.lstsq((offs[:-1] - off).T, -off, rcond=1e-9)
+        return ended + np.tensordot(weights, ends[:-1] - ended, 1)
 
 
 def _player(model: Model, character: Character, settings: SimulationSettings, progress: Progress | None) -> Player:
@@ -355,6 +403,84 @@ def build_for(
     return model
 
 
+class Shot:
+    """A bake in the making: the moving rig comes in stretches, so that a long shot takes no more memory than a short
+    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch.
+
+    progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
+    """
+
+    def __init__(
+        self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
+    ):
+        self.player = _player(model, character, settings, progress)
+        self.done = 0  # frames
+        self._coordinates, self._weights, self._steps = [], [], []  # a stretch each
+        self._loop: dict = {}
+        self._warnings: list[str] = []
+        self._seconds = 0.0
+
+    @property
+    def is_complete(self) -> bool:
+        return self.done == len(self.player.settings.frames)
+
+    def play(self, rig: RigSamples):
+        """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
+        if self.is_complete:
+            return
+        began, player = time.perf_counter(), self.player
+        settings = player.settings
+        if settings.loop:
+            frames, gap = cycle(player, rig)
+            self._loop, self._warnings = {"gap": gap}, _loop_warnings(player, rig, gap)
+        elif self.done:
+            numbers = settings.frames[self.done : self.done + len(rig) // settings.substeps]
+            frames = list(player.play(rig, numbers))
+        else:
+            numbers = settings.frames[1 : 1 + (len(rig) - 1) // settings.substeps]
+            frames = [player.begin(rig), *player.play(rig[1:], numbers)]
+        self.done += len(frames)
+        self._coordinates.append(np.array([frame.coordinates for frame in frames]))
+        self._weights.append(np.array([frame.weights for frame in frames]))
+        self._steps.append(np.array([[frame.steps[name] for name in STEP] for frame in frames], float))
+        self._seconds += time.perf_counter() - began
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """All that `resume` asks for."""
+        coordinates, bones = self.player.state
+        return {
+            "coordinates": np.concatenate(self._coordinates),
+            "weights": np.concatenate(self._weights),
+            "steps": np.concatenate(self._steps),
+            "past": np.array(coordinates),
+            "bones": np.array(bones),
+        }
+
+    def resume(self, kept: dict[str, np.ndarray], first: RigSamples):
+        """Go on after the frames of another shot of the same; first: the sample of the first frame."""
+        self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
+        self.done = len(kept["coordinates"])
+        self.player.resume(first, (list(kept["past"]), list(kept["bones"])))
+
+    def bake(self) -> tuple[Bake, dict]:
+        """The bake and its report, when all is played."""
+        began, player = time.perf_counter(), self.player
+        model, character = player.model, player.character
+        coordinates, weights = np.concatenate(self._coordinates), np.concatenate(self._weights)
+        dry = player.dry(weights)
+        report = _report(player.settings.frames, np.concatenate(self._steps)) | self._loop
+        report["warnings"] += self._warnings
+        report.update(_worst_elements(player, coordinates, dry))
+        coordinates, free = player.with_gains(coordinates, dry), model.basis.T
+        if model.settings.solver == "FULL" and player.engine is not None:
+            coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
+        modes = node_modes(model, free)
+        surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
+        report["seconds"] = self._seconds + time.perf_counter() - began
+        names = tuple(target.name for target in character.targets)
+        return Bake(player.settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+
+
 def bake(
     model: Model,
     character: Character,
@@ -362,25 +488,10 @@ def bake(
     settings: SimulationSettings,
     progress: Progress | None = None,
 ) -> tuple[Bake, dict]:
-    """Simulates a shot: (Bake, report). progress(fraction, message) -> bool; False raises dynamorph.Cancelled."""
-    began = time.perf_counter()
-    player = _player(model, character, settings, progress)
-    frames, gap = cycle(player, rig) if settings.loop else (list(player.run(rig)), 0.0)
-    weights = np.array([frame.weights for frame in frames])
-    coordinates, dry = np.array([player.shown(frame) for frame in frames]), player.dry(weights)
-    report = _report(frames)
-    if settings.loop:
-        report["gap"] = gap
-        report["warnings"] += _loop_warnings(player, rig, gap)
-    report.update(_worst_elements(player, frames))
-    free = model.basis.T
-    if model.settings.solver == "FULL" and player.engine is not None:
-        coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
-    modes = node_modes(model, free)
-    surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
-    report["seconds"] = time.perf_counter() - began
-    names = tuple(target.name for target in character.by_method().targets)
-    return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+    """Simulates a shot at once: (Bake, report); as `Shot`."""
+    shot = Shot(model, character, settings, progress)
+    shot.play(rig)
+    return shot.bake()
 
 
 def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
@@ -468,21 +579,24 @@ def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
     return out
 
 
-def _report(frames: list[Frame]) -> dict:
-    steps = [frame.steps for frame in frames]
-    count = sum(step["steps"] for step in steps)
-    rates = [step["steps"] / step["seconds"] for step in steps if step["steps"]]
+def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
+    """Of what the steps of each frame did (F, STEP)."""
+    by_name = dict(zip(STEP, steps.T, strict=True))
+    moving = by_name["steps"] > 0
+    rates = by_name["steps"][moving] / by_name["seconds"][moving]
     report = {
-        "steps": count,
-        "engine_seconds": sum(step["seconds"] for step in steps),
-        "steps_per_second": float(np.median(rates)) if rates else 0.0,  # the median frame: machines have other work
-        "iterations": sum(step["iterations"] for step in steps),
+        "steps": int(by_name["steps"].sum()),
+        "engine_seconds": float(by_name["seconds"].sum()),
+        "steps_per_second": float(np.median(rates)) if len(rates) else 0.0,  # the median: machines have other work
+        "iterations": int(by_name["iterations"].sum()),
+        "residual": float(by_name["residual"].max()),  # of the largest force
+        "energy": float(by_name["energy"].max()),  # elastic, J
         "warnings": [],
     }
-    unconverged = [frame.number for frame in frames if not frame.steps["converged"]]
+    unconverged = frames[by_name["converged"] == 0].tolist()
     if unconverged:
         report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
-    cuts = [frame.number for frame in frames if frame.steps["teleported"]]
+    cuts = frames[by_name["teleported"] != 0].tolist()
     if cuts:
         report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
     return report
@@ -493,19 +607,22 @@ def _some(numbers: list[int]) -> str:
     return f"frame{'s' * (len(numbers) > 1)} {listed}"
 
 
-def _worst_elements(player: Player, frames: list[Frame]) -> dict:
-    """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames."""
+def _worst_elements(player: Player, coordinates: np.ndarray, dry: np.ndarray) -> dict:
+    """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames.
+
+    coordinates, dry (F, dofs): with and without motion.
+    """
     if player.engine is None:
         return {"smallest_det": 1.0, "inverted": 0}
     model, displacement = player.model, player.engine.displacement
-    strength = [np.abs(frame.coordinates - player.dry(frame.weights)).max() for frame in frames]
+    strength = np.abs(coordinates - dry).max(axis=1, initial=0.0)
     rest = _volumes(model.nodes, model.tets)
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
-        moved = _volumes(model.nodes + displacement(frames[k].coordinates), model.tets) / rest
+        moved = _volumes(model.nodes + displacement(coordinates[k]), model.tets) / rest
         smallest = min(smallest, moved.min())
         inside_out = model.tets[moved <= 0]
-        sculpted = _volumes(model.nodes + displacement(player.dry(frames[k].weights)), inside_out)
+        sculpted = _volumes(model.nodes + displacement(dry[k]), inside_out)
         inverted = max(inverted, int((sculpted > 0).sum()))  # not what the sculpt itself inverts
     return {"smallest_det": float(smallest), "inverted": inverted}
 

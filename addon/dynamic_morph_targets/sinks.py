@@ -269,12 +269,13 @@ def _add_curves(keys, names, frames, values: list[_Key]):
         channels = strip.channelbag(slot, ensure=True)
         for name, curve in zip(names, curves, strict=True):
             if curve is not None:
-                _add_curve(channels, name, times, curve)
+                add_curve(channels, name, times, curve)
         _add_track(animation, title, action, slot, times)
     return action
 
 
-def _add_curve(channels, name: str, times, values):
+def add_curve(channels, name: str, times, values):
+    """A curve of the value of the key `name`, linear between the times."""
     points = np.column_stack([times, values]).astype(np.float32)
     curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
     curve.keyframe_points.add(len(times))

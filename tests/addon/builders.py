@@ -193,15 +193,35 @@ class StandIn:
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
 
-    def bake(self, model, character, rig, settings, progress=None):
-        if self.fail:
-            raise self.fail
-        assert len(rig) == 1 + (settings.end - settings.start) * settings.substeps
-        time.sleep(self.deaf)
+    def Shot(self, model, character, settings, progress):  # noqa: N802: in the place of a class
+        return StandInShot(self, character, settings, progress)
+
+
+class StandInShot:
+    """In the place of `simulate.Shot`."""
+
+    def __init__(self, engine, character, settings, progress):
+        self.engine, self.character, self.settings, self.progress = engine, character, settings, progress
+        self.done = 0
+
+    @property
+    def is_complete(self):
+        return self.done == len(self.settings.frames)
+
+    def play(self, rig):
+        engine, settings = self.engine, self.settings
+        if engine.fail:
+            raise engine.fail
+        assert len(rig) % settings.substeps == (self.done == 0) % settings.substeps
+        self.done += -(-len(rig) // settings.substeps)
+        time.sleep(engine.deaf)
         for i in range(10):
-            if not progress(i / 10, f"Frame {i}"):
+            if not self.progress(i / 10, f"Frame {i}"):
                 raise RuntimeError("cancelled")
-            time.sleep(self.patience / 10)
+            time.sleep(engine.patience / 10)
+
+    def bake(self):
+        character, settings = self.character, self.settings
         rng = np.random.default_rng(1)
         vertices, targets = len(character.vertices), character.targets
         bake = part("scene_data").Bake(
@@ -209,7 +229,10 @@ class StandIn:
             np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.01, (3, vertices, 3)),
             np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets), np.zeros((len(settings.frames), 3)),
         )  # fmt: skip
-        report = {"steps": 100, "steps_per_second": 1000.0, "smallest_det": 0.9, "inverted": 0, "warnings": []}
+        report = {
+            "steps": 100, "steps_per_second": 1000.0, "residual": 1e-7, "energy": 2.0, "smallest_det": 0.9,
+            "inverted": 0, "warnings": [],
+        }  # fmt: skip
         return bake, report | ({"gap": 3e-5} if settings.loop else {})
 
 

@@ -189,7 +189,7 @@ def test_a_loop_closes(shot, travel):
     rig = cyclic(shot, travel=travel)
     bake, report = looped(shot, rig)
     apart = np.linalg.norm((bake.displacement(11) - bake.displacement(0)) @ shot.character.to_bind.T, axis=1).max()
-    assert apart <= report["gap"] * (1 + 1e-6) and report["gap"] <= 1e-4 * size(shot)
+    assert apart <= report["gap"] * (1 + 1e-6) and report["gap"] <= 1e-6 * size(shot)
     assert report["warnings"] == [] and report["steps"] == 11 * shot.settings.substeps
     once = replace(shot.settings, end=shot.settings.start + 11)
     single, _ = part("simulate").bake(shot.model, shot.character, rig, once)
@@ -207,14 +207,28 @@ def test_a_loop_closes_in_velocity_too(shot):
 
     player = simulate.Player(shot.model, character, settings)
     frames, gap = simulate.cycle(player, rig)
-    again = simulate.Player(shot.model, character, settings)
-    passed = list(again.run(rig))
-    while again.passes < player.passes - 1:
-        passed = [again.begin_again(rig, passed[-1]), *again.play(rig[1:], settings.frames[1:])]
-    assert np.array_equal(passed[-1].coordinates, frames[-1].coordinates)
-    again.begin_again(rig, passed[-1])
-    ahead = again.advance(rig[1 : 1 + settings.substeps], 2)
-    assert gap == max(again.gap(frames[0], frames[-1]), again.gap(frames[1], ahead)) <= 1e-4 * size(shot)
+    assert gap <= 1e-6 * size(shot)
+    assert player.passes < simulate.PASSES
+    substeps = settings.substeps  # the player has gone on by a frame: it plays the same cycle again
+    following = list(player.play(rig[1 + substeps :], settings.frames[2:]))
+    again = np.array([frame.coordinates for frame in following])
+    first = np.array([frame.coordinates for frame in frames])
+    assert again == pytest.approx(first[2:], abs=5e-5 * np.abs(first).max())
+    assert gap >= player.gap(frames[0], frames[-1])
+    settled = next(simulate.Player(shot.model, character, settings).run(rig))
+    assert player.gap(settled, frames[0]) > 1e2 * gap
+
+
+def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
+    """Of an affine map that hardly contracts, where passes alone would need thousands."""
+    random = np.random.default_rng(0)
+    turn, _ = np.linalg.qr(random.normal(size=(6, 6)))
+    shift, x = random.normal(size=6), np.zeros((1, 6))
+    fixed_point = part("simulate")._FixedPoint()
+    for _ in range(7):
+        ended = 0.999 * x @ turn + shift
+        x = fixed_point.next(x, ended, (ended - x)[0])
+    assert x == pytest.approx(0.999 * x @ turn + shift, abs=1e-9)
 
 
 @pytest.mark.parametrize("frames", [12, 1])
@@ -230,13 +244,13 @@ def test_static_morph_targets_loop_too(shot, frames):
 def test_a_loop_is_what_many_cycles_come_to(shot):
     rig = cyclic(shot, travel=0.5)
     bake, _ = looped(shot, rig)
-    cycles = 12
+    cycles = 40
     world = np.concatenate([rig.rig_world[:-1] + c * (rig.rig_world[-1] - rig.rig_world[0]) for c in range(cycles)])
     pose = np.concatenate([rig.pose[:-1]] * cycles)
     long = replace(rig, pose=pose, rig_world=world, object_world=world)[: 1 + 11 * cycles * shot.settings.substeps]
     long = long[: 1 + (11 * cycles - 1) * shot.settings.substeps]
     motion = simulated(shot, long, end=shot.settings.start + 11 * cycles - 1)
-    assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=2e-3 * np.abs(motion).max())
+    assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=1e-4 * np.abs(motion).max())
 
 
 def test_a_pose_that_is_no_cycle_is_named(shot):
@@ -258,3 +272,33 @@ def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
     fractions = [fraction for fraction, _ in seen]
     assert fractions == sorted(fractions) and fractions[-1] < 1.0
     assert seen[-1][1] == "Simulating frame 2, pass 3"
+
+
+# Stretches ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frames", [1, 3, 7, 19])
+def test_a_shot_in_stretches_is_the_shot(soft_arm, shot, frames, monkeypatch):
+    """The same bytes, however long they are; the rig is read again at each."""
+    jobs = part("jobs")
+    monkeypatch.setattr(jobs, "STRETCH", frames)
+    job = jobs.Job(soft_arm, goal="BAKE")
+    jobs.run(job)
+    for name in ("frames", "coordinates", "weights", "dry"):
+        assert np.array_equal(getattr(job.result, name), getattr(shot.result, name)), name
+    assert job.report["steps"] == shot.report["steps"] and job.report["energy"] == shot.report["energy"]
+
+
+@pytest.mark.parametrize("done", [2, 4, 10, 20])
+def test_a_shot_goes_on_where_another_process_was_stopped(shot, done):
+    simulate, substeps = part("simulate"), shot.settings.substeps
+    begun = simulate.Shot(shot.model, shot.character, shot.settings)
+    begun.play(shot.rig[: 1 + (done - 1) * substeps])
+    kept = {name: array.copy() for name, array in begun.kept().items()}
+    other = simulate.Shot(shot.model, shot.character, shot.settings)
+    other.resume(kept, shot.rig[:1])
+    assert other.done == done
+    other.play(shot.rig[1 + (done - 1) * substeps :])
+    bake, report = other.bake()
+    assert np.array_equal(bake.coordinates, shot.result.coordinates)
+    assert report["steps"] == shot.report["steps"] and report["iterations"] == shot.report["iterations"]

@@ -230,3 +230,82 @@ def test_report_compares_methods_and_writes_no_blend(shot, capfd):
     assert found["Arm"]["variants"]["DMT linear reduced"]["error"]["rms_total"] < 1
     assert {path: path.read_bytes() for path in shot.parent.iterdir() if path != figures} == before
     assert part("cli").main([*arguments, "--methods", "guessing"], opens_file=True) == 2
+
+
+# Farms -------------------------------------------------------------------------------------------------------------
+
+
+def test_check_lists_what_is_in_the_way(shot, run):
+    code, out, _ = run("check", shot, "--all")
+    assert code == 0 and "Arm: can be built" in out and "Leg: can be built" in out
+    bpy.data.objects["Arm"].modifiers["Armature"].use_bone_envelopes = True
+    bpy.data.objects["Leg"].dynamorph.targets[1].pose.clear()
+    bpy.ops.wm.save_mainfile()
+    code, out, errors = run("check", shot, "--all")
+    assert code == 2 and "Arm: error: 'Arm' is skinned by bone envelopes" in out and "in the way" in errors
+
+
+def test_wedges_set_what_targets_are_made_of(shot, run, stand_in):
+    output = shot.parent / "baked.blend"
+    wedge = ("--set", "flexed.stiffness=5e4", "--set", "Neutral.density=900")
+    assert run("bake", shot, "--object", "Arm", *wedge, "-o", output)[0] == 0
+    bpy.ops.wm.open_mainfile(filepath=str(output))
+    neutral, flexed = bpy.data.objects["Arm"].dynamorph.targets
+    assert (neutral.density, flexed.stiffness) == (900.0, 5e4) and neutral.stiffness != 5e4
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ("nope.stiffness=1e4", "no target named 'nope': it has Neutral, flexed"),
+        ("flexed.colour=1", "a target has no 'colour': there are stiffness"),
+        ("flexed.stiffness=soft", "could not convert"),
+        ("flexed.stiffness=-4", "-4 is not between 1 and"),
+        ("stiffness", "no target named ''"),
+    ],
+)
+def test_wrong_wedges_are_refused(shot, run, change, words):
+    code, _, errors = run("bake", shot, "--object", "Arm", "--set", change, "-o", shot.parent / "baked.blend")
+    assert code == 2 and words in errors
+
+
+def test_reports(shot, run, stand_in):
+    path = shot.parent / "report.json"
+    bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend", "--report", path)
+    assert run(*bake)[0] == 0
+    found = json.loads(path.read_text())
+    assert found["exit_code"] == 0 and found["error"] == "" and found["file"] == "shot ü.blend"
+    assert found["versions"]["blender"] == bpy.app.version_string
+    (arm,) = found["characters"]
+    assert arm["name"] == "Arm" and arm["built"] == ["not built yet"] and len(arm["model"]) == 32
+    assert arm["bake"]["frames"] == [1, 20] and arm["bake"]["steps"] == 100 and arm["bake"]["max_displacement"] > 0
+    assert run(*bake)[0] == 0
+    assert json.loads(path.read_text())["characters"][0]["bake"]["hash"] == arm["bake"]["hash"]
+    stand_in.fail = ValueError("it went wrong")
+    assert run(*bake)[0] == 2
+    found = json.loads(path.read_text())
+    assert found["exit_code"] == 2 and "it went wrong" in found["error"] and found["characters"] == []
+
+
+def test_collect_makes_one_page_of_many_bakes(shot, run, stand_in, tmp_path):
+    folder = tmp_path / "reports"
+    folder.mkdir()
+    for name in ("Arm", "Leg"):
+        bake = ("bake", shot, "--object", name, "-o", tmp_path / "baked.blend", "--report", folder / f"<{name}>.json")
+        assert run(*bake)[0] == 0
+    page = tmp_path / "index.html"
+    assert run("collect", folder, "--expect", 2, "-o", page)[0] == 0
+    text = page.read_text()
+    assert "&lt;Arm&gt;" in text and "All went well" in text and text.count("<tr>") == 3
+    assert set(json.loads(page.with_suffix(".json").read_text())["reports"]) == {"<Arm>", "<Leg>"}
+    code, _, errors = run("collect", folder, "--expect", 3, "-o", page)
+    assert code == 2 and "2 reports instead of 3" in errors and "2 reports instead of 3" in page.read_text()
+    broken = json.loads((folder / "<Leg>.json").read_text())
+    broken["characters"][0]["bake"]["energy"] = float("nan")
+    (folder / "<Leg>.json").write_text(json.dumps(broken))
+    code, _, errors = run("collect", folder, "-o", page)
+    assert code == 2 and "<Leg>: Leg: energy is not a number" in errors
+    (folder / "<Leg>.json").write_text("nonsense")
+    code, _, errors = run("collect", folder, "-o", page)
+    assert code == 2 and "'<Leg>.json' is no report" in errors
+    assert run("collect", tmp_path, "-o", tmp_path / "none" / "page.html")[0] == 2

@@ -9,7 +9,18 @@ import types
 import addon_utils
 import bpy
 import pytest
-from builders import MODULE, activate, fingerprint, hand_made_bake, make_arm, make_soft, part, refused, rig_of
+from builders import (
+    MODULE,
+    StandInShot,
+    activate,
+    fingerprint,
+    hand_made_bake,
+    make_arm,
+    make_soft,
+    part,
+    refused,
+    rig_of,
+)
 
 
 def test_from_mesh_to_bake_and_back(scene, arm, stand_in):
@@ -183,14 +194,14 @@ def test_an_error_in_the_engine_changes_nothing(soft_arm, stand_in):
 
 
 def test_a_result_that_is_not_a_number_is_refused(soft_arm, stand_in, monkeypatch):
-    bake = stand_in.bake
+    bake = StandInShot.bake
 
-    def broken(*args):
-        result, report = bake(*args)
+    def broken(shot):
+        result, report = bake(shot)
         result.coordinates[3, 1] = float("nan")
         return result, report
 
-    monkeypatch.setattr(stand_in, "bake", broken)
+    monkeypatch.setattr(StandInShot, "bake", broken)
     refused(bpy.ops.dynamorph.bake, "coordinates are not numbers")
     assert not soft_arm.dynamorph.bake.keys
 
@@ -491,17 +502,17 @@ def test_one_progress_bar_for_all(soft_arm, leg, stand_in):
 
 def test_none_is_baked_when_one_cannot_be_or_on_escape(soft_arm, leg, stand_in):
     before = fingerprint(soft_arm), fingerprint(leg)
-    bake = stand_in.bake
+    shot = stand_in.Shot
 
     def fails_for_the_leg(model, character, *arguments):
         if character.name == "Leg":
             raise ValueError("'Leg': too soft")
-        return bake(model, character, *arguments)
+        return shot(model, character, *arguments)
 
-    stand_in.bake = fails_for_the_leg
+    stand_in.Shot = fails_for_the_leg
     refused(bpy.ops.dynamorph.bake_all, "'Leg': too soft")
     assert (fingerprint(soft_arm), fingerprint(leg)) == before
-    stand_in.bake, stand_in.patience = bake, 0.3
+    stand_in.Shot, stand_in.patience = shot, 0.3
 
     def escape(batch):
         if batch.name == "Leg" and batch.fraction > 0.6:

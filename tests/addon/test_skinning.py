@@ -475,6 +475,16 @@ def test_other_methods(small_arm, method):
     assert np.isfinite(job.result.displacement(19)).all()
 
 
+def test_a_body_in_two_cages(small_arm):
+    """The nodes that were read are those of the model, though several cages are made anew."""
+    twisting(small_arm)
+    small_arm.vertex_groups.new(name="End").add(list(range(170, 272)), 1.0, "REPLACE")
+    piece = small_arm.dynamorph.pieces.add()
+    piece.group, piece.choice = "End", "OWN_CAGE"
+    job = run(small_arm)
+    assert len(job.rig.nodes.rest) == job.model.free.sum() and np.abs(job.result.displacement(12)).max() > 0.0
+
+
 def test_methods_are_compared(small_arm):
     twisting(small_arm)
     job = part("jobs").Job(small_arm, "BAKE", frames=(1, 3))

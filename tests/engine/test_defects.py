@@ -36,7 +36,7 @@ from hypothesis.database import DirectoryBasedExampleDatabase
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 EXAMPLES = int(os.environ.get("DYNAMORPH_FUZZ", 0))
 FOUND = Path(__file__).resolve().parents[2] / "build" / "fuzz"  # what failed is tried first the next time
-LONGEST = 60.0  # seconds for a build and a bake
+LONGEST = 75.0  # seconds for a build and a bake: the mesher gives up after about 60
 FRAMES, SUBSTEPS = 5, 2
 ADVICE = re.compile(
     r"\b(add|apply|check|choose|clean|close|delete|give|lower|merge|model|move|raise|recalculate|remove|repair|"
@@ -360,7 +360,8 @@ def assert_survives(body: Body, cage_nodes: int = 120) -> bool:
     return True
 
 
-MAY_BE_REFUSED = {"not_numbers", "wild_faces", "hardly_a_body", "flattened", "bones_outside"}  # little or no body
+# These may leave nothing that bones could hold.
+MAY_BE_REFUSED = {"not_numbers", "wild_faces", "hardly_a_body", "stretched", "flattened", "bones_outside"}
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered")  # of infinity, before it is refused

@@ -7,7 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -574,6 +574,14 @@ class Crowd:
         """
         (N, r) of the last step, a copy.
         """
+def closed_surface(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"], dict]:
+    """
+    A closed surface with its faces outward, made of any triangle soup.
+    
+    vertices (V, 3): metres. triangles (T, 3): vertex indices. Vertices that lie together are welded, faces that are there
+    twice dropped, faces turned outward, holes capped. Returns the vertices (W, 3), the triangles (U, 3), caps last, and
+    what was wrong: counts by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.
+    """
 def embed(mesh: TetMesh, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> Embedding:
     """
     Embeds surface points (V, 3), metres, by barycentric weights.
@@ -589,7 +597,7 @@ def extend_to_nodes(mesh: TetMesh, embedding: Embedding, values: typing.Annotate
     """
 def fill_fractions(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], progress: typing.Any = None) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
     """
-    Fraction (m,) of each tet that the body fills, 0.05 .. 1; the body need not be closed.
+    Fraction (m,) of each tet that the body fills, 0.05 .. 1; any soup, which is closed first.
     
     vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
     """
@@ -597,11 +605,11 @@ def make_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, p
     """
     r modes: the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool, False raises Cancelled.
     """
-def make_cage(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
+def make_cage(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, thickness: typing.SupportsFloat | typing.SupportsIndex = 0.0, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
     """
     A closed cage of about `target_vertices` vertices around any triangle soup.
     
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
+    vertices (V, 3): metres. triangles (T, 3): vertex indices. thickness: metres that the cage stands off at least. progress: called with 0..1, returns False to cancel.
     Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not
     between 1e-6 and 1e6 m across.
     """
@@ -613,13 +621,13 @@ def pinned(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, num
     all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All metres, in
     the mesh's space.
     """
-def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
+def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], skin: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], skin_triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
     """
     Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
     
     As nodes they tie the flesh to a bone that would else pass between nodes; where there is room, three around the bone
     within what it holds (ratio, as for pinned), so that the body cannot spin about it. vertices (C, 3), triangles (D, 3): the cage.
-    heads, tails (B, 3): the bones at rest. All metres, in one space.
+    skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.
     """
 def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], progress: typing.Any = None) -> ReducedTables:
     """

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A bake with fewer keys, its point caches, and the raw clip as NumPy and as the C header play it."""
+
+import io
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dynamic_morph_targets import clips
+from dynamic_morph_targets.scene_data import Bake
+
+HEADER = Path(__file__).parents[2] / "runtime" / "dynamorph.h"
+FPS = 24.0
+
+PLAYER = """
+#include <stdio.h>
+#include <stdlib.h>
+#include "dynamorph.h"
+int main(int count, char **arguments) {
+  static float aligned[1 << 20];
+  FILE *file = fopen(arguments[1], "rb");
+  dm_clip clip;
+  const char *error = dm_open(&clip, aligned, fread(aligned, 1, sizeof aligned, file));
+  if (error) { puts(error); return 2; }
+  float *surface = malloc(sizeof *surface * 3 * clip.vertices), *z = malloc(sizeof *z * (clip.modes + clip.targets));
+  for (int i = 2; i < count; ++i) {
+    const double frame = atof(arguments[i]);
+    dm_surface(&clip, frame, surface);
+    for (int v = 0; v < 3 * clip.vertices; ++v) printf("%.9g ", surface[v]);
+    dm_values(&clip, frame, z, z + clip.modes);
+    for (int k = 0; k < clip.modes + clip.targets; ++k) printf("%.9g ", z[k]);
+    printf("%.9g\\n", clip.fps);
+  }
+  free(surface);
+  free(z);
+  return 0;
+}
+"""
+
+
+def shot(frames=40, modes=6, targets=3, vertices=50, seed=0) -> tuple[Bake, np.ndarray]:
+    """Smooth motion whose modes matter less and less, and the vertices that move."""
+    random = np.random.default_rng(seed)
+    time = np.linspace(0, 2 * np.pi, frames)[:, None]
+    coordinates = 0.5 ** np.arange(modes) * np.sin(time * (1 + np.arange(modes)) + random.uniform(0, 6, modes))
+    weights = random.dirichlet(np.ones(targets), frames)
+    bake = Bake(
+        np.arange(1, frames + 1),
+        coordinates,
+        weights,
+        random.normal(size=(modes, vertices, 3)),
+        np.r_[np.zeros((1, vertices, 3)), 0.1 * random.normal(size=(targets - 1, vertices, 3))],
+        tuple("abcdef"[:targets]),
+        0.1 * coordinates,
+    )
+    return bake, random.normal(size=(vertices, 3))
+
+
+def surface(bake, vertices):
+    return np.concatenate(list(clips.surfaces(bake, vertices, chunk=7)))
+
+
+def test_surfaces_are_the_bake_s_own():
+    bake, vertices = shot()
+    np.testing.assert_allclose(
+        surface(bake, vertices), [vertices + bake.displacement(k) for k in range(len(bake.frames))], atol=1e-12
+    )
+
+
+def test_fewer_keys_are_the_best_and_say_how_far_they_are_off():
+    bake, vertices = shot()
+    exact = surface(bake, 0.0).reshape(len(bake.frames), -1)
+    errors = []
+    for budget in (1, 2, 4, 8):
+        fewer, error = clips.with_fewer_keys(bake, budget)
+        assert len(fewer.modes) + len(fewer.details) == budget
+        off = np.linalg.norm(surface(bake, vertices) - surface(fewer, vertices), axis=2).max()
+        assert error == pytest.approx(off, rel=1e-9)
+        errors.append(error)
+        both = np.vstack([exact, np.tensordot(bake.dry, bake.modes, 1).reshape(exact.shape) + exact
+                          - np.tensordot(bake.coordinates, bake.modes, 1).reshape(exact.shape)])  # fmt: skip
+        left = np.linalg.svd(both, compute_uv=False)[budget:]
+        missed = both - np.vstack([fewer.coordinates, fewer.dry]) @ fewer.modes.reshape(budget, -1)
+        assert np.linalg.norm(missed) == pytest.approx(np.linalg.norm(left), rel=1e-6, abs=1e-9)
+    assert errors == sorted(errors, reverse=True)
+    same, error = clips.with_fewer_keys(bake, 99)
+    assert same is bake
+    assert error == 0.0
+
+
+def test_key_frames_keep_the_surface_within_the_tolerance():
+    bake, vertices = shot(frames=200)
+    exact, counts = surface(bake, vertices), []
+    for tolerance in (3.0, 1.0, 0.1):
+        kept = clips.key_frames(bake, tolerance)
+        between = np.array([
+            [np.interp(np.arange(200), kept, exact[kept, v, c]) for c in range(3)] for v in range(len(vertices))
+        ]).transpose(2, 0, 1)  # fmt: skip
+        assert np.linalg.norm(between - exact, axis=2).max() <= tolerance * (1 + 1e-9)
+        counts.append(len(kept))
+    assert counts == sorted(counts)
+    assert counts[0] < 200
+    assert list(clips.key_frames(shot(frames=1)[0], 0.0)) == [0]
+
+
+def test_point_caches_are_read_back():
+    bake, vertices = shot()
+    exact = surface(bake, vertices).astype(np.float32)
+    pc2 = b"".join(clips.point_cache(bake, vertices))
+    assert pc2[:12] == b"POINTCACHE2\0"
+    assert np.frombuffer(pc2, "<i4", 2, 12).tolist() == [1, len(vertices)]
+    assert np.frombuffer(pc2, "<f4", 2, 20).tolist() == [1.0, 1.0]
+    assert np.frombuffer(pc2, "<i4", 1, 28).tolist() == [len(exact)]
+    np.testing.assert_array_equal(np.frombuffer(pc2, "<f4", offset=32).reshape(exact.shape), exact)
+    mdd = b"".join(clips.motion_designer(bake, vertices, FPS))
+    assert np.frombuffer(mdd, ">i4", 2).tolist() == [len(exact), len(vertices)]
+    np.testing.assert_allclose(np.frombuffer(mdd, ">f4", len(exact), 8), bake.frames / FPS, rtol=1e-6)
+    np.testing.assert_array_equal(np.frombuffer(mdd, ">f4", offset=8 + 4 * len(exact)).reshape(exact.shape), exact)
+
+
+def test_a_raw_clip_is_what_numpy_reads():
+    bake, vertices = shot()
+    packed = clips.raw(bake, vertices, FPS)
+    assert packed == clips.raw(bake, vertices, FPS)
+    with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
+        again = vertices + np.tensordot(arrays["coordinates"], arrays["modes"], 1)
+        again += np.tensordot(arrays["weights"], arrays["details"], 1)
+        assert arrays["fps"] == FPS
+        np.testing.assert_array_equal(arrays["frames"], bake.frames)
+    np.testing.assert_allclose(again, surface(bake, vertices), atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def player(tmp_path_factory):
+    """Runs the C header's player on a clip: what it prints, and its exit code."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    folder = tmp_path_factory.mktemp("player")
+    (folder / "player.c").write_text(PLAYER)
+    strict = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1", "-fsanitize=address,undefined")
+    subprocess.run([compiler, *strict, f"-I{HEADER.parent}", folder / "player.c", "-o", folder / "player"], check=True)
+
+    def play(packed: bytes, *frames) -> tuple[str, int]:
+        (folder / "clip.npz").write_bytes(packed)
+        run = subprocess.run(
+            [folder / "player", folder / "clip.npz", *map(str, frames)], capture_output=True, text=True, check=False
+        )
+        assert run.returncode in (0, 2), run.stderr
+        return run.stdout, run.returncode
+
+    return play
+
+
+def test_the_c_header_plays_a_clip(player):
+    bake, vertices = shot()
+    times = (-1.0, 0.0, 2.0, 7.25, 38.9, 39.0, 100.0)
+    text, code = player(clips.raw(bake, vertices, FPS), *times)
+    assert code == 0
+    rows = np.array([line.split() for line in text.splitlines()], float)
+    exact, at = surface(bake, vertices).reshape(len(bake.frames), -1), np.clip(times, 0, 39)
+    values = np.hstack([exact, bake.coordinates, bake.weights, np.full((len(exact), 1), FPS)])
+    between = np.array([np.interp(at, np.arange(40), column) for column in values.T]).T
+    np.testing.assert_allclose(rows, between, atol=2e-5)
+
+
+def test_the_c_header_refuses_what_is_no_clip(player):
+    bake, vertices = shot()
+    packed = clips.raw(bake, vertices, FPS)
+    random = np.random.default_rng(1)
+    for size in (0, 10, 100, len(packed) // 2, len(packed) - 1):
+        assert player(packed[:size])[1] == 2
+    other = io.BytesIO()
+    np.savez_compressed(other, vertices=vertices)
+    assert "compressed" in player(other.getvalue())[0]
+    for _ in range(30):  # a flipped byte is refused or plays, but reads nothing outside (the sanitizer would tell)
+        at = random.integers(len(packed))
+        player(packed[:at] + bytes([random.integers(256)]) + packed[at + 1 :], 3.5)
