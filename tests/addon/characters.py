@@ -14,14 +14,18 @@ NODES, SUBSTEPS = 800, 2  # of the cage, and a frame: enough to see what goes wr
 
 @dataclass(frozen=True)
 class Shot:
-    """A character with one of its clips. keys: shape key -> frame of the clip whose pose is that target's; without
-    any, the flesh is one material. scale: what an artist answers to the warning that the body is of no likely size."""
+    """A character with one of its clips.
+
+    keys: shape key -> frame of the clip whose pose is that target's; without any, the flesh is one material. scale:
+    what an artist answers to the warning that the body is of no likely size. stiffness: of all targets, Pa.
+    """
 
     file: str
     clip: str
     frames: tuple[int, int]
     keys: dict[str, int] = field(default_factory=dict)
     scale: float = 1.0
+    stiffness: float = 2e4
 
     @property
     def path(self) -> Path:
@@ -37,8 +41,8 @@ SHOTS = {
     ),
     "Cesium Man": Shot("CesiumMan_notexture.glb", "Anim_0", (10, 26)),
     "Fox": Shot("Fox.glb", "Run", (5, 21), scale=0.01),
-    "KayKit knight": Shot("KayKit_Knight.glb", "1H_Melee_Attack_Chop", (5, 21)),
-    "T-rex": Shot("Quaternius_Trex.glb", "Armature|TRex_Run", (5, 21), scale=0.2),
+    "KayKit knight": Shot("KayKit_Knight.glb", "Walking_A", (5, 21)),
+    "T-rex": Shot("Quaternius_Trex.glb", "Armature|TRex_Run", (5, 21), scale=0.2, stiffness=2e5),
     "Robot": Shot("RobotExpressive.glb", "Walking", (3, 19), scale=0.4),
 }
 
@@ -59,6 +63,8 @@ def open_shot(shot: Shot):
     for key, frame in shot.keys.items():
         scene.frame_set(frame)
         bpy.ops.dynamorph.add_target(key=key)
+    for target in body.dynamorph.targets:
+        target.stiffness = shot.stiffness
     model = body.dynamorph.model
     model.cage_nodes, model.method = NODES, "DYNAMIC" if shot.keys else "SINGLE"
     scene.frame_set(scene.frame_start)

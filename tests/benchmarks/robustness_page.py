@@ -53,15 +53,14 @@ Blender {blender}, {machine}.
 
 ## Characters
 
-The largest skinned mesh of each file as it is opened or imported, made a soft skin with the materials of a new one,
-about {nodes} nodes and {substeps} substeps a frame. Where a file has shape keys some are targets; the others are
-simulated with a single material. The fox and the T-rex are scaled to a likely size first, as *Add Soft Skin* asks for.
+The largest skinned mesh of each file as it is opened or imported, made a soft skin of about {nodes} nodes, {substeps}
+substeps a frame. Where a file has shape keys some are targets; the others are simulated with a single material.
 
 ![Each character at a frame of its bake]({picture})
 
 ### Meshes
 
-What the wrapped cage has to bear with; it is no part of the mesh that is simulated, which stays as it is.
+What the cage has to bear with, counted where vertices at one place are one; the artist's mesh stays as it is.
 
 {defects}
 ### Cages
@@ -72,6 +71,7 @@ join skin that is far apart along the mesh. *Held loose parts* of the cage had n
 {cages}
 ### Bakes
 
+*Size*: diagonal of the box around it; *scaled* as *Add Soft Skin* asks for where an import is of no likely size.
 *Farthest* is the flesh from where its bones alone have it, at worst. *Inside out* are tetrahedra in the worst frame.
 
 {bakes}
@@ -116,8 +116,10 @@ def write_page() -> None:
         defects.append((name, *mesh_row(baked)))
         cages.append((name, *cage_row(baked)))
         clip = shot.clip.rpartition("|")[2]
-        bakes.append((name, f"{clip}, {shot.frames[0]} to {shot.frames[1]}", *bake_row(baked)))
-        print(f"{name}: {' | '.join(cages[-1][1:])} | {' | '.join(bakes[-1][2:])}", flush=True)
+        size = f"{baked.size:.2f} m" + (f", scaled {shot.scale:g}" if shot.scale != 1.0 else "")
+        frames = f"{clip}, {shot.frames[0]} to {shot.frames[1]}"
+        bakes.append((name, size, f"{shot.stiffness / 1000:.0f} kPa", frames, *bake_row(baked)))
+        print(f"{name}: {' | '.join(cages[-1][1:])} | {' | '.join(bakes[-1][1:])}", flush=True)
     draw(pictures)
     tally = mesh_surfaces()
     page = PAGE_TEXT.format(
@@ -129,7 +131,8 @@ def write_page() -> None:
         defects=grid(("", "vertices", "faces", *DEFECTS), defects),
         cages=grid(("", "nodes", "tetrahedra", "smallest dihedral angle", "under 5°", "inside", "glued",
                     "held loose parts"), cages),
-        bakes=grid(("", "clip, frames", "build", "bake", "farthest", "of the size", "inside out", "finite"), bakes),
+        bakes=grid(("", "size", "stiffness", "clip, frames", "build", "bake", "farthest", "of the size", "inside out",
+                    "finite"), bakes),
         surfaces=len(tally.seconds) + len(tally.refused),
         surface_nodes=SURFACE_NODES,
         meshed=len(tally.seconds),
