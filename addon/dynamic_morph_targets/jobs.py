@@ -27,7 +27,7 @@ CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read wit
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 STRETCH = 1000  # frames of a shot that are read and simulated at once: bounds memory
-SHARED_STRETCH = 100  # the same where they are kept for other processes, which go on from there
+SHORT_STRETCH = 100  # the same where they are kept for other processes, which go on from there, or nodes are read too
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
@@ -326,7 +326,8 @@ class Job:
         settings = self.settings
         done = self.shot.done if self.shot else len(self.resumed.get("coordinates", ()))
         first = settings.start + max(done - 1, 0)
-        frames = settings.end - first if self._whole else SHARED_STRETCH if self.share else STRETCH
+        most = SHORT_STRETCH if self.share or self.character.probed else STRETCH
+        frames = settings.end - first if self._whole else most
         self._sampling = extract.RigSampling(obj, first, min(first + frames, settings.end), settings.substeps)
         self._sampling.probe = self._probe
 
@@ -426,6 +427,7 @@ class Job:
 
     def commit(self):
         """Write the results; main thread."""
+        self._probe = None  # Blender's own memory, for which Python's collector need not come in time
         obj = self.target()
         with self._stage("store model"):
             self._store_model(obj)
