@@ -12,6 +12,7 @@ _commands = []  # handles that Blender wants back
 
 def _modules():
     from . import (
+        export_operators,
         influence,
         influence_operators,
         live,
@@ -30,7 +31,19 @@ def _modules():
     )
 
     buttons = operators, setup_operators, piece_operators, target_operators, transfer_operators, influence_operators
-    return preferences, properties, *buttons, live_operators, presets, influence, live, watch, overlays, panels
+    return (
+        preferences,
+        properties,
+        *buttons,
+        live_operators,
+        export_operators,
+        presets,
+        influence,
+        live,
+        watch,
+        overlays,
+        panels,
+    )
 
 
 def register():

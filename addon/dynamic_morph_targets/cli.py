@@ -53,9 +53,7 @@ def main(argv, opens_file: bool = False) -> int:
         return _run(args, opens_file)
     finally:
         for number, handler in handlers.items():
-            if (
-                handler is not None
-            ):  # Blender's own is set in C: Python cannot put it back, and Blender ends here anyway
+            if handler is not None:  # else it is Blender's own, set in C: Blender ends here anyway
                 signal.signal(number, handler)
         sys.stdout.flush()
 
@@ -288,8 +286,8 @@ def run_job(args):
     seconds = save(args) if args.output or args.in_place else 0.0
     for job in done:
         print_table(job, seconds)
-        if job.shot and shared:
-            shared.forget(job)
+        if job.kept:  # it is saved now
+            job.kept.unlink(missing_ok=True)
 
 
 def set_property(obj, change: str):

@@ -27,7 +27,7 @@ CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read wit
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 STRETCH = 1000  # frames of a shot that are read and simulated at once: bounds memory
-SHARED_STRETCH = 100  # the same where they are kept for other processes, which go on from there
+SHORT_STRETCH = 100  # where each node is read, or where they are kept for other processes, which go on from there
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
@@ -269,7 +269,9 @@ class Job:
         self.shot = None  # simulate.Shot
         self._whole = True
         self.resumed: dict = {}  # what another process kept of it
+        self.kept: Path | None = None  # where it is kept for other processes while it is unfinished
         self.model = None
+        self._shared_model = None
         self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
         self.result = None
         self.followers: list = []  # other meshes that the flesh carries along
@@ -310,13 +312,19 @@ class Job:
         self.built = json.dumps(changes.model_inputs(obj))
         chosen = self.character.settings
         fits = bool(self.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
+        self._shares_model = bool(self.share) and not fits  # a fitted one depends on the shot
+        if self.reasons and self._shares_model:
+            self._shared_model = self.share.built(self.character)
+            self.previous = self._shared_model or self.previous
         if self.only_cage or not (self.bake or fits):
             return
         self.settings = settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
         self._whole = whole or settings.loop or fits
         if self.share and self.bake and not (self._whole or self.character.probed):
-            self.resumed = self.share.unfinished(self)
+            self.kept = self.share.bake_path(self)
+            model = self.model or self._shared_model
+            self.resumed = self.share.unfinished(self.kept, model) if model else {}
         if self.resumed:
             self._first = extract.sample_rig(obj, settings.start, settings.start, 1)
         self._next_stretch(obj)
@@ -326,7 +334,8 @@ class Job:
         settings = self.settings
         done = self.shot.done if self.shot else len(self.resumed.get("coordinates", ()))
         first = settings.start + max(done - 1, 0)
-        frames = settings.end - first if self._whole else SHARED_STRETCH if self.share else STRETCH
+        stretch = SHORT_STRETCH if self.kept or self.character.probed else STRETCH
+        frames = settings.end - first if self._whole else stretch
         self._sampling = extract.RigSampling(obj, first, min(first + frames, settings.end), settings.substeps)
         self._sampling.probe = self._probe
 
@@ -426,6 +435,7 @@ class Job:
 
     def commit(self):
         """Write the results; main thread."""
+        self._probe = None  # Blender's own memory, for which Python's collector need not come in time
         obj = self.target()
         with self._stage("store model"):
             self._store_model(obj)
@@ -536,19 +546,19 @@ class Job:
                 if self.resumed:
                     self.shot.resume(self.resumed, self._first)
             self.shot.play(self.rig)
-        if self.share and not (self._whole or self.character.probed):
-            self.share.keep(self)
+        if self.kept and len(self.rig):  # else nothing was left to do
+            self.share.keep(self.kept, self.shot, self.rig.pose[-1])
         if self.shot.is_complete:
             self._finish(simulate)
 
     def _build(self, simulate):
         built = 0.95 if self.character.settings.fit_to_shot else 0.7
         with self._stage("build"):
-            self.model = self.share and self.share.built(self.character)
+            self.model = self._shared_model
             if not self.model:
                 progress = self._progress(0.2, built if self.bake else 1.0)
                 self.model = simulate.build_for(self.character, self.rig, self.settings, progress, self.previous)
-                if self.share:
+                if self._shares_model:
                     self.share.keep_model(self.model)
         with self._stage("measure"):
             for reference in materials.references(self.model, self.character):
@@ -639,6 +649,7 @@ class Batch:
             self._at = job
             yield from self._computed(job, pause)
             while job.go_on():
+                yield from self._turn(reading=True)
                 while not job.sample(seconds):
                     yield from self._turn(reading=True)
                 yield from self._computed(job, pause)

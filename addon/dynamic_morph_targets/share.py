@@ -26,7 +26,6 @@ class Share:
 
     def __init__(self, folder: Path):
         self.folder = folder
-        self._names: dict[int, str] = {}  # of a job's unfinished bake
 
     def built(self, character):
         """A model that was built for such a character, or None."""
@@ -38,37 +37,30 @@ class Share:
     def keep_model(self, model):
         model_file.save(self._model_path(model.dependencies), model_file.pack(*model.to_arrays()))
 
-    def unfinished(self, job) -> dict[str, np.ndarray]:
-        """What `simulate.Shot.resume` asks for, and the last `pose`, of such a bake; empty when there is none."""
-        self._names[id(job)] = self._name(job)
-        found = self._read(self._path(job))
-        return found[0] if found else {}
+    def bake_path(self, job) -> Path:
+        """Where a bake is kept while it is unfinished: all that it depends on but the model, which may not be there
+        yet, is what was authored, and the files that hold what moves it. Main thread.
+        """
+        from . import build
 
-    def keep(self, job):
-        """What is done of the bake, in place of what was kept before."""
-        if not len(job.rig):  # nothing was left to do
-            return
-        arrays = job.shot.kept() | {"pose": job.rig.pose[-1]}
-        model_file.save(self._path(job), model_file.pack(arrays, {}))
+        outside = (*bpy.data.libraries, *bpy.data.cache_files)
+        files = [bpy.data.filepath, *(bpy.path.abspath(each.filepath, library=each.library) for each in outside)]
+        files = [_file_hash(Path(file)) for file in files]
+        dependencies = build.dependencies(job.character)
+        return self.folder / f"{_hash([VERSION, job.name, job.inputs, dependencies, files])}.unfinished"
 
-    def forget(self, job):
-        """The bake is saved elsewhere now."""
-        self._path(job).unlink(missing_ok=True)
+    def unfinished(self, path: Path, model) -> dict[str, np.ndarray]:
+        """What `simulate.Shot.resume` asks for, and the last `pose`, of a bake with this model; empty without one."""
+        arrays, meta = self._read(path) or ({}, {})
+        return arrays if meta.get("model") == _modes_hash(model) else {}
 
-    def _path(self, job) -> Path:
-        return self.folder / f"{self._names[id(job)]}.unfinished"
+    def keep(self, path: Path, shot, pose: np.ndarray):
+        """What is done of a `simulate.Shot` up to this pose (B, 4, 4), in place of what was kept before."""
+        meta = {"model": _modes_hash(shot.player.model)}
+        model_file.save(path, model_file.pack(shot.kept() | {"pose": pose}, meta))
 
     def _model_path(self, dependencies: dict[str, str]) -> Path:
         return self.folder / f"{_hash(dependencies)}.dynamorph"
-
-    @staticmethod
-    def _name(job) -> str:
-        """A hash of all that a bake depends on: what was authored, and the files that hold what moves it."""
-        from . import build
-
-        files = [bpy.data.filepath, *(bpy.path.abspath(library.filepath) for library in bpy.data.libraries)]
-        dependencies = build.dependencies(job.character)
-        return _hash([VERSION, job.name, job.inputs, dependencies, [_file_hash(Path(file)) for file in files]])
 
     @staticmethod
     def _read(path: Path):
@@ -82,8 +74,16 @@ def _hash(what) -> str:
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:32]
 
 
+def _modes_hash(model) -> str:
+    """Of what the coordinates of a bake mean: another machine's modes may have other signs."""
+    return hashlib.sha256(model.nodes.tobytes() + model.basis.tobytes()).hexdigest()
+
+
 def _file_hash(path: Path) -> str:
+    """Empty for a file that is not there: Blender shows nothing of it."""
     digest = hashlib.sha256()
+    if not path.is_file():
+        return ""
     with path.open("rb") as file:
         while block := file.read(BLOCK):
             digest.update(block)

@@ -15,7 +15,7 @@ from .scene_data import Character
 
 Progress = Callable[[float, str], bool]
 
-GRID = 2.0**-11  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
+GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
 MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
 HELD = 0.05  # nodes softer than this in the Soft group are free
 FEWEST_NODES = 50  # of a piece's own cage

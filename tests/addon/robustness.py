@@ -241,6 +241,8 @@ CALLS = {  # what a button needs before it, and what it is given
 }
 CHANGING_NOTHING = {  # of what is saved and undone
     "cancel": (target_selected, {}),
+    "export": (baked, {"format": "RAW", "filepath": str(FOLDER / "clip.npz")}),
+    "export_check": (baked, {"format": "GLTF"}),
     "material_preset": (target_selected, {"name": "Test"}),
     "play_mode": (built, {}),
     "save_setup": (target_selected, {"filepath": SETUP}),

@@ -83,6 +83,8 @@ def test_operators_that_change_data_are_undone(operators):
     without = {operator.bl_idname for operator in operators if "UNDO" not in getattr(operator, "bl_options", ())}
     assert without <= {
         "dynamorph.cancel",
+        "dynamorph.export",
+        "dynamorph.export_check",
         "dynamorph.play_mode",
         "dynamorph.save_setup",
         "dynamorph.shake_test",

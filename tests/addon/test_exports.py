@@ -211,7 +211,17 @@ def test_export_check_counts_the_morphs_that_move(scene):
     assert any(text.startswith("10 keys move") for text in part("exports").losses(obj, "FBX"))
 
 
-def test_refused(baked, tmp_path, monkeypatch):
+def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
+    obj, _ = baked
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.dynamorph.export(format="RAW", filepath=str(tmp_path / "arm"))
+    assert [file.name for file in tmp_path.iterdir()] == ["arm.npz"]
+    assert bpy.ops.dynamorph.export_check(format="FBX") == {"FINISHED"}
+    part("sinks").free(obj)
+    assert not bpy.ops.dynamorph.export.poll()
+
+
+def test_refused(baked, tmp_path):
     obj, _ = baked
     exports = part("exports")
     error = exports.ExportError

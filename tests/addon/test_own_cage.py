@@ -105,7 +105,7 @@ def test_an_unusable_cage_is_refused_with_its_name(caged, spoil, words):
 
 
 def test_only_other_meshes_can_be_cages(caged):
-    candidates = part("properties")._can_be_cage
+    candidates = part("properties")._is_other_mesh
     model = caged.dynamorph.model
     assert candidates(model, box_of(caged))
     assert not candidates(model, caged)

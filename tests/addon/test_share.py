@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A folder that processes share: models are built once, bakes are gone on with, and nothing is mistaken for another."""
+
+import bpy
+import numpy as np
+import pytest
+from builders import part
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+
+@pytest.fixture
+def coarse(soft_arm, tmp_path):
+    """A saved file with a coarse arm."""
+    soft_arm.dynamorph.model.cage_nodes = 200
+    soft_arm.dynamorph.model.modes = 8
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    return soft_arm
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "shared"
+
+
+def baked(obj, folder=None, goal="BAKE"):
+    jobs = part("jobs")
+    job = jobs.Job(obj, goal, share=folder and part("share").Share(folder))
+    jobs.run(job)
+    return job
+
+
+def stopped(obj, folder, monkeypatch, stretches):
+    """A bake that ends after so many stretches; nothing is written."""
+    share, jobs = part("share"), part("jobs")
+    keep, left = share.Share.keep, iter(range(stretches - 1, -1, -1))
+
+    def keep_and_stop(self, *args):
+        keep(self, *args)
+        if not next(left):
+            raise InterruptedError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(share.Share, "keep", keep_and_stop)
+        with pytest.raises(InterruptedError):
+            jobs.run(jobs.Job(obj, "BAKE", share=share.Share(folder)))
+
+
+def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
+    monkeypatch.setattr(part("jobs"), "SHORT_STRETCH", 5)
+    stopped(coarse, folder, monkeypatch, stretches=2)
+    assert len(list(folder.glob("*.unfinished"))) == 1
+    job = baked(coarse, folder)
+    assert len(job.resumed["coordinates"]) == 11  # frames
+    whole = baked(coarse)
+    assert np.array_equal(job.result.coordinates, whole.result.coordinates)
+    assert job.report["steps"] == whole.report["steps"]
+
+
+def test_a_bake_with_other_modes_begins_anew(coarse, folder, monkeypatch):
+    """Models that are built elsewhere from the same may have modes of other signs."""
+    monkeypatch.setattr(part("jobs"), "SHORT_STRETCH", 5)
+    stopped(coarse, folder, monkeypatch, stretches=2)
+    (built,) = folder.glob("*.dynamorph")
+    model_file = part("model_file")
+    arrays, meta = model_file.unpack(built.read_bytes())
+    arrays["basis"] = arrays["basis"] * 1.001
+    model_file.save(built, model_file.pack(arrays, meta))
+    assert not baked(coarse, folder).resumed
+
+
+def test_a_changed_file_begins_anew(coarse, folder, monkeypatch):
+    monkeypatch.setattr(part("jobs"), "SHORT_STRETCH", 5)
+    stopped(coarse, folder, monkeypatch, stretches=1)
+    coarse.location.x = 1.0
+    bpy.ops.wm.save_mainfile()
+    assert not baked(coarse, folder).resumed
+
+
+def test_models_are_built_once(coarse, folder, monkeypatch):
+    first = baked(coarse, folder, goal="BUILD")
+    part("jobs").forget_model(coarse)
+    monkeypatch.setattr(part("simulate"), "build_for", None)
+    second = baked(coarse, folder, goal="BUILD")
+    assert second.reasons and np.array_equal(second.model.basis, first.model.basis)
+    assert second.references == first.references
+
+
+def test_models_fitted_to_a_shot_are_not_shared(coarse, folder):
+    """Another shot of the same character would get them."""
+    coarse.dynamorph.model.fit_to_shot = True
+    job = baked(coarse, folder)
+    assert "fitted" in job.model.summary
+    assert not list(folder.glob("*"))
+
+
+@pytest.mark.parametrize("setting", ["loop", "probed"])
+def test_what_cannot_be_gone_on_with_is_baked_all_the_same(coarse, tmp_path, folder, setting):
+    if setting == "loop":
+        coarse.dynamorph.simulation.loop = True
+    else:
+        coarse.modifiers["Armature"].use_deform_preserve_volume = True
+    bpy.ops.wm.save_mainfile()
+    arguments = ["bake", "--object", coarse.name, "--share", str(folder), "-o", str(tmp_path / "baked.blend")]
+    assert part("cli").main(arguments) == 0
+    assert not list(folder.glob("*.unfinished"))
+
+
+def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
+    """Its own cage may have others, if another version made it."""
+    coarse.modifiers["Armature"].use_deform_preserve_volume = True
+    shared = baked(coarse, folder)
+    part("jobs").forget_model(coarse)
+    (built,) = folder.glob("*.dynamorph")
+    model_file = part("model_file")
+    arrays, meta = model_file.unpack(built.read_bytes())
+    arrays["nodes"] = arrays["nodes"] + 1e-9
+    model_file.save(built, model_file.pack(arrays, meta))
+    job = baked(coarse, folder)
+    assert np.allclose(job.result.coordinates, shared.result.coordinates, atol=1e-4)
+
+
+def test_an_undo_between_two_stretches_stops_a_bake(coarse, folder, monkeypatch):
+    """What was read before it is of another scene."""
+    jobs = part("jobs")
+    monkeypatch.setattr(jobs, "STRETCH", 5)
+    job = jobs.Job(coarse, "BAKE")
+    batch = jobs.Batch([job], "BAKE")
+    go_on = jobs.Job.go_on
+
+    def undone(self):
+        batch.undone = True
+        return go_on(self)
+
+    monkeypatch.setattr(jobs.Job, "go_on", undone)
+    with pytest.raises(part("extract").SceneError, match="was undone"):
+        jobs.run_all(batch)
+    assert not coarse.dynamorph.bake.keys
