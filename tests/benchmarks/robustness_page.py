@@ -14,13 +14,14 @@ from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_robustness_")  # before bpy is imported
 ROOT = Path(__file__).resolve().parents[2]
-sys.path += [str(ROOT / "tests" / "addon"), str(ROOT / "sample_blends")]
+sys.path += [str(ROOT / folder) for folder in ("tests", "tests/addon", "tests/engine", "sample_blends")]
 
 import bpy  # noqa: E402
 import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import dynamorph  # noqa: E402
 import numpy as np  # noqa: E402
+import test_defects  # noqa: E402
 from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
 from dynamic_morph_targets import extract, jobs  # noqa: E402
 from mathutils import Vector  # noqa: E402
@@ -48,6 +49,7 @@ PAGE_TEXT = """# Robustness
 What becomes of meshes and rigs that nobody here made. `make robustness` measures and writes this page; nothing on it is
 written by hand. `tests/addon/test_characters.py` asserts for each character, in Blender 4.5 and 5.2, that the bake is
 finite and bounded, that Blender shows what the engine computed, and that *Free Bake* restores the object.
+`tests/engine/test_defects.py` spoils clean bodies in {kinds} ways and their mixtures; `make fuzz` tries more of them.
 
 Blender {blender}, {machine}.
 
@@ -123,6 +125,7 @@ def write_page() -> None:
     draw(pictures)
     tally = mesh_surfaces()
     page = PAGE_TEXT.format(
+        kinds=len(test_defects.DEFECTS),
         blender=bpy.app.version_string,
         machine=f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
         nodes=characters.NODES,
