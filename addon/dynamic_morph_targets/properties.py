@@ -451,6 +451,7 @@ class DynamorphModel(PropertyGroup):
     stale: StringProperty(name="Out of Date", description="Why the model must be built again, as the mesh says")
 
     def settings(self) -> ModelSettings:
+        """As the panels show them: lengths in Blender units."""
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
 
 

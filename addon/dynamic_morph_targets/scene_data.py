@@ -285,6 +285,21 @@ VARIANTS: dict[str, dict[str, str]] = {
 }
 
 
+def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
+    """The part (count,) that each point of a mesh of edges, triangles or tetrahedra (m, k) belongs to: the smallest
+    number of its points.
+    """
+    part = np.arange(count)
+    while True:  # each round joins parts that share an element, by their smallest points
+        joined = part[elements]
+        lowest = np.broadcast_to(joined.min(axis=1, keepdims=True), joined.shape)
+        if np.array_equal(joined, lowest):
+            return part
+        np.minimum.at(part, joined, lowest)
+        while not np.array_equal(part, part[part]):
+            part = part[part]
+
+
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.

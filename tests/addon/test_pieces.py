@@ -338,7 +338,7 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     group.add(upper, 1.0, "REPLACE")
     with_buckle.group, with_buckle.choice = "Buckle", "OWN_CAGE"
     job = bake(soft_arm)
-    parts = part("volume").parts_of(job.model.tets, len(job.model.nodes))
+    parts = part("scene_data").connected_parts(job.model.tets, len(job.model.nodes))
     body = parts[job.model.embedding_nodes[job.character.pieces == 0, 0]]
     assert len(np.unique(parts)) > len(np.unique(body))
     (follower,) = job.followers
