@@ -137,9 +137,8 @@ def skinning_settings(obj) -> list:
     """What a bake depends on of the Armature modifiers and of bones that bend, fit for JSON."""
     found = []
     for modifier in armature_modifiers(obj):
-        bones = deforming_bones(obj, modifier.object)
-        bendy = {bone.name: bone.bbone_segments for bone in bones if bone.bbone_segments > 1}
-        found.append([modifier.object.name, *(getattr(modifier, name) for name in SKINNING_FIELDS), bendy])
+        segments = [bone.bbone_segments for bone in deforming_bones(obj, modifier.object)]  # no names, which may change
+        found.append([*(getattr(modifier, name) for name in SKINNING_FIELDS), segments])
     return found
 
 

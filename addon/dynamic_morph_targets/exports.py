@@ -51,7 +51,7 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
     key: of FORMATS. Selection, frame, keys and curves are afterwards as before. Raises ExportError, OSError.
     """
     chosen = FORMATS[key]
-    if not obj.dynamorph.bake.keys:
+    if not any(key.name in _keys(obj) for key in obj.dynamorph.bake.keys):
         raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
     if not chosen.is_available:
         raise ExportError(f"This Blender was built without {chosen.label}: choose another format")
@@ -107,10 +107,15 @@ def losses(obj, key: str) -> Iterator[str]:
         yield f"{crowded} vertices follow more than {INFLUENCES} bones: the weakest of them are dropped"
 
 
+def _keys(obj):
+    """The shape keys of `obj`, by name too; empty when the artist has removed all."""
+    return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
+
+
 def _moving_keys(obj) -> list[str]:
     """The keys that count: not muted, and with a curve, a driver, or a value."""
-    blocks = obj.data.shape_keys.key_blocks
-    return [block.name for block in blocks[1:] if not block.mute and (block.value or block.name in _animated_keys(obj))]
+    animated = _animated_keys(obj)
+    return [name for name, key in list(_keys(obj).items())[1:] if not key.mute and (key.value or name in animated)]
 
 
 def _animated_keys(obj) -> set[str]:
@@ -119,9 +124,9 @@ def _animated_keys(obj) -> set[str]:
 
 
 def _driven_keys(obj) -> set[str]:
-    animation = obj.data.shape_keys.animation_data
+    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
     paths = [driver.data_path for driver in animation.drivers] if animation else []
-    return {block.name for block in obj.data.shape_keys.key_blocks if f"{block.path_from_id()}.value" in paths}
+    return {name for name, key in _keys(obj).items() if f"{key.path_from_id()}.value" in paths}
 
 
 def _crowded_vertices(obj) -> int:
@@ -198,8 +203,6 @@ def read_back(obj) -> Bake:
         if title in slots:
             bag = record.action.layers[0].strips[0].channelbag(slots[title])
             curves |= {curve.data_path: curve for curve in bag.fcurves}
-    if not curves:
-        raise ExportError(f"'{obj.name}': the curves of its bake are gone: bake again")
     columns, modes = [], []
     basis = key_points(keys.reference_key).astype(np.float64)
     for key in record.keys:
@@ -210,6 +213,8 @@ def read_back(obj) -> Bake:
             curve.keyframe_points.foreach_get("co", points.ravel())
             columns.append(points[:, 1])
             modes.append(key_points(block) - basis)
+    if not columns:
+        raise ExportError(f"'{obj.name}': the curves of its bake are gone: bake again")
     render = bpy.context.scene.render
     frames = np.rint(points[:, 0] * render.frame_map_new / render.frame_map_old).astype(int)
     coordinates = np.array(columns, np.float64).T

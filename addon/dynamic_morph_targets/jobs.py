@@ -435,6 +435,7 @@ class Job:
 
     def commit(self):
         """Write the results; main thread."""
+        self._probe = None  # Blender's own memory, for which Python's collector need not come in time
         obj = self.target()
         with self._stage("store model"):
             self._store_model(obj)

@@ -485,6 +485,14 @@ def test_a_body_in_two_cages(small_arm):
     assert len(job.rig.nodes.rest) == job.model.free.sum() and np.abs(job.result.displacement(12)).max() > 0.0
 
 
+def test_a_shot_in_stretches_is_the_whole_shot(small_arm, monkeypatch):
+    twisting(small_arm)
+    whole = run(small_arm).result
+    monkeypatch.setattr(part("jobs"), "SHORT_STRETCH", 6)
+    job = run(small_arm)
+    assert len(job.rig) < 40 and np.abs(job.result.coordinates - whole.coordinates).max() < 1e-9
+
+
 def test_methods_are_compared(small_arm):
     twisting(small_arm)
     job = part("jobs").Job(small_arm, "BAKE", frames=(1, 3))
