@@ -96,7 +96,7 @@ def model_settings(obj) -> ModelSettings:
 
 def followers(obj, character: Character) -> list[Follower]:
     """The other meshes that the flesh of `obj` carries along; character: what was read of it. Raises SceneError."""
-    pieces = clothes_in(obj, "WITH_BODY")
+    pieces = clothes_in(obj)
     if not pieces:
         return []
     rig = armature_modifier(obj).object
