@@ -125,10 +125,11 @@ class Baked:
 
     @property
     def inside(self) -> np.ndarray:
-        """Which vertices (V,) of the skin the cage's tetrahedra hold."""
+        """Which vertices (V,) of the skin are in the cage's tetrahedra."""
+        from dynamorph import TetMesh, embed  # what opens and plays a character does without the engine
+
         model = self.job.model
-        carried = np.einsum("va,vac->vc", model.embedding_weights, model.nodes[model.embedding_nodes])
-        return np.linalg.norm(carried - self.skin, axis=1) < 1e-6 * self.size
+        return embed(TetMesh(model.nodes, model.tets), self.skin).distances < 1e-6 * self.size
 
 
 def bake(jobs, body) -> Baked:
