@@ -249,10 +249,13 @@ def _as_it_was(obj):
 
 @contextmanager
 def _sampled(obj, frames):
-    """As `_sampled_keys`, of the whole character."""
+    """The frames as the scene's, and `_sampled_keys` of the whole character."""
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames
     with ExitStack() as stack:
         for each in (obj, *followers(obj)):
-            stack.enter_context(_sampled_keys(each, frames))
+            if each.data.shape_keys and each.data.shape_keys.animation_data:  # the artist may have removed them
+                stack.enter_context(_sampled_keys(each, frames))
         yield
 
 
@@ -260,7 +263,6 @@ def _sampled(obj, frames):
 def _sampled_keys(obj, frames):
     """The values that all keys have, whatever moves them, as plain curves of one Action: exporters look no further."""
     scene, keys = bpy.context.scene, obj.data.shape_keys
-    scene.frame_start, scene.frame_end = frames
     times = np.arange(frames[0], frames[1] + 1)
     values = np.empty((len(times), len(keys.key_blocks)), np.float32)
     for row, frame in zip(values, times, strict=True):
