@@ -37,6 +37,45 @@ Surface closed(const Points& vertices, const Triangles& triangles) {
   return Surface(closed.vertices, closed.triangles);
 }
 
+using Cell = std::array<std::int64_t, 3>;
+
+/// Where each vertex is, on a grid of 1e-6 of the diagonal.
+std::vector<Cell> cells_of(const Points& vertices, const Triangles& triangles) {
+  Bvh::Box box;
+  for (int vertex : triangles.reshaped()) box.extend(Vector3d(vertices.row(vertex)));
+  const double diagonal = box.isEmpty() ? 0 : box.diagonal().norm();
+  std::vector<Cell> cells(vertices.rows(), Cell{});
+  if (diagonal == 0) return cells;
+  for (int vertex : triangles.reshaped()) {
+    const Vector3d p = vertices.row(vertex) / (1e-6 * diagonal);
+    cells[vertex] = {std::llround(p.x()), std::llround(p.y()), std::llround(p.z())};
+  }
+  return cells;
+}
+
+/// The vertices that are one with others at their place: those at open edges, and of triangles that are there twice,
+/// facing alike. Elsewhere equal vertices are parts that touch.
+std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cells) {
+  std::map<std::pair<int, int>, int> edges;
+  std::map<std::array<Cell, 3>, int> places;
+  const auto place = [&](Eigen::Index t) {
+    std::array<Cell, 3> corners{cells[triangles(t, 0)], cells[triangles(t, 1)], cells[triangles(t, 2)]};
+    std::rotate(corners.begin(), std::min_element(corners.begin(), corners.end()), corners.end());
+    return corners;
+  };
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
+    ++places[place(t)];
+    for (int k = 0; k < 3; ++k) ++edges[edge(triangles(t, k), triangles(t, (k + 1) % 3))];
+  }
+  std::vector<bool> seam(cells.size(), false);
+  for (const auto& [ends, count] : edges)
+    if (count == 1) seam[ends.first] = seam[ends.second] = true;
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t)
+    if (places[place(t)] > 1)
+      for (int vertex : triangles.row(t)) seam[vertex] = true;
+  return seam;
+}
+
 }  // namespace
 
 Flesh::Flesh(const Points& vertices, const Triangles& triangles, double spacing) : body_(closed(vertices, triangles)) {
@@ -49,30 +88,16 @@ Flesh::Flesh(const Points& vertices, const Triangles& triangles, double spacing)
   look_through();
 }
 
-/// Only at open edges: elsewhere equal vertices are parts that touch.
 void Flesh::weld(const Points& vertices, const Triangles& triangles) {
-  std::map<std::pair<int, int>, int> uses;
-  for (Eigen::Index t = 0; t < triangles.rows(); ++t)
-    for (int k = 0; k < 3; ++k) ++uses[edge(triangles(t, k), triangles(t, (k + 1) % 3))];
-  std::vector<bool> open(vertices.rows(), false);
-  for (const auto& [ends, count] : uses)
-    if (count == 1) open[ends.first] = open[ends.second] = true;
-  Bvh::Box box;
-  for (int vertex : triangles.reshaped()) box.extend(Vector3d(vertices.row(vertex)));
-  const double tolerance = 1e-6 * box.diagonal().norm();
-  std::map<std::array<std::int64_t, 3>, int> seams;
+  const std::vector<Cell> cells = cells_of(vertices, triangles);
+  const std::vector<bool> seam = seams(triangles, cells);
+  std::map<Cell, int> welded;
   of_vertex_.assign(vertices.rows(), -1);
   for (int vertex : triangles.reshaped<Eigen::RowMajor>()) {
     if (of_vertex_[vertex] >= 0) continue;
-    const Vector3d p = vertices.row(vertex);
-    int point = size();
-    if (open[vertex] && tolerance > 0) {
-      const std::array<std::int64_t, 3> cell{std::llround(p.x() / tolerance), std::llround(p.y() / tolerance),
-                                             std::llround(p.z() / tolerance)};
-      point = seams.emplace(cell, point).first->second;
-    }
+    const int point = seam[vertex] ? welded.emplace(cells[vertex], size()).first->second : size();
     of_vertex_[vertex] = point;
-    if (point == size()) points_.push_back(p);
+    if (point == size()) points_.push_back(vertices.row(vertex));
   }
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
     triangles_.push_back({of_vertex_[triangles(t, 0)], of_vertex_[triangles(t, 1)], of_vertex_[triangles(t, 2)]});

@@ -58,6 +58,7 @@ def open_shot(shot: Shot):
     if body.data.shape_keys and body.data.shape_keys.animation_data:
         body.data.shape_keys.animation_data.action = None  # it moves keys that are no targets
     bpy.ops.dynamorph.add_soft_skin()
+    bpy.ops.dynamorph.find_pieces()
     for key in body.data.shape_keys.key_blocks:
         key.mute = key.name not in shot.keys and key != body.data.shape_keys.reference_key  # it would show on top
     for key, frame in shot.keys.items():
@@ -125,10 +126,11 @@ class Baked:
 
     @property
     def inside(self) -> np.ndarray:
-        """Which vertices (V,) of the skin the cage's tetrahedra hold."""
+        """Which vertices (V,) of the skin are in the cage's tetrahedra."""
+        from dynamorph import TetMesh, embed  # what opens and plays a character does without the engine
+
         model = self.job.model
-        carried = np.einsum("va,vac->vc", model.embedding_weights, model.nodes[model.embedding_nodes])
-        return np.linalg.norm(carried - self.skin, axis=1) < 1e-6 * self.size
+        return embed(TetMesh(model.nodes, model.tets), self.skin).distances < 1e-6 * self.size
 
 
 def bake(jobs, body) -> Baked:
