@@ -25,8 +25,8 @@ REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wante
 FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
 # Of the tetrahedra.
 MESH_DEPENDENCIES = (
-    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "cage object",
-    "pin radius", "pieces",
+    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
+    "cage object", "pin radius", "pieces",
 )  # fmt: skip
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group")  # of them and of what is held
 CAGE_SHARE = 0.35  # of the time of a build
@@ -383,6 +383,8 @@ def dependencies(character: Character) -> dict[str, str]:
         parts[f"shape {j}"] = (target.shape,)
     if character.cage:
         parts["cage object"] = character.cage[1:]
+    if settings.cage_grading:
+        parts["how far targets move"] = (volume.moved(character.by_method()),)
     for name, value in asdict(settings).items():
         if name not in FREE_SETTINGS and value != LATER_SETTINGS.get(name):
             parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)

@@ -8,7 +8,7 @@ frame, Alembic and USD the posed surface. A raw clip is the bake alone, before s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from . import checks, clips, model_file, sinks
-from .properties import key_points, rig_of
+from .properties import followers, key_points, rig_of
 from .scene_data import Bake
 
 MORPHS = 8  # that common engines and viewers blend at once
@@ -45,7 +45,8 @@ class Format:
 
 
 def export(obj, key: str, path: Path, frames: tuple[int, int]):
-    """Write the baked `obj`, with its armature, over `frames` (first, last) to `path`, whole or not at all.
+    """Write the baked `obj`, with its armature and what moves with its flesh, over `frames` (first, last) to `path`,
+    whole or not at all.
 
     key: of FORMATS. Selection, frame, keys and curves are afterwards as before. Raises ExportError, OSError.
     """
@@ -55,7 +56,7 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
     if not chosen.is_available:
         raise ExportError(f"This Blender was built without {chosen.label}: choose another format")
     sinks.check_not_edited(obj)
-    hidden = next((other for other in (obj, rig_of(obj)) if other and not other.visible_get()), None)
+    hidden = next((other for other in _together(obj) if not other.visible_get()), None)
     if hidden:
         raise ExportError(f"'{hidden.name}' is hidden, so Blender exports nothing of it: show it")
     if not path.parent.is_dir():
@@ -76,6 +77,9 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
 def losses(obj, key: str) -> Iterator[str]:
     """What the format will not show as Blender does, as sentences. Reads the scene only."""
     chosen = FORMATS[key]
+    pieces = ", ".join(f"'{piece.name}'" for piece in followers(obj))
+    if key == "RAW" and pieces:
+        yield f"A raw clip is of one mesh: {pieces} is left out"
     if not chosen.skins:
         return
     modifiers = checks.armature_modifiers(obj)
@@ -138,7 +142,7 @@ def _crowded_vertices(obj) -> int:
 
 
 def _write_gltf(obj, path: Path, frames):
-    with _sampled_keys(obj, frames):
+    with _sampled(obj, frames):
         bpy.ops.export_scene.gltf(
             filepath=str(path), use_selection=True, export_animation_mode="SCENE", export_force_sampling=True,
             export_anim_scene_split_object=False,
@@ -147,7 +151,7 @@ def _write_gltf(obj, path: Path, frames):
 
 
 def _write_fbx(obj, path: Path, frames):
-    with _sampled_keys(obj, frames):
+    with _sampled(obj, frames):
         bpy.ops.export_scene.fbx(
             filepath=str(path), use_selection=True, add_leaf_bones=False, bake_anim_use_nla_strips=False,
             bake_anim_use_all_actions=False, bake_anim_simplify_factor=0.0, use_mesh_modifiers=False,
@@ -218,16 +222,21 @@ def read_back(obj) -> Bake:
     return Bake(frames, coordinates, nothing[0], np.array(modes), nothing[1], (), coordinates)
 
 
+def _together(obj) -> list:
+    """The character: its mesh, its armature, and the meshes that its bake moves."""
+    return [other for other in (obj, rig_of(obj), *followers(obj)) if other]
+
+
 @contextmanager
 def _as_it_was(obj):
     """The character alone selected; afterwards selection and frames as they were."""
-    layer, scene = bpy.context.view_layer, bpy.context.scene
+    layer, scene, character = bpy.context.view_layer, bpy.context.scene, _together(obj)
     selected = [other for other in layer.objects if other.select_get()]
     active, frame = layer.objects.active, (scene.frame_current, scene.frame_subframe)
     ends = scene.frame_start, scene.frame_end
     try:
         for other in layer.objects:
-            other.select_set(other in (obj, rig_of(obj)))
+            other.select_set(other in character)
         layer.objects.active = obj
         yield
     finally:
@@ -239,10 +248,21 @@ def _as_it_was(obj):
 
 
 @contextmanager
+def _sampled(obj, frames):
+    """The frames as the scene's, and `_sampled_keys` of the whole character."""
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames
+    with ExitStack() as stack:
+        for each in (obj, *followers(obj)):
+            if each.data.shape_keys and each.data.shape_keys.animation_data:  # the artist may have removed them
+                stack.enter_context(_sampled_keys(each, frames))
+        yield
+
+
+@contextmanager
 def _sampled_keys(obj, frames):
     """The values that all keys have, whatever moves them, as plain curves of one Action: exporters look no further."""
     scene, keys = bpy.context.scene, obj.data.shape_keys
-    scene.frame_start, scene.frame_end = frames
     times = np.arange(frames[0], frames[1] + 1)
     values = np.empty((len(times), len(keys.key_blocks)), np.float32)
     for row, frame in zip(values, times, strict=True):

@@ -23,6 +23,7 @@ from .scene_data import (
     Character,
     Follower,
     ForceField,
+    ModelSettings,
     OwnCage,
     RigSamples,
     SimulationSettings,
@@ -67,7 +68,6 @@ def character(obj, without_targets=False) -> Character:
     for target_set in target_sets:
         _refuse(checks.poses(obj.name, target_set.targets, skeleton))
     basis = obj.data.shape_keys.reference_key
-    settings = obj.dynamorph
     world, rig_world = _worlds_at_start(obj, modifier.object)
     to_bind = _stretch(world)
     return Character(
@@ -81,16 +81,22 @@ def character(obj, without_targets=False) -> Character:
         bone_segments=_bone_segments(obj, modifier.object, inverse(world) @ rig_world, to_bind),
         skeleton=skeleton,
         target_sets=target_sets,
-        settings=settings.model.settings(),
+        settings=model_settings(obj),
         probed=bool(checks.beyond_bones(obj)),
         pieces=_pieces(obj, groups),
         cage=_own_cage(obj, modifier.object, to_bind),
     )
 
 
+def model_settings(obj) -> ModelSettings:
+    """How the model of `obj` is to be built; lengths in metres, the panels' are in Blender units."""
+    chosen = obj.dynamorph.model.settings()
+    return replace(chosen, cage_thickness=unit_scale() * chosen.cage_thickness)
+
+
 def followers(obj, character: Character) -> list[Follower]:
     """The other meshes that the flesh of `obj` carries along; character: what was read of it. Raises SceneError."""
-    pieces = clothes_in(obj, "WITH_BODY")
+    pieces = clothes_in(obj)
     if not pieces:
         return []
     rig = armature_modifier(obj).object
@@ -338,11 +344,17 @@ def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
     """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
     bones = checks.deforming_bones(obj, rig)
     ends = np.array([(*bone.head_local, *bone.tail_local) for bone in bones]).reshape(-1, 2, 3)
-    # Rounded like the stretch: the last digits of this transform change when both objects are moved.
+    return _carried(ends, to_local) @ to_bind.T + 0.0
+
+
+def _carried(points: np.ndarray, to_local: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of another object in local space. Rounded like the stretch: the last digits of this transform
+    (4, 4) change when both objects are moved.
+    """
     size = np.cbrt(abs(determinant(to_local[:3, :3])))
-    units = 10.0 ** np.round(np.log10([size, size * np.abs(ends).max()]))
+    units = 10.0 ** np.round(np.log10(np.maximum([size, size * np.abs(points).max()], 1e-300)))
     turn, shift = _rounded(to_local[:3, :3], units[0]), _rounded(to_local[:3, 3], units[1])
-    return (ends @ turn.T + shift) @ to_bind.T + 0.0
+    return points @ turn.T + shift
 
 
 def _own_cage(obj, rig, to_bind) -> OwnCage | None:
@@ -369,8 +381,7 @@ def _own_cage(obj, rig, to_bind) -> OwnCage | None:
         evaluated.to_mesh_clear()
     if not len(triangles):
         raise SceneError(f"Cage Object '{cage.name}' has no faces: choose a closed mesh")
-    to_local = np.round(to_local, 5)  # as the bones' ends
-    return OwnCage(cage.name, (points @ to_local[:3, :3].T + to_local[:3, 3]) @ to_bind.T, triangles)
+    return OwnCage(cage.name, _carried(points.astype(np.float64), to_local) @ to_bind.T, triangles)
 
 
 @contextmanager

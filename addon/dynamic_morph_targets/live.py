@@ -16,7 +16,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import changes, events, extract, jobs, live_key, probe, properties
+from . import changes, checks, events, extract, jobs, live_key, probe, properties
 from .extract import SceneError
 from .scene_data import Character, Material, RigSamples, SimulationSettings
 
@@ -149,7 +149,7 @@ class Session:
         self.first = self.last = self.now = None  # frames: simulated from, to; the one that shows, or just before
         self._frames: dict[int, object] = {}
         self._states: dict[int, tuple] = {}
-        self.bones = properties.bones_key(properties.rig_of(obj).data)
+        self.skinning = _skinning(obj)
         self._placing, self._material = _placing(obj), _materials(obj)
         self._sampled = _sampling(obj)
         settings = self.flesh.player.settings
@@ -420,16 +420,27 @@ def _edited(scene, depsgraph):
     if updates:
         _problems.clear()  # try again
     moved = any(_moves(update) for update in updates)
-    bones = any(isinstance(update.id, bpy.types.Armature) for update in updates)
+    reskinned = any(_may_reskin(update) for update in updates)
     for obj in [obj for obj in properties.soft_skins(scene.objects) if obj.session_uid in sessions]:
         session = sessions[obj.session_uid]
         if moved:
             session.rig_changed()
-        rig = bones and properties.rig_of(obj)
-        if bones and not (rig and properties.bones_key(rig.data) == session.bones):
+        if reskinned and _skinning(obj) != session.skinning:
             del sessions[obj.session_uid]
         if is_on(obj) and live_key.find(obj, session.flesh.skin.written) is None:
             turn_off(obj)
+
+
+def _skinning(obj) -> tuple:
+    """What the way from the rig to the skin depends on besides weights."""
+    rig = properties.rig_of(obj)
+    return rig and properties.bones_key(rig.data), checks.skinning_settings(obj)
+
+
+def _may_reskin(update) -> bool:
+    edited = update.id
+    is_mesh = isinstance(edited, bpy.types.Object) and edited.type == "MESH" and update.is_updated_geometry
+    return is_mesh or isinstance(edited, bpy.types.Armature)
 
 
 def _moves(update) -> bool:

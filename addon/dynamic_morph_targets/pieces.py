@@ -12,9 +12,9 @@ import numpy as np
 
 from . import checks, extract
 from .properties import parts_in, rig_of
+from .scene_data import loose_parts
 
 PREFIX = "Dynamorph Piece "  # of the vertex groups that are made for loose parts
-WELD = 1e-6  # of the mesh's diagonal: points nearer than this are one, as imported meshes are split at every seam
 FEW = 8  # so many loose parts are a piece each
 LARGE = 0.02  # of the body's area: larger loose parts are a piece each
 RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rigidly
@@ -170,23 +170,6 @@ def grouped(areas: np.ndarray, skip: np.ndarray) -> list[np.ndarray]:
     for p in others[len(large) :]:
         small.setdefault(int(areas[p].argmax()), []).append(p)
     return [np.array([p]) for p in large] + [np.array(parts) for parts in small.values()]
-
-
-def loose_parts(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Numbers (V,) of the connected parts of a mesh: points (V, 3), edges (E, 2). Points in one place are connected."""
-    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
-    _, welded = np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)
-    first, second = welded.ravel()[edges].T
-    labels = np.arange(welded.max() + 1)
-    while True:  # each round joins neighbours and then halves the way to a part's lowest number
-        lower = np.minimum(labels[first], labels[second])
-        if np.array_equal(lower, np.maximum(labels[first], labels[second])):
-            break
-        np.minimum.at(labels, labels[first], lower)
-        np.minimum.at(labels, labels[second], lower)
-        while not np.array_equal(labels, labels[labels]):
-            labels = labels[labels]
-    return np.unique(labels[welded.ravel()], return_inverse=True)[1].ravel()
 
 
 def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> np.ndarray:

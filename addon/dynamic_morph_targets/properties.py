@@ -451,6 +451,7 @@ class DynamorphModel(PropertyGroup):
     stale: StringProperty(name="Out of Date", description="Why the model must be built again, as the mesh says")
 
     def settings(self) -> ModelSettings:
+        """As the panels show them: lengths in Blender units."""
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
 
 
@@ -808,9 +809,9 @@ def parts_in(obj) -> list:
     return [piece for piece in obj.dynamorph.pieces if piece.group]
 
 
-def clothes_in(obj, choice: str) -> list:
-    """The other meshes that are pieces of a soft skin with this choice, without those that are deleted."""
-    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == choice]
+def clothes_in(obj) -> list:
+    """The other meshes that the flesh of a soft skin is to carry along, without those that are deleted."""
+    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "WITH_BODY"]
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 
 

@@ -285,6 +285,33 @@ VARIANTS: dict[str, dict[str, str]] = {
 }
 
 
+def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
+    """The part (count,) that each point of a mesh of edges, triangles or tetrahedra (m, k) belongs to: the smallest
+    number of its points.
+    """
+    part = np.arange(count)
+    while True:  # each round joins parts that share an element, by their smallest points
+        joined = part[elements]
+        lowest = np.broadcast_to(joined.min(axis=1, keepdims=True), joined.shape)
+        if np.array_equal(joined, lowest):
+            return part
+        np.minimum.at(part, joined, lowest)
+        while not np.array_equal(part, part[part]):
+            part = part[part]
+
+
+WELD = 1e-6  # of a mesh's diagonal: points nearer than this are one, as imported meshes are split at every seam
+
+
+def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    """Numbers (V,), from 0, of the parts of points (V, 3) that edges or faces (m, k) and seams connect."""
+    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
+    _, welded = np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)
+    welded = welded.ravel()
+    part = connected_parts(welded[elements], welded.max() + 1)
+    return np.unique(part[welded], return_inverse=True)[1].ravel()
+
+
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.

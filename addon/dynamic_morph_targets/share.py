@@ -46,8 +46,8 @@ class Share:
         outside = (*bpy.data.libraries, *bpy.data.cache_files)
         files = [bpy.data.filepath, *(bpy.path.abspath(each.filepath, library=each.library) for each in outside)]
         files = [_file_hash(Path(file)) for file in files]
-        dependencies = build.dependencies(job.character)
-        return self.folder / f"{_hash([VERSION, job.name, job.inputs, dependencies, files])}.unfinished"
+        depends_on = [job.name, job.inputs, build.dependencies(job.character), files]
+        return self.folder / f"{_hash([VERSION, bpy.app.version, *depends_on])}.unfinished"
 
     def unfinished(self, path: Path, model) -> dict[str, np.ndarray]:
         """What `simulate.Shot.resume` asks for, and the last `pose`, of a bake with this model; empty without one."""

@@ -12,8 +12,7 @@ import dynamorph
 import numpy as np
 
 from .build import Model, Progress, build
-from .scene_data import Bake, Character, Follower, RigSamples, SimulationSettings, determinant, inverse
-from .volume import parts_of
+from .scene_data import Bake, Character, Follower, RigSamples, SimulationSettings, connected_parts, determinant, inverse
 
 CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
 CHUNK_NODES = 2**18  # transforms of nodes made at once, if those are known: 25 MB
@@ -509,7 +508,7 @@ def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.nda
     details = np.moveaxis(follower.skin.carry(np.moveaxis(model.details, 0, 1)), 1, 0) @ follower.from_body.T
     if not len(model.tets):
         return np.zeros((0, *follower.vertices.shape)), details
-    part = parts_of(model.tets, len(model.nodes))  # pieces may have a cage of their own in the same place
+    part = connected_parts(model.tets, len(model.nodes))  # pieces may have a cage of their own in the same place
     under = part[model.embedding_nodes[np.unique(follower.skin.corners), 0]]
     used, tets = np.unique(model.tets[np.isin(part[model.tets[:, 0]], under)], return_inverse=True)
     embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes[used], tets.reshape(-1, 4)), follower.vertices)

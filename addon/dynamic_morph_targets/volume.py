@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import dynamorph
 import numpy as np
 
-from .scene_data import Character
+from .scene_data import Character, connected_parts, loose_parts
 
 Progress = Callable[[float, str], bool]
 
@@ -19,6 +19,7 @@ GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a sc
 MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
 HELD = 0.05  # nodes softer than this in the Soft group are free
 FEWEST_NODES = 50  # of a piece's own cage
+FLAT = 1e-3  # of a part's area^1.5, as volume, about: less has no inside
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,10 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         filled = [
             _filled(*each, surface, turn) for each, turn in _in_turn(zip(cages.values(), meshes, strict=True), report)
         ]
-        meshes, embeddings, fill, pinned, glued, outside = zip(*filled, strict=True)
-        mesh, embedding = _together(character.pieces, list(cages), meshes, embeddings)
+        mesh, embedding = _together(character.pieces, list(cages), filled)
         stiffness, weights, softness, shares = _inherited(character, mesh, embedding)
-        fill, pinned = np.concatenate(fill), np.concatenate(pinned) | (softness < HELD)
+        fill = np.concatenate([cage.fill for cage in filled])
+        pinned = np.concatenate([cage.pinned for cage in filled]) | (softness < HELD)
         adrift = _adrift(mesh, pinned)
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
@@ -68,7 +69,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         )
     for nodes in adrift:
         pinned[nodes] = True
-    glued = {name: sum(count[name] for count in glued) for name in glued[0]}
+    glued = {name: sum(cage.glued[name] for cage in filled) for name in filled[0].glued}
     summary = {
         "nodes": len(mesh.nodes),
         "tets": len(mesh.tets),
@@ -77,7 +78,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         "quality": dynamorph.tet_quality(mesh),
         "glued": glued,
         "held_parts": len(adrift),
-        "warnings": [text for texts in outside for text in texts]
+        "warnings": [text for cage in filled for text in cage.warnings]
         + _glued_warnings(character, glued)
         + [_adrift_warning(character, embedding, nodes) for nodes in adrift],
     }
@@ -120,27 +121,41 @@ def _in_turn(steps, report) -> list[tuple]:
     ]
 
 
-def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report) -> tuple:
-    """A cage's mesh as cut, its embedding, fill, what its bones hold, what was glued, and warnings."""
+@dataclass(frozen=True)
+class _Filled:
+    """One cage of n nodes and m tets, as it is cut where skin merely touches.
+
+    embedding: of all V vertices; fill (m,); pinned (n,) bool: by bones; glued: counts, as in the summary.
+    """
+
+    mesh: dynamorph.TetMesh
+    embedding: dynamorph.Embedding
+    fill: np.ndarray
+    pinned: np.ndarray
+    glued: dict[str, int]
+    warnings: list[str]
+
+
+def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report) -> _Filled:
     mesh, embedding, glued = _parted(cage, mesh, surface)
     fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
-    return mesh, embedding, fill, _pinned(cage, mesh, surface), glued, _outside(cage, embedding)
+    return _Filled(mesh, embedding, fill, _pinned(cage, mesh, surface), glued, _outside(cage, embedding))
 
 
-def _together(pieces: np.ndarray, numbers: list[int], meshes, embeddings) -> tuple:
+def _together(pieces: np.ndarray, numbers: list[int], cages: list[_Filled]) -> tuple:
     """One mesh of the cages, which nothing couples, and the embedding (V,) of each piece in its own.
 
     A vertex of a piece without a cage has no weights: the flesh does not move it.
     """
-    if len(meshes) == 1 and (pieces == numbers[0]).all():
-        return meshes[0], embeddings[0]
-    first = np.cumsum([0] + [len(mesh.nodes) for mesh in meshes])
+    if len(cages) == 1 and (pieces == numbers[0]).all():
+        return cages[0].mesh, cages[0].embedding
+    first = np.cumsum([0] + [len(cage.mesh.nodes) for cage in cages])[:-1]
     nodes, weights = np.zeros((len(pieces), 4), np.int32), np.zeros((len(pieces), 4))
-    for number, start, embedding in zip(numbers, first, embeddings, strict=False):
+    for number, start, cage in zip(numbers, first, cages, strict=True):
         own = pieces == number
-        nodes[own], weights[own] = embedding.nodes[own] + start, embedding.weights[own]
-    tets = np.concatenate([mesh.tets + start for mesh, start in zip(meshes, first, strict=False)])
-    mesh = dynamorph.TetMesh(np.concatenate([mesh.nodes for mesh in meshes]), tets)
+        nodes[own], weights[own] = cage.embedding.nodes[own] + start, cage.embedding.weights[own]
+    tets = np.concatenate([cage.mesh.tets + start for start, cage in zip(first, cages, strict=True)])
+    mesh = dynamorph.TetMesh(np.concatenate([cage.mesh.nodes for cage in cages]), tets)
     return mesh, dynamorph.Embedding(nodes, weights)
 
 
@@ -156,7 +171,7 @@ def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.
             cage=cage and cage[1:],
             thickness=settings.cage_thickness,
             grading=settings.cage_grading,
-            moved=_moved(character),
+            moved=moved(character),
             bones=np.round(character.bone_segments / grid) * grid,
             held=settings.pin_radius,
             progress=report,
@@ -166,8 +181,8 @@ def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.
     return mesh
 
 
-def _moved(character: Character) -> np.ndarray:
-    """How far targets move each vertex (V,) at most, 1 where it is farthest."""
+def moved(character: Character) -> np.ndarray:
+    """How far targets move each vertex (V,) at most, 1 where it is farthest: what Cage Grading goes by."""
     shapes = np.array([target.shape for target in character.targets]) @ character.to_bind.T
     farthest = np.linalg.norm(shapes, axis=2).max(axis=0)
     return farthest / max(farthest.max(), 1e-300)
@@ -193,12 +208,24 @@ def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
 
 def _parted(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> tuple:
     """The mesh, cut where it joins skin that merely touches, the skin's embedding in it, and the counts."""
-    parting = dynamorph.Parting(mesh, surface, cage.triangles)
+    parting = dynamorph.Parting(mesh, surface, _outward(surface, cage.triangles))
     tets = int(parting.glued.sum())
     if not tets or not cage.settings.separate:
         return mesh, dynamorph.embed(mesh, surface), {"tets": tets, "split_nodes": 0}
     cut = parting.cut()
     return cut, parting.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
+
+
+def _outward(surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The triangles (T, 3), those of parts that are inside out turned over: the way through the flesh is inward."""
+    part = loose_parts(surface, triangles)[triangles[:, 0]]
+    corners = surface[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.bincount(part, np.linalg.norm(across, axis=1))
+    middle = [np.bincount(part, along) / np.maximum(np.bincount(part), 1) for along in corners.mean(axis=1).T]
+    away = corners[:, 0] - np.column_stack(middle)[part]
+    inside_out = np.bincount(part, np.einsum("tc,tc->t", across, away)) < -FLAT * area**1.5
+    return np.where(inside_out[part, None], triangles[:, ::-1], triangles)
 
 
 def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
@@ -220,21 +247,9 @@ def _glued_warnings(character: Character, glued: dict) -> list[str]:
 # What nothing holds --------------------------------------------------------------------------------------------------
 
 
-def parts_of(tets: np.ndarray, nodes: int) -> np.ndarray:
-    """The part (n,) of a mesh of tets (m, 4) that each of its nodes belongs to: the smallest number of its nodes."""
-    part = np.arange(nodes)
-    while True:  # it spreads to every node
-        lowest = part.copy()
-        np.minimum.at(lowest, tets, part[tets].min(axis=1, keepdims=True))
-        lowest = lowest[lowest]
-        if (lowest == part).all():
-            return part
-        part = lowest
-
-
 def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
     """The nodes of each part of the mesh that fewer than three nodes hold: it could move or turn without resistance."""
-    part = parts_of(mesh.tets, len(mesh.nodes))
+    part = connected_parts(mesh.tets, len(mesh.nodes))
     held = np.bincount(part[pinned], minlength=len(part))
     return [np.flatnonzero(part == root) for root in np.unique(part) if held[root] < 3]
 

@@ -66,8 +66,10 @@ TetMesh without_flat(const TetMesh& mesh) {
       number[i] = static_cast<int>(nodes.size());
       nodes.push_back(static_cast<int>(i));
     }
-  TetMesh clean{mesh.nodes(nodes, Eigen::all), mesh.tets(kept, Eigen::all)};
-  for (int& node : clean.tets.reshaped()) node = number[node];
+  TetMesh clean{Points(nodes.size(), 3), Tets(kept.size(), 4)};
+  for (size_t i = 0; i < nodes.size(); ++i) clean.nodes.row(i) = mesh.nodes.row(nodes[i]);
+  for (size_t t = 0; t < kept.size(); ++t)
+    for (int k = 0; k < 4; ++k) clean.tets(t, k) = number[mesh.tets(kept[t], k)];
   return clean;
 }
 

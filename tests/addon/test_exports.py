@@ -30,11 +30,11 @@ def posed(obj):
     return np.array(surfaces)
 
 
-def imported(load, path, **options):
+def imported(load, path, name, **options):
     """The mesh of a file in an empty scene, its sliders wide enough: Blender's importers leave them at 0 to 1."""
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     load(filepath=str(path), **options)
-    meshes = [obj for obj in bpy.data.objects if obj.type == "MESH" and obj.name.startswith("Arm")]
+    meshes = [obj for obj in bpy.data.objects if obj.type == "MESH" and obj.name.startswith(name)]
     (mesh,) = meshes
     for block in mesh.data.shape_keys.key_blocks if mesh.data.shape_keys else ():
         block.slider_min, block.slider_max = -10.0, 10.0
@@ -55,10 +55,10 @@ def assert_same(shown, exact, tolerance=1e-5):
 
 
 READERS = {
-    "GLTF": lambda path: imported(bpy.ops.import_scene.gltf, path),
-    "FBX": lambda path: imported(bpy.ops.import_scene.fbx, path, anim_offset=0.0),
-    "ALEMBIC": lambda path: imported(bpy.ops.wm.alembic_import, path),
-    "USD": lambda path: imported(bpy.ops.wm.usd_import, path),
+    "GLTF": lambda path, name="Arm": imported(bpy.ops.import_scene.gltf, path, name),
+    "FBX": lambda path, name="Arm": imported(bpy.ops.import_scene.fbx, path, name, anim_offset=0.0),
+    "ALEMBIC": lambda path, name="Arm": imported(bpy.ops.wm.alembic_import, path, name),
+    "USD": lambda path, name="Arm": imported(bpy.ops.wm.usd_import, path, name),
 }
 
 
@@ -175,6 +175,20 @@ def test_drivers_actions_and_influence_are_exported_as_shown(scene, baked, tmp_p
     exports.export(obj, "GLTF", tmp_path / "Arm.glb", FRAMES)
     assert fingerprint(obj) == before
     assert_same(posed(READERS["GLTF"](tmp_path / "Arm.glb")), exact)
+
+
+@pytest.mark.parametrize("key", READERS)
+def test_what_moves_with_the_flesh_is_exported_too(scene, baked, tmp_path, key):
+    obj, _ = baked
+    sleeve = make_arm(scene, "Sleeve")
+    bpy.data.objects.remove(rig_of(sleeve))
+    sleeve.modifiers["Armature"].object = rig_of(obj)
+    part("sinks").write_modal_keys(sleeve, hand_made_bake(obj, seed=2), obj)
+    exact, before = posed(sleeve), fingerprint(sleeve)
+    path = tmp_path / f"arm{part('exports').FORMATS[key].suffix}"
+    part("exports").export(obj, key, path, FRAMES)
+    assert fingerprint(sleeve) == before
+    assert_same(posed(READERS[key](path, "Sleeve")), exact)
 
 
 def more_bones(obj):

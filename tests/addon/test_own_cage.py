@@ -61,6 +61,17 @@ def test_the_cage_is_read_at_rest_and_at_the_start(caged):
     np.testing.assert_allclose(part("extract").character(caged).cage.points, expected.points, atol=1e-4)
 
 
+def test_the_cage_fits_a_body_of_any_scale(caged):
+    """Where a unit of the body is a thousand of the cage's."""
+    box = box_of(caged)
+    for moved in (caged, rig_of(caged)):
+        moved.scale = (1000.0,) * 3
+    box.matrix_world = Matrix.LocRotScale((0, 0, 0), None, (412.34, 412.34, 2345.6))
+    bpy.context.view_layer.update()
+    points = part("extract").character(caged).cage.points
+    np.testing.assert_allclose(np.ptp(points, axis=0), (824.68, 824.68, 2345.6), rtol=1e-4)
+
+
 def test_the_cage_is_a_dependency(caged):
     bpy.ops.dynamorph.build()
     box = box_of(caged)

@@ -338,7 +338,7 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     group.add(upper, 1.0, "REPLACE")
     with_buckle.group, with_buckle.choice = "Buckle", "OWN_CAGE"
     job = bake(soft_arm)
-    parts = part("volume").parts_of(job.model.tets, len(job.model.nodes))
+    parts = part("scene_data").connected_parts(job.model.tets, len(job.model.nodes))
     body = parts[job.model.embedding_nodes[job.character.pieces == 0, 0]]
     assert len(np.unique(parts)) > len(np.unique(body))
     (follower,) = job.followers
@@ -423,7 +423,7 @@ def test_seams_do_not_part_a_mesh():
     points = np.concatenate([np.asarray(vertices)[list(face)] for face in faces])
     first = np.cumsum([0, *(len(face) for face in faces)])
     edges = [(a + k, a + (k + 1) % (b - a)) for a, b in pairwise(first) for k in range(b - a)]
-    loose_parts = part("pieces").loose_parts
+    loose_parts = part("scene_data").loose_parts
     assert loose_parts(points, np.array(edges)).max() == 0
     two = np.concatenate([points, points + np.array([9.0, 0.0, 0.0])])
     labels = loose_parts(two, np.concatenate([edges, np.array(edges) + len(points)]))
@@ -434,7 +434,7 @@ def test_a_long_chain_is_one_part():
     order = np.random.default_rng(1).permutation(5000)
     points = np.arange(15000.0).reshape(-1, 3)
     edges = np.column_stack([order[:-1], order[1:]])
-    loose_parts = part("pieces").loose_parts
+    loose_parts = part("scene_data").loose_parts
     assert loose_parts(points, edges).max() == 0
     assert loose_parts(points, np.delete(edges, 2000, axis=0)).max() == 1
 

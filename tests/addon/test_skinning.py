@@ -543,3 +543,17 @@ def test_previews(scene, small_arm):
     first, second = away.nodes.transforms(away.object_world)
     assert (second - first)[..., 3] == pytest.approx(np.tile([0.0, 0.0, 2.0], (272, 1)), abs=1e-6)
     assert (second - first)[..., :3] == pytest.approx(0.0)
+
+
+def test_another_way_of_skinning_counts_at_once(scene, small_arm):
+    """Live asks Blender about the nodes as soon as bones do not say it."""
+    run(small_arm, goal="BUILD")
+    part("live")._loaded()
+    bpy.ops.dynamorph.live()
+    session = part("live").sessions[small_arm.session_uid]
+    assert session.flesh.probe is None
+    small_arm.modifiers["Armature"].use_deform_preserve_volume = True
+    bpy.context.view_layer.update()
+    scene.frame_set(2)
+    session = part("live").sessions[small_arm.session_uid]
+    assert session.flesh.probe is not None and part("live").problem(small_arm) == ""

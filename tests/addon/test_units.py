@@ -316,6 +316,11 @@ def test_another_unit_scale_makes_a_model_old(in_centimetres):
     assert "object scale changed" in jobs.stale_reasons(in_centimetres, part("extract").character(in_centimetres))
 
 
+def test_the_cages_distance_is_in_metres(in_centimetres):
+    in_centimetres.dynamorph.model.cage_thickness = 3.0  # Blender units, as the panel takes it
+    assert part("extract").character(in_centimetres).settings.cage_thickness == pytest.approx(0.03)
+
+
 def test_force_fields_are_in_metres(in_centimetres):
     bpy.ops.object.effector_add(type="WIND", location=(300.0, 0.0, 0.0))
     field = bpy.context.object.field

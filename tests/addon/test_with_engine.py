@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from builders import assert_shows, part, rig_of
+from builders import assert_shows, keys_of, part, rig_of
 from mathutils import Matrix
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -115,6 +115,20 @@ def test_what_needs_one_is_named(small_arm, change, reason):
     run(small_arm, goal="BUILD")
     change(small_arm)
     assert reason in "; ".join(run(small_arm, goal="BAKE").reasons)
+
+
+def test_a_cage_that_targets_grade_is_made_anew_for_other_targets(small_arm):
+    """Else it would be fine where an old sculpt was."""
+    jobs, extract, build = part("jobs"), part("extract"), part("build")
+    small_arm.dynamorph.model.cage_grading = 0.5
+    jobs.run(jobs.Job(small_arm, goal="BUILD"))
+    model = jobs.load_model(small_arm)
+    assert build.has_cage(model, extract.character(small_arm))
+    keys_of(small_arm).key_blocks["flexed"].points[0].co.x += 0.3
+    sculpted = extract.character(small_arm)
+    assert "how far targets move changed" in build.stale_reasons(model, sculpted)
+    assert not build.has_cage(model, sculpted)
+    assert "how far targets move" not in build.dependencies(sculpted.with_settings(cage_grading=0.0))
 
 
 def test_cancelling_the_engine(small_arm):
