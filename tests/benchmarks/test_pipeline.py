@@ -70,8 +70,8 @@ def pose_evaluation(monkeypatch) -> list[float]:
 
     @contextmanager
     def timed(*moving):
-        with rig_scene(*moving) as scene:
-            yield TimedScene(scene, seconds)
+        with rig_scene(*moving) as (scene, follower):
+            yield TimedScene(scene, seconds), follower
 
     monkeypatch.setattr(extract, "_rig_scene", timed)
     return seconds

@@ -36,7 +36,7 @@ from hypothesis.database import DirectoryBasedExampleDatabase
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 EXAMPLES = int(os.environ.get("DYNAMORPH_FUZZ", 0))
 FOUND = Path(__file__).resolve().parents[2] / "build" / "fuzz"  # what failed is tried first the next time
-LONGEST = 75.0  # seconds for a build and a bake: the mesher gives up after about 60
+LONGEST = 60.0  # seconds for a build and a bake: the mesher gives up earlier
 FRAMES, SUBSTEPS = 5, 2
 ADVICE = re.compile(
     r"\b(add|apply|check|choose|clean|close|delete|give|lower|merge|model|move|raise|recalculate|remove|repair|"

@@ -67,7 +67,7 @@ def mesh_body(
     if moved.shape != (len(vertices),):
         raise ValueError(f"moved: expected one number a vertex, got shape {moved.shape}")
     arrays = [*_checked(vertices, triangles), moved, bones, *_closed(cage)]
-    deadline = time.monotonic() + (time_limit or 60.0 + target_nodes / 50)
+    deadline = time.monotonic() + (time_limit or 40.0 + target_nodes / 100)
     resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
     failure = None
     for resolution in resolutions:
