@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes that are killed, and go on in another process with the same bytes; models that processes share."""
+
+import json
+import os
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import pytest
+from builders import make_arm, make_soft
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+ROOT = Path(__file__).parents[2]
+KILLS = int(os.environ.get("DYNAMORPH_KILLS", "3"))
+FRAMES = 3000
+
+
+@pytest.fixture
+def shot(scene, tmp_path):
+    """A saved file with a soft skin, and a folder to share."""
+    obj = make_soft(make_arm(scene))
+    obj.dynamorph.model.cage_nodes, obj.dynamorph.model.modes = 300, 6
+    path = tmp_path / "shot.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def baking(shot, report, *more):
+    """A process that bakes the shot."""
+    paths = os.pathsep.join(filter(None, [str(ROOT / "addon"), os.environ.get("PYTHONPATH")]))
+    arguments = "bake", shot, "--object", "Arm", "--frames", 1, FRAMES, "-o", report.with_suffix(".blend"), *more
+    return subprocess.Popen(
+        [sys.executable, "-m", "dynamic_morph_targets", *map(str, arguments), "--report", report],
+        stdout=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": paths},
+    )  # fmt: skip
+
+
+def baked(process, report):
+    """What the report of a process says of its bake, when it has ended."""
+    with process:
+        assert process.wait() == 0
+    return json.loads(report.read_text())["characters"][0]["bake"]
+
+
+def kept_at(share):
+    """When an unfinished bake was kept last."""
+    return [path.stat().st_mtime_ns for path in share.glob("*.unfinished")]
+
+
+def test_killed_at_any_moment_nothing_is_lost(shot, tmp_path):
+    """With kill -9, as often as DYNAMORPH_KILLS says, at random moments of the bake; then it is done, with the bytes of
+    a bake that nobody disturbed."""
+    whole, share = tmp_path / "whole.json", tmp_path / "share"
+    undisturbed = baked(baking(shot, whole), whole)
+    done, moments, kills = tmp_path / "done.json", random.Random(1), 0
+    while kills < KILLS:
+        before = kept_at(share)
+        with baking(shot, done, "--share", share) as process:
+            while process.poll() is None and kept_at(share) == before:
+                time.sleep(0.01)
+            time.sleep(moments.uniform(0.0, 0.1))
+            process.kill()
+            if process.wait() == 0:  # it was faster
+                break
+        kills += 1
+    assert kills > 0
+    found = baked(baking(shot, done, "--share", share), done)
+    assert found["hash"] == undisturbed["hash"]
+    assert found["steps"] == undisturbed["steps"]
+    assert not list(share.glob("*.unfinished"))  # it is saved now
+    assert len(list(share.glob("*.dynamorph"))) == 1
