@@ -28,7 +28,7 @@ from bpy.props import (
 from bpy.types import PropertyGroup
 
 from . import events, materials
-from .scene_data import METHODS, Material, ModelSettings, Skeleton
+from .scene_data import METHODS, Material, ModelSettings, OutputSettings, Skeleton
 
 NEUTRAL = "Neutral"
 OVERRIDE = {"LIBRARY_OVERRIDABLE"}
@@ -540,6 +540,40 @@ class DynamorphSimulation(PropertyGroup):
         return self.substeps or max(1, math.ceil(120.0 / fps - 1e-6))
 
 
+class DynamorphOutput(PropertyGroup):
+    """What a bake becomes."""
+
+    sink: EnumProperty(
+        name="Bake To", description="What plays the motion in Blender",
+        items=(
+            ("MODES", "Shape Keys", "A few keys, the modes, with a curve each: small, editable, for engines too"),
+            ("FRAMES", "Shape Key a Frame", "The surface at single frames as keys, and curves that blend them"),
+            ("PC2", "Point Cache (PC2)", "A file with the surface at every frame, played by a Mesh Cache modifier"),
+            ("MDD", "Point Cache (MDD)", "As PC2, for programs that read only that"),
+        ),
+        default=OutputSettings.sink, override=OVERRIDE,
+    )  # fmt: skip
+    keys: IntProperty(
+        name="Keys",
+        description="How many shape keys the motion may take; the best for this shot are found. 0: one for each mode",
+        default=OutputSettings.keys, min=0, soft_max=32, override=OVERRIDE,
+    )  # fmt: skip
+    every: IntProperty(
+        name="Every", description="Frames from one key to the next", default=OutputSettings.every, min=1, soft_max=10,
+        override=OVERRIDE,
+    )  # fmt: skip
+    tolerance: FloatProperty(
+        name="Error",
+        description="How far the surface may be off between keys, which then are where they are needed. 0: a key at "
+        "regular frames",
+        default=OutputSettings.tolerance, min=0.0, soft_max=0.01, precision=4, subtype="DISTANCE", override=OVERRIDE,
+    )  # fmt: skip
+
+    def settings(self) -> OutputSettings:
+        """As the panels show them: lengths in Blender units."""
+        return OutputSettings(**{field.name: getattr(self, field.name) for field in fields(OutputSettings)})
+
+
 class DynamorphBake(PropertyGroup):
     """What a bake changed, so that Free Bake can undo exactly that. A bake exists when `keys` is not empty."""
 
@@ -618,6 +652,7 @@ class DynamorphSettings(PropertyGroup):
         name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
     )
     live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
+    output: PointerProperty(name="Output", description="What a bake becomes", type=DynamorphOutput, override=OVERRIDE)
     bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
     sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
 
@@ -872,6 +907,7 @@ CLASSES = (
     DynamorphMode,
     DynamorphLive,
     DynamorphSimulation,
+    DynamorphOutput,
     DynamorphBake,
     DynamorphSculpt,
     DynamorphSettings,

@@ -460,12 +460,23 @@ class SimulationSettings:
 
 
 @dataclass(frozen=True)
+class OutputSettings:
+    """What a bake becomes in Blender. sink: MODES, FRAMES, PC2 or MDD."""
+
+    sink: str = "MODES"
+    keys: int = 0  # of MODES, at most; 0: as many as there are
+    every: int = 1  # of FRAMES: a key at every n-th frame,
+    tolerance: float = 0.0  # or, if this is not 0, where the surface is off by more than so many metres without it
+
+
+@dataclass(frozen=True)
 class Bake:
     """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
 
     frames (F,), coordinates (F, r), weights (F, J), modes (r, V, 3), details (J, V, 3): what the cage cannot carry of
     each target's shape. target_names (J,). dry (F, r): the coordinates of the targets' shapes alone, without motion.
-    node_modes (r, n, 3): the modes of the cage's nodes, bind space, for what else moves with the flesh.
+    node_modes (r, n, 3): the modes of the cage's nodes, bind space, for what else moves with the flesh. mode_names
+    (r,): of the shape keys that they become; empty: numbered.
     """
 
     frames: np.ndarray
@@ -476,6 +487,7 @@ class Bake:
     target_names: tuple[str, ...]
     dry: np.ndarray
     node_modes: np.ndarray | None = None
+    mode_names: tuple[str, ...] = ()
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""

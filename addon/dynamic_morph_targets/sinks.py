@@ -182,6 +182,54 @@ def free(obj):
         leave(each)
 
 
+def read_back(obj) -> Bake:
+    """The bake of `obj` as its shape keys and curves now have it, at its keyframes and the whole frames between, local
+    space. All keys are modes. Raises SinkError.
+    """
+    record, keys = obj.dynamorph.bake, obj.data.shape_keys
+    reconcile(obj)
+    wet, dry = _curves_of(keys, record.action, MOTION), _curves_of(keys, record.action, SHAPES)
+    blocks = [keys.key_blocks[name] for name in _baked_names(obj)] if keys else []
+    paths = [f"{block.path_from_id()}.value" for block in blocks]
+    curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
+    if not curves:
+        raise SinkError(f"'{obj.name}' has no curves of a bake: bake to shape keys first")
+    times = np.unique(np.concatenate([_times(curve) for curve in curves]))
+    render = bpy.context.scene.render
+    per_frame = render.frame_map_old / render.frame_map_new
+    whole = np.arange(np.ceil(times[0] / per_frame), times[-1] / per_frame + 1e-3)
+    frames = np.unique(np.concatenate([np.round(times / per_frame, 3), whole]))
+
+    def values(curve) -> np.ndarray:
+        return np.array([curve.evaluate(time) for time in frames * per_frame]) if curve else np.zeros(len(frames))
+
+    basis = key_points(keys.reference_key).astype(np.float64)
+    return Bake(
+        frames=frames,
+        coordinates=np.array([values(wet.get(path) or dry.get(path)) for path in paths]).T,
+        weights=np.zeros((len(frames), 0)),
+        modes=np.array([key_points(block) - basis for block in blocks]),
+        details=np.zeros((0, *basis.shape)),
+        target_names=tuple(target.name for target in obj.dynamorph.targets),
+        dry=np.array([values(dry.get(path)) for path in paths]).T,
+        mode_names=tuple(block.name for block in blocks),
+    )
+
+
+def _curves_of(keys, action, title: str) -> dict:
+    """The curves of one slot of a bake's Action, by path."""
+    slot = action and next((slot for slot in action.slots if slot.name_display == title), None)
+    if not (keys and slot):
+        return {}
+    return {curve.data_path: curve for curve in action.layers[0].strips[0].channelbag(slot).fcurves}
+
+
+def _times(curve) -> np.ndarray:
+    points = np.empty((len(curve.keyframe_points), 2), np.float32)
+    curve.keyframe_points.foreach_get("co", points.ravel())
+    return points[:, 0].astype(np.float64)
+
+
 def _baked_names(obj) -> list[str]:
     """Names of the shape keys that the bake added and that are still there; the references must be reconciled."""
     return [key.name for key in obj.dynamorph.bake.keys if key.name]
