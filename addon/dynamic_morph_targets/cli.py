@@ -410,7 +410,7 @@ def run_info(args):
         except jobs.expected_errors() as error:
             reasons = str(error)
         print(f"  state: {reasons}")
-        if not settings.bake.keys:
+        if not settings.bake.exists:
             print("  bake: none")
             continue
         print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
