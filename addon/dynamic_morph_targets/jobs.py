@@ -276,6 +276,7 @@ class Job:
         self.result = None
         self.followers: list = []  # other meshes that the flesh carries along
         self.carried: list = []  # their bakes
+        self.cache_file: str | None = None  # where a point cache goes, see `sinks.file_path`
         self.written: list[tuple] = []  # what they become: shape keys, and the file of a point cache or None
         self.size = 0  # of that, in bytes
         self._read_from = 0.0  # of the whole, the part done before the rig is read
@@ -612,7 +613,8 @@ class Job:
             keys, error = clips.as_keys(bake, self.output, to_metres)
             off, cache = max(off, error), None
             if self.output.sink in clips.CACHES:
-                cache = sinks.cache_path(self.caches, name, bake, self.output.sink)
+                chosen, sink = self.cache_file, self.output.sink
+                cache = sinks.file_path(chosen, name) if chosen else sinks.cache_path(self.caches, name, bake, sink)
                 model_file.save(cache, clips.CACHES[self.output.sink](bake, points, self.settings.fps))
             self.written.append((keys, cache))
         self.report["keys"] = len(self.written[0][0].modes) + len(self.written[0][0].details)

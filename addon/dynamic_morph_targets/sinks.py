@@ -22,6 +22,7 @@ from .scene_data import Bake
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
 CACHE_FOLDER = "dynamorph_caches"  # beside the .blend
+OBJECT = "{object}"  # in the name of a file that each mesh has one of
 NEGLIGIBLE = 1e-7  # of the bounding box: displacements that no key is made for
 KEYFRAME_BYTES = 72  # that Blender takes for one
 NAME_BYTES = 59  # Blender has room for 63, cuts within a letter, and may add ".001"
@@ -68,9 +69,14 @@ def check_cache(obj, folder: Path | None):
         raise SinkError(f"The point cache of '{obj.name}' goes into a folder beside the .blend: save the .blend first")
 
 
+def file_path(file: str, name: str) -> Path:
+    """The file of an object, as named with `OBJECT` in the place of its name."""
+    return Path(file.replace(OBJECT, bpy.path.clean_name(name))).resolve()
+
+
 def cache_path(folder: Path, name: str, bake: Bake, sink: str) -> Path:
     """Of the point cache of a bake: named by its content, so that none is changed that another .blend plays."""
-    return folder / CACHE_FOLDER / f"{bpy.path.clean_name(name)}-{clips.digest(bake)[:12]}.{sink.lower()}"
+    return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{clips.digest(bake)[:12]}.{sink.lower()}"), name)
 
 
 def overwritten_keys(obj) -> list[str]:
