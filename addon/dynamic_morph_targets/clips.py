@@ -20,6 +20,7 @@ from .scene_data import Bake, OutputSettings
 
 CHUNK = 64  # frames whose surfaces are made at once: bounds memory
 ALIGNMENT = 64  # of the arrays in a clip, so that a program may use them where they are
+NOISE = 1e-5  # of the largest part of a shot: what shape keys, which are float32, cannot tell apart
 PADDING_FIELD = 0xD935  # of a ZIP entry's extra fields, as zipalign writes it
 
 
@@ -78,15 +79,15 @@ def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Ba
     return fewer, distance(bake, fewer, to_bind)
 
 
-def with_fewer_keys(bake: Bake, budget: int) -> Bake:
-    """The `budget` shapes that are best for this shot.
+def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
+    """The `budget` shapes that are best for this shot; None: as few as show all of it.
 
     Best: least squares over all frames and vertices, of the motion and of the targets' shapes without it (SVD). The
     details of the targets are then part of the modes.
     """
     shapes = np.concatenate([bake.modes, bake.details])
     shapes = shapes.reshape(len(shapes), -1)
-    if budget >= len(shapes):
+    if budget is not None and budget >= len(shapes):
         return bake
     # Orthonormal combinations of the shapes by their Gram matrix: there are few shapes and many vertices.
     squares, axes = np.linalg.eigh(shapes @ shapes.T)
@@ -94,8 +95,8 @@ def with_fewer_keys(bake: Bake, budget: int) -> Bake:
     lengths, axes = np.sqrt(squares[kept]), axes[:, kept]
     wet = np.hstack([bake.coordinates, bake.weights])
     dry = np.hstack([bake.dry, bake.weights])
-    _, _, best = np.linalg.svd(np.vstack([wet, dry]) @ axes * lengths, full_matrices=False)
-    best = best[:budget]
+    _, sizes, best = np.linalg.svd(np.vstack([wet, dry]) @ axes * lengths, full_matrices=False)
+    best = best[: budget or max(1, int((sizes > NOISE * sizes[0]).sum()))]
     onto = axes * lengths @ best.T  # (r + J, budget)
     modes = (best / lengths @ axes.T @ shapes).reshape(-1, *bake.modes.shape[1:])
     return replace(
@@ -106,6 +107,58 @@ def with_fewer_keys(bake: Bake, budget: int) -> Bake:
         modes=modes,
         details=np.zeros((0, *bake.modes.shape[1:])),
     )
+
+
+def splice(bake: Bake, patch: Bake, fade: float) -> tuple[Bake, float]:
+    """A bake whose frames between the first and the last of `patch` are those of the patch, and by how much the two are
+    apart at most where they meet, local units. The patch fades in and out within `fade` frames, where the bake goes on.
+
+    Both are of one mesh; their modes may be others.
+    """
+    first, last = patch.frames[[0, -1]]
+    frames = np.concatenate([bake.frames[bake.frames < first], patch.frames, bake.frames[bake.frames > last]])
+    inside = (frames >= first) & (frames <= last)
+    share = inside.astype(float)  # of the patch
+    if bake.frames[0] < first:
+        share *= _smooth((frames - first) / fade)
+    if bake.frames[-1] > last:
+        share *= _smooth((last - frames) / fade)
+    share[~inside] = 0.0
+
+    def mixed(of_bake: np.ndarray, of_patch: np.ndarray) -> np.ndarray:
+        old = np.column_stack([np.interp(frames, bake.frames, column) for column in of_bake.T])
+        new = np.zeros((len(frames), of_patch.shape[1]))
+        new[inside] = of_patch
+        return np.hstack([(1.0 - share)[:, None] * old, share[:, None] * new])
+
+    both = Bake(
+        frames=frames,
+        coordinates=mixed(np.hstack([bake.coordinates, bake.weights]), np.hstack([patch.coordinates, patch.weights])),
+        weights=np.zeros((len(frames), 0)),
+        modes=np.concatenate([bake.modes, bake.details, patch.modes, patch.details]),
+        details=np.zeros((0, *bake.modes.shape[1:])),
+        target_names=patch.target_names,
+        dry=mixed(np.hstack([bake.dry, bake.weights]), np.hstack([patch.dry, patch.weights])),
+    )
+    return with_fewer_keys(both), _apart(bake, patch)
+
+
+def _smooth(share: np.ndarray) -> np.ndarray:
+    share = share.clip(0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _apart(bake: Bake, patch: Bake) -> float:
+    """The largest distance between a bake and the ends of a patch that are within it, local units."""
+    within = (patch.frames[[0, -1]] > bake.frames[0]) & (patch.frames[[0, -1]] < bake.frames[-1])
+    ends = np.array([0, len(patch.frames) - 1])[within]
+    if not len(ends):
+        return 0.0
+    rows = np.hstack([bake.coordinates, bake.weights])
+    at = np.column_stack([np.interp(patch.frames[ends], bake.frames, column) for column in rows.T])
+    r = bake.coordinates.shape[1]
+    moved = _displaced(at[:, :r], at[:, r:], bake.modes, bake.details)
+    return float(np.linalg.norm(moved - next(surfaces(at_rows(patch, ends), 0.0)), axis=2).max())
 
 
 def targets_alone(bake: Bake) -> Bake:
@@ -129,7 +182,7 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
     at = bake.frames[kept]
     blends = np.array([np.interp(bake.frames, at, one) for one in np.eye(len(kept))]).T  # (F, K)
     count, still = len(bake.frames), int(used.sum())
-    moved = np.concatenate(list(surfaces(_rows(bake, kept), 0.0)))
+    moved = np.concatenate(list(surfaces(at_rows(bake, kept), 0.0)))
     names = [name for name, is_used in zip(bake.target_names, used, strict=True) if is_used]
     return Bake(
         frames=bake.frames,
@@ -143,7 +196,7 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
     )
 
 
-def _rows(bake: Bake, rows: np.ndarray) -> Bake:
+def at_rows(bake: Bake, rows: np.ndarray) -> Bake:
     """Some frames of a bake."""
     return replace(
         bake, frames=bake.frames[rows], coordinates=bake.coordinates[rows], weights=bake.weights[rows],
