@@ -18,7 +18,7 @@ import numpy as np
 from . import checks, extract
 from .extract import SceneError
 from .properties import KEY_REFERENCE, clothes_in, followers, named_targets, parts_in, plain
-from .scene_data import FREE_SETTINGS, SimulationSettings
+from .scene_data import ENGINE, FREE_SETTINGS, SimulationSettings
 
 
 def look_at_animation(obj):
@@ -81,7 +81,8 @@ def model_inputs(obj) -> dict:
     groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
     targets = {name: {"mute": target.mute, "region": target.region} for name, target in named_targets(obj)}
-    return {"targets": targets, "model": model, "groups": groups, "scene": {"unit_scale": extract.unit_scale()}}
+    scene = {"unit_scale": extract.unit_scale(), "engine": ENGINE}
+    return {"targets": targets, "model": model, "groups": groups, "scene": scene}
 
 
 def bake_inputs(obj, simulation: SimulationSettings) -> dict:

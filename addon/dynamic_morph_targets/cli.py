@@ -128,6 +128,7 @@ def character_record(job) -> dict:
     }
     if job.bake:
         found["bake"] = {
+            "made_from": job.content_id(),
             "hash": clips.digest(job.result),
             "frames": [job.settings.start, job.settings.end],
             "fps": job.settings.fps,
@@ -475,6 +476,7 @@ def run_info(args):
             print("  bake: none")
             continue
         print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
+        print(f"  bake made from {settings.bake.content_id[:12]}, result {settings.bake.digest[:12]}")
         changes.look_at_animation(obj)
         print(f"  bake state: {'; '.join(changes.outdated(obj)) or 'up to date'}")
 

@@ -7,6 +7,7 @@ Blender all at once, so that it is one undo step and an error before it changes 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import threading
@@ -460,7 +461,15 @@ class Job:
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
+        record.content_id = self.content_id()
+        record.digest = clips.digest(self.result)
         changes.look_at_animation(obj)
+
+    def content_id(self) -> str:
+        """Hash of all that the bake was made from."""
+        build, _ = engine()
+        made_from = [self.inputs, build.dependencies(self.character)]
+        return hashlib.sha256(json.dumps(made_from, sort_keys=True).encode()).hexdigest()
 
     def _write_keys(self, obj):
         pieces = [find(follower.session_uid) for follower in self.followers]

@@ -590,6 +590,8 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
+    content_id: StringProperty(name="Bake Id", description="Hash of all that the bake was made from")
+    digest: StringProperty(name="Result Id", description="Hash of what was simulated")
 
     @property
     def exists(self) -> bool:

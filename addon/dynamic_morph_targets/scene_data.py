@@ -314,6 +314,7 @@ def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+ENGINE = 1  # of what is computed: raised when the same scene gives another model or another motion than before
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.
 LATER_SETTINGS = {"cage_thickness": 0.0, "cage_grading": 0.0, "separate": True}
 
