@@ -31,7 +31,7 @@ COLLECT = "make one page of many reports; fails when one of them is missing or t
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = ("begin", "preroll", "loop")
+SIMULATION_SETTINGS = ("begin", "preroll", "preroll_pose", "loop")
 
 
 class InputError(ValueError):

@@ -783,6 +783,7 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         chosen.scheme,
         tuple(gravity.tolist()),
         chosen.preroll,
+        chosen.preroll_pose,
         chosen.begin,
         chosen.loop,
         gains if set(gains) != {1.0} else (),

@@ -326,14 +326,14 @@ class Job:
             model = self.model or self._shared_model
             self.resumed = self.share.unfinished(self.kept, model) if model else {}
         if self.resumed:
-            self._first = extract.sample_rig(obj, settings.start, settings.start, 1)
+            self._first = extract.sample_rig(obj, settings.first, settings.first, 1)
         self._next_stretch(obj)
 
     def _next_stretch(self, obj):
         """What is to be read next."""
         settings = self.settings
         done = self.shot.done if self.shot else len(self.resumed.get("coordinates", ()))
-        first = settings.start + max(done - 1, 0)
+        first = settings.first + max(done - 1, 0)
         stretch = SHORT_STRETCH if self.kept or self.character.probed else STRETCH
         frames = settings.end - first if self._whole else stretch
         self._sampling = extract.RigSampling(obj, first, min(first + frames, settings.end), settings.substeps)

@@ -229,9 +229,18 @@ class Session:
                 self._advance(obj)
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
-            self._start(number, self.flesh.player.begin(self.rig.after(obj, number)))
+            self._run_up(obj, number)
         while self.last < number:
             self._advance(obj)
+
+    def _run_up(self, obj, number: int):
+        """Begin at a frame as a bake that starts there does."""
+        player = self.flesh.player
+        first = number - player.settings.run_up
+        frame = player.begin(self.rig.after(obj, first))
+        for before in range(first, number):
+            frame = player.advance(self.rig.after(obj, before)[1:], before + 1)
+        self._start(number, frame)
 
     def _begin_again(self, obj):
         """From the end of a cycle to its start, without a jump."""

@@ -528,8 +528,17 @@ class DynamorphSimulation(PropertyGroup):
         default="SETTLE", override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
-        name="Pre-Roll", description="Frames in which the first pose is held before the start",
+        name="Pre-Roll", description="Frames that are simulated before the start",
         default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
+    )  # fmt: skip
+    preroll_pose: EnumProperty(
+        name="Pre-Roll Pose",
+        description="What the rig does in the frames before the start. A loop needs no animated ones",
+        items=(
+            ("HELD", "Held", "It holds the pose of the start"),
+            ("ANIMATED", "Animated", "It moves as its animation says: by keyframes before the start, or extrapolated"),
+        ),
+        default="HELD", override=OVERRIDE,
     )  # fmt: skip
     loop: BoolProperty(
         name="Loop", description="The range is a cycle: its last frame continues with its first, without a jump",

@@ -434,8 +434,9 @@ class Follower:
 class SimulationSettings:
     """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
 
-    begin: REST has the targets' shapes without motion at `start`, SETTLE is in balance and moves with the rig. loop:
-    the range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
+    preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
+    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
     """
 
     start: int = 1
@@ -444,14 +445,36 @@ class SimulationSettings:
     substeps: int = 5
     scheme: str = "BDF2"
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    preroll: int = 0  # frames held at the first pose before `start`
+    preroll: int = 0
+    preroll_pose: str = "HELD"
     begin: str = "SETTLE"
     loop: bool = False
     gains: tuple[float, ...] = ()
 
     @property
     def frames(self) -> np.ndarray:
+        """Those of the result."""
         return np.arange(self.start, self.end + 1)
+
+    @property
+    def run_up(self) -> int:
+        """Frames that are simulated before `start` and dropped. A cycle needs none: it finds what came before."""
+        return self.preroll if self.preroll_pose == "ANIMATED" and not self.loop else 0
+
+    @property
+    def held(self) -> int:
+        """Frames in which the first pose is held."""
+        return self.preroll if self.preroll_pose == "HELD" else 0
+
+    @property
+    def first(self) -> int:
+        """The frame that the simulation begins with."""
+        return self.start - self.run_up
+
+    @property
+    def simulated(self) -> np.ndarray:
+        """The frames with those that are dropped."""
+        return np.arange(self.first, self.end + 1)
 
     @property
     def step(self) -> float:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, islice
 
 import dynamorph
 import numpy as np
@@ -78,7 +79,7 @@ class Player:
     ):
         self.model = model
         self.settings = settings
-        self.number, self.passes = settings.start, 0
+        self.number, self.passes = settings.first, 0
         self.engine = None
         self._keep_going = keep_going
         self.character = character.by_method()
@@ -124,25 +125,26 @@ class Player:
         return float(np.linalg.norm(np.ptp(self.character.vertices @ self.character.to_bind.T, axis=0)))
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
-        """Every frame from settings.start to settings.end, one pass; rig: 1 + (end - start) * substeps samples."""
-        yield self.begin(rig)
-        yield from self.play(rig[1:], self.settings.frames[1:])
+        """Every frame from settings.start to settings.end, one pass; rig: 1 + (end - first) * substeps samples."""
+        settings = self.settings
+        frames = chain([self.begin(rig)], self.play(rig[1:], settings.simulated[1:]))
+        yield from islice(frames, settings.run_up, None)
 
     def begin(self, rig: RigSamples) -> Frame:
-        """The frame settings.start. rig: its sample and those that follow it, of which the first counts."""
+        """The frame settings.first. rig: its sample and those that follow it, of which the first counts."""
         self._hold_targets(rig[:1])
         bones, weights = self._posed(rig[:2])  # or nodes, if those are known
         if self.settings.begin == "REST":
             self.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
         else:
-            held = self.settings.preroll > 0
+            held = self.settings.held > 0
             begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
         still = [np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights)]
-        for _ in range(self.settings.preroll):
+        for _ in range(self.settings.held):
             self._ask()
             self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
-        self.number = self.settings.start
+        self.number = self.settings.first
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
 
     def resume(self, first: RigSamples, state):
@@ -318,7 +320,7 @@ def simulate(
 ) -> Iterator[Frame]:
     """Yields every frame from settings.start to settings.end, in one pass.
 
-    rig: 1 + (end - start) * substeps samples, the first at `start`. progress(fraction, message) -> bool is asked at
+    rig: 1 + (end - first) * substeps samples, from settings.first on. progress(fraction, message) -> bool is asked at
     every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
     """
     return _player(model, character, settings, progress).run(rig)
@@ -373,7 +375,7 @@ def _player(model: Model, character: Character, settings: SimulationSettings, pr
     """A player that reports to `progress`."""
 
     def keep_going() -> bool:
-        done = (player.number - settings.start) / len(settings.frames)
+        done = (player.number - settings.first) / len(settings.simulated)
         message = f"Simulating frame {player.number}"
         if settings.loop:  # nobody knows how many passes it takes
             done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
@@ -404,7 +406,8 @@ def build_for(
 
 class Shot:
     """A bake in the making: the moving rig comes in stretches, so that a long shot takes no more memory than a short
-    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch.
+    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch. The run-up is
+    part of the shot, but not of its bake.
 
     progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
     """
@@ -413,7 +416,7 @@ class Shot:
         self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
     ):
         self.player = _player(model, character, settings, progress)
-        self.done = 0  # frames
+        self.done = 0  # frames, from settings.first on
         self._coordinates, self._weights, self._steps = [], [], []  # a stretch each
         self._loop: dict = {}
         self._warnings: list[str] = []
@@ -421,7 +424,7 @@ class Shot:
 
     @property
     def is_complete(self) -> bool:
-        return self.done == len(self.player.settings.frames)
+        return self.done == len(self.player.settings.simulated)
 
     def play(self, rig: RigSamples):
         """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
@@ -433,10 +436,10 @@ class Shot:
             frames, gap = cycle(player, rig)
             self._loop, self._warnings = {"gap": gap}, _loop_warnings(player, rig, gap)
         elif self.done:
-            numbers = settings.frames[self.done : self.done + len(rig) // settings.substeps]
+            numbers = settings.simulated[self.done : self.done + len(rig) // settings.substeps]
             frames = list(player.play(rig, numbers))
         else:
-            numbers = settings.frames[1 : 1 + (len(rig) - 1) // settings.substeps]
+            numbers = settings.simulated[1 : 1 + (len(rig) - 1) // settings.substeps]
             frames = [player.begin(rig), *player.play(rig[1:], numbers)]
         self.done += len(frames)
         self._coordinates.append(np.array([frame.coordinates for frame in frames]))
@@ -464,10 +467,10 @@ class Shot:
     def bake(self) -> tuple[Bake, dict]:
         """The bake and its report, when all is played."""
         began, player = time.perf_counter(), self.player
-        model, character = player.model, player.character
-        coordinates, weights = np.concatenate(self._coordinates), np.concatenate(self._weights)
+        model, character, settings = player.model, player.character, player.settings
+        coordinates, weights = (np.concatenate(rows)[settings.run_up :] for rows in (self._coordinates, self._weights))
         dry = player.dry(weights)
-        report = _report(player.settings.frames, np.concatenate(self._steps)) | self._loop
+        report = _report(settings.simulated, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, dry))
         coordinates, free = player.with_gains(coordinates, dry), model.basis.T
@@ -477,7 +480,7 @@ class Shot:
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
         names = tuple(target.name for target in character.targets)
-        return Bake(player.settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+        return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
 
 
 def bake(

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders import part
+from builders import part, rig_of
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -151,6 +151,92 @@ def test_a_pre_roll_can_be_cancelled(shot):
     with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
         player.begin(shot.rig[:2])
     assert len(asked) == 9
+
+
+# Run-up ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def swaying(shot, soft_arm):
+    """The arm whose rig sways sideways over frames 1 to 60, beside its bend."""
+    rig = rig_of(soft_arm)
+    soft_arm.parent = rig
+    for frame in range(1, 61, 6):
+        rig.location.x = 0.15 * np.sin(0.35 * frame)
+        rig.keyframe_insert("location", frame=frame)
+    return soft_arm
+
+
+def baked(obj, frames, preroll=0, pose="ANIMATED", **job):
+    """A job that baked these frames."""
+    jobs, simulation = part("jobs"), obj.dynamorph.simulation
+    simulation.preroll, simulation.preroll_pose = preroll, pose
+    job = jobs.Job(obj, "BAKE", frames, **job)
+    jobs.run(job)
+    return job
+
+
+def test_a_run_up_is_what_came_before(shot, swaying):
+    """From the same first frame on to the last bit; from a later one to a hundredth of the motion, which the slowest
+    swing forgets in 40 frames.
+    """
+    bake = baked(swaying, (1, 60)).result
+    whole, motion = bake.coordinates, np.abs(bake.coordinates - bake.dry).max()
+    same = baked(swaying, (50, 60), preroll=49)
+    assert same.result.frames.tolist() == list(range(50, 61))
+    assert np.array_equal(same.result.coordinates, whole[49:])
+    later = baked(swaying, (50, 60), preroll=40).result.coordinates
+    assert later == pytest.approx(whole[49:], abs=1e-2 * motion)
+    for other in (baked(swaying, (50, 60)), baked(swaying, (50, 60), preroll=40, pose="HELD")):
+        assert np.abs(other.result.coordinates[0] - whole[49]).max() > 0.1 * motion
+
+
+def test_a_run_up_comes_in_stretches_too(shot, swaying, tmp_path, monkeypatch):
+    whole = baked(swaying, (50, 60), preroll=20)
+    jobs, share = part("jobs"), part("share").Share(tmp_path)
+    monkeypatch.setattr(jobs, "STRETCH", 7)
+    stretched = baked(swaying, (50, 60), preroll=20)
+    monkeypatch.setattr(jobs, "SHORT_STRETCH", 7)
+    job = jobs.Job(swaying, "BAKE", (50, 60), share=share)
+    steps = jobs.Batch([job], "BAKE").steps()
+    while not (job.shot and job.shot.done == 15):  # two stretches
+        next(steps)
+    job.cancelled = True
+    with pytest.raises(jobs.Cancelled):
+        list(steps)
+    resumed = jobs.Job(swaying, "BAKE", (50, 60), share=share)
+    jobs.run(resumed)
+    assert len(resumed.resumed["coordinates"]) >= 8
+    for job in (stretched, resumed):
+        assert np.array_equal(job.result.coordinates, whole.result.coordinates)
+        assert job.report["steps"] == whole.report["steps"] == 30 * job.settings.substeps
+
+
+def test_extrapolated_curves_run_up_on_their_course(shot, soft_arm):
+    """Flesh that begins at rest is calm when the shot begins, though the rig moves at three metres a second."""
+    rig = rig_of(soft_arm)
+    soft_arm.parent = rig
+    rig.animation_data_clear()
+    for frame, x in ((1, 0.0), (9, 1.0)):
+        rig.location.x = x
+        rig.keyframe_insert("location", frame=frame)
+    bag = rig.animation_data.action.layers[0].strips[0].channelbag(rig.animation_data.action_slot)
+    for curve in bag.fcurves:
+        curve.extrapolation = "LINEAR"
+        for point in curve.keyframe_points:
+            point.interpolation = "LINEAR"
+    soft_arm.dynamorph.simulation.begin, soft_arm.dynamorph.simulation.gravity = "REST", 0.0
+    running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
+    travelled = running.rig.object_world[:, 0, 3]
+    assert travelled == pytest.approx(np.linspace(-10.0, travelled[-1], len(travelled)), abs=1e-5)
+    calm, jolt = (np.abs(job.result.coordinates - job.result.dry).max() for job in (running, hit))
+    assert calm < 1e-3 * jolt and jolt > 0.0
+
+
+def test_a_loop_needs_no_run_up(shot, soft_arm):
+    soft_arm.dynamorph.simulation.loop = True
+    with_preroll, without = baked(soft_arm, (1, 20), preroll=30), baked(soft_arm, (1, 20))
+    assert np.array_equal(with_preroll.result.coordinates, without.result.coordinates)
 
 
 # Loops -------------------------------------------------------------------------------------------------------------
