@@ -44,7 +44,7 @@ class Flesh:
         if self.model.settings.solver == "FULL":
             raise SceneError(f"'{obj.name}' has an unreduced model, too slow to play: choose Solver Reduced and build")
         _, simulate = jobs.engine()
-        self.player = simulate.Player(self.model, self.character, extract.simulation_settings(obj, scene))
+        self.player = simulate.Player(self.model, self.character, simulation_settings(obj, scene))
         self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
         nodes = simulate.node_modes(self.model, self.model.basis.T)
         modes = self.model.surface(nodes) if nodes.size else np.zeros((0, *self.character.vertices.shape))
@@ -275,6 +275,11 @@ class Session:
         self.last = self.now
 
 
+def simulation_settings(obj, scene) -> SimulationSettings:
+    """As `extract.simulation_settings`, of which whole frames show."""
+    return replace(extract.simulation_settings(obj, scene), samples=1)
+
+
 def _sampling(obj) -> tuple:
     """What the rig's samples depend on besides its animation."""
     render = bpy.context.scene.render
@@ -374,7 +379,7 @@ def follow(obj, scene, arrives=True):
     if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
         return
     try:
-        settings = extract.simulation_settings(obj, scene)
+        settings = simulation_settings(obj, scene)
         session = sessions.get(uid)
         if session is None or not session.fits(obj, settings):
             session = sessions[uid] = Session(obj, scene)

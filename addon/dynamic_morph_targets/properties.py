@@ -499,6 +499,12 @@ class DynamorphSimulation(PropertyGroup):
         description="Steps a frame; 0 chooses as many as keep a step below 1/120 s",
         default=0, min=0, max=1000, soft_max=20, override=OVERRIDE,
     )  # fmt: skip
+    samples: IntProperty(
+        name="Samples",
+        description="Times a frame at which the motion is kept, so that motion blur sees it swing between two frames. "
+        "Substeps are rounded up to a multiple",
+        default=1, min=1, max=32, soft_max=8, override=OVERRIDE,
+    )  # fmt: skip
     scheme: EnumProperty(
         name="Scheme",
         description="Time integration",

@@ -30,9 +30,9 @@ CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest
 
 @dataclass(frozen=True)
 class Frame:
-    """One simulated frame: coordinates (dofs,), target weights (J,), and the engine's report of its steps."""
+    """A frame, or a time between two: coordinates (dofs,), target weights (J,), and a report of the steps to it."""
 
-    number: int
+    number: float
     coordinates: np.ndarray
     weights: np.ndarray
     steps: dict
@@ -125,10 +125,10 @@ class Player:
         return float(np.linalg.norm(np.ptp(self.character.vertices @ self.character.to_bind.T, axis=0)))
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
-        """Every frame from settings.start to settings.end, one pass; rig: 1 + (end - first) * substeps samples."""
+        """One of each of settings.frames, one pass; rig: 1 + (end - first) * substeps samples."""
         settings = self.settings
         frames = chain([self.begin(rig)], self.play(rig[1:], settings.simulated[1:]))
-        yield from islice(frames, settings.run_up, None)
+        yield from islice(frames, settings.run_up * settings.samples, None)
 
     def begin(self, rig: RigSamples) -> Frame:
         """The frame settings.first. rig: its sample and those that follow it, of which the first counts."""
@@ -182,25 +182,34 @@ class Player:
 
     def advance(self, rig: RigSamples, number: int) -> Frame:
         """The frame `number`, one frame after the last; rig: its settings.substeps samples."""
-        return next(self.play(rig, [number]))
+        *_, frame = self.play(rig, [number])
+        return frame
 
     def play(self, rig: RigSamples, numbers) -> Iterator[Frame]:
-        """The frames `numbers`, which follow the last; rig: settings.substeps samples each."""
-        substeps = self.settings.substeps
+        """The frames `numbers`, which follow the last, and what is kept between; rig: settings.substeps samples each.
+
+        Force fields change from frame to frame.
+        """
+        substeps, samples = self.settings.substeps, self.settings.samples
+        stride = substeps // samples
         if len(rig) != len(numbers) * substeps:
             raise ValueError(f"rig: expected {len(numbers) * substeps} samples, got {len(rig)}")
         frames = max(1, CHUNK_NODES // (len(rig.nodes.rest) * substeps)) if rig.nodes else CHUNK
         for first in range(0, len(numbers), frames):
             chunk = numbers[first : first + frames]
-            samples = rig[first * substeps : (first + len(chunk)) * substeps]
-            bones, weights = self._posed(samples)
+            moving = rig[first * substeps : (first + len(chunk)) * substeps]
+            bones, weights = self._posed(moving)
             for k, number in enumerate(chunk):
                 self.number = int(number)
                 self._ask()
-                steps, last = slice(k * substeps, (k + 1) * substeps), (k + 1) * substeps - 1
-                push = self._push(samples.fields, last, bones[last])
-                report = self._simulation.advance(bones[steps], weights[steps], push)
-                yield Frame(self.number, self._simulation.coordinates, weights[last], report)
+                last = (k + 1) * substeps - 1
+                push = self._push(moving.fields, last, bones[last])
+                for left in reversed(range(samples)):
+                    end = last + 1 - left * stride
+                    steps = slice(end - stride, end)
+                    report = self._simulation.advance(bones[steps], weights[steps], push)
+                    time = self.number - left / samples
+                    yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
 
     def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
         """A player that goes on from here with the materials, poses and blending of `character`.
@@ -318,7 +327,7 @@ def simulate(
     settings: SimulationSettings,
     progress: Progress | None = None,
 ) -> Iterator[Frame]:
-    """Yields every frame from settings.start to settings.end, in one pass.
+    """Yields one of each of settings.frames, in one pass.
 
     rig: 1 + (end - first) * substeps samples, from settings.first on. progress(fraction, message) -> bool is asked at
     every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
@@ -331,7 +340,7 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
 
     Passes over its range until one ends as it began: in place and, by the frame after, in velocity.
     """
-    numbers, fixed_point = player.settings.frames[1:], _FixedPoint()
+    samples, numbers, fixed_point = player.settings.samples, player.settings.simulated[1:], _FixedPoint()
     next_frame = rig[1 : 1 + player.settings.substeps], numbers[:1]  # none in a range of one frame
     first = player.begin(rig)
     while True:
@@ -340,7 +349,8 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
         ended = player.past
         first = player.begin_again(rig, frames[-1])
         start = player.state
-        pairs = list(zip(frames, [frames[-1], *player.play(*next_frame)], strict=False))
+        again = [frames[-1], *player.play(*next_frame)]
+        pairs = list(zip(frames[::samples], again[::samples], strict=False))
         gap = max(player.gap(*pair) for pair in pairs)
         if gap <= CLOSED * player.size or player.passes == PASSES or player.engine is None:
             return frames, gap
@@ -416,7 +426,7 @@ class Shot:
         self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
     ):
         self.player = _player(model, character, settings, progress)
-        self.done = 0  # frames, from settings.first on
+        self.done = 0  # of settings.times
         self._coordinates, self._weights, self._steps = [], [], []  # a stretch each
         self._loop: dict = {}
         self._warnings: list[str] = []
@@ -424,7 +434,7 @@ class Shot:
 
     @property
     def is_complete(self) -> bool:
-        return self.done == len(self.player.settings.simulated)
+        return self.done == len(self.player.settings.times)
 
     def play(self, rig: RigSamples):
         """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
@@ -435,12 +445,10 @@ class Shot:
         if settings.loop:
             frames, gap = cycle(player, rig)
             self._loop, self._warnings = {"gap": gap}, _loop_warnings(player, rig, gap)
-        elif self.done:
-            numbers = settings.simulated[self.done : self.done + len(rig) // settings.substeps]
-            frames = list(player.play(rig, numbers))
         else:
-            numbers = settings.simulated[1 : 1 + (len(rig) - 1) // settings.substeps]
-            frames = [player.begin(rig), *player.play(rig[1:], numbers)]
+            frames = [] if self.done else [player.begin(rig)]
+            rig, reached = rig[len(frames) :], settings.reached(self.done)
+            frames += player.play(rig, range(reached + 1, reached + 1 + len(rig) // settings.substeps))
         self.done += len(frames)
         self._coordinates.append(np.array([frame.coordinates for frame in frames]))
         self._weights.append(np.array([frame.weights for frame in frames]))
@@ -468,9 +476,10 @@ class Shot:
         """The bake and its report, when all is played."""
         began, player = time.perf_counter(), self.player
         model, character, settings = player.model, player.character, player.settings
-        coordinates, weights = (np.concatenate(rows)[settings.run_up :] for rows in (self._coordinates, self._weights))
+        kept = slice(settings.run_up * settings.samples, None)
+        coordinates, weights = (np.concatenate(rows)[kept] for rows in (self._coordinates, self._weights))
         dry = player.dry(weights)
-        report = _report(settings.simulated, np.concatenate(self._steps)) | self._loop
+        report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, dry))
         coordinates, free = player.with_gains(coordinates, dry), model.basis.T
@@ -582,7 +591,7 @@ def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
-    """Of what the steps of each frame did (F, STEP)."""
+    """Of what the steps to each of `frames` (F,) did (F, STEP)."""
     by_name = dict(zip(STEP, steps.T, strict=True))
     moving = by_name["steps"] > 0
     rates = by_name["steps"][moving] / by_name["seconds"][moving]
@@ -595,13 +604,18 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
         "energy": float(by_name["energy"].max()),  # elastic, J
         "warnings": [],
     }
-    unconverged = frames[by_name["converged"] == 0].tolist()
+    unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
         report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
-    cuts = frames[by_name["teleported"] != 0].tolist()
+    cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
         report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
     return report
+
+
+def _whole(frames: np.ndarray) -> list[int]:
+    """The frames that steps, named by where they ended, belong to."""
+    return np.unique(np.ceil(frames)).astype(int).tolist()
 
 
 def _some(numbers: list[int]) -> str:

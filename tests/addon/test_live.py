@@ -108,6 +108,12 @@ def test_playback_runs_up_as_the_bake_does(live_arm):
     assert apart(baked(live_arm), begun) > 1e-3
 
 
+def test_samples_between_frames_are_for_bakes(live_arm):
+    live_arm.dynamorph.simulation.samples = 2
+    bpy.ops.dynamorph.live()
+    assert apart(play(live_arm, range(1, 21)), baked(live_arm)[::2]) < 1e-6
+
+
 def test_what_blender_shows_is_the_live_surface(playing):
     bpy.context.scene.frame_set(1)
     bpy.context.scene.frame_set(9)
