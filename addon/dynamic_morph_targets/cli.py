@@ -31,7 +31,7 @@ COLLECT = "make one page of many reports; fails when one of them is missing or t
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = ("begin", "preroll", "loop")
+SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop")
 OUTPUT_SETTINGS = ("keys", "every", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
@@ -527,7 +527,7 @@ def print_table(job, save_seconds: float):
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
     rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
     if job.bake:
-        rows.append(("frames x substeps", f"{len(job.settings.frames)} x {job.settings.substeps}"))
+        rows.append(("frames x substeps", f"{job.settings.end - job.settings.start + 1} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
         rows.append(("smallest det F", f"{job.report['smallest_det']:.2f}"))
         if "gap" in job.report:

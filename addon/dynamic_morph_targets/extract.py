@@ -771,7 +771,8 @@ def output_settings(obj) -> OutputSettings:
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
-    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError.
+    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it, which are rounded up to a
+    multiple of the samples a frame. Raises SceneError.
 
     The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
     per s^2.
@@ -782,16 +783,19 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     start, end = frames or own
     if end < start:
         raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
+    substeps = substeps or chosen.steps_per_frame(fps)
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
     gains = tuple(mode.gain for mode in obj.dynamorph.modes)
     return SimulationSettings(
         start,
         end,
         fps,
-        substeps or chosen.steps_per_frame(fps),
+        -(-substeps // chosen.samples) * chosen.samples,
         chosen.scheme,
         tuple(gravity.tolist()),
+        chosen.samples,
         chosen.preroll,
+        chosen.preroll_pose,
         chosen.begin,
         chosen.loop,
         gains if set(gains) != {1.0} else (),

@@ -331,7 +331,7 @@ class Job:
             model = self.model or self._shared_model
             self.resumed = self.share.unfinished(self.kept, model) if model else {}
         if self.resumed:
-            self._first = extract.sample_rig(obj, settings.start, settings.start, 1)
+            self._first = extract.sample_rig(obj, settings.first, settings.first, 1)
         self._next_stretch(obj)
 
     def _read_output(self, obj):
@@ -347,7 +347,7 @@ class Job:
         """What is to be read next."""
         settings = self.settings
         done = self.shot.done if self.shot else len(self.resumed.get("coordinates", ()))
-        first = settings.start + max(done - 1, 0)
+        first = settings.reached(done)
         stretch = SHORT_STRETCH if self.kept or self.character.probed else STRETCH
         frames = settings.end - first if self._whole else stretch
         self._sampling = extract.RigSampling(obj, first, min(first + frames, settings.end), settings.substeps)
@@ -489,7 +489,7 @@ class Job:
             return self.cage_summary() if self.reasons else "the cage is up to date"
         if not self.bake:
             return self.model_summary()
-        frames = len(self.settings.frames)
+        frames = self.settings.end - self.settings.start + 1
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
         gap = f", loop gap {1000 * self.report['gap']:.3g} mm" if "gap" in self.report else ""
         off = self.report.get("keys_error", 0.0)

@@ -499,6 +499,12 @@ class DynamorphSimulation(PropertyGroup):
         description="Steps a frame; 0 chooses as many as keep a step below 1/120 s",
         default=0, min=0, max=1000, soft_max=20, override=OVERRIDE,
     )  # fmt: skip
+    samples: IntProperty(
+        name="Samples",
+        description="Times a frame at which the motion is kept, so that motion blur sees it swing between two frames. "
+        "Substeps are rounded up to a multiple",
+        default=1, min=1, max=32, soft_max=8, override=OVERRIDE,
+    )  # fmt: skip
     scheme: EnumProperty(
         name="Scheme",
         description="Time integration",
@@ -528,8 +534,17 @@ class DynamorphSimulation(PropertyGroup):
         default="SETTLE", override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
-        name="Pre-Roll", description="Frames in which the first pose is held before the start",
+        name="Pre-Roll", description="Frames that are simulated before the start",
         default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
+    )  # fmt: skip
+    preroll_pose: EnumProperty(
+        name="Pre-Roll Pose",
+        description="What the rig does in the frames before the start. A loop needs no animated ones",
+        items=(
+            ("HELD", "Held", "It holds the pose of the start"),
+            ("ANIMATED", "Animated", "It moves as its animation says: by keyframes before the start, or extrapolated"),
+        ),
+        default="HELD", override=OVERRIDE,
     )  # fmt: skip
     loop: BoolProperty(
         name="Loop", description="The range is a cycle: its last frame continues with its first, without a jump",
