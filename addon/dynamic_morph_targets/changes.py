@@ -42,7 +42,8 @@ def model_age(obj) -> list[str]:
 
 def outdated(obj) -> list[str]:
     """What has changed since the bake of `obj`, as sentences. Reads no mesh and no animation: fit for drawing."""
-    record = obj.dynamorph.bake
+    settings = obj.dynamorph
+    record = settings.bake
     if not (record.exists and record.inputs):
         return []
     try:
@@ -50,6 +51,8 @@ def outdated(obj) -> list[str]:
     except SceneError as error:
         return [str(error)]
     then = _parsed(record.inputs)
+    if settings.simulation.keep_outside:  # the range is that of the next patch
+        now["simulation"] |= {name: then["simulation"][name] for name in ("start", "end")}
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
         found.append("the model was built again")

@@ -31,7 +31,7 @@ COLLECT = "make one page of many reports; fails when one of them is missing or t
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop")
+SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop", "keep_outside")
 OUTPUT_SETTINGS = ("keys", "every", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
@@ -535,6 +535,8 @@ def print_table(job, save_seconds: float):
         rows.append(("keys", str(job.report["keys"])))
         if job.report["keys_error"]:
             rows.append(("keys' error", f"{1000 * job.report['keys_error']:.3g} mm"))
+        if "seam" in job.report:
+            rows.append(("seam", f"{1000 * job.report['seam']:.3g} mm"))
         if "compression_error" in job.report:
             rows.append(("compression error", f"{1000 * job.report['compression_error']:.3g} mm"))
     rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.seconds.items(), ("save", save_seconds))]

@@ -412,6 +412,7 @@ def draw_bake(layout, obj):
         column.active = not simulation.use_scene_range
         column.prop(simulation, "start")
         column.prop(simulation, "end")
+        column.prop(simulation, "keep_outside")
         for name in ("substeps", "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop"):
             body.prop(simulation, name)
     draw_output(layout, settings.output)

@@ -546,6 +546,12 @@ class DynamorphSimulation(PropertyGroup):
         ),
         default="HELD", override=OVERRIDE,
     )  # fmt: skip
+    keep_outside: BoolProperty(
+        name="Keep Other Frames",
+        description="Bake the range into the last bake, of which the other frames stay as they are. The rig runs up to "
+        "the range for a second, and where the two meet they are blended",
+        override=OVERRIDE,
+    )  # fmt: skip
     loop: BoolProperty(
         name="Loop", description="The range is a cycle: its last frame continues with its first, without a jump",
         override=OVERRIDE,

@@ -245,8 +245,8 @@ def read_back(obj) -> Bake:
     blocks = [keys.key_blocks[name] for name in _baked_names(obj)] if keys else []
     paths = [f"{block.path_from_id()}.value" for block in blocks]
     curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
-    if not curves:
-        raise SinkError(f"'{obj.name}' has no curves of a bake: bake to shape keys first")
+    if not curves or record.cache:
+        raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
     times = np.unique(np.concatenate([_times(curve) for curve in curves]))
     render = bpy.context.scene.render
     per_frame = render.frame_map_old / render.frame_map_new
