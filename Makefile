@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness fuzz stubs format lint wheel extension clean
+.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness bakes fuzz stubs format lint wheel extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -54,6 +54,12 @@ bench-docs: build
 # docs/robustness.md with its picture, from the characters of ../shared; takes about a minute.
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
+
+# docs/bakes.md with its pictures, from the characters of ../shared; takes about five minutes. sections="loops kills"
+# measures those alone.
+sections ?=
+bakes: build
+	@$(python) tests/benchmarks/bakes_page.py $(sections)
 
 # More spoiled meshes than `make test` tries: examples=2000 takes about 15 minutes. What fails is tried first next time.
 examples ?= 2000

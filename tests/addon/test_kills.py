@@ -30,13 +30,18 @@ def shot(scene, tmp_path):
     return path
 
 
+def environment():
+    """Of a process that runs the add-on's command line."""
+    paths = os.pathsep.join(filter(None, [str(ROOT / "addon"), os.environ.get("PYTHONPATH")]))
+    return os.environ | {"PYTHONPATH": paths}
+
+
 def baking(shot, report, *more):
     """A process that bakes the shot."""
-    paths = os.pathsep.join(filter(None, [str(ROOT / "addon"), os.environ.get("PYTHONPATH")]))
     arguments = "bake", shot, "--object", "Arm", "--frames", 1, FRAMES, "-o", report.with_suffix(".blend"), *more
     return subprocess.Popen(
         [sys.executable, "-m", "dynamic_morph_targets", *map(str, arguments), "--report", report],
-        stdout=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": paths},
+        stdout=subprocess.DEVNULL, env=environment(),
     )  # fmt: skip
 
 
@@ -52,21 +57,24 @@ def kept_at(share):
     return [path.stat().st_mtime_ns for path in share.glob("*.unfinished")]
 
 
+def killed(shot, report, share, moments):
+    """Goes on with a bake until it is kept, and kills it at a random moment after; False if it was done before."""
+    before = kept_at(share)
+    with baking(shot, report, "--share", share) as process:
+        while process.poll() is None and kept_at(share) == before:
+            time.sleep(0.01)
+        time.sleep(moments.uniform(0.0, 0.1))
+        process.kill()
+        return process.wait() != 0
+
+
 def test_killed_at_any_moment_nothing_is_lost(shot, tmp_path):
     """With kill -9, as often as DYNAMORPH_KILLS says, at random moments of the bake; then it is done, with the bytes of
     a bake that nobody disturbed."""
     whole, share = tmp_path / "whole.json", tmp_path / "share"
     undisturbed = baked(baking(shot, whole), whole)
     done, moments, kills = tmp_path / "done.json", random.Random(1), 0
-    while kills < KILLS:
-        before = kept_at(share)
-        with baking(shot, done, "--share", share) as process:
-            while process.poll() is None and kept_at(share) == before:
-                time.sleep(0.01)
-            time.sleep(moments.uniform(0.0, 0.1))
-            process.kill()
-            if process.wait() == 0:  # it was faster
-                break
+    while kills < KILLS and killed(shot, done, share, moments):
         kills += 1
     assert kills > 0
     found = baked(baking(shot, done, "--share", share), done)

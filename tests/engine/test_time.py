@@ -14,8 +14,7 @@ SECONDS = 1.0
 FLESH = Material(stiffness=3e4, poisson=0.3, mass_damping=2.0, stiffness_damping=0.002)
 
 
-@pytest.fixture(scope="module")
-def swaying():
+def swaying_bar():
     """A reduced bar of stable StVK, and what it does when its foot sways: coordinates (F, r) at the frames."""
     character = replace(bar(material=FLESH), settings=replace(bar().settings, law="STABLE_STVK", solver="REDUCED"))
     model = build(character)
@@ -33,6 +32,11 @@ def swaying():
         return np.array([frame.coordinates for frame in simulate.simulate(model, character, rig, settings)])
 
     return run
+
+
+@pytest.fixture(scope="module")
+def swaying():
+    return swaying_bar()
 
 
 def test_the_frame_rate_does_not_matter_where_the_steps_are_as_long(swaying):

@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make bakes`: docs/bakes.md and its pictures, from characters of ../shared. No number is typed here.
+
+The figures are kept in docs/bakes.json: a section that is not measured anew stays as it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from performance_page import grid
+from run import machine
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "bakes.md"
+FIGURES = PAGE.with_suffix(".json")
+FARM = ROOT / "build" / "farm" / "farm.json"
+LOGS = ROOT / "build" / "reports"
+PYTHONS = ROOT / ".venv"
+ASSETS = ROOT.parent / "shared" / "assets"
+IMAGES = "images/bakes"
+SAME = 1e-6  # body sizes: surfaces nearer than this are one
+
+PAGE_TEXT = """# Bakes
+
+What becomes of a bake: in every form that it can take, over a cycle, over many frames, killed, at other frame rates and
+on a farm. `make bakes` measures and writes this page, its pictures and [bakes.json](bakes.json); nothing on it is
+written by hand. What is not measured anew stays as it was: `make bakes sections="loops kills"` measures those two.
+
+*Body sizes*: of the diagonal of the box around the body at rest.
+
+"""
+
+
+def main() -> int:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}; default: all")
+    chosen = arguments.parse_args().sections or list(SECTIONS)
+    if unknown := set(chosen) - set(SECTIONS):
+        arguments.error(f"no such section: {', '.join(sorted(unknown))}")
+    if not ASSETS.is_dir():
+        print("bakes: there is no ../shared/assets: nothing is written")
+        return 0
+    figures = json.loads(FIGURES.read_text(encoding="utf-8")) if FIGURES.exists() else {}
+    for section in chosen:
+        figures[section] = figures.get(section, {}) | SECTIONS[section].measure(section)
+        FIGURES.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+        print(f"bakes: {section} measured", flush=True)
+    parts = [section.show(figures[name]) for name, section in SECTIONS.items() if figures.get(name)]
+    PAGE.write_text(PAGE_TEXT + "\n".join(parts).rstrip() + "\n", encoding="utf-8")
+    print(f"written to {PAGE.relative_to(ROOT)}")
+    return 0
+
+
+# Measuring ------------------------------------------------------------------------------------------------------------
+
+
+def measured(section: str, python: Path | str = sys.executable) -> dict:
+    """A section by bakes.py, in a process of its own, whose output goes to a log."""
+    LOGS.mkdir(parents=True, exist_ok=True)
+    log = LOGS / f"bakes_{section}.log"
+    with tempfile.TemporaryDirectory() as folder, log.open("w") as output:
+        file = Path(folder) / "figures.json"
+        command = [python, Path(__file__).with_name("bakes.py"), section, file]
+        if subprocess.run(command, stdout=output, stderr=subprocess.STDOUT, check=False).returncode:
+            sys.exit(f"bakes: {section} failed, see {log.relative_to(ROOT)}")
+        return json.loads(file.read_text()) | {"machine": machine()}
+
+
+def in_each_blender(section: str) -> dict:
+    """By version of Blender."""
+    found = [measured(section, python) for python in sorted(PYTHONS.glob("3.*/bin/python"))]
+    return {each["blender"]: each for each in found}
+
+
+def of_farm(_section: str) -> dict:
+    """What `make farm-demo` has measured; empty if it has not been run here."""
+    return json.loads(FARM.read_text(encoding="utf-8")) | {"machine": machine()} if FARM.exists() else {}
+
+
+# Showing --------------------------------------------------------------------------------------------------------------
+
+
+def where(found: dict) -> str:
+    return f"Blender {found['blender']}; {found['machine']}.\n"
+
+
+def share(value: float | None) -> str:
+    """Of something: two digits."""
+    return "-" if value is None else f"{value:.1e}"
+
+
+def megabytes(count: float) -> str:
+    return f"{count / 2**20:,.1f} MB" if count < 100 * 2**20 else f"{count / 2**20:,.0f} MB"
+
+
+def kilobytes(count: float) -> str:
+    return f"{count / 1024:,.0f} kB"
+
+
+ROUND_TRIPS = """## Round trips
+
+The shoulder with its arm, {vertices:,} vertices of {size:.2f} m, over {frames} frames with {modes} modes and two
+targets. One bake in each form, read back by something else where there is another reader, and compared with the
+surface that the engine computed, skinned by NumPy. *Error*: the largest distance of a vertex over all frames, in body
+sizes. *Seconds*: to write it, without the simulation. Each version of Blender has a process of its own.
+
+{forms}
+### How many keys
+
+{budgets}
+*Said*: by the bake itself. *Shown*: by Blender, measured on its evaluated mesh.
+
+### Keys of single frames
+
+{single}
+With a tolerance there are keys only where the surface would be off by more without.
+
+{where}"""
+
+
+def show_round_trips(by_version: dict) -> str:
+    found = list(by_version.values())
+    newest = found[-1]
+    versions = [f"Blender {version.split()[0]}" for version in by_version]
+
+    def errors(kind: str, k: int) -> list[str]:
+        return [share(each[kind][k]["error"]) for each in found]
+
+    forms = [
+        (row["form"], row["reader"], *errors("forms", k), kilobytes(row["bytes"]),
+         *(f"{each['forms'][k]['seconds']:.2f}" for each in found))
+        for k, row in enumerate(newest["forms"])
+    ]  # fmt: skip
+    budgets = [
+        (str(row["keys"]), share(row["said"]), *errors("budgets", k), kilobytes(row["bytes"]))
+        for k, row in enumerate(newest["budgets"])
+    ]
+    single = [
+        (f"off by {row['asked']:g} at most" if "asked" in row else "every frame", f"{row['keys']}", share(row["said"]),
+         *errors("frames", k), kilobytes(row["bytes"]))
+        for k, row in enumerate(newest["frames"])
+    ]  # fmt: skip
+    return ROUND_TRIPS.format(
+        vertices=newest["vertices"],
+        size=newest["size"],
+        frames=newest["frames"][0]["frames"],
+        modes=newest["modes"],
+        forms=grid(("form", "read by", *(f"error, {v}" for v in versions), "bytes", *(f"seconds, {v}" for v in versions)),
+                   forms),
+        budgets=grid(("keys", "said", *(f"shown, {v}" for v in versions), "bytes"), budgets),
+        single=grid(("keys at", "keys", "said", *(f"shown, {v}" for v in versions), "bytes"), single),
+        where=f"Blender {' and '.join(by_version)}; {newest['machine']}.\n",
+    )  # fmt: skip
+
+
+LOOPS = """## Walks that loop
+
+Walk cycles as their artists made them, carried forward or round a circle meanwhile, on soft flesh. *Loop* looks for the
+motion that ends as it began. *Without*: how far the last frame is from the first without it. *In place*, *in velocity*
+(a frame): what is left with it, by the engine; *shown*: in place, by Blender's evaluated mesh, seen by who goes along.
+*Simulated on*: what is left where the cycle is simulated {repeated} times one after the other instead. All in body sizes.
+
+![Where a walk begins again, without and with Loop]({images}/seam.png)
+
+{table}
+{closed} of {count} close to {same:g}. {open}
+
+![A point of the fox over two and a half cycles, seams in yellow]({images}/motion.svg)
+
+Some flesh finds no steady motion by itself, as the T-rex's. The loop is found all the same:
+
+![The gap pass by pass]({images}/passes.svg)
+
+{where}"""
+
+
+def show_loops(found: dict) -> str:
+    rows = [
+        (walk["name"], f"{walk['stiffness'] / 1000:.0f} kPa", f"{walk['frames'][0]} to {walk['frames'][1]}",
+         f"{walk['travel']:g}" + (f", {walk['turn']:g}°" if walk["turn"] else ""), share(walk["swing"]),
+         share(walk["without"]), share(walk["gap"]), share(walk["velocity_gap"]), share(walk["shown"]),
+         share(walk["repeated"]), str(walk["passes"]), f"{walk['seconds']:.2f}")
+        for walk in found["walks"]
+    ]  # fmt: skip
+    still_open = [walk for walk in found["walks"] if walk["reported"] > SAME]
+    head = ("", "stiffness", "frames", "travels", "flesh moves", "without", "in place", "in velocity", "shown",
+            "simulated on", "passes", "seconds")  # fmt: skip
+    return LOOPS.format(
+        images=IMAGES,
+        repeated=found["repeated"],
+        table=grid(head, rows),
+        count=len(rows),
+        closed=len(rows) - len(still_open),
+        same=SAME,
+        open=" ".join(f"The bake of {walk['name']} warns: {' '.join(walk['warnings'])}." for walk in still_open),
+        where=where(found),
+    )
+
+
+LONG = """## Long bakes
+
+A MakeHuman body of {vertices:,} vertices and {bones} bones runs; baked by the command line. *Memory*: the most that the
+whole process had; opened alone, with its model, the file takes {opened}. A shot is read and simulated in stretches, so what grows with it
+is the result: keyframes, or a file.
+
+{table}
+From {first:,} to {last:,} frames a bake to shape keys takes {modes} more, of which its keyframes are {keyframes}; one to
+a point cache {caches} more.
+
+{where}"""
+
+
+def show_long(found: dict) -> str:
+    bakes = found["bakes"]
+    rows = [
+        (f"{bake['sink']}, {bake['frames']:,} frames", megabytes(bake["memory"]), f"{bake['keyframes']:,}",
+         megabytes(bake["keyframe_bytes"]), megabytes(bake["file"]) if bake["file"] else "",
+         f"{bake['seconds']:.0f}", f"{bake['frames'] / bake['seconds']:.0f}")
+        for bake in bakes
+    ]  # fmt: skip
+
+    def growth(sink: str, what: str) -> float:
+        first, *_, last = (bake[what] for bake in bakes if bake["sink"] == sink)
+        return last - first
+
+    return LONG.format(
+        vertices=found["vertices"],
+        bones=found["bones"],
+        opened=megabytes(found["opened"]),
+        table=grid(("", "memory", "keyframes", "of them", "file", "seconds", "frames a second"), rows),
+        first=bakes[0]["frames"],
+        last=bakes[-1]["frames"],
+        modes=megabytes(growth("modes", "memory")),
+        keyframes=megabytes(growth("modes", "keyframe_bytes")),
+        caches=megabytes(growth("pc2", "memory")),
+        where=where(found),
+    )
+
+
+KILLS = """## Killed
+
+A bake of {frames:,} frames with `--share`, ended {count} times by `kill -9` at random moments and begun again each time.
+It goes on after the last stretch that it kept: after frames {kept}.
+
+| | |
+| --- | --- |
+| kills survived | {survived} of {count} |
+| hash of the result as undisturbed | {hash} |
+| number of steps as undisturbed | {steps} |
+| unfinished files left | {left} |
+
+{where}"""
+
+
+def show_kills(found: dict) -> str:
+    same, kept = found["same"], found["kept"]
+    return KILLS.format(
+        frames=found["frames"],
+        count=len(kept),
+        survived=len(kept) if all(same.values()) else 0,
+        kept=", ".join(f"{frame:,}" for frame in kept),
+        hash=f"{yes(same['hash'])} (`{found['hash'][:12]}`)",
+        steps=yes(same["steps"]),
+        left=found["left"],
+        where=where(found),
+    )
+
+
+def yes(true: bool) -> str:
+    return "yes" if true else "no"
+
+
+TIMES = """## Frame rates
+
+A bar of flesh on a foot that sways and tilts for a second. *Error*: the largest difference from steps of
+{finest:.2f} ms, of the largest coordinate. With steps as long ({same}) frame rates differ by {apart}; these steps, the
+default, are off by {off} with BDF2.
+
+{table}
+![Error and length of steps]({images}/order.svg)
+
+{where}"""
+
+
+def show_times(found: dict) -> str:
+    rows = [
+        (f"{row['scheme']}, {row['fps']} fps", *map(share, row["errors"]), f"{row['order']:.2f}")
+        for row in found["errors"]
+    ]
+    fps, substeps = found["finest"]
+    return TIMES.format(
+        finest=1000.0 / (fps * substeps),
+        same=", ".join(f"{n} at {fps} fps" for fps, n in found["same_steps"]),
+        apart=share(found["apart"]),
+        off=share(found["off"]),
+        table=grid(("", *(f"{n} substeps" for n in found["substeps"]), "order"), rows),
+        images=IMAGES,
+        where=where(found),
+    )
+
+
+FARM_TEXT = """## Farm
+
+Shots of two characters in two variants on Slurm with two nodes, by `make farm-demo`: *tasks* are checks, builds, bakes
+and one that collects. On the last run a bake is killed, and a whole node.
+
+{table}
+{versions}; {machine}.
+"""
+
+
+def show_farm(found: dict) -> str:
+    rows = []
+    for run in found["runs"]:
+        faults = run["faults"]
+        survived = sum(fault["survived"] for fault in faults.values())
+        at = [f"{name}, resumed after {fault['resumed']} of {run['frames']} frames" for name, fault in faults.items()]
+        rows.append(
+            (run["name"], str(run["nodes"]), str(sum(run["tasks"].values())), str(run["tasks"].get("Bake", 0)),
+             f"{run['seconds']:.0f} s", f"{run['speed_up']:.2f}", "; ".join(at) or "none",
+             f"{survived} of {len(faults)}" if faults else "", yes(run["hashes_equal"]))
+        )  # fmt: skip
+    head = ("run", "nodes", "tasks", "bakes", "wall time", "speed-up", "faults", "survived", "same hashes")
+    versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
+    return FARM_TEXT.format(table=grid(head, rows), versions=versions, machine=found["machine"])
+
+
+class Section:
+    """measure(name) -> figures, to be merged into the last ones; show(figures) -> Markdown."""
+
+    def __init__(self, measure: Callable[[str], dict], show: Callable[[dict], str]):
+        self.measure, self.show = measure, show
+
+
+SECTIONS = {
+    "round_trips": Section(in_each_blender, show_round_trips),
+    "loops": Section(measured, show_loops),
+    "long": Section(measured, show_long),
+    "kills": Section(measured, show_kills),
+    "times": Section(measured, show_times),
+    "farm": Section(of_farm, show_farm),
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
