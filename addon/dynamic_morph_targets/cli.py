@@ -525,7 +525,8 @@ class Progress:
 def print_table(job, save_seconds: float):
     made = job.model.summary
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
-    rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
+    if made["seconds"]:  # it was built now
+        rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
     if job.bake:
         rows.append(("frames x substeps", f"{job.settings.end - job.settings.start + 1} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
