@@ -456,9 +456,10 @@ def run_fit(args):
 def run_free(args):
     for obj in chosen_objects(args):
         sinks.check(obj)
-        baked = len(obj.dynamorph.bake.keys)
+        baked = obj.dynamorph.bake
+        removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
         sinks.free(obj)
-        print(f"{obj.name}: {baked} baked keys removed")
+        print(f"{obj.name}: {removed} removed")
     save(args)
 
 

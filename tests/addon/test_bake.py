@@ -541,3 +541,17 @@ def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
     part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path))
     with pytest.raises(ValueError, match="bake to shape keys first"):
         rebaked(soft_arm, 8, 15, folder=tmp_path)
+
+
+@pytest.mark.parametrize("preserve_volume", [False, True])
+def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume):
+    """What it plays is no part of what it is made from."""
+    soft_arm.modifiers["Armature"].use_deform_preserve_volume = preserve_volume
+    soft_arm.dynamorph.output.sink = "PC2"
+    baked = [part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]
+    for job in baked:
+        part("jobs").run(job)
+    assert part("clips").digest(baked[0].result) == part("clips").digest(baked[1].result)
+    assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 1
+    assert [modifier.type for modifier in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
+    assert part("changes").outdated(soft_arm) == []
