@@ -883,6 +883,13 @@ def is_shown_on(obj) -> bool:
     return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
 
 
+def cache_modifier(obj):
+    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
+    file = obj.dynamorph.bake.cache
+    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
+    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
+
+
 def followers(obj) -> list:
     """The meshes that show the motion of the soft skin `obj` now, by its bake or by Live."""
     return [other for other in bpy.data.objects if other.dynamorph.follows == obj]

@@ -554,4 +554,5 @@ def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume)
     assert part("clips").digest(baked[0].result) == part("clips").digest(baked[1].result)
     assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 1
     assert [modifier.type for modifier in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
+    assert not any("'Dynamorph'" in note.text for note in part("checks").notes(soft_arm))
     assert part("changes").outdated(soft_arm) == []
