@@ -29,7 +29,7 @@ from .scene_data import VARIANTS, Material, ModelSettings
 
 COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
-SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
+SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop", "keep_outside")
 OUTPUT_SETTINGS = ("keys", "every", "tolerance")
@@ -456,9 +456,10 @@ def run_fit(args):
 def run_free(args):
     for obj in chosen_objects(args):
         sinks.check(obj)
-        baked = len(obj.dynamorph.bake.keys)
+        baked = obj.dynamorph.bake
+        removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
         sinks.free(obj)
-        print(f"{obj.name}: {baked} baked keys removed")
+        print(f"{obj.name}: {removed} removed")
     save(args)
 
 
@@ -525,7 +526,8 @@ class Progress:
 def print_table(job, save_seconds: float):
     made = job.model.summary
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
-    rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
+    if made["seconds"]:  # it was built now
+        rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
     if job.bake:
         rows.append(("frames x substeps", f"{job.settings.end - job.settings.start + 1} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))

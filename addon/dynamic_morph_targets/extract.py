@@ -231,7 +231,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     if missing:
         raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
     material = target.material()
-    for field, value in vars(material).items():
+    for field, value in (*vars(material).items(), ("influence", target.influence)):
         if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
@@ -239,7 +239,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
-    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius)
+    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius, target.influence)
 
 
 def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:

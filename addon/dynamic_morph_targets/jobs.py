@@ -618,6 +618,7 @@ class Job:
         with self._stage("simulate"):
             self.result, self.report = self.shot.bake()
             self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
+        self.message = "Making keys"
         if self.before:
             self._splice()
         with self._stage("make keys"):

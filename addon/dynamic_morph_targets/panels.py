@@ -262,6 +262,7 @@ def draw_target(layout, obj, target):
     if not neutral:
         column.prop_search(target, "region", obj, "vertex_groups")
         column.prop(target, "radius")
+    column.prop(target, "influence")
     draw_material(layout, target)
 
 

@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 
 from . import checks, clips
-from .properties import basis_hash, followers, key_points, key_reach, reconcile
+from .properties import basis_hash, cache_modifier, followers, key_points, key_reach, reconcile
 from .scene_data import Bake
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
@@ -193,13 +193,6 @@ def influence_strip(obj):
     """The NLA strip that plays the bake's motion, or None."""
     keys, action = obj.data.shape_keys, obj.dynamorph.bake.action
     return keys and _strip(keys, action)
-
-
-def cache_modifier(obj):
-    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
-    file = obj.dynamorph.bake.cache
-    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
-    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
 
 
 def show_influence(obj):
