@@ -552,6 +552,12 @@ class DynamorphSimulation(PropertyGroup):
         ),
         default="HELD", override=OVERRIDE,
     )  # fmt: skip
+    keep_outside: BoolProperty(
+        name="Keep Other Frames",
+        description="Bake the range into the last bake, of which the other frames stay as they are. The rig runs up to "
+        "the range for a second, and where the two meet they are blended",
+        override=OVERRIDE,
+    )  # fmt: skip
     loop: BoolProperty(
         name="Loop", description="The range is a cycle: its last frame continues with its first, without a jump",
         override=OVERRIDE,
@@ -596,9 +602,10 @@ class DynamorphOutput(PropertyGroup):
 
 
 class DynamorphBake(PropertyGroup):
-    """What a bake changed, so that Free Bake can undo exactly that. A bake exists when `keys` is not empty."""
+    """What a bake changed, so that Free Bake can undo exactly that."""
 
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
+    cache: StringProperty(name="Cache", description="File name of the point cache, if one plays the motion")
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
     had_animation_data: BoolProperty(
@@ -610,6 +617,12 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
+    content_id: StringProperty(name="Bake Id", description="Hash of all that the bake was made from")
+    digest: StringProperty(name="Result Id", description="Hash of what was simulated")
+
+    @property
+    def exists(self) -> bool:
+        return bool(self.keys or self.cache)
 
 
 class DynamorphSculpt(PropertyGroup):
@@ -873,7 +886,14 @@ def clothes_in(obj) -> list:
 
 def is_shown_on(obj) -> bool:
     """Whether there are keys of a bake or of Live on a mesh."""
-    return bool(obj.dynamorph.bake.keys or obj.dynamorph.live.key.name)
+    return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
+
+
+def cache_modifier(obj):
+    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
+    file = obj.dynamorph.bake.cache
+    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
+    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
 
 
 def followers(obj) -> list:

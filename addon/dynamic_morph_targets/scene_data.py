@@ -316,6 +316,7 @@ def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+ENGINE = 1  # of what is computed: raised when the same scene gives another model or another motion than before
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.
 LATER_SETTINGS = {"cage_thickness": 0.0, "cage_grading": 0.0, "separate": True}
 
@@ -420,13 +421,14 @@ class SurfaceMap:
 class Follower:
     """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
 
-    session_uid: of its object. vertices (P, 3): at rest, in the character's bind space; from_body (3, 3) carries
-    displacements in the character's local space to the mesh's own; skin: the points of the character's surface nearest
-    to the vertices.
+    session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
+    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own;
+    skin: the points of the character's surface nearest to the vertices.
     """
 
     name: str
     session_uid: int
+    points: np.ndarray
     vertices: np.ndarray
     from_body: np.ndarray
     skin: SurfaceMap

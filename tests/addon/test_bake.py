@@ -521,3 +521,77 @@ def test_a_shot_goes_on_where_another_process_was_stopped(shot, done):
     bake, report = other.bake()
     assert np.array_equal(bake.coordinates, shot.result.coordinates)
     assert report["steps"] == shot.report["steps"] and report["iterations"] == shot.report["iterations"]
+
+
+# A part of a bake again ----------------------------------------------------------------------------------------------
+
+
+def shown_at(obj, frames):
+    """The mesh (F, V, 3) as Blender shows it, world space."""
+    out = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        out.append(evaluated_points(obj))
+    return np.array(out)
+
+
+def rebaked(obj, start, end, **more):
+    """The job of a bake of these frames into the rest."""
+    simulation = obj.dynamorph.simulation
+    simulation.use_scene_range, simulation.keep_outside = False, True
+    simulation.start, simulation.end = start, end
+    job = part("jobs").Job(obj, goal="BAKE", **more)
+    part("jobs").run(job)
+    return job
+
+
+def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
+    before = shown_at(soft_arm, range(1, 21))
+    same = rebaked(soft_arm, 8, 15)
+    assert same.report["seam"] < 1e-5
+    assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
+    assert len(same.written[0][0].modes) <= len(shot.result.modes) + 2
+
+    lower = rig_of(soft_arm).pose.bones["lower"]
+    for frame, angle in ((1, 0.0), (10, 0.0), (12, 0.5), (14, 0.0), (20, 0.0)):
+        lower.rotation_euler.y = angle
+        lower.keyframe_insert("rotation_euler", index=1, frame=frame)
+    job = rebaked(soft_arm, 6, 20)
+    assert job.settings.run_up == 5  # as far as the bake goes back, a second otherwise
+    assert part("changes").outdated(soft_arm) == []
+    mixed = shown_at(soft_arm, range(1, 21))
+    assert [float(frame) for frame in part("sinks").read_back(soft_arm).frames] == list(range(1, 21))
+    soft_arm.dynamorph.simulation.keep_outside = False
+    soft_arm.dynamorph.simulation.start = 1
+    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
+    whole = shown_at(soft_arm, range(1, 21))
+    assert np.abs(mixed - whole)[10:].max() < 1e-5
+    assert np.abs(mixed - whole)[:10].max() < 0.05 * np.abs(whole - before).max()
+
+
+def test_frames_that_do_not_adjoin_are_refused(shot, soft_arm):
+    with pytest.raises(ValueError, match="frames 40 to 50 are not next to those of the last bake, 1 to 20"):
+        rebaked(soft_arm, 40, 50)
+    assert len(rebaked(soft_arm, 21, 24).result.frames) == 24
+
+
+def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
+    soft_arm.dynamorph.output.sink = "PC2"
+    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path))
+    with pytest.raises(ValueError, match="bake to shape keys first"):
+        rebaked(soft_arm, 8, 15, folder=tmp_path)
+
+
+@pytest.mark.parametrize("preserve_volume", [False, True])
+def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume):
+    """What it plays is no part of what it is made from."""
+    soft_arm.modifiers["Armature"].use_deform_preserve_volume = preserve_volume
+    soft_arm.dynamorph.output.sink = "PC2"
+    baked = [part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]
+    for job in baked:
+        part("jobs").run(job)
+    assert part("clips").digest(baked[0].result) == part("clips").digest(baked[1].result)
+    assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 1
+    assert [modifier.type for modifier in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
+    assert not any("'Dynamorph'" in note.text for note in part("checks").notes(soft_arm))
+    assert part("changes").outdated(soft_arm) == []
