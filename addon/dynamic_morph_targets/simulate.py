@@ -271,8 +271,8 @@ class Player:
 
     @cached_property
     def _region_parts(self) -> list[np.ndarray]:
-        """For each set the (r, r) that takes coordinates to what the modes can do of their motion in its region alone, by
-        least squares.
+        """For each set the (r, r) that takes coordinates to what the modes can do of their motion in its region alone,
+        by least squares.
         """
         back = np.linalg.pinv(self.model.basis)
         return [(back @ (share[:, None] * self.model.basis)).T for share in self._node_shares]
