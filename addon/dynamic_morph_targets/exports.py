@@ -15,7 +15,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import checks, clips, model_file, sinks
+from . import checks, clips, extract, model_file, sinks
 from .properties import followers, key_points, rig_of
 
 MORPHS = 8  # that common engines and viewers blend at once
@@ -75,35 +75,59 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
 
 def losses(obj, key: str) -> Iterator[str]:
     """What the format will not show as Blender does, as sentences. Reads the scene only."""
-    chosen = FORMATS[key]
+    if key == "RAW":
+        yield from _raw_losses(obj)
+    elif FORMATS[key].skins:
+        for mesh in (obj, *followers(obj)):
+            yield from _skinning_losses(mesh, key)
+            yield from _key_losses(mesh, key)
+
+
+def _raw_losses(obj) -> Iterator[str]:
     pieces = ", ".join(f"'{piece.name}'" for piece in followers(obj))
-    if key == "RAW" and pieces:
+    if pieces:
         yield f"A raw clip is of one mesh: {pieces} is left out"
-    if not chosen.skins:
-        return
-    modifiers = checks.armature_modifiers(obj)
+    others = [name for name in _moving_keys(obj) if name not in _baked_keys(obj)]
+    if others:
+        yield f"A raw clip has the bake's keys alone: {', '.join(others)} is left out"
+
+
+def _skinning_losses(obj, key: str) -> Iterator[str]:
+    label, modifiers = FORMATS[key].label, checks.armature_modifiers(obj)
     if not modifiers:
         yield f"'{obj.name}' has no Armature modifier: its bones are not written"
         return
     for modifier in obj.modifiers:
         if modifier not in modifiers and modifier.show_viewport:
-            yield f"Modifier '{modifier.name}' is left out: {chosen.label} writes shape keys or modifiers, not both"
-    if any(modifier.use_deform_preserve_volume for modifier in modifiers) or len(modifiers) > 1:
-        yield "The armature skins by more than one linear blend (Preserve Volume, several modifiers): it will differ"
-    if any(bone.bbone_segments > 1 for bone in checks.deforming_bones(obj, rig_of(obj))):
-        yield f"Bendy bones are written straight: {chosen.label} has none"
-    keys = _moving_keys(obj)
-    if len(keys) > MORPHS:
-        yield (
-            f"{len(keys)} keys move: many engines blend {MORPHS} at most. Set Keys to {MORPHS} and bake again, or use "
-            "Alembic or USD"
-        )
-    driven = [name for name in keys if name in _driven_keys(obj)]
-    if driven:
-        yield f"Drivers are left out, their values at each frame are written: {', '.join(driven)}"
+            where = "after" if obj.modifiers.find(modifier.name) > obj.modifiers.find(modifiers[-1].name) else "before"
+            yield (
+                f"'{obj.name}': modifier '{modifier.name}' {where} the Armature is left out: {label} takes shape keys "
+                "or modifiers, not both. Use Alembic or USD"
+            )
+    beyond = checks.beyond_bones(obj)
+    if beyond:
+        yield f"'{obj.name}' is skinned with {beyond}, {label} skins by plain bones: it will differ. Use Alembic or USD"
     crowded = _crowded_vertices(obj)
     if key == "GLTF" and crowded:
-        yield f"{crowded} vertices follow more than {INFLUENCES} bones: the weakest of them are dropped"
+        yield f"'{obj.name}': {crowded} vertices follow more than {INFLUENCES} bones: the weakest of them are dropped"
+
+
+def _key_losses(obj, key: str) -> Iterator[str]:
+    moving, baked = _moving_keys(obj), _baked_keys(obj)
+    if len(moving) > MORPHS:
+        room = MORPHS - len([name for name in moving if name not in baked])
+        remedy = f"Bake again to Shape Keys with Keys at {room}, or use" if room > 0 else "Use"
+        yield f"'{obj.name}': {len(moving)} keys move, many engines blend {MORPHS} at most. {remedy} Alembic or USD"
+    driven = [name for name in moving if name in _driven_keys(obj)]
+    if driven:
+        yield f"'{obj.name}': drivers are left out, the values they give at each frame are written: {', '.join(driven)}"
+    blocks = obj.data.shape_keys.key_blocks if moving else ()
+    whole = [name for name in moving if blocks[name].vertex_group or blocks[name].relative_key != blocks[0]]
+    if key == "GLTF" and whole:
+        yield (
+            f"'{obj.name}': glTF knows no vertex groups of shape keys, and none relative to others than "
+            f"'{blocks[0].name}': {', '.join(whole)} will differ"
+        )
 
 
 def _keys(obj):
@@ -111,20 +135,32 @@ def _keys(obj):
     return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
 
 
+def _baked_keys(obj) -> set[str]:
+    return {key.name for key in obj.dynamorph.bake.keys}
+
+
 def _moving_keys(obj) -> list[str]:
     """The keys that count: not muted, and with a curve, a driver, or a value."""
-    animated = _animated_keys(obj)
+    animated = _baked_keys(obj) | _driven_keys(obj) | _played_keys(obj)
     return [name for name, key in list(_keys(obj).items())[1:] if not key.mute and (key.value or name in animated)]
-
-
-def _animated_keys(obj) -> set[str]:
-    baked = {key.name for key in obj.dynamorph.bake.keys}
-    return baked | _driven_keys(obj)
 
 
 def _driven_keys(obj) -> set[str]:
     animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
-    paths = [driver.data_path for driver in animation.drivers] if animation else []
+    return _keys_at(obj, {driver.data_path for driver in animation.drivers} if animation else ())
+
+
+def _played_keys(obj) -> set[str]:
+    """The keys that Actions of the artist move, by the NLA too."""
+    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
+    if not animation:
+        return set()
+    strips = [strip for track in animation.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
+    curves = [curve for player in (animation, *strips) for curve in extract.curves(player.action, player.action_slot)]
+    return _keys_at(obj, {curve.data_path for curve in curves})
+
+
+def _keys_at(obj, paths) -> set[str]:
     return {name for name, key in _keys(obj).items() if f"{key.path_from_id()}.value" in paths}
 
 
@@ -239,6 +275,7 @@ def _sampled_keys(obj, frames):
     animation = keys.animation_data
     before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
     names = [block.name for block in keys.key_blocks]
+    values[:, [block.mute for block in keys.key_blocks]] = 0.0  # FBX knows no muted keys
     action = bpy.data.actions.new(obj.name)
     try:
         slot = action.slots.new(keys.id_type, obj.name)
