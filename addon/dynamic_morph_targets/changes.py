@@ -24,7 +24,7 @@ from .scene_data import FREE_SETTINGS, SimulationSettings
 def look_at_animation(obj):
     """Look at the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
     record = obj.dynamorph.bake
-    seen = json.dumps(extract.animation(obj)) if record.keys else ""
+    seen = json.dumps(extract.animation(obj)) if record.exists else ""
     if record.animation != seen:
         record.animation = seen
 
@@ -43,7 +43,7 @@ def model_age(obj) -> list[str]:
 def outdated(obj) -> list[str]:
     """What has changed since the bake of `obj`, as sentences. Reads no mesh and no animation: fit for drawing."""
     record = obj.dynamorph.bake
-    if not (record.keys and record.inputs):
+    if not (record.exists and record.inputs):
         return []
     try:
         now = bake_inputs(obj, extract.simulation_settings(obj, bpy.context.scene))
@@ -91,6 +91,7 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     inputs["model"] = asdict(settings.model.settings())
     inputs["groups"]["armature_modifiers"] = checks.skinning_settings(obj)
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
+    inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):
         own = plain(target, skip=(*KEY_REFERENCE, "rig_world"))
         seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
@@ -102,7 +103,8 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
-    known = {"model": settings.model, "simulation": settings.simulation, "groups": None, "scene": None}
+    known = {"model": settings.model, "simulation": settings.simulation, "output": settings.output}
+    known |= {"groups": None, "scene": None}
     for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
         found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]

@@ -28,14 +28,15 @@ class ExportError(ValueError):
 
 @dataclass(frozen=True)
 class Format:
-    """suffix: of its files; write(obj, path, frames); skins: whether armature and keys are written, not their result;
-    option: of bpy.app.build_options that it needs."""
+    """suffix: of its files; write(obj, path, frames); skins: whether it has armature and keys; surface: whether it has
+    what they result in; option: of bpy.app.build_options that it needs."""
 
     label: str
     suffix: str
     description: str
     write: Callable
     skins: bool = False
+    surface: bool = False
     option: str = ""
 
     @property
@@ -50,8 +51,7 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
     key: of FORMATS. Selection, frame, keys and curves are afterwards as before. Raises ExportError, OSError.
     """
     chosen = FORMATS[key]
-    if not any(key.name in _keys(obj) for key in obj.dynamorph.bake.keys):
-        raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
+    _check_bake(obj, chosen)
     if not chosen.is_available:
         raise ExportError(f"This Blender was built without {chosen.label}: choose another format")
     sinks.check_not_edited(obj)
@@ -71,6 +71,19 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
         raise ExportError(f"'{obj.name}' could not be exported: {str(error).strip()}") from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _check_bake(obj, chosen: Format):
+    """Refuse a bake that is not there, or not in the form that the format writes. Raises ExportError."""
+    record = obj.dynamorph.bake
+    shown = sinks.cache_modifier(obj) if record.cache else any(name in _keys(obj) for name in _baked_keys(obj))
+    if not shown:
+        raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
+    if record.cache and not chosen.surface:
+        raise ExportError(
+            f"The bake of '{obj.name}' is a point cache, {chosen.label} writes shape keys: bake to Shape Keys first, or "
+            "choose Alembic or USD"
+        )
 
 
 def losses(obj, key: str) -> Iterator[str]:
@@ -217,8 +230,10 @@ FORMATS = {
     "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True),
     "FBX": Format("FBX", ".fbx", "Morph targets and bones, for engines and other packages", _write_fbx,
                   skins=True),
-    "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic, option="alembic"),
-    "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, option="usd"),
+    "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic,
+                      surface=True, option="alembic"),
+    "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
+                  option="usd"),
     "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", _write_raw),
 }  # fmt: skip
 

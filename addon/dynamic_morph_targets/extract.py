@@ -24,6 +24,7 @@ from .scene_data import (
     Follower,
     ForceField,
     ModelSettings,
+    OutputSettings,
     OwnCage,
     RigSamples,
     SimulationSettings,
@@ -109,11 +110,13 @@ def followers(obj, character: Character) -> list[Follower]:
     for piece in pieces:
         _refuse(checks.follower(obj, piece))
         to_body = inverse(body_world) @ _worlds_at_start(piece, rig)[0]
-        vertices = (rest_points(piece) @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
+        points = rest_points(piece)
+        vertices = (points @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
         found.append(
             Follower(
                 piece.name,
                 piece.session_uid,
+                points,
                 vertices,
                 inverse(to_body[:3, :3]),
                 nearest(vertices, skin, character.triangles[of_body]),
@@ -760,6 +763,12 @@ def hold_collapsed(samples: RigSamples, skeleton: Skeleton, before=None) -> tupl
     frames = int((~good[-len(samples) :]).any(axis=1).sum())
     warning = f"Bones scaled to zero are held at their last size ({frames} of {len(samples)} samples): {names}"
     return replace(samples, pose=pose[-len(samples) :]), [warning]
+
+
+def output_settings(obj) -> OutputSettings:
+    """What the bakes of `obj` become, lengths in metres."""
+    chosen = obj.dynamorph.output.settings()
+    return replace(chosen, tolerance=unit_scale() * chosen.tolerance)
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:

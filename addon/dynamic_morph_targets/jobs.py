@@ -19,7 +19,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, extract, live_key, materials, model_file, preferences, probe, properties, share, sinks
+from . import changes, clips, extract, live_key, materials, model_file, preferences, probe, properties, share, sinks
 from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
@@ -276,7 +276,9 @@ class Job:
         self.result = None
         self.followers: list = []  # other meshes that the flesh carries along
         self.carried: list = []  # their bakes
-        self.size = 0  # of the bake, in bytes
+        self.cache_file: str | None = None  # where a point cache goes, see `sinks.file_path`
+        self.written: list[tuple] = []  # what they become: shape keys, and the file of a point cache or None
+        self.size = 0  # of that, in bytes
         self._read_from = 0.0  # of the whole, the part done before the rig is read
         self._error: BaseException | None = None
         self.thread = self._thread(self._compute)
@@ -304,6 +306,8 @@ class Job:
                 sinks.check(find(follower.session_uid), needs_keys=False)
         self.warnings = extract.warnings(obj, self.character)
         self.warnings += extract.far_followers(self.character, self.followers)
+        if self.bake:
+            self._read_output(obj)
         with suppress(model_file.ModelFileError):  # then one of the reasons
             self.previous = load_model(obj)
         self.reasons = self._reasons(obj)
@@ -328,6 +332,15 @@ class Job:
         if self.resumed:
             self._first = extract.sample_rig(obj, settings.start, settings.start, 1)
         self._next_stretch(obj)
+
+    def _read_output(self, obj):
+        self.output = extract.output_settings(obj)
+        if self.output.sink in clips.CACHES:
+            self.caches = self.folder or _blend_folder()
+            sinks.check_cache(obj, self.caches)
+            lost = ", ".join(f"'{name}'" for name in sinks.overwritten_keys(obj))
+            if lost:
+                self.warnings.append(f"The point cache plays over shape keys that also move: {lost}")
 
     def _next_stretch(self, obj):
         """What is to be read next."""
@@ -457,9 +470,9 @@ class Job:
         for piece in properties.followers(obj):
             if piece not in pieces:
                 sinks.free(piece)
-        self.size = sinks.write_modal_keys(obj, self.result)
-        for piece, carried in zip(pieces, self.carried, strict=True):
-            self.size += sinks.write_modal_keys(piece, carried, obj)
+        for each, (keys, cache) in zip((obj, *pieces), self.written, strict=True):
+            self.size += sinks.write_keys(each, keys, None if each == obj else obj, cache)
+            self.size += cache.stat().st_size if cache else 0
 
     def summary(self) -> str:
         """One line for the artist."""
@@ -470,7 +483,9 @@ class Job:
         frames = len(self.settings.frames)
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
         gap = f", loop gap {1000 * self.report['gap']:.3g} mm" if "gap" in self.report else ""
-        return f"{frames} frames in {seconds:.1f}\u00a0s, {self.size / 2**20:.1f}\u00a0MB{gap}"
+        off = self.report.get("keys_error", 0.0)
+        error = f", {self.report['keys']} keys off by at most {1000 * off:.2g} mm" if off else ""
+        return f"{frames} frames in {seconds:.1f}\u00a0s, {self.size / 2**20:.1f}\u00a0MB{error}{gap}"
 
     def model_summary(self) -> str:
         made = self.model.summary
@@ -572,6 +587,8 @@ class Job:
         with self._stage("simulate"):
             self.result, self.report = self.shot.bake()
             self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
+        with self._stage("make keys"):
+            self._make_keys()
         self.warnings += self.report["warnings"]
         first, last = self.model.summary.get("fitted", (self.settings.start, self.settings.end))
         if self.settings.start < first or self.settings.end > last:
@@ -584,6 +601,24 @@ class Job:
         for name in ("coordinates", "weights", "modes", "details", "dry"):
             if not all(np.isfinite(getattr(bake, name)).all() for bake in (self.result, *self.carried)):
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
+
+    def _make_keys(self):
+        """What the results become, apart from Blender: shape keys, and the files of point caches."""
+        to_bind = self.character.to_bind
+        meshes = [(self.name, self.result, self.character.vertices, to_bind)]
+        for follower, carried in zip(self.followers, self.carried, strict=True):
+            meshes.append((follower.name, carried, follower.points, to_bind @ np.linalg.inv(follower.from_body)))
+        off = 0.0
+        for name, bake, points, to_metres in meshes:
+            keys, error = clips.as_keys(bake, self.output, to_metres)
+            off, cache = max(off, error), None
+            if self.output.sink in clips.CACHES:
+                chosen, sink = self.cache_file, self.output.sink
+                cache = sinks.file_path(chosen, name) if chosen else sinks.cache_path(self.caches, name, bake, sink)
+                model_file.save(cache, clips.CACHES[self.output.sink](bake, points, self.settings.fps))
+            self.written.append((keys, cache))
+        self.report["keys"] = len(self.written[0][0].modes) + len(self.written[0][0].details)
+        self.report["keys_error"] = off
 
     def _progress(self, begin: float, end: float):
         def progress(fraction: float, message: str) -> bool:

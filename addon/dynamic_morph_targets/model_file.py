@@ -18,6 +18,7 @@ import json
 import math
 import os
 import tempfile
+from collections.abc import Iterable
 from itertools import combinations_with_replacement
 from pathlib import Path
 
@@ -91,14 +92,14 @@ def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
     return arrays, _parse(metadata["meta"])
 
 
-def save(path, packed: bytes):
+def save(path, content: bytes | Iterable[bytes]):
     """Write whole or not at all: a crash leaves the old file or the new one."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(packed)
+            file.writelines([content] if isinstance(content, bytes) else content)
             file.flush()
             os.fsync(file.fileno())
         Path(temporary).replace(path)

@@ -575,9 +575,10 @@ class DynamorphOutput(PropertyGroup):
 
 
 class DynamorphBake(PropertyGroup):
-    """What a bake changed, so that Free Bake can undo exactly that. A bake exists when `keys` is not empty."""
+    """What a bake changed, so that Free Bake can undo exactly that."""
 
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
+    cache: StringProperty(name="Cache", description="File name of the point cache, if one plays the motion")
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
     had_animation_data: BoolProperty(
@@ -589,6 +590,10 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
+
+    @property
+    def exists(self) -> bool:
+        return bool(self.keys or self.cache)
 
 
 class DynamorphSculpt(PropertyGroup):
@@ -852,7 +857,7 @@ def clothes_in(obj) -> list:
 
 def is_shown_on(obj) -> bool:
     """Whether there are keys of a bake or of Live on a mesh."""
-    return bool(obj.dynamorph.bake.keys or obj.dynamorph.live.key.name)
+    return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
 
 
 def followers(obj) -> list:

@@ -418,13 +418,14 @@ class SurfaceMap:
 class Follower:
     """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
 
-    session_uid: of its object. vertices (P, 3): at rest, in the character's bind space; from_body (3, 3) carries
-    displacements in the character's local space to the mesh's own; skin: the points of the character's surface nearest
-    to the vertices.
+    session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
+    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own;
+    skin: the points of the character's surface nearest to the vertices.
     """
 
     name: str
     session_uid: int
+    points: np.ndarray
     vertices: np.ndarray
     from_body: np.ndarray
     skin: SurfaceMap

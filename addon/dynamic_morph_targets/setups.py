@@ -52,7 +52,12 @@ NOT_AUTHORED = {
     DynamorphBonePose: ("name",),
     DynamorphPiece: (),
 }
-PARTS = {"skin": DynamorphSettings, "model": DynamorphModel, "simulation": DynamorphSimulation, "output": DynamorphOutput}
+PARTS = {
+    "skin": DynamorphSettings,
+    "model": DynamorphModel,
+    "simulation": DynamorphSimulation,
+    "output": DynamorphOutput,
+}
 GROUPS = ("soft_group", "stiffness_group")
 
 

@@ -17,7 +17,7 @@ FRAMES = 1, 20
 def baked(soft_arm):
     """The arm with a bake of every frame, and the posed surface (F, V, 3) in world space."""
     bake = hand_made_bake(soft_arm)
-    part("sinks").write_modal_keys(soft_arm, bake)
+    part("sinks").write_keys(soft_arm, bake)
     return soft_arm, bake
 
 
@@ -117,6 +117,23 @@ def test_gltf_holds_the_bake_s_shapes_and_values(baked, tmp_path):
     assert_same(surface, exact)
 
 
+@pytest.mark.parametrize("sink", ["PC2", "MDD"])
+def test_a_point_cache_is_exported_as_a_surface_only(baked, tmp_path, sink):
+    obj, bake = baked
+    clips, sinks, exports = part("clips"), part("sinks"), part("exports")
+    file = tmp_path / f"arm.{sink.lower()}"
+    part("model_file").save(file, clips.CACHES[sink](bake, key_positions(obj), bpy.context.scene.render.fps))
+    sinks.write_keys(obj, clips.targets_alone(bake), cache=file)
+    exact = posed(obj)
+    for key in ("GLTF", "FBX", "RAW"):
+        with pytest.raises(exports.ExportError, match="'Arm' is a point cache.*bake to Shape Keys first"):
+            exports.export(obj, key, tmp_path / "Arm.file", FRAMES)
+    for key in ("ALEMBIC", "USD"):
+        exports.export(obj, key, tmp_path / f"Arm{exports.FORMATS[key].suffix}", FRAMES)
+    for key in ("ALEMBIC", "USD"):
+        assert_same(posed(READERS[key](tmp_path / f"Arm{exports.FORMATS[key].suffix}")), exact)
+
+
 def key_positions(obj):
     return part("properties").key_points(keys_of(obj).reference_key).astype(float)
 
@@ -184,7 +201,7 @@ def test_what_moves_with_the_flesh_is_exported_too(scene, baked, tmp_path, key):
     sleeve = make_arm(scene, "Sleeve")
     bpy.data.objects.remove(rig_of(sleeve))
     sleeve.modifiers["Armature"].object = rig_of(obj)
-    part("sinks").write_modal_keys(sleeve, hand_made_bake(obj, seed=2), obj)
+    part("sinks").write_keys(sleeve, hand_made_bake(obj, seed=2), obj)
     exact, before = posed(sleeve), fingerprint(sleeve)
     path = tmp_path / f"arm{part('exports').FORMATS[key].suffix}"
     part("exports").export(obj, key, path, FRAMES)
@@ -256,7 +273,7 @@ def test_export_check_says_what_is_dropped(baked, words):
 @pytest.mark.parametrize("smile, remedy", [(0.0, "Keys at 8, or use"), (0.5, "Keys at 7, or use")])
 def test_export_check_counts_the_morphs_that_move(scene, smile, remedy):
     obj = make_soft(make_arm(scene))
-    part("sinks").write_modal_keys(obj, hand_made_bake(obj, modes=9))
+    part("sinks").write_keys(obj, hand_made_bake(obj, modes=9))
     keys_of(obj).key_blocks["smile"].value = smile
     (text,) = part("exports").losses(obj, "FBX")
     assert f"{10 + (smile > 0)} keys move, many engines blend 8 at most" in text and remedy in text
