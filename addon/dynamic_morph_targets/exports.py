@@ -81,8 +81,8 @@ def _check_bake(obj, chosen: Format):
         raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
     if record.cache and not chosen.surface:
         raise ExportError(
-            f"The bake of '{obj.name}' is a point cache, {chosen.label} writes shape keys: bake to Shape Keys first, or "
-            "choose Alembic or USD"
+            f"The bake of '{obj.name}' is a point cache, {chosen.label} writes shape keys: bake to Shape Keys first, "
+            "or choose Alembic or USD"
         )
 
 
