@@ -15,7 +15,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import checks, clips, extract, model_file, sinks
+from . import actions, checks, clips, extract, glb, jobs, live_key, model_file, sinks
 from .properties import followers, key_points, rig_of
 
 MORPHS = 8  # that common engines and viewers blend at once
@@ -28,8 +28,8 @@ class ExportError(ValueError):
 
 @dataclass(frozen=True)
 class Format:
-    """suffix: of its files; write(obj, path, frames); skins: whether it has armature and keys; surface: whether it has
-    what they result in; option: of bpy.app.build_options that it needs."""
+    """suffix: of its files; write(obj, path, frames, takes); skins: whether it has armature and keys, and so a clip for
+    each Action; surface: whether it has what they result in; option: of bpy.app.build_options that it needs."""
 
     label: str
     suffix: str
@@ -44,14 +44,64 @@ class Format:
         return not self.option or getattr(bpy.app.build_options, self.option)
 
 
-def export(obj, key: str, path: Path, frames: tuple[int, int]):
-    """Write the baked `obj`, with its armature and what moves with its flesh, over `frames` (first, last) to `path`,
-    whole or not at all.
+def export(obj, key: str, path: Path, frames: tuple[int, int], clips="SCENE", tick=None):
+    """Write `obj`, with its armature and what moves with its flesh, to `path`, whole or not at all.
 
-    key: of FORMATS. Selection, frame, keys and curves are afterwards as before. Raises ExportError, OSError.
+    key: of FORMATS. clips: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
+    then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
+    ExportError, OSError, and with ACTIONS as `jobs.run`.
     """
+    if clips == "ACTIONS":
+        jobs.run_all(ActionsExport(obj, key, path), tick)
+        return
+    _check_place(obj, key, path)
+    _check_bake(obj, FORMATS[key])
+    _write(obj, key, path, frames)
+
+
+class ActionsExport(jobs.Batch):
+    """Simulates a clip for each Action that moves the armature of `obj`, with the model as it is built, and writes all
+    to `path`, whole or not at all: an animation for each, by its name, of bones and of shape keys that all clips share.
+
+    It needs no bake, and leaves the one that there is as it is. key: of a format that skins. Raises ExportError, and as
+    `actions.clips_of` and `jobs.Batch`.
+    """
+
+    def __init__(self, obj, key: str, path: Path):
+        _check_place(obj, key, path)
+        if not FORMATS[key].skins:
+            raise ExportError(
+                f"{FORMATS[key].label} has one animation only: choose glTF or FBX for one for each Action"
+            )
+        self.key, self.path = key, path
+        self.clips = actions.clips_of(obj)
+        super().__init__([actions.ClipJob(obj, clip, self.clips) for clip in self.clips], "EXPORT_ACTIONS")
+
+    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        yield from super().steps(seconds, pause)
+        self._write_clips()
+
+    def _write_clips(self):
+        obj, job = self.jobs[0].target(), self.jobs[0]
+        pieces = [jobs.find(follower.session_uid) for follower in job.followers]
+        bakes = [actions.joined(each) for each in zip(*([job.result, *job.carried] for job in self.jobs), strict=True)]
+        budget = obj.dynamorph.output.keys
+        with ExitStack() as stack:
+            stack.enter_context(_as_it_was(obj))
+            stack.enter_context(actions.laid_out(rig_of(obj), self.clips))
+            copies = stack.enter_context(_stand_ins((obj, *pieces)))
+            for copy, bake in zip(copies, bakes, strict=True):
+                skin = None if copy == copies[0] else copies[0]
+                live_key.remove(copy)
+                if copy.data.shape_keys:
+                    stack.enter_context(actions.laid_out(copy.data.shape_keys, self.clips))
+                sinks.write_keys(copy, clips.with_fewer_keys(bake, budget) if budget else bake, skin)
+            _write(copies[0], self.key, self.path, (self.clips[0].first, self.clips[-1].last), self.clips)
+
+
+def _check_place(obj, key: str, path: Path):
+    """Refuse, before any work, what cannot be written. Raises ExportError, sinks.SinkError."""
     chosen = FORMATS[key]
-    _check_bake(obj, chosen)
     if not chosen.is_available:
         raise ExportError(f"This Blender was built without {chosen.label}: choose another format")
     sinks.check_not_edited(obj)
@@ -60,10 +110,18 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
         raise ExportError(f"'{hidden.name}' is hidden, so Blender exports nothing of it: show it")
     if not path.parent.is_dir():
         raise ExportError(f"There is no folder '{path.parent}' to write '{path.name}' to: choose another")
+
+
+def _write(obj, key: str, path: Path, frames: tuple[int, int], takes=()):
+    """Write the character of `obj` as it shows; takes: the clips that are laid out, if each is to be an animation.
+
+    Raises ExportError, OSError.
+    """
+    chosen = FORMATS[key]
     partial = path.with_name(f"{path.stem}.part{path.suffix}")  # exporters look at the suffix
     try:
         with _as_it_was(obj):
-            chosen.write(obj, partial, frames)
+            chosen.write(obj, partial, frames, takes)
         if not partial.is_file():
             raise ExportError(f"Blender's {chosen.label} exporter wrote nothing: its report says why")
         partial.replace(path)
@@ -86,14 +144,21 @@ def _check_bake(obj, chosen: Format):
         )
 
 
-def losses(obj, key: str) -> Iterator[str]:
-    """What the format will not show as Blender does, as sentences. Reads the scene only."""
+def losses(obj, key: str, clips="SCENE") -> Iterator[str]:
+    """What the format will not show as Blender does, as sentences; clips: as for `export`. Reads the scene only."""
     if key == "RAW":
         yield from _raw_losses(obj)
     elif FORMATS[key].skins:
+        planned = _planned_keys(obj) if clips == "ACTIONS" else None
         for mesh in (obj, *followers(obj)):
             yield from _skinning_losses(mesh, key)
-            yield from _key_losses(mesh, key)
+            yield from _key_losses(mesh, key, planned)
+
+
+def _planned_keys(obj) -> int:
+    """How many keys the clips of all Actions take together, at most."""
+    settings = obj.dynamorph
+    return settings.output.keys or len(settings.modes) + max(len(settings.targets) - 1, 0)
 
 
 def _raw_losses(obj) -> Iterator[str]:
@@ -125,12 +190,16 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
         yield f"'{obj.name}': {crowded} vertices follow more than {INFLUENCES} bones: the weakest of them are dropped"
 
 
-def _key_losses(obj, key: str) -> Iterator[str]:
+def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
+    """planned: how many keys there will be in the place of the bake's, if there will be others."""
     moving, baked = _moving_keys(obj), _baked_keys(obj)
-    if len(moving) > MORPHS:
-        room = MORPHS - len([name for name in moving if name not in baked])
-        remedy = f"Bake again to Shape Keys with Keys at {room}, or use" if room > 0 else "Use"
-        yield f"'{obj.name}': {len(moving)} keys move, many engines blend {MORPHS} at most. {remedy} Alembic or USD"
+    others = [name for name in moving if name not in baked]
+    count = len(moving) if planned is None else len(others) + planned
+    if count > MORPHS:
+        room = MORPHS - len(others)
+        again = "bake to Shape Keys again with Keys" if planned is None else "set Keys to"
+        remedy = f"{again} {room}, or use" if room > 0 else "use"
+        yield f"'{obj.name}': {count} keys move, many engines blend {MORPHS} at most: {remedy} Alembic or USD"
     driven = [name for name in moving if name in _driven_keys(obj)]
     if driven:
         yield f"'{obj.name}': drivers are left out, the values they give at each frame are written: {', '.join(driven)}"
@@ -189,41 +258,48 @@ def _crowded_vertices(obj) -> int:
 # Writers -----------------------------------------------------------------------------------------------------------
 
 
-def _write_gltf(obj, path: Path, frames):
+def _write_gltf(obj, path: Path, frames, takes):
     with _sampled(obj, frames):
         bpy.ops.export_scene.gltf(
             filepath=str(path), use_selection=True, export_animation_mode="SCENE", export_force_sampling=True,
             export_anim_scene_split_object=False,
             export_optimize_animation_size=False, export_morph_normal=False, export_frame_range=True,
         )  # fmt: skip
+    if takes:
+        parts = {clip.name: (clip.first - frames[0], clip.last - frames[0]) for clip in takes}
+        path.write_bytes(glb.split_animation(path.read_bytes(), parts, _fps()))
 
 
-def _write_fbx(obj, path: Path, frames):
+def _write_fbx(obj, path: Path, frames, takes):
     with _sampled(obj, frames):
         bpy.ops.export_scene.fbx(
-            filepath=str(path), use_selection=True, add_leaf_bones=False, bake_anim_use_nla_strips=False,
+            filepath=str(path), use_selection=True, add_leaf_bones=False, bake_anim_use_nla_strips=bool(takes),
             bake_anim_use_all_actions=False, bake_anim_simplify_factor=0.0, use_mesh_modifiers=False,
         )  # fmt: skip
 
 
-def _write_alembic(_obj, path: Path, frames):
+def _write_alembic(_obj, path: Path, frames, _takes):
     bpy.ops.wm.alembic_export(
         filepath=str(path), selected=True, start=frames[0], end=frames[1], uvs=True, normals=False,
-        as_background_job=False,
+        as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes, as a model's
     )  # fmt: skip
 
 
-def _write_usd(_obj, path: Path, _frames):
+def _write_usd(_obj, path: Path, _frames, _takes):
     bpy.ops.wm.usd_export(
         filepath=str(path), selected_objects_only=True, export_animation=True, export_armatures=False,
-        export_shapekeys=False, export_normals=False,
+        export_shapekeys=False, export_normals=False, export_custom_properties=False,
     )  # fmt: skip
 
 
-def _write_raw(obj, path: Path, _frames):
-    render = bpy.context.scene.render
+def _write_raw(obj, path: Path, _frames, _takes):
     basis = key_points(obj.data.shape_keys.reference_key)
-    model_file.save(path, clips.raw(sinks.read_back(obj), basis, render.fps / render.fps_base))
+    model_file.save(path, clips.raw(sinks.read_back(obj), basis, _fps()))
+
+
+def _fps() -> float:
+    render = bpy.context.scene.render
+    return render.fps / render.fps_base
 
 
 FORMATS = {
@@ -264,6 +340,29 @@ def _as_it_was(obj):
         layer.objects.active = active
         scene.frame_start, scene.frame_end = ends
         scene.frame_set(frame[0], subframe=frame[1])
+
+
+@contextmanager
+def _stand_ins(meshes):
+    """Copies of mesh objects, by their names, to be changed and written: the originals stay as they are."""
+    layer, kinds = bpy.context.view_layer, (bpy.data.objects, bpy.data.meshes, bpy.data.shape_keys, bpy.data.actions)
+    before = [set(kind) for kind in kinds]
+    names = [(block, block.name) for mesh in meshes for block in (mesh, mesh.data)]
+    copies = []
+    try:
+        for mesh in meshes:
+            copies.append(mesh.copy())
+            copies[-1].data = mesh.data.copy()
+            bpy.context.scene.collection.objects.link(copies[-1])
+        for (original, name), copy in zip(names, (b for c in copies for b in (c, c.data)), strict=True):
+            original.name = actions.ASIDE
+            copy.name = name
+        layer.update()
+        yield copies
+    finally:
+        bpy.data.batch_remove([block for kind, were in zip(kinds, before, strict=True) for block in set(kind) - were])
+        for original, name in names:
+            original.name = name
 
 
 @contextmanager
