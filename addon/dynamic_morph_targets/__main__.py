@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`python -m dynamic_morph_targets`: the command line without Blender, on the bpy wheel."""
 
+import os
 import sys
 
 
 def run() -> int:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded, whose last digits depend on it
     try:
         import bpy
     except ImportError as error:

@@ -18,7 +18,7 @@ import numpy as np
 from . import checks, extract
 from .extract import SceneError
 from .properties import KEY_REFERENCE, clothes_in, followers, named_targets, parts_in, plain
-from .scene_data import FREE_SETTINGS, SimulationSettings
+from .scene_data import ENGINE, FREE_SETTINGS, SimulationSettings
 
 
 def look_at_animation(obj):
@@ -42,7 +42,8 @@ def model_age(obj) -> list[str]:
 
 def outdated(obj) -> list[str]:
     """What has changed since the bake of `obj`, as sentences. Reads no mesh and no animation: fit for drawing."""
-    record = obj.dynamorph.bake
+    settings = obj.dynamorph
+    record = settings.bake
     if not (record.exists and record.inputs):
         return []
     try:
@@ -50,6 +51,8 @@ def outdated(obj) -> list[str]:
     except SceneError as error:
         return [str(error)]
     then = _parsed(record.inputs)
+    if settings.simulation.keep_outside:  # the range is that of the next patch
+        now["simulation"] |= {name: then["simulation"][name] for name in ("start", "end")}
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
         found.append("the model was built again")
@@ -81,7 +84,8 @@ def model_inputs(obj) -> dict:
     groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
     targets = {name: {"mute": target.mute, "region": target.region} for name, target in named_targets(obj)}
-    return {"targets": targets, "model": model, "groups": groups, "scene": {"unit_scale": extract.unit_scale()}}
+    scene = {"unit_scale": extract.unit_scale(), "engine": ENGINE}
+    return {"targets": targets, "model": model, "groups": groups, "scene": scene}
 
 
 def bake_inputs(obj, simulation: SimulationSettings) -> dict:

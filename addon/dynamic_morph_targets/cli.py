@@ -29,9 +29,9 @@ from .scene_data import VARIANTS, Material, ModelSettings
 
 COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
-SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
+SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = ("begin", "preroll", "loop")
+SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop", "keep_outside")
 OUTPUT_SETTINGS = ("keys", "every", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
@@ -128,6 +128,7 @@ def character_record(job) -> dict:
     }
     if job.bake:
         found["bake"] = {
+            "made_from": job.content_id(),
             "hash": clips.digest(job.result),
             "frames": [job.settings.start, job.settings.end],
             "fps": job.settings.fps,
@@ -455,9 +456,10 @@ def run_fit(args):
 def run_free(args):
     for obj in chosen_objects(args):
         sinks.check(obj)
-        baked = len(obj.dynamorph.bake.keys)
+        baked = obj.dynamorph.bake
+        removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
         sinks.free(obj)
-        print(f"{obj.name}: {baked} baked keys removed")
+        print(f"{obj.name}: {removed} removed")
     save(args)
 
 
@@ -475,6 +477,7 @@ def run_info(args):
             print("  bake: none")
             continue
         print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
+        print(f"  bake made from {settings.bake.content_id[:12]}, result {settings.bake.digest[:12]}")
         changes.look_at_animation(obj)
         print(f"  bake state: {'; '.join(changes.outdated(obj)) or 'up to date'}")
 
@@ -523,9 +526,10 @@ class Progress:
 def print_table(job, save_seconds: float):
     made = job.model.summary
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
-    rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
+    if made["seconds"]:  # it was built now
+        rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
     if job.bake:
-        rows.append(("frames x substeps", f"{len(job.settings.frames)} x {job.settings.substeps}"))
+        rows.append(("frames x substeps", f"{job.settings.end - job.settings.start + 1} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
         rows.append(("smallest det F", f"{job.report['smallest_det']:.2f}"))
         if "gap" in job.report:
@@ -533,6 +537,8 @@ def print_table(job, save_seconds: float):
         rows.append(("keys", str(job.report["keys"])))
         if job.report["keys_error"]:
             rows.append(("keys' error", f"{1000 * job.report['keys_error']:.3g} mm"))
+        if "seam" in job.report:
+            rows.append(("seam", f"{1000 * job.report['seam']:.3g} mm"))
         if "compression_error" in job.report:
             rows.append(("compression error", f"{1000 * job.report['compression_error']:.3g} mm"))
     rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.seconds.items(), ("save", save_seconds))]

@@ -109,11 +109,11 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
     )
 
 
-def splice(bake: Bake, patch: Bake, fade: float) -> tuple[Bake, float]:
+def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[Bake, float]:
     """A bake whose frames between the first and the last of `patch` are those of the patch, and by how much the two are
-    apart at most where they meet, local units. The patch fades in and out within `fade` frames, where the bake goes on.
+    apart at most where they meet, metres. The patch fades in and out within `fade` frames, where the bake goes on.
 
-    Both are of one mesh; their modes may be others.
+    Both are of one mesh; their modes may be others. to_bind: as for `reach`.
     """
     first, last = patch.frames[[0, -1]]
     frames = np.concatenate([bake.frames[bake.frames < first], patch.frames, bake.frames[bake.frames > last]])
@@ -140,7 +140,7 @@ def splice(bake: Bake, patch: Bake, fade: float) -> tuple[Bake, float]:
         target_names=patch.target_names,
         dry=mixed(np.hstack([bake.dry, bake.weights]), np.hstack([patch.dry, patch.weights])),
     )
-    return with_fewer_keys(both), _apart(bake, patch)
+    return with_fewer_keys(both), _apart(bake, patch, to_bind)
 
 
 def _smooth(share: np.ndarray) -> np.ndarray:
@@ -148,8 +148,8 @@ def _smooth(share: np.ndarray) -> np.ndarray:
     return share * share * (3.0 - 2.0 * share)
 
 
-def _apart(bake: Bake, patch: Bake) -> float:
-    """The largest distance between a bake and the ends of a patch that are within it, local units."""
+def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:
+    """The largest distance between a bake and the ends of a patch that are within it, metres."""
     within = (patch.frames[[0, -1]] > bake.frames[0]) & (patch.frames[[0, -1]] < bake.frames[-1])
     ends = np.array([0, len(patch.frames) - 1])[within]
     if not len(ends):
@@ -158,7 +158,8 @@ def _apart(bake: Bake, patch: Bake) -> float:
     at = np.column_stack([np.interp(patch.frames[ends], bake.frames, column) for column in rows.T])
     r = bake.coordinates.shape[1]
     moved = _displaced(at[:, :r], at[:, r:], bake.modes, bake.details)
-    return float(np.linalg.norm(moved - next(surfaces(at_rows(patch, ends), 0.0)), axis=2).max())
+    off = (moved - next(surfaces(at_rows(patch, ends), 0.0))) @ to_bind.T
+    return float(np.linalg.norm(off, axis=2).max())
 
 
 def targets_alone(bake: Bake) -> Bake:

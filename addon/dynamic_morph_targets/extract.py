@@ -231,7 +231,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     if missing:
         raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
     material = target.material()
-    for field, value in vars(material).items():
+    for field, value in (*vars(material).items(), ("influence", target.influence)):
         if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
@@ -239,7 +239,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
-    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius)
+    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius, target.influence)
 
 
 def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:
@@ -772,7 +772,8 @@ def output_settings(obj) -> OutputSettings:
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
-    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError.
+    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it, which are rounded up to a
+    multiple of the samples a frame. Raises SceneError.
 
     The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
     per s^2.
@@ -783,16 +784,19 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     start, end = frames or own
     if end < start:
         raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
+    substeps = substeps or chosen.steps_per_frame(fps)
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
     gains = tuple(mode.gain for mode in obj.dynamorph.modes)
     return SimulationSettings(
         start,
         end,
         fps,
-        substeps or chosen.steps_per_frame(fps),
+        -(-substeps // chosen.samples) * chosen.samples,
         chosen.scheme,
         tuple(gravity.tolist()),
+        chosen.samples,
         chosen.preroll,
+        chosen.preroll_pose,
         chosen.begin,
         chosen.loop,
         gains if set(gains) != {1.0} else (),

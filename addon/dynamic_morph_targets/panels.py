@@ -262,6 +262,7 @@ def draw_target(layout, obj, target):
     if not neutral:
         column.prop_search(target, "region", obj, "vertex_groups")
         column.prop(target, "radius")
+    column.prop(target, "influence")
     draw_material(layout, target)
 
 
@@ -412,7 +413,8 @@ def draw_bake(layout, obj):
         column.active = not simulation.use_scene_range
         column.prop(simulation, "start")
         column.prop(simulation, "end")
-        for name in ("substeps", "scheme", "gravity", "fields", "begin", "preroll", "loop"):
+        column.prop(simulation, "keep_outside")
+        for name in ("substeps", "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop"):
             body.prop(simulation, name)
     draw_output(layout, settings.output)
     draw_job(layout, "dynamorph.bake", "REC", "Bake")

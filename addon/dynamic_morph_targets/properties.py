@@ -180,6 +180,12 @@ def _set_weight(target, weight: float):
         target.density = weight / target.volume
 
 
+def _shown_changed(group, _context):
+    from . import live  # which looks at what is authored here
+
+    live.refresh(group.id_data)
+
+
 class DynamorphTarget(KeyReference, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
@@ -220,6 +226,12 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         description="How far from its pose, over all its bones, the target reaches: it has faded out there. 0: as far "
         "as there is no nearer target",
         default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
+    )  # fmt: skip
+    influence: FloatProperty(
+        name="Influence",
+        description="How much of the motion shows in this target's pose, within its region: at 0 there is the sculpted "
+        "shape alone",
+        default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=_shown_changed,
     )  # fmt: skip
     region: StringProperty(
         name="Region",
@@ -455,21 +467,15 @@ class DynamorphModel(PropertyGroup):
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
 
 
-def _mode_changed(mode, _context):
-    from . import live
-
-    live.refresh(mode.id_data)
-
-
 class DynamorphMode(PropertyGroup):
     """One displacement mode of the built model, as the artist wants to see it."""
 
     gain: FloatProperty(
         name="Gain", description="Factor on this mode's motion about the targets' shapes, in Live and in the next bake",
-        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=_mode_changed,
+        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=_shown_changed,
     )  # fmt: skip
     solo: BoolProperty(
-        name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE, update=_mode_changed
+        name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE, update=_shown_changed
     )
 
 
@@ -498,6 +504,12 @@ class DynamorphSimulation(PropertyGroup):
         name="Substeps",
         description="Steps a frame; 0 chooses as many as keep a step below 1/120 s",
         default=0, min=0, max=1000, soft_max=20, override=OVERRIDE,
+    )  # fmt: skip
+    samples: IntProperty(
+        name="Samples",
+        description="Times a frame at which the motion is kept, so that motion blur sees it swing between two frames. "
+        "Substeps are rounded up to a multiple",
+        default=1, min=1, max=32, soft_max=8, override=OVERRIDE,
     )  # fmt: skip
     scheme: EnumProperty(
         name="Scheme",
@@ -528,8 +540,23 @@ class DynamorphSimulation(PropertyGroup):
         default="SETTLE", override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
-        name="Pre-Roll", description="Frames in which the first pose is held before the start",
+        name="Pre-Roll", description="Frames that are simulated before the start",
         default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
+    )  # fmt: skip
+    preroll_pose: EnumProperty(
+        name="Pre-Roll Pose",
+        description="What the rig does in the frames before the start. A loop needs no animated ones",
+        items=(
+            ("HELD", "Held", "It holds the pose of the start"),
+            ("ANIMATED", "Animated", "It moves as its animation says: by keyframes before the start, or extrapolated"),
+        ),
+        default="HELD", override=OVERRIDE,
+    )  # fmt: skip
+    keep_outside: BoolProperty(
+        name="Keep Other Frames",
+        description="Bake the range into the last bake, of which the other frames stay as they are. The rig runs up to "
+        "the range for a second, and where the two meet they are blended",
+        override=OVERRIDE,
     )  # fmt: skip
     loop: BoolProperty(
         name="Loop", description="The range is a cycle: its last frame continues with its first, without a jump",
@@ -590,6 +617,8 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
+    content_id: StringProperty(name="Bake Id", description="Hash of all that the bake was made from")
+    digest: StringProperty(name="Result Id", description="Hash of what was simulated")
 
     @property
     def exists(self) -> bool:
@@ -858,6 +887,13 @@ def clothes_in(obj) -> list:
 def is_shown_on(obj) -> bool:
     """Whether there are keys of a bake or of Live on a mesh."""
     return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
+
+
+def cache_modifier(obj):
+    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
+    file = obj.dynamorph.bake.cache
+    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
+    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
 
 
 def followers(obj) -> list:

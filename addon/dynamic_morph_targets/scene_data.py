@@ -240,7 +240,8 @@ class Target:
     name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
-    angle from its pose, radians, at which the target has faded out; 0 for never.
+    angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the flesh's
+    motion shows in its pose, 0 to 1.
     """
 
     name: str
@@ -250,6 +251,7 @@ class Target:
     rig_world: np.ndarray
     material: Material
     radius: float = 0.0
+    influence: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -314,6 +316,7 @@ def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+ENGINE = 1  # of what is computed: raised when the same scene gives another model or another motion than before
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.
 LATER_SETTINGS = {"cage_thickness": 0.0, "cage_grading": 0.0, "separate": True}
 
@@ -435,8 +438,10 @@ class Follower:
 class SimulationSettings:
     """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
 
-    begin: REST has the targets' shapes without motion at `start`, SETTLE is in balance and moves with the rig. loop:
-    the range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    samples: states a frame that are kept, of which `substeps` is a multiple.
+    begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
+    preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
+    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
     """
 
     start: int = 1
@@ -445,14 +450,52 @@ class SimulationSettings:
     substeps: int = 5
     scheme: str = "BDF2"
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    preroll: int = 0  # frames held at the first pose before `start`
+    samples: int = 1
+    preroll: int = 0
+    preroll_pose: str = "HELD"
     begin: str = "SETTLE"
     loop: bool = False
     gains: tuple[float, ...] = ()
 
+    def __post_init__(self):
+        if self.substeps % self.samples:
+            raise ValueError(f"substeps: expected a multiple of samples ({self.samples}), got {self.substeps}")
+
     @property
     def frames(self) -> np.ndarray:
-        return np.arange(self.start, self.end + 1)
+        """Those of the result, with fractions for the samples between them."""
+        return self.times[self.run_up * self.samples :]
+
+    @property
+    def run_up(self) -> int:
+        """Frames that are simulated before `start` and dropped. A cycle needs none: it finds what came before."""
+        return self.preroll if self.preroll_pose == "ANIMATED" and not self.loop else 0
+
+    @property
+    def held(self) -> int:
+        """Frames in which the first pose is held."""
+        return self.preroll if self.preroll_pose == "HELD" else 0
+
+    @property
+    def first(self) -> int:
+        """The frame that the simulation begins with."""
+        return self.start - self.run_up
+
+    @property
+    def simulated(self) -> np.ndarray:
+        """The whole frames, with those that are dropped."""
+        return np.arange(self.first, self.end + 1)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Of all states, as `frames`, with those that are dropped."""
+        if self.samples == 1:
+            return self.simulated
+        return self.first + np.arange((self.end - self.first) * self.samples + 1) / self.samples
+
+    def reached(self, states: int) -> int:
+        """The frame that is done with so many states; the first without any."""
+        return self.first + max(states - 1, 0) // self.samples
 
     @property
     def step(self) -> float:
@@ -474,10 +517,10 @@ class OutputSettings:
 class Bake:
     """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
 
-    frames (F,), coordinates (F, r), weights (F, J), modes (r, V, 3), details (J, V, 3): what the cage cannot carry of
-    each target's shape. target_names (J,). dry (F, r): the coordinates of the targets' shapes alone, without motion.
-    node_modes (r, n, 3): the modes of the cage's nodes, bind space, for what else moves with the flesh. mode_names
-    (r,): of the shape keys that they become; empty: numbered.
+    frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
+    details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). dry (F, r): the coordinates
+    of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind space, for
+    what else moves with the flesh. mode_names (r,): of the shape keys that they become; empty: numbered.
     """
 
     frames: np.ndarray

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, islice
 
 import dynamorph
 import numpy as np
@@ -29,9 +30,9 @@ CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest
 
 @dataclass(frozen=True)
 class Frame:
-    """One simulated frame: coordinates (dofs,), target weights (J,), and the engine's report of its steps."""
+    """A frame, or a time between two: coordinates (dofs,), target weights (J,), and a report of the steps to it."""
 
-    number: int
+    number: float
     coordinates: np.ndarray
     weights: np.ndarray
     steps: dict
@@ -68,9 +69,9 @@ class Player:
     """One character, stepped frame by frame: a bake and playback both run this.
 
     keep_going() -> bool is asked at every frame, of an unreduced model at every iteration; False raises
-    dynamorph.Cancelled. number: the frame it is at; passes: how often it has begun again. gains (dofs,): what `shown`
-    applies, to be set at any time. engine: model.engine(character), if it is at hand already; afterwards None for
-    static morph targets.
+    dynamorph.Cancelled. number: the frame it is at; passes: how often it has begun again. gains (dofs,) and influence
+    (J,) of the targets: what `shown` applies, to be set at any time. engine: model.engine(character), if it is at hand
+    already; afterwards None for static morph targets.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Player:
     ):
         self.model = model
         self.settings = settings
-        self.number, self.passes = settings.start, 0
+        self.number, self.passes = settings.first, 0
         self.engine = None
         self._keep_going = keep_going
         self.character = character.by_method()
@@ -90,6 +91,7 @@ class Player:
             self.engine = engine or model.engine(self.character, self.character.probed)
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = self._stepper()
+        self.influence = np.array([target.influence for target in self.character.targets])
         self.gains = np.ones(self._shapes.shape[1])
         if model.settings.solver == "REDUCED":
             known = min(len(settings.gains), len(self.gains))
@@ -124,25 +126,26 @@ class Player:
         return float(np.linalg.norm(np.ptp(self.character.vertices @ self.character.to_bind.T, axis=0)))
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
-        """Every frame from settings.start to settings.end, one pass; rig: 1 + (end - start) * substeps samples."""
-        yield self.begin(rig)
-        yield from self.play(rig[1:], self.settings.frames[1:])
+        """One of each of settings.frames, one pass; rig: 1 + (end - first) * substeps samples."""
+        settings = self.settings
+        frames = chain([self.begin(rig)], self.play(rig[1:], settings.simulated[1:]))
+        yield from islice(frames, settings.run_up * settings.samples, None)
 
     def begin(self, rig: RigSamples) -> Frame:
-        """The frame settings.start. rig: its sample and those that follow it, of which the first counts."""
+        """The frame settings.first. rig: its sample and those that follow it, of which the first counts."""
         self._hold_targets(rig[:1])
         bones, weights = self._posed(rig[:2])  # or nodes, if those are known
         if self.settings.begin == "REST":
             self.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
         else:
-            held = self.settings.preroll > 0
+            held = self.settings.held > 0
             begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
         still = [np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights)]
-        for _ in range(self.settings.preroll):
+        for _ in range(self.settings.held):
             self._ask()
             self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
-        self.number = self.settings.start
+        self.number = self.settings.first
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
 
     def resume(self, first: RigSamples, state):
@@ -172,33 +175,45 @@ class Player:
         return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
 
     def gap(self, first: Frame, second: Frame) -> float:
-        """The largest distance, in metres, between the soft skins of two frames as `shown` in one pose."""
+        """The largest distance, in metres, between the soft skins of two frames in one pose, as `shown` by targets of
+        full influence: what others hide at the seam of a loop is seen elsewhere.
+        """
         displacement = np.tensordot(second.weights - first.weights, self.model.details, 1)
         if self.engine is not None:
-            displacement += self.model.surface(self.engine.displacement(self.shown(second) - self.shown(first)))
+            first, second = (self._with_gains(frame.coordinates, self.dry(frame.weights)) for frame in (first, second))
+            displacement += self.model.surface(self.engine.displacement(second - first))
         return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
 
     def advance(self, rig: RigSamples, number: int) -> Frame:
         """The frame `number`, one frame after the last; rig: its settings.substeps samples."""
-        return next(self.play(rig, [number]))
+        *_, frame = self.play(rig, [number])
+        return frame
 
     def play(self, rig: RigSamples, numbers) -> Iterator[Frame]:
-        """The frames `numbers`, which follow the last; rig: settings.substeps samples each."""
-        substeps = self.settings.substeps
+        """The frames `numbers`, which follow the last, and what is kept between; rig: settings.substeps samples each.
+
+        Force fields change from frame to frame.
+        """
+        substeps, samples = self.settings.substeps, self.settings.samples
+        stride = substeps // samples
         if len(rig) != len(numbers) * substeps:
             raise ValueError(f"rig: expected {len(numbers) * substeps} samples, got {len(rig)}")
         frames = max(1, CHUNK_NODES // (len(rig.nodes.rest) * substeps)) if rig.nodes else CHUNK
         for first in range(0, len(numbers), frames):
             chunk = numbers[first : first + frames]
-            samples = rig[first * substeps : (first + len(chunk)) * substeps]
-            bones, weights = self._posed(samples)
+            moving = rig[first * substeps : (first + len(chunk)) * substeps]
+            bones, weights = self._posed(moving)
             for k, number in enumerate(chunk):
                 self.number = int(number)
                 self._ask()
-                steps, last = slice(k * substeps, (k + 1) * substeps), (k + 1) * substeps - 1
-                push = self._push(samples.fields, last, bones[last])
-                report = self._simulation.advance(bones[steps], weights[steps], push)
-                yield Frame(self.number, self._simulation.coordinates, weights[last], report)
+                last = (k + 1) * substeps - 1
+                push = self._push(moving.fields, last, bones[last])
+                for left in reversed(range(samples)):
+                    end = last + 1 - left * stride
+                    steps = slice(end - stride, end)
+                    report = self._simulation.advance(bones[steps], weights[steps], push)
+                    time = self.number - left / samples
+                    yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
 
     def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
         """A player that goes on from here with the materials, poses and blending of `character`.
@@ -217,12 +232,50 @@ class Player:
         return weights @ self._shapes
 
     def shown(self, frame: Frame) -> np.ndarray:
-        """The frame's coordinates with each mode's gain on its motion about the targets' shapes."""
-        return self.with_gains(frame.coordinates, self.dry(frame.weights))
+        """The frame's coordinates with the modes' gains and the targets' influence on the motion about their shapes."""
+        return self.as_shown(frame.coordinates, frame.weights)
 
-    def with_gains(self, coordinates: np.ndarray, dry: np.ndarray) -> np.ndarray:
-        """As `shown`, of coordinates (..., dofs) with and without motion."""
+    def as_shown(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """As `shown`, of coordinates (..., dofs) at the targets' weights (..., J).
+
+        In the region of a set the motion has the mean influence of its targets, by their weights, which sum to one.
+        """
+        dry = self.dry(weights)
+        coordinates = self._with_gains(coordinates, dry)
+        if self.engine is None or (self.influence == 1.0).all():
+            return coordinates
+        sizes = [len(target_set.targets) for target_set in self.character.target_sets]
+        begins = np.cumsum([0, *sizes[:-1]])
+        shares = np.add.reduceat(weights * self.influence, begins, axis=-1)
+        parts = self._in_regions(coordinates - dry)
+        return dry + sum(share[..., None] * part for share, part in zip(np.moveaxis(shares, -1, 0), parts, strict=True))
+
+    def _with_gains(self, coordinates: np.ndarray, dry: np.ndarray) -> np.ndarray:
         return coordinates + (self.gains - 1.0) * (coordinates - dry)
+
+    def _in_regions(self, motion: np.ndarray) -> list[np.ndarray]:
+        """Each set's part of a motion (..., dofs); they sum to it."""
+        if len(self.character.target_sets) == 1:
+            return [motion]
+        if self.model.settings.solver == "FULL":
+            return [motion * share for share in self._node_shares]
+        return [motion @ part for part in self._region_parts]
+
+    @cached_property
+    def _node_shares(self) -> np.ndarray:
+        """How much of each free node follows each set, once an axis: (S, 3 free)."""
+        model = self.model
+        corners, around = model.tets.ravel(), np.repeat(model.shares, 4, axis=0)
+        total = np.array([np.bincount(corners, share, len(model.nodes)) for share in around.T])
+        return np.repeat((total / total.sum(axis=0).clip(1e-300))[:, model.free], 3, axis=1)
+
+    @cached_property
+    def _region_parts(self) -> list[np.ndarray]:
+        """For each set the (r, r) that takes coordinates to what the modes can do of their motion in its region alone, by
+        least squares.
+        """
+        back = np.linalg.pinv(self.model.basis)
+        return [(back @ (share[:, None] * self.model.basis)).T for share in self._node_shares]
 
     def _ask(self):
         """Raises dynamorph.Cancelled when it is not to go on."""
@@ -316,9 +369,9 @@ def simulate(
     settings: SimulationSettings,
     progress: Progress | None = None,
 ) -> Iterator[Frame]:
-    """Yields every frame from settings.start to settings.end, in one pass.
+    """Yields one of each of settings.frames, in one pass.
 
-    rig: 1 + (end - start) * substeps samples, the first at `start`. progress(fraction, message) -> bool is asked at
+    rig: 1 + (end - first) * substeps samples, from settings.first on. progress(fraction, message) -> bool is asked at
     every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
     """
     return _player(model, character, settings, progress).run(rig)
@@ -329,7 +382,7 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
 
     Passes over its range until one ends as it began: in place and, by the frame after, in velocity.
     """
-    numbers, fixed_point = player.settings.frames[1:], _FixedPoint()
+    samples, numbers, fixed_point = player.settings.samples, player.settings.simulated[1:], _FixedPoint()
     next_frame = rig[1 : 1 + player.settings.substeps], numbers[:1]  # none in a range of one frame
     first = player.begin(rig)
     while True:
@@ -338,7 +391,8 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
         ended = player.past
         first = player.begin_again(rig, frames[-1])
         start = player.state
-        pairs = list(zip(frames, [frames[-1], *player.play(*next_frame)], strict=False))
+        again = [frames[-1], *player.play(*next_frame)]
+        pairs = list(zip(frames[::samples], again[::samples], strict=False))
         gap = max(player.gap(*pair) for pair in pairs)
         if gap <= CLOSED * player.size or player.passes == PASSES or player.engine is None:
             return frames, gap
@@ -373,7 +427,7 @@ def _player(model: Model, character: Character, settings: SimulationSettings, pr
     """A player that reports to `progress`."""
 
     def keep_going() -> bool:
-        done = (player.number - settings.start) / len(settings.frames)
+        done = (player.number - settings.first) / len(settings.simulated)
         message = f"Simulating frame {player.number}"
         if settings.loop:  # nobody knows how many passes it takes
             done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
@@ -404,7 +458,8 @@ def build_for(
 
 class Shot:
     """A bake in the making: the moving rig comes in stretches, so that a long shot takes no more memory than a short
-    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch.
+    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch. The run-up is
+    part of the shot, but not of its bake.
 
     progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
     """
@@ -413,7 +468,7 @@ class Shot:
         self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
     ):
         self.player = _player(model, character, settings, progress)
-        self.done = 0  # frames
+        self.done = 0  # of settings.times
         self._coordinates, self._weights, self._steps = [], [], []  # a stretch each
         self._loop: dict = {}
         self._warnings: list[str] = []
@@ -421,7 +476,7 @@ class Shot:
 
     @property
     def is_complete(self) -> bool:
-        return self.done == len(self.player.settings.frames)
+        return self.done == len(self.player.settings.times)
 
     def play(self, rig: RigSamples):
         """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
@@ -432,12 +487,10 @@ class Shot:
         if settings.loop:
             frames, gap = cycle(player, rig)
             self._loop, self._warnings = {"gap": gap}, _loop_warnings(player, rig, gap)
-        elif self.done:
-            numbers = settings.frames[self.done : self.done + len(rig) // settings.substeps]
-            frames = list(player.play(rig, numbers))
         else:
-            numbers = settings.frames[1 : 1 + (len(rig) - 1) // settings.substeps]
-            frames = [player.begin(rig), *player.play(rig[1:], numbers)]
+            frames = [] if self.done else [player.begin(rig)]
+            rig, reached = rig[len(frames) :], settings.reached(self.done)
+            frames += player.play(rig, range(reached + 1, reached + 1 + len(rig) // settings.substeps))
         self.done += len(frames)
         self._coordinates.append(np.array([frame.coordinates for frame in frames]))
         self._weights.append(np.array([frame.weights for frame in frames]))
@@ -464,20 +517,21 @@ class Shot:
     def bake(self) -> tuple[Bake, dict]:
         """The bake and its report, when all is played."""
         began, player = time.perf_counter(), self.player
-        model, character = player.model, player.character
-        coordinates, weights = np.concatenate(self._coordinates), np.concatenate(self._weights)
+        model, character, settings = player.model, player.character, player.settings
+        kept = slice(settings.run_up * settings.samples, None)
+        coordinates, weights = (np.concatenate(rows)[kept] for rows in (self._coordinates, self._weights))
         dry = player.dry(weights)
-        report = _report(player.settings.frames, np.concatenate(self._steps)) | self._loop
+        report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, dry))
-        coordinates, free = player.with_gains(coordinates, dry), model.basis.T
+        coordinates, free = player.as_shown(coordinates, weights), model.basis.T
         if model.settings.solver == "FULL" and player.engine is not None:
             coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
         modes = node_modes(model, free)
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
         names = tuple(target.name for target in character.targets)
-        return Bake(player.settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+        return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
 
 
 def bake(
@@ -579,7 +633,7 @@ def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
-    """Of what the steps of each frame did (F, STEP)."""
+    """Of what the steps to each of `frames` (F,) did (F, STEP)."""
     by_name = dict(zip(STEP, steps.T, strict=True))
     moving = by_name["steps"] > 0
     rates = by_name["steps"][moving] / by_name["seconds"][moving]
@@ -592,13 +646,18 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
         "energy": float(by_name["energy"].max()),  # elastic, J
         "warnings": [],
     }
-    unconverged = frames[by_name["converged"] == 0].tolist()
+    unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
         report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
-    cuts = frames[by_name["teleported"] != 0].tolist()
+    cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
         report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
     return report
+
+
+def _whole(frames: np.ndarray) -> list[int]:
+    """The frames that steps, named by where they ended, belong to."""
+    return np.unique(np.ceil(frames)).astype(int).tolist()
 
 
 def _some(numbers: list[int]) -> str:

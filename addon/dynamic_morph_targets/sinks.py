@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 
 from . import checks, clips
-from .properties import basis_hash, followers, key_points, key_reach, reconcile
+from .properties import basis_hash, cache_modifier, followers, key_points, key_reach, reconcile
 from .scene_data import Bake
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
@@ -195,13 +195,6 @@ def influence_strip(obj):
     return keys and _strip(keys, action)
 
 
-def cache_modifier(obj):
-    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
-    file = obj.dynamorph.bake.cache
-    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
-    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
-
-
 def show_influence(obj):
     """Let Blender evaluate anew, which it does not do by itself when an influence is set."""
     strip = influence_strip(obj)
@@ -245,8 +238,8 @@ def read_back(obj) -> Bake:
     blocks = [keys.key_blocks[name] for name in _baked_names(obj)] if keys else []
     paths = [f"{block.path_from_id()}.value" for block in blocks]
     curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
-    if not curves:
-        raise SinkError(f"'{obj.name}' has no curves of a bake: bake to shape keys first")
+    if not curves or record.cache:
+        raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
     times = np.unique(np.concatenate([_times(curve) for curve in curves]))
     render = bpy.context.scene.render
     per_frame = render.frame_map_old / render.frame_map_new

@@ -97,6 +97,23 @@ def test_playback_is_the_bake(live_arm, change):
     assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
 
 
+def test_playback_runs_up_as_the_bake_does(live_arm):
+    simulation = live_arm.dynamorph.simulation
+    simulation.preroll, simulation.preroll_pose = 12, "ANIMATED"
+    simulation.use_scene_range, simulation.start, simulation.end = False, 10, 20
+    bpy.ops.dynamorph.live()
+    shown, begun = play(live_arm, range(10, 21)), baked(live_arm)
+    assert apart(shown, begun) < 1e-6
+    simulation.preroll_pose = "HELD"
+    assert apart(baked(live_arm), begun) > 1e-3
+
+
+def test_samples_between_frames_are_for_bakes(live_arm):
+    live_arm.dynamorph.simulation.samples = 2
+    bpy.ops.dynamorph.live()
+    assert apart(play(live_arm, range(1, 21)), baked(live_arm)[::2]) < 1e-6
+
+
 def test_what_blender_shows_is_the_live_surface(playing):
     bpy.context.scene.frame_set(1)
     bpy.context.scene.frame_set(9)
@@ -271,6 +288,28 @@ def test_gains_and_solo_show_at_once(playing):
     assert apart(surface(playing), expected) < 1e-7
     assert bpy.ops.dynamorph.reset_gains() == {"FINISHED"}
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
+
+
+def test_influence_of_a_target_shows_at_once_and_as_in_the_bake(playing):
+    whole = play(playing, range(1, 21))
+    playing.dynamorph.targets["flexed"].influence = 0.0
+    bake, dry = baked(playing), session(playing).flesh.player.dry
+    assert apart(surface(playing), bake[-1]) < 1e-6 < apart(whole[-1], bake[-1])
+    weights = session(playing)._frames[20].weights
+    assert (
+        apart(surface(playing).ravel(), session(playing).flesh.points(np.concatenate([dry(weights), weights]))) < 1e-6
+    )
+    assert apart(play(playing, range(1, 21)), bake) < 1e-6
+    playing.dynamorph.targets["flexed"].influence = 1.0
+    assert apart(play(playing, range(1, 21)), whole) < 1e-6
+
+
+def test_influence_of_a_target_that_is_no_number_is_refused(playing):
+    play(playing, range(1, 4))
+    playing.dynamorph.targets["flexed"].influence = float("nan")
+    stopped(playing, "reset the gains")
+    with pytest.raises(part("extract").SceneError, match="influence of target 'flexed' is not a number"):
+        baked(playing)
 
 
 def test_a_gain_that_is_no_number_is_not_shown(playing):

@@ -112,8 +112,7 @@ def test_a_patch_takes_the_place_of_its_frames(first, last):
     bake, vertices = shot()
     other, _ = shot(modes=5, seed=3)
     patch = clips.at_rows(other, np.arange(first, last + 1))
-    fade = 4.0
-    found, apart = clips.splice(bake, patch, fade)
+    found, apart = clips.splice(bake, patch, 4.0, 2.0 * np.eye(3))
     np.testing.assert_array_equal(found.frames, bake.frames)
     size = np.abs(surface(bake, 0.0)).max()
     inner = np.arange(first + 4 * (first > 0), last + 1 - 4 * (last < 39))
@@ -124,7 +123,7 @@ def test_a_patch_takes_the_place_of_its_frames(first, last):
         np.testing.assert_allclose(surface(dry[0], vertices)[rows], surface(dry[1], vertices)[rows], atol=1e-4 * size)
     ends = [end for end in (first, last) if 0 < end < 39]
     off = np.linalg.norm(surface(bake, 0.0) - surface(other, 0.0), axis=2)[ends].max(initial=0.0)
-    assert apart == pytest.approx(off)
+    assert apart == pytest.approx(2.0 * off)
 
 
 def test_a_patch_of_the_same_model_needs_no_more_keys():
@@ -133,7 +132,7 @@ def test_a_patch_of_the_same_model_needs_no_more_keys():
     same = replace(
         bake, coordinates=bake.coordinates @ turned, dry=bake.dry @ turned, modes=np.tensordot(turned.T, bake.modes, 1)
     )
-    found, apart = clips.splice(bake, clips.at_rows(same, np.arange(10, 20)), 2.0)
+    found, apart = clips.splice(bake, clips.at_rows(same, np.arange(10, 20)), 2.0, np.eye(3))
     assert apart < 1e-9
     assert len(found.modes) == len(bake.modes) + len(bake.details) - 1  # the neutral target has no detail
     np.testing.assert_allclose(surface(found, vertices), surface(bake, vertices), atol=1e-4)
