@@ -48,8 +48,11 @@ def shown(name: str, frames) -> np.ndarray:
 
 
 def imported(load: Callable, path: Path, **options):
-    """Open a file in an empty scene, with sliders that are wide enough: Blender's importers leave them at 0 to 1."""
+    """Open a file in an empty scene of the same frame rate, in which Blender's Alembic importer counts, with sliders
+    that are wide enough: its importers leave them at 0 to 1."""
+    rate = bpy.context.scene.render.fps, bpy.context.scene.render.fps_base
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = rate
     load(filepath=str(path), **options)
     for keys in bpy.data.shape_keys:
         for block in keys.key_blocks:

@@ -188,7 +188,8 @@ def kills(folder: Path) -> dict:
         kept.append(len(model_file.unpack(unfinished.read_bytes())[0]["coordinates"]))
     found = test_kills.baked(test_kills.baking(shot, done, "--share", share), done)
     same = {name: found[name] == undisturbed[name] for name in ("hash", "steps", "made_from")}
-    return {"frames": FRAMES, "kept": kept, "same": same, "hash": found["hash"], "left": len(list(share.glob("*.un*")))}
+    left = {kind: len(list(share.glob(f"*.{kind}"))) for kind in ("unfinished", "part")}
+    return {"frames": FRAMES, "kept": kept, "same": same, "hash": found["hash"], "left": left}
 
 
 # Time -----------------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from performance_page import grid
@@ -49,7 +50,8 @@ def main() -> int:
         return 0
     figures = json.loads(FIGURES.read_text(encoding="utf-8")) if FIGURES.exists() else {}
     for section in chosen:
-        figures[section] = figures.get(section, {}) | SECTIONS[section].measure(section)
+        last = figures.get(section, {})
+        figures[section] = last | SECTIONS[section].measure(section, last)
         FIGURES.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
         print(f"bakes: {section} measured", flush=True)
     parts = [section.show(figures[name]) for name, section in SECTIONS.items() if figures.get(name)]
@@ -61,7 +63,7 @@ def main() -> int:
 # Measuring ------------------------------------------------------------------------------------------------------------
 
 
-def measured(section: str, python: Path | str = sys.executable) -> dict:
+def measured(section: str, _last: dict, python: Path | str = sys.executable) -> dict:
     """A section by bakes.py, in a process of its own, whose output goes to a log."""
     LOGS.mkdir(parents=True, exist_ok=True)
     log = LOGS / f"bakes_{section}.log"
@@ -73,15 +75,18 @@ def measured(section: str, python: Path | str = sys.executable) -> dict:
         return json.loads(file.read_text()) | {"machine": machine()}
 
 
-def in_each_blender(section: str) -> dict:
+def in_each_blender(section: str, last: dict) -> dict:
     """By version of Blender."""
-    found = [measured(section, python) for python in sorted(PYTHONS.glob("3.*/bin/python"))]
+    found = [measured(section, last, python) for python in sorted(PYTHONS.glob("3.*/bin/python"))]
     return {each["blender"]: each for each in found}
 
 
-def of_farm(_section: str) -> dict:
-    """What `make farm-demo` has measured; empty if it has not been run here."""
-    return json.loads(FARM.read_text(encoding="utf-8")) | {"machine": machine()} if FARM.exists() else {}
+def of_farm(_section: str, last: dict) -> dict:
+    """What `make farm-demo` has measured; empty if it has not been run here, or if the last figures have better times."""
+    found = json.loads(FARM.read_text(encoding="utf-8")) if FARM.exists() else {}
+    if not found or (last.get("quiet") and not found["quiet"]):
+        return {}
+    return found | {"machine": machine()}
 
 
 # Showing --------------------------------------------------------------------------------------------------------------
@@ -93,7 +98,7 @@ def where(found: dict) -> str:
 
 def share(value: float | None) -> str:
     """Of something: two digits."""
-    return "-" if value is None else f"{value:.1e}"
+    return "-" if value is None else f"{value:.1e}" if value else "0"
 
 
 def megabytes(count: float) -> str:
@@ -115,12 +120,14 @@ sizes. *Seconds*: to write it, without the simulation. Each version of Blender h
 ### How many keys
 
 {budgets}
-*Said*: by the bake itself. *Shown*: by Blender, measured on its evaluated mesh.
+The last has every mode and every target. *Said*: by the bake itself. *Shown*: by Blender, measured on its evaluated
+mesh.
 
 ### Keys of single frames
 
 {single}
-With a tolerance there are keys only where the surface would be off by more without.
+With a tolerance (in body sizes here) there are keys only where the surface would be off by more without. Two more are
+the targets, for less than the whole motion.
 
 {where}"""
 
@@ -134,10 +141,11 @@ def show_round_trips(by_version: dict) -> str:
         return [share(each[kind][k]["error"]) for each in found]
 
     forms = [
-        (row["form"], row["reader"], *errors("forms", k), kilobytes(row["bytes"]),
+        (row["form"], row["reader"], *errors("forms", k), *(kilobytes(each["forms"][k]["bytes"]) for each in found),
          *(f"{each['forms'][k]['seconds']:.2f}" for each in found))
         for k, row in enumerate(newest["forms"])
     ]  # fmt: skip
+    head = [f"{what}, {version}" for what in ("error", "bytes", "seconds") for version in versions]
     budgets = [
         (str(row["keys"]), share(row["said"]), *errors("budgets", k), kilobytes(row["bytes"]))
         for k, row in enumerate(newest["budgets"])
@@ -152,12 +160,11 @@ def show_round_trips(by_version: dict) -> str:
         size=newest["size"],
         frames=newest["frames"][0]["frames"],
         modes=newest["modes"],
-        forms=grid(("form", "read by", *(f"error, {v}" for v in versions), "bytes", *(f"seconds, {v}" for v in versions)),
-                   forms),
+        forms=grid(("form", "read by", *head), forms),
         budgets=grid(("keys", "said", *(f"shown, {v}" for v in versions), "bytes"), budgets),
         single=grid(("keys at", "keys", "said", *(f"shown, {v}" for v in versions), "bytes"), single),
         where=f"Blender {' and '.join(by_version)}; {newest['machine']}.\n",
-    )  # fmt: skip
+    )
 
 
 LOOPS = """## Walks that loop
@@ -165,7 +172,8 @@ LOOPS = """## Walks that loop
 Walk cycles as their artists made them, carried forward or round a circle meanwhile, on soft flesh. *Loop* looks for the
 motion that ends as it began. *Without*: how far the last frame is from the first without it. *In place*, *in velocity*
 (a frame): what is left with it, by the engine; *shown*: in place, by Blender's evaluated mesh, seen by who goes along.
-*Simulated on*: what is left where the cycle is simulated {repeated} times one after the other instead. All in body sizes.
+*Simulated on*: what is left where the cycle is simulated {repeated} times one after the other instead. All in body
+sizes.
 
 ![Where a walk begins again, without and with Loop]({images}/seam.png)
 
@@ -199,20 +207,20 @@ def show_loops(found: dict) -> str:
         count=len(rows),
         closed=len(rows) - len(still_open),
         same=SAME,
-        open=" ".join(f"The bake of {walk['name']} warns: {' '.join(walk['warnings'])}." for walk in still_open),
+        open=" ".join(f"*{walk['name']}* warns: {' '.join(walk['warnings'])}." for walk in still_open),
         where=where(found),
     )
 
 
 LONG = """## Long bakes
 
-A MakeHuman body of {vertices:,} vertices and {bones} bones runs; baked by the command line. *Memory*: the most that the
-whole process had; opened alone, with its model, the file takes {opened}. A shot is read and simulated in stretches, so what grows with it
-is the result: keyframes, or a file.
+A MakeHuman body of {vertices:,} vertices and {bones} bones runs; baked by the command line to a few shape keys (modes)
+and to point caches (PC2), its clothes along with it. *Memory*: the most that the whole process had; to open the file
+with its model takes {opened}. A shot is read and simulated in stretches, so that what grows with it is the result.
 
 {table}
-From {first:,} to {last:,} frames a bake to shape keys takes {modes} more, of which its keyframes are {keyframes}; one to
-a point cache {caches} more.
+From {first:,} to {last:,} frames a bake to shape keys takes {modes} more memory, {keyframes} of it for the keyframes
+alone; one to point caches takes {caches} more.
 
 {where}"""
 
@@ -246,15 +254,16 @@ def show_long(found: dict) -> str:
 
 KILLS = """## Killed
 
-A bake of {frames:,} frames with `--share`, ended {count} times by `kill -9` at random moments and begun again each time.
-It goes on after the last stretch that it kept: after frames {kept}.
+A bake of {frames:,} frames with `--share`, ended {count} times by `kill -9` at random moments and begun again each
+time. It went on after as many frames as it had kept: {kept}.
 
 | | |
 | --- | --- |
 | kills survived | {survived} of {count} |
 | hash of the result as undisturbed | {hash} |
 | number of steps as undisturbed | {steps} |
-| unfinished files left | {left} |
+| unfinished bakes left in the folder | {unfinished} |
+| parts of files left by kills while they were written | {part} |
 
 {where}"""
 
@@ -268,7 +277,7 @@ def show_kills(found: dict) -> str:
         kept=", ".join(f"{frame:,}" for frame in kept),
         hash=f"{yes(same['hash'])} (`{found['hash'][:12]}`)",
         steps=yes(same["steps"]),
-        left=found["left"],
+        **found["left"],
         where=where(found),
     )
 
@@ -280,8 +289,8 @@ def yes(true: bool) -> str:
 TIMES = """## Frame rates
 
 A bar of flesh on a foot that sways and tilts for a second. *Error*: the largest difference from steps of
-{finest:.2f} ms, of the largest coordinate. With steps as long ({same}) frame rates differ by {apart}; these steps, the
-default, are off by {off} with BDF2.
+{finest:.2f} ms, of the largest coordinate. Where steps are as long ({same}) the frame rates differ by {apart}. These are
+the default steps, and off by {off} with BDF2.
 
 {table}
 ![Error and length of steps]({images}/order.svg)
@@ -308,35 +317,40 @@ def show_times(found: dict) -> str:
 
 FARM_TEXT = """## Farm
 
-Shots of two characters in two variants on Slurm with two nodes, by `make farm-demo`: *tasks* are checks, builds, bakes
-and one that collects. On the last run a bake is killed, and a whole node.
+Shots of two characters in two variants on Slurm, by `make farm-demo`: *tasks* are checks, builds, bakes and one that
+collects. On the last run a bake is killed, and a whole node. {times}
 
 {table}
 {versions}; {machine}.
 """
+BUSY = "The machine had other work, so times are left out."
 
 
 def show_farm(found: dict) -> str:
-    rows = []
+    rows, quiet = [], found["quiet"]
     for run in found["runs"]:
         faults = run["faults"]
         survived = sum(fault["survived"] for fault in faults.values())
         at = [f"{name}, resumed after {fault['resumed']} of {run['frames']} frames" for name, fault in faults.items()]
         rows.append(
             (run["name"], str(run["nodes"]), str(sum(run["tasks"].values())), str(run["tasks"].get("Bake", 0)),
-             f"{run['seconds']:.0f} s", f"{run['speed_up']:.2f}", "; ".join(at) or "none",
+             f"{run['seconds']:.0f} s" if quiet else "-", f"{run['speed_up']:.2f}" if quiet else "-",
+             "; ".join(at) or "none",
              f"{survived} of {len(faults)}" if faults else "", yes(run["hashes_equal"]))
         )  # fmt: skip
     head = ("run", "nodes", "tasks", "bakes", "wall time", "speed-up", "faults", "survived", "same hashes")
     versions = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
-    return FARM_TEXT.format(table=grid(head, rows), versions=versions, machine=found["machine"])
+    return FARM_TEXT.format(
+        table=grid(head, rows), versions=versions, machine=found["machine"], times="" if quiet else BUSY
+    )
 
 
+@dataclass(frozen=True)
 class Section:
-    """measure(name) -> figures, to be merged into the last ones; show(figures) -> Markdown."""
+    """measure(name, last figures) -> figures, which take the place of the last; show(figures) -> Markdown."""
 
-    def __init__(self, measure: Callable[[str], dict], show: Callable[[dict], str]):
-        self.measure, self.show = measure, show
+    measure: Callable[[str, dict], dict]
+    show: Callable[[dict], str]
 
 
 SECTIONS = {

@@ -193,7 +193,7 @@ def overlaid(first: Image.Image, last: Image.Image) -> Image.Image:
 def draw_seam(without: Baked, closed: Baked):
     ends = without.job.settings.start, without.job.settings.end
     rows = [
-        Row(name, f"{1000 * baked.apart:.2g} mm apart", [*baked.pictures, overlaid(*baked.pictures)],
+        Row(name, f"{1000 * baked.apart:.3g} mm apart", [*baked.pictures, overlaid(*baked.pictures)],
             [""] * 3)
         for name, baked in (("Without Loop", without), ("With Loop", closed))
     ]  # fmt: skip
