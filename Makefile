@@ -55,7 +55,7 @@ bench-docs: build
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
 
-# docs/bakes.md with its pictures, from the characters of ../shared; takes about five minutes. sections="loops kills"
+# docs/bakes.md with its pictures, from the characters of ../shared; takes a few minutes. sections="loops kills"
 # measures those alone.
 sections ?=
 bakes: build

@@ -125,7 +125,7 @@ def long(folder: Path) -> dict:
     command_line("build", shot, "--object", name, "-o", built)
     opened = command_line("info", built, "--object", name)
     rows = [long_bake(built, name, sink, frames) for sink in LONG_SINKS for frames in LENGTHS]
-    return about | {"opened": opened["memory"], "bakes": rows}
+    return about | {"stretch": jobs.STRETCH, "opened": opened["memory"], "bakes": rows}
 
 
 def repeat_forever(rig):

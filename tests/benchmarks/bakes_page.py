@@ -82,7 +82,7 @@ def in_each_blender(section: str, last: dict) -> dict:
 
 
 def of_farm(_section: str, last: dict) -> dict:
-    """What `make farm-demo` has measured; empty if it has not been run here, or if the last figures have better times."""
+    """What `make farm-demo` has measured; empty if it was not run here, or on a busy machine when the last was not."""
     found = json.loads(FARM.read_text(encoding="utf-8")) if FARM.exists() else {}
     if not found or (last.get("quiet") and not found["quiet"]):
         return {}
@@ -126,8 +126,8 @@ mesh.
 ### Keys of single frames
 
 {single}
-With a tolerance (in body sizes here) there are keys only where the surface would be off by more without. Two more are
-the targets, for less than the whole motion.
+With a tolerance (in body sizes here) there are keys only where the surface would be off by more without. Some of the
+keys are the targets, for less than the whole motion.
 
 {where}"""
 
@@ -216,11 +216,12 @@ LONG = """## Long bakes
 
 A MakeHuman body of {vertices:,} vertices and {bones} bones runs; baked by the command line to a few shape keys (modes)
 and to point caches (PC2), its clothes along with it. *Memory*: the most that the whole process had; to open the file
-with its model takes {opened}. A shot is read and simulated in stretches, so that what grows with it is the result.
+with its model takes {opened}. A shot is read and simulated in stretches of {stretch:,} frames, so that only the result
+grows with it.
 
 {table}
-From {first:,} to {last:,} frames a bake to shape keys takes {modes} more memory, {keyframes} of it for the keyframes
-alone; one to point caches takes {caches} more.
+From {before:,} to {last:,} frames a bake to shape keys takes {modes} more memory, {keyframes} of it for the keyframes
+alone; one to point caches takes {caches} more, and writes {file} more.
 
 {where}"""
 
@@ -235,19 +236,21 @@ def show_long(found: dict) -> str:
     ]  # fmt: skip
 
     def growth(sink: str, what: str) -> float:
-        first, *_, last = (bake[what] for bake in bakes if bake["sink"] == sink)
-        return last - first
+        *_, before, last = (bake[what] for bake in bakes if bake["sink"] == sink)
+        return last - before
 
     return LONG.format(
         vertices=found["vertices"],
         bones=found["bones"],
         opened=megabytes(found["opened"]),
         table=grid(("", "memory", "keyframes", "of them", "file", "seconds", "frames a second"), rows),
-        first=bakes[0]["frames"],
+        stretch=found["stretch"],
+        before=bakes[-2]["frames"],
         last=bakes[-1]["frames"],
         modes=megabytes(growth("modes", "memory")),
         keyframes=megabytes(growth("modes", "keyframe_bytes")),
         caches=megabytes(growth("pc2", "memory")),
+        file=megabytes(growth("pc2", "file")),
         where=where(found),
     )
 
@@ -289,8 +292,8 @@ def yes(true: bool) -> str:
 TIMES = """## Frame rates
 
 A bar of flesh on a foot that sways and tilts for a second. *Error*: the largest difference from steps of
-{finest:.2f} ms, of the largest coordinate. Where steps are as long ({same}) the frame rates differ by {apart}. These are
-the default steps, and off by {off} with BDF2.
+{finest:.2f} ms, of the largest coordinate. Where steps are as long ({same}) the frame rates
+differ by {apart}. These are the default steps, and off by {off} with BDF2.
 
 {table}
 ![Error and length of steps]({images}/order.svg)
