@@ -719,7 +719,7 @@ def _animation_hash(data) -> str:
     for strip in strips:
         digest.update(repr([getattr(strip, name) for name in STRIP_FIELDS]).encode())
     for player in (data, *strips):
-        for curve in _curves(player.action, player.action_slot):
+        for curve in curves(player.action, player.action_slot):
             digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
             for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
                 values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
@@ -728,7 +728,8 @@ def _animation_hash(data) -> str:
     return digest.hexdigest()
 
 
-def _curves(action, slot) -> list:
+def curves(action, slot) -> list:
+    """The F-curves of one slot of an Action; either may be None."""
     if not (action and slot):
         return []
     bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
