@@ -3,6 +3,7 @@
 
 import atexit
 import os
+import shutil
 import sys
 
 exit_code = 1  # of what ends otherwise
@@ -23,7 +24,9 @@ def run() -> int:
 
 
 def _end():
-    """In what C++ tears down after this, bpy 4.5 may wait for ever where a process has one core."""
+    """End here: in what C++ tears down after this, bpy 4.5 may wait for ever where a process has one core."""
+    if bpy := sys.modules.get("bpy"):
+        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # which it would have done
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(exit_code)
