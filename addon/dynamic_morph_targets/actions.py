@@ -65,32 +65,19 @@ def clips_of(obj) -> list[Clip]:
 
 
 @contextmanager
-def laid_out(owner, clips: Sequence[Clip]) -> Iterator[None]:
-    """The clips as strips of `owner`, an armature object or shape keys, on which nothing else plays meanwhile."""
-    had = owner.animation_data is not None
-    animation = owner.animation_data or owner.animation_data_create()
+def laid_out(rig, clips: Sequence[Clip]) -> Iterator[None]:
+    """`lay_out` for a while, on an armature object that afterwards is as before."""
+    had = rig.animation_data is not None
+    animation = rig.animation_data or rig.animation_data_create()
     before = animation.action, animation.action_slot, animation.use_nla
     tracks = [(track, track.mute, track.is_solo) for track in animation.nla_tracks]
     strips = [(strip, strip.name) for track in animation.nla_tracks for strip in track.strips]
-    actions = [_action(clip) for clip in clips]
-    slots = [_slot(action, owner) for action in actions]
-    values = _values(owner, actions, slots)
-    added = []
+    values = _values(rig, clips)
     try:
-        for track, _, is_solo in tracks:
-            track.mute = True
-            if is_solo:
-                track.is_solo = False
-        for strip, _ in strips:
-            strip.name = ASIDE  # no two have one name, and FBX writes it
-        animation.action, animation.use_nla = None, True
-        for clip, action, slot in zip(clips, actions, slots, strict=True):
-            if slot:
-                added.append(animation.nla_tracks.new())
-                _fill(added[-1], clip, action, slot)
+        lay_out(rig, clips)
         yield
     finally:
-        for track in added:
+        for track in list(animation.nla_tracks)[len(tracks) :]:
             animation.nla_tracks.remove(track)
         for strip, name in strips:
             strip.name = name
@@ -103,9 +90,26 @@ def laid_out(owner, clips: Sequence[Clip]) -> Iterator[None]:
         if before[1]:
             animation.action_slot = before[1]
         if not had:
-            owner.animation_data_clear()
+            rig.animation_data_clear()
         for path, value in values.items():
-            _set(owner, path, value)
+            _set(rig, path, value)
+
+
+def lay_out(owner, clips: Sequence[Clip]):
+    """Make the clips strips of `owner`, an armature object or shape keys, on which nothing else then plays."""
+    animation = owner.animation_data or owner.animation_data_create()
+    for track in animation.nla_tracks:
+        track.mute = True
+        if track.is_solo:
+            track.is_solo = False
+        for strip in track.strips:
+            strip.name = ASIDE  # no two have one name, and FBX writes it
+    animation.action, animation.use_nla = None, True
+    for clip in clips:
+        action = _action(clip)
+        slot = _slot(action, owner)
+        if slot:
+            _fill(animation.nla_tracks.new(), clip, action, slot)
 
 
 def _action(clip: Clip):
@@ -143,9 +147,10 @@ def _has(owner, path: str) -> bool:
     return True
 
 
-def _values(owner, actions, slots) -> dict:
-    """What the Actions would change, by path: Blender leaves in place what it has last evaluated."""
-    paths = {curve.data_path for pair in zip(actions, slots, strict=True) for curve in extract.curves(*pair)}
+def _values(owner, clips) -> dict:
+    """What the clips would change, by path: Blender leaves in place what it has last evaluated."""
+    actions = [_action(clip) for clip in clips]
+    paths = {curve.data_path for action in actions for curve in extract.curves(action, _slot(action, owner))}
     found = {path: owner.path_resolve(path) for path in paths if _has(owner, path)}
     return {path: value if isinstance(value, str | int | float) else tuple(value) for path, value in found.items()}
 
@@ -173,7 +178,6 @@ class ClipJob(jobs.Job):
         if self.reasons:
             why = "; ".join(self.reasons)
             raise SceneError(f"The model of '{self.character.name}' is out of date ({why}): press Build Model first")
-        self.settings = replace(self.settings, loop=self.clip.cyclic)
 
     def sample(self, seconds: float = np.inf) -> bool:
         with laid_out(rig_of(jobs.find(self.session_uid)), self._clips):
@@ -181,6 +185,15 @@ class ClipJob(jobs.Job):
 
     def commit(self):
         self._probe = None
+
+    def _next_stretch(self, obj):
+        """The clip alone: before its first frame there is nothing to run up on."""
+        chosen = {"loop": self.clip.cyclic, "preroll_pose": "HELD", "samples": 1}
+        self.settings = replace(self.settings, **chosen)
+        super()._next_stretch(obj)
+
+    def _read_kept(self, obj):
+        """It becomes no part of the bake that there is."""
 
     def _read_output(self, obj):
         """It becomes nothing in Blender."""

@@ -94,7 +94,7 @@ class ActionsExport(jobs.Batch):
                 skin = None if copy == copies[0] else copies[0]
                 live_key.remove(copy)
                 if copy.data.shape_keys:
-                    stack.enter_context(actions.laid_out(copy.data.shape_keys, self.clips))
+                    actions.lay_out(copy.data.shape_keys, self.clips)
                 sinks.write_keys(copy, clips.with_fewer_keys(bake, budget) if budget else bake, skin)
             _write(copies[0], self.key, self.path, (self.clips[0].first, self.clips[-1].last), self.clips)
 
@@ -345,8 +345,7 @@ def _as_it_was(obj):
 @contextmanager
 def _stand_ins(meshes):
     """Copies of mesh objects, by their names, to be changed and written: the originals stay as they are."""
-    layer, kinds = bpy.context.view_layer, (bpy.data.objects, bpy.data.meshes, bpy.data.shape_keys, bpy.data.actions)
-    before = [set(kind) for kind in kinds]
+    layer, actions_before = bpy.context.view_layer, set(bpy.data.actions)
     names = [(block, block.name) for mesh in meshes for block in (mesh, mesh.data)]
     copies = []
     try:
@@ -360,7 +359,12 @@ def _stand_ins(meshes):
         layer.update()
         yield copies
     finally:
-        bpy.data.batch_remove([block for kind, were in zip(kinds, before, strict=True) for block in set(kind) - were])
+        for copy in copies:
+            mesh = copy.data
+            bpy.data.objects.remove(copy)
+            bpy.data.meshes.remove(mesh)  # with its shape keys
+        for action in set(bpy.data.actions) - actions_before:  # of the curves
+            bpy.data.actions.remove(action)
         for original, name in names:
             original.name = name
 

@@ -449,7 +449,7 @@ class DynamorphModel(PropertyGroup):
         override=OVERRIDE,
     )  # fmt: skip
     separate: BoolProperty(
-        name="Separate Touching Parts",
+        name="Split Touching Parts",
         description="Cut the cage where it joins parts of the skin that merely touch, such as an arm and the side it "
         "hangs at, so that they move by themselves",
         default=ModelSettings.separate, override=OVERRIDE,

@@ -371,17 +371,15 @@ class Exact:
 
 
 def exact(job) -> Exact:
-    """What the engine computed, skinned by NumPy from the arrays that it had."""
+    """What the engine computed at whole frames, of a shot that was read at once, skinned by NumPy from the arrays that
+    it had."""
     from builders import skinned
 
-    character, bake = job.character, job.result
-    moved = np.array([bake.displacement(k) for k in range(len(bake.frames))])
-    world = np.array(
-        [
-            skinned(character, job.rig[s : s + 1], moved[k])[0]
-            for k, s in enumerate(range(0, len(job.rig), job.settings.substeps))
-        ]
-    )
+    character, bake, settings = job.character, job.result, job.settings
+    whole = np.flatnonzero(bake.frames % 1 == 0)
+    moved = np.array([bake.displacement(k) for k in whole])
+    samples = job.rig[(settings.start - settings.first) * settings.substeps :: settings.substeps]
+    world = np.array([skinned(character, samples[k : k + 1], moved[k])[0] for k in range(len(whole))])
     size = float(np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0)))
     return Exact(character.vertices + moved, world, size)
 

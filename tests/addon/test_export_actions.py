@@ -61,11 +61,11 @@ def game_arm(scene):
 
 def alone(obj, name, frames, loop):
     """Each mesh as Blender shows it with this Action and a bake of it, and nothing else."""
-    animation, keys = rig_of(obj).animation_data, obj.dynamorph
+    animation, simulation = rig_of(obj).animation_data, obj.dynamorph.simulation
     for bone in rig_of(obj).pose.bones:
         bone.rotation_euler = 0.0, 0.0, 0.0
     animation.action, animation.use_nla = bpy.data.actions[name], False
-    keys.simulation.loop = loop
+    simulation.loop, simulation.keep_outside, simulation.preroll_pose = loop, False, "HELD"
     part("jobs").run(part("jobs").Job(obj, "BAKE", (frames[0], frames[-1])))
     return {mesh: round_trips.shown(mesh, frames) for mesh in ("Arm", "Sleeve")}
 
@@ -99,8 +99,15 @@ def exported(obj, folder, key="GLTF"):
 def test_gltf_has_a_clip_for_each_action(game_arm, tmp_path, baked):
     pytest.importorskip("pygltflib")
     obj = game_arm
-    if baked:
+    simulation = obj.dynamorph.simulation
+    if baked:  # of which no clip becomes a part, whatever is asked for a bake
         OPS.bake()
+        simulation.keep_outside, simulation.preroll_pose, simulation.preroll, simulation.samples = (
+            True,
+            "ANIMATED",
+            4,
+            2,
+        )
     before = state(obj)
     path = exported(obj, tmp_path)
     assert state(obj) == before
@@ -161,6 +168,19 @@ def test_the_clips_share_as_many_keys_as_are_asked_for(game_arm, tmp_path):
     obj.dynamorph.modes.add()
     (text,) = exports.losses(obj, "GLTF", "ACTIONS")
     assert "'Arm': 9 keys move" in text and "set Keys to 8, or" in text
+
+
+def test_influence_counts(game_arm, tmp_path):
+    pytest.importorskip("pygltflib")
+    obj = game_arm
+    OPS.bake()
+    part("sinks").influence_strip(obj).influence = 0.5
+    batch = part("exports").ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
+    part("jobs").run_all(batch)
+    bend = batch.jobs[0].result
+    half = replace(bend, coordinates=(bend.coordinates + bend.dry) / 2)
+    exact = np.concatenate(list(part("clips").surfaces(half, part("extract").rest_points(obj))))
+    assert farthest(round_trips.Gltf(batch.path).morphed("Arm", "Bend"), exact, same_order=False) < CLOSE
 
 
 def test_faces_that_an_action_moves_are_in_its_clip(game_arm, tmp_path):

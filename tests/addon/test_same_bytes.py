@@ -32,7 +32,8 @@ def shot(scene, tmp_path):
 def hashes(shot, cores) -> dict[str, tuple[str, str]]:
     """Of the model and the bake of each character, made by a process that has these cores."""
     report = shot.with_suffix(".json")
-    command = f"import os; os.sched_setaffinity(0, {cores}); from dynamic_morph_targets.__main__ import run; run()"
+    run = "runpy.run_module('dynamic_morph_targets', run_name='__main__')"
+    command = f"import os, runpy; os.sched_setaffinity(0, {cores}); {run}"
     paths = os.pathsep.join(filter(None, [str(ROOT / "addon"), os.environ.get("PYTHONPATH")]))
     subprocess.run(
         [sys.executable, "-c", command, "bake", shot, "--all", "-o", shot.with_name("baked.blend"),
