@@ -243,7 +243,7 @@ def show_long(found: dict) -> str:
         vertices=found["vertices"],
         bones=found["bones"],
         opened=megabytes(found["opened"]),
-        table=grid(("", "memory", "keyframes", "of them", "file", "seconds", "frames a second"), rows),
+        table=grid(("", "memory", "keyframes", "their size", "file", "seconds", "frames a second"), rows),
         stretch=found["stretch"],
         before=bakes[-2]["frames"],
         last=bakes[-1]["frames"],
