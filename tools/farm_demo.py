@@ -1,0 +1,413 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes three shots of two characters in two variants on a small render farm, and breaks it: `make farm-demo`.
+
+The farm is Slurm with two nodes on this machine, each a slurmd with processes and a core of its own. The job is
+farm/dynamorph.openjd.yaml, submitted by farm/slurm_submit.py. It runs on one node, on two, and on two of which one
+bake is killed and then a whole node. The bakes must come out the same, to the last bit.
+
+What stands in the way of a farm (not root, not Debian) is printed, and counts as success; what goes wrong on it does
+not. Figures: build/farm/farm.json, and the table in docs/farm.md.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+WORK = ROOT / "build/farm"
+OPENJD = ROOT / "build/openjd/bin"
+TEMPLATE = ROOT / "farm/dynamorph.openjd.yaml"
+PAGE = ROOT / "docs/farm.md"
+BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the page
+PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "scontrol", "squeue", "unshare", "setpriv", "taskset")
+SHOTS, CHARACTERS = ["walk", "run", "wave"], ["Arm", "Leg"]  # of farm/make_shots.py
+WEDGES = ["", "Neutral.stiffness=4e4"]
+NO_TARGET = "Nobody.stiffness=1e4"  # a wedge that is bad input
+MID_BAKE = "openjd_progress: 80"  # a third of the frames, when the model is there already
+LONGEST = 900  # seconds that a run may take
+
+
+class CannotRun(Exception):
+    """Why there is no farm."""
+
+
+class Failed(Exception):
+    """What went wrong on it."""
+
+
+# The farm ------------------------------------------------------------------------------------------------------------
+
+# A lost node is noticed within seconds, and its tasks start again at once (cred_expire): a real farm is more patient.
+CONFIGURATION = """
+ClusterName=dynamorph
+SlurmctldHost={host}(127.0.0.1)
+SlurmctldPort={port}
+SlurmUser=root
+AuthType=auth/munge
+AuthInfo=socket={folder}/munge.socket,cred_expire=5
+MpiDefault=none
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+JobAcctGatherType=jobacct_gather/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU
+SchedulerParameters=batch_sched_delay=0,sched_interval=1,bf_interval=1
+SlurmctldPidFile={folder}/slurmctld.pid
+StateSaveLocation={folder}/state
+SlurmdPidFile={folder}/%n.pid
+SlurmdSpoolDir={folder}/%n
+SlurmdParameters=config_overrides
+SlurmdTimeout=10
+ReturnToService=2
+PartitionName=farm Nodes=ALL Default=YES MaxTime=INFINITE
+"""
+NODE = "NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs=1 State=UNKNOWN\n"
+
+
+@dataclass
+class Bake:
+    """A bake that runs: its process, its place in the array, and how often it was begun before."""
+
+    pid: int
+    task: int
+    restarts: int
+
+
+class Farm:
+    """Slurm on this machine, while the context lasts. Whatever ends this process ends all of it."""
+
+    def __init__(self, folder: Path, nodes: int):
+        self.folder = folder
+        self.configuration = folder / "slurm.conf"
+        self.nodes = [f"node{i + 1}" for i in range(nodes)]
+        self.processes: dict[str, subprocess.Popen] = {}  # by the name of the node or daemon
+        self.environment = os.environ | {
+            "SLURM_CONF": str(self.configuration),
+            "TMPDIR": str(WORK / "tmp"),  # what is killed leaves things there
+            "BLENDER_USER_RESOURCES": str(WORK / "user"),
+        }
+
+    def __enter__(self) -> Farm:
+        try:
+            self._start()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_):
+        for process in self.processes.values():
+            process.kill()
+        for process in self.processes.values():
+            process.wait()
+
+    def _start(self):
+        self.folder.mkdir(parents=True)
+        host, ports = socket.gethostname().partition(".")[0], free_ports(1 + len(self.nodes))
+        text = CONFIGURATION.format(host=host, port=ports[0], folder=self.folder)
+        for name, port in zip(self.nodes, ports[1:], strict=True):
+            text += NODE.format(name=name, host=host, port=port)
+        self.configuration.write_text(text)
+        key = self.folder / "munge.key"
+        key.touch(mode=0o600)
+        key.write_bytes(os.urandom(128))
+        self._daemon(
+            "munged", "munged", "--foreground", "--force", "--key-file", key, "--socket", self.folder / "munge.socket",
+            "--pid-file", self.folder / "munge.pid", "--seed-file", self.folder / "munge.seed",
+            "--log-file", self.folder / "munge.log",
+        )  # fmt: skip
+        self._daemon("slurmctld", "slurmctld", "-D")
+        cores = sorted(os.sched_getaffinity(0))
+        for i, name in enumerate(self.nodes):
+            # Process 1 of a namespace: when it is killed, so is at once all that the node runs.
+            alone = ["unshare", "--pid", "--fork", "--kill-child", "--mount-proc"]
+            run = ["bash", "-c", 'slurmd -D -N "$0" & wait $!', name]  # a shell, which collects orphans that end
+            self._daemon(name, *alone, "taskset", "-c", str(cores[i % len(cores)]), *run)
+        idle = "idle\n" * len(self.nodes)
+        self._wait("all nodes are idle", lambda: self.ask("sinfo", "-hN", "-o", "%t") == idle, seconds=60)
+
+    def _daemon(self, name: str, *command: str | Path):
+        with (self.folder / f"{name}.out").open("w") as log:
+            self.processes[name] = subprocess.Popen(
+                ["setpriv", "--pdeathsig", "KILL", *command], env=self.environment,
+                stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True,
+            )  # fmt: skip
+
+    def ask(self, *command: str) -> str | None:
+        """What one of Slurm's programs prints; None when it fails."""
+        run = subprocess.run(command, env=self.environment, capture_output=True, text=True, check=False)
+        return run.stdout if run.returncode == 0 else None
+
+    def _wait(self, what: str, happened, seconds: float = LONGEST):
+        """Until happened() returns something, which is returned. Raises Failed."""
+        end = time.monotonic() + seconds
+        while not (found := happened()):
+            for name, process in self.processes.items():
+                if process.poll() not in (None, -signal.SIGKILL):
+                    raise Failed(f"{name} ended with {process.returncode}\n{tail(self.folder / f'{name}.out')}")
+            if time.monotonic() > end:
+                raise Failed(f"waited in vain until {what}: see {self.folder}\n{self.ask('squeue', '-r')}")
+            time.sleep(0.2)
+        return found
+
+    def submit(self, parameters: dict, folder: Path) -> dict[str, str]:
+        """Submit the template; returns the ids of its steps' jobs by name."""
+        command = [OPENJD / "python", ROOT / "farm/slurm_submit.py", TEMPLATE, "--folder", folder]
+        for name, value in parameters.items():
+            command += ["-p", f"{name}={value if isinstance(value, str) else json.dumps(value)}"]
+        run = subprocess.run(command, env=self.environment, capture_output=True, text=True, check=False)
+        if run.returncode:
+            raise Failed(f"the job was not submitted\n{run.stderr}")
+        return dict(line.split() for line in run.stdout.splitlines())
+
+    def finish(self):
+        """Wait until all jobs are over."""
+        self._wait("the jobs are done", lambda: self.ask("squeue", "-hr") == "")
+
+    def bakes(self, node: str) -> list[Bake]:
+        """The bakes that run on a node."""
+        found = []
+        for process in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (process / "cmdline").read_text().split("\0")
+                variables = (process / "environ").read_text().split("\0")
+            except OSError:  # it has ended, or is none of ours
+                continue
+            of = dict(variable.split("=", 1) for variable in variables if "=" in variable)
+            mine = of.get("SLURM_CONF") == str(self.configuration) and of.get("SLURMD_NODENAME") == node
+            if mine and words[1:4] == ["-m", "dynamic_morph_targets", "bake"]:
+                task = int(of["SLURM_ARRAY_TASK_ID"])
+                found.append(Bake(int(process.name), task, int(of.get("SLURM_RESTART_COUNT", 0))))
+        return found
+
+    def mid_bake(self, node: str, folder: Path) -> Bake:
+        """Wait for a bake on this node that is begun for the first time, and has come far."""
+
+        def far():
+            for bake in self.bakes(node):
+                log = folder / f"Bake/{bake.task}.{bake.restarts}.log"
+                if not bake.restarts and MID_BAKE in log.read_text():
+                    return bake
+            return None
+
+        return self._wait(f"a bake on {node} is in its middle", far)
+
+    def power_off(self, node: str):
+        """End a node and all that it runs with kill -9."""
+        process = self.processes[node]
+        process.kill()
+        process.wait()
+
+
+def free_ports(count: int) -> list[int]:
+    """Ports of this machine that nobody listens on."""
+    sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+    ports = [each.getsockname()[1] for each in sockets]
+    for each in sockets:
+        each.close()
+    return ports
+
+
+# The runs ------------------------------------------------------------------------------------------------------------
+
+
+def run_job(name: str, nodes: int, faults=False) -> dict:
+    """Bake everything on so many nodes; with faults, kill a bake on the first and then the second. Raises Failed."""
+    folder = folder_of(name)
+    output, share, tasks = folder / "output", folder / "share", folder / "tasks"
+    output.mkdir(parents=True)
+    parameters = {
+        "Name": name, "Folder": str(WORK / "shots"), "Output": str(output), "Share": str(share),
+        "Python": sys.executable, "Shots": SHOTS, "Characters": CHARACTERS, "Wedges": WEDGES,
+    }  # fmt: skip
+    with Farm(folder / "slurm", nodes) as farm:
+        began = time.monotonic()
+        farm.submit(parameters, tasks)
+        injected = inject_faults(farm, tasks) if faults else {}
+        farm.finish()
+        seconds = time.monotonic() - began
+        if faults:
+            check_bad_input(farm, parameters, folder / "bad_input")
+    if not (output / "index.json").exists():
+        raise Failed(f"run '{name}' was not finished: see the logs in {tasks}")
+    collected = json.loads((output / "index.json").read_text())
+    if collected["wrong"]:
+        raise Failed(f"run '{name}': {'; '.join(collected['wrong'])}")
+    check_models(share, tasks, name)
+    bakes = {each: report["characters"][0]["bake"] for each, report in collected["reports"].items()}
+    return {
+        "name": name,
+        "nodes": nodes,
+        "seconds": round(seconds, 1),
+        "tasks": {step.name: len(list(step.glob("*.0.log"))) for step in sorted(tasks.iterdir())},
+        "models": len(list(share.glob("*.dynamorph"))),
+        "hashes": {each: bake["hash"] for each, bake in bakes.items()},
+        "resumed": {each: bake["resumed"] for each, bake in bakes.items() if bake["resumed"]},
+        "faults": injected,
+    }
+
+
+def folder_of(run: str) -> Path:
+    return WORK / run.replace(" ", "_")  # Slurm's configuration knows no spaces
+
+
+def inject_faults(farm: Farm, tasks: Path) -> dict[str, str]:
+    """Kill a bake, then a node, in the middle of a bake; returns which bakes were hit."""
+    bake = farm.mid_bake("node1", tasks)
+    os.kill(bake.pid, signal.SIGKILL)
+    hit = {"bake killed": bake_name(tasks, bake)}
+    bake = farm.mid_bake("node2", tasks)
+    farm.power_off("node2")
+    return hit | {"node killed": bake_name(tasks, bake)}
+
+
+def bake_name(tasks: Path, bake: Bake) -> str:
+    """Of its report, as the template names it."""
+    (values,) = json.loads((tasks / f"Bake/{bake.task}.json").read_text())
+    return " ".join(filter(None, values.values()))
+
+
+def check_models(share: Path, tasks: Path, name: str):
+    """Each character's model was built once, by the step for it. Raises Failed."""
+    models = [path.stat().st_mtime for path in share.glob("*.dynamorph")]
+    built = max(path.stat().st_mtime for path in tasks.glob("Build/*.log"))
+    if len(models) != len(CHARACTERS) or max(models) > built:
+        raise Failed(f"run '{name}': {len(models)} models in {share}, or they were built again after the step Build")
+
+
+def check_bad_input(farm: Farm, parameters: dict, folder: Path):
+    """A bake that cannot succeed is tried once, and what depends on it is not run. Raises Failed."""
+    (folder / "output").mkdir(parents=True)
+    wrong = {"Output": str(folder / "output"), "Shots": SHOTS[:1], "Characters": CHARACTERS[:1], "Wedges": [NO_TARGET]}
+    farm.submit(parameters | wrong, folder / "tasks")
+    farm.finish()
+    logs = sorted(folder.glob("tasks/*/*.log"))
+    tries = [f"{log.parent.name}/{log.name}" for log in logs]
+    if tries != ["Bake/0.0.log", "Build/0.0.log", "Check/0.0.log"] or "exited with code: 2 " not in logs[0].read_text():
+        raise Failed(f"bad input was not tried exactly once, or not found to be so: {tries} in {folder}")
+
+
+def compare(runs: list[dict]):
+    """Every run came to the same bytes, and the bakes that were hit went on. Raises Failed."""
+    for run in runs:
+        if run["hashes"] != runs[0]["hashes"]:
+            raise Failed(f"run '{run['name']}' came to other bakes than '{runs[0]['name']}'")
+        for fault, name in run["faults"].items():
+            if name not in run["resumed"]:
+                raise Failed(f"run '{run['name']}', {fault}: '{name}' began anew")
+
+
+# What comes of it ----------------------------------------------------------------------------------------------------
+
+
+def table(runs: list[dict]) -> list[list[str]]:
+    """Rows of cells, the first with titles."""
+    rows = [["run", "nodes", "tasks", "wall time", "speed-up", "faults", "survived", "hashes equal"]]
+    for run in runs:
+        faults = [f"{fault}, went on after {run['resumed'][name]} frames" for fault, name in run["faults"].items()]
+        rows.append([
+            run["name"], str(run["nodes"]), str(sum(run["tasks"].values())), f"{run['seconds']:.0f} s",
+            f"{runs[0]['seconds'] / run['seconds']:.2f}", "; ".join(faults) or "none", str(len(faults) or ""), "yes",
+        ])  # fmt: skip
+    return rows
+
+
+def figures(runs: list[dict]) -> dict:
+    """All that was measured, and with what."""
+    (report, *_) = json.loads((folder_of(runs[0]["name"]) / "output/index.json").read_text())["reports"].values()
+    first, last = report["characters"][0]["bake"]["frames"]
+    return {
+        "versions": {
+            "Slurm": run_here("slurmd", "-V").split()[-1],
+            "openjd-cli": run_here(OPENJD / "openjd", "--version").split()[-1],
+            "Blender": report["versions"]["blender"],
+        },
+        "tasks": runs[0]["tasks"],
+        "frames": last - first + 1,
+        "runs": [run | {"speed_up": round(runs[0]["seconds"] / run["seconds"], 2)} for run in runs],
+        "bad_input_tries": 1,
+        "hashes_equal": True,
+    }
+
+
+def print_table(rows: list[list[str]]):
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def write_page(rows: list[list[str]], found: dict):
+    """Into docs/farm.md. Raises Failed."""
+    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not end:
+        raise Failed(f"{PAGE.name}: the marks {BEGIN} and {END} are missing")
+    lines = [f"| {' | '.join(row)} |" for row in (rows[0], ["---"] * len(rows[0]), *rows[1:])]
+    tasks = ", ".join(f"{count} {step}" for step, count in found["tasks"].items())
+    programs = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
+    lines += ["", f"Tasks of a run: {tasks}. A bake has {found['frames']} frames. With {programs}."]
+    PAGE.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")
+
+
+def tail(path: Path, lines=20) -> str:
+    return "\n".join(path.read_text(errors="replace").splitlines()[-lines:])
+
+
+def set_up():
+    """A clean folder with the shots in it. Raises CannotRun, Failed."""
+    missing = [program for program in PROGRAMS if not shutil.which(program)]
+    missing += [str(OPENJD / "openjd")] * (not (OPENJD / "openjd").exists())
+    if missing:
+        raise CannotRun(f"missing: {', '.join(missing)}; tools/setup.sh farm installs them, as root on Debian")
+    if os.geteuid() != 0:
+        raise CannotRun("Slurm's daemons and their nodes need root")
+    if subprocess.run(
+        ["unshare", "--pid", "--fork", "--mount-proc", "true"], capture_output=True, check=False
+    ).returncode:
+        raise CannotRun("namespaces of its own (unshare) are not permitted")
+    shutil.rmtree(WORK, ignore_errors=True)
+    for folder in ("tmp", "user"):
+        (WORK / folder).mkdir(parents=True)
+    run_here(sys.executable, ROOT / "farm/make_shots.py", WORK / "shots")
+
+
+def run_here(*command: str | Path) -> str:
+    """What a program prints. Raises Failed."""
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    if run.returncode:
+        raise Failed(f"{' '.join(map(str, command))}\n{run.stderr}")
+    return run.stdout
+
+
+def main() -> int:
+    try:
+        set_up()
+        runs = []
+        for name, nodes, faults in (("one node", 1, False), ("two nodes", 2, False), ("two nodes hit", 2, True)):
+            runs.append(run_job(name, nodes, faults))
+            print(f"farm-demo: {name}: {runs[-1]['seconds']:.0f} s", flush=True)
+        compare(runs)
+        rows, found = table(runs), figures(runs)
+        (WORK / "farm.json").write_text(json.dumps(found, indent=1) + "\n")
+        print_table(rows)
+        write_page(rows, found)
+    except CannotRun as reason:
+        print(f"farm-demo: SKIPPED, {reason}")
+        return 0
+    except Failed as problem:
+        print(f"farm-demo: FAILED, {problem}")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
