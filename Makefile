@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness fuzz stubs format lint wheel extension clean
+.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness farm-demo fuzz stubs format lint wheel \
+	extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -54,6 +55,12 @@ bench-docs: build
 # docs/robustness.md with its picture, from the characters of ../shared; takes about a minute.
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
+
+# Bakes on a Slurm of two nodes on this machine, of which one is killed; takes about 9 minutes. What could not be installed
+# (not root, not Debian) it names, and skips.
+farm-demo: build
+	@tools/setup.sh farm || :
+	@$(python) tools/farm_demo.py
 
 # More spoiled meshes than `make test` tries: examples=2000 takes about 15 minutes. What fails is tried first next time.
 examples ?= 2000

@@ -30,47 +30,47 @@ const JOB_TYPE = {
 
 function compileJob(job) {
     const settings = job.settings;
-    const wedges = namesIn(settings.wedges);
+    const collect = authorTask("collect", ["collect", settings.output, "-o", `${settings.output}/index.html`]);
     for (const character of namesIn(settings.characters)) {
-        const check = authorTask(`check ${character}`, settings, "check", ["--object", character]);
-        const build = authorTask(`build ${character}`, settings, "build", ["--object", character, ...shared(settings)]);
+        const check = authorTask(`check ${character}`, ["check", "--object", character], settings.blendfile);
+        const build = authorTask(
+            `build ${character}`, ["build", "--object", character, "--share", settings.share], settings.blendfile);
         build.addDependency(check);
         job.addTask(check);
         job.addTask(build);
-        for (const wedge of wedges.length ? wedges : [""]) {
+        for (const wedge of wedgesIn(settings.wedges)) {
             const bake = authorBake(settings, character, wedge);
             bake.addDependency(build);
+            collect.addDependency(bake);
             job.addTask(bake);
         }
     }
+    job.addTask(collect);
 }
 
 function authorBake(settings, character, wedge) {
     const shot = settings.blendfile.split(/[\\/]/).pop().replace(/(\.flamenco)?\.blend$/, "");
     const name = [shot, character, wedge].filter(Boolean).join(" ");
-    return authorTask(`bake ${name}`, settings, "bake", [
-        "--object", character,
-        ...(wedge ? ["--set", wedge] : []),
-        ...shared(settings),
-        "-o", `${settings.output}/${name}.blend`,
-        "--report", `${settings.output}/${name}.json`,
-    ]);
+    const set = wedge ? ["--set", wedge] : [];
+    return authorTask(`bake ${name}`, [
+        "bake", "--object", character, ...set, "--share", settings.share,
+        "-o", `${settings.output}/${name}.blend`, "--report", `${settings.output}/${name}.json`,
+    ], settings.blendfile);
 }
 
-function authorTask(name, settings, command, args) {
+// With "exec" and not "blender-render": nothing is rendered, and all that is after -c belongs to Dynamorph.
+function authorTask(name, command, ...blendfile) {
     const task = author.Task(name, "blender");
-    // Not "blender-render": nothing is rendered, and what is after -c belongs to Dynamorph.
-    task.addCommand(author.Command("exec", {
-        exe: "{blender}",
-        args: ["-b", settings.blendfile, "-c", "dynamorph", command, ...args],
-    }));
+    const args = ["-b", ...blendfile, "-c", "dynamorph", ...command];
+    task.addCommand(author.Command("exec", { exe: "{blender}", args: args }));
     return task;
 }
 
-function shared(settings) {
-    return ["--share", settings.share];
+function namesIn(list) {
+    return list.split(",").map((name) => name.trim()).filter(Boolean);
 }
 
-function namesIn(list) {
-    return (list || "").split(",").map((name) => name.trim()).filter(Boolean);
+function wedgesIn(list) {
+    const wedges = namesIn(list);
+    return wedges.length ? wedges : [""];  // one bake as it is
 }

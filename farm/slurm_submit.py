@@ -44,16 +44,14 @@ def read_job(path: Path, parameters: dict[str, str]) -> Job:
 def write_tasks(step, folder: Path) -> int:
     """What `openjd run --tasks` reads, a file for each task: 0.json and so on; returns how many there are."""
     folder.mkdir(parents=True)
-    if step.parameterSpace is None:
-        return 1  # without a file
-    tasks = StepParameterSpaceIterator(space=step.parameterSpace)
+    tasks = StepParameterSpaceIterator(space=step.parameterSpace) if step.parameterSpace else [{}]
     for index, task in enumerate(tasks):
         values = {name: value.value for name, value in task.items()}
         (folder / f"{index}.json").write_text(json.dumps([values]))
     return len(tasks)
 
 
-def submit(step, run: list[str], folder: Path, after: list[str], options: list[str]) -> str:
+def submit(step, run: list[str | Path], folder: Path, after: list[str], options: list[str]) -> str:
     """Submit a step whose tasks `run` runs; returns Slurm's id. after: ids of the jobs that must succeed first."""
     count = write_tasks(step, folder)
     depend = [f"--dependency=afterok:{':'.join(after)}", "--kill-on-invalid-dep=yes"] if after else []
@@ -65,28 +63,41 @@ def submit(step, run: list[str], folder: Path, after: list[str], options: list[s
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.strip().partition(";")[0]
 
 
+def name_and_value(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"'{text}' is not NAME=VALUE")
+    return name, value
+
+
 def main() -> int:
+    words = sys.argv[1:]
+    end = words.index("--") if "--" in words else len(words)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("template", type=Path)
-    parser.add_argument("-p", action="append", default=[], metavar="NAME=VALUE", dest="parameters")
+    parser.add_argument("-p", type=name_and_value, action="append", default=[], metavar="NAME=VALUE", dest="parameters")
     parser.add_argument(
         "--folder", type=Path, default=Path("slurm"), help="new, for tasks and logs; default: %(default)s"
     )
-    parser.add_argument("sbatch", nargs="*", metavar="-- OPTION", help="for sbatch")
-    args = parser.parse_args()
-    if args.folder.exists():
+    args = parser.parse_args(words[:end])
+    parameters, folder = dict(args.parameters), args.folder.resolve()
+    if folder.exists():
         parser.error(f"'{args.folder}' is there already: remove it, or name another --folder")
     try:
-        job = read_job(args.template, dict(parameter.split("=", 1) for parameter in args.parameters))
+        job = read_job(args.template, parameters)
     except (OSError, ValueError, DecodeValidationError) as error:
         parser.error(f"{args.template}: {error}")
+    folder.mkdir(parents=True)
+    (folder / "parameters.json").write_text(json.dumps(parameters))
     openjd = Path(sys.executable).with_name("openjd")
-    run = [openjd, "run", args.template.resolve()]
-    run += [word for parameter in args.parameters for word in ("-p", parameter)]
+    run = [openjd, "run", args.template.resolve(), "-p", f"file://{folder}/parameters.json"]
     ids: dict[str, str] = {}
     for step in job.steps:  # a step comes after those that it depends on
         after = [ids[dependency.dependsOn] for dependency in step.dependencies or ()]
-        ids[step.name] = submit(step, run, args.folder.resolve() / step.name, after, args.sbatch)
+        try:
+            ids[step.name] = submit(step, run, folder / step.name, after, options=words[end + 1 :])
+        except (OSError, subprocess.CalledProcessError) as error:  # sbatch has said why, if it was there
+            parser.exit(1, f"{step.name} was not submitted: {error}\n")
         print(step.name, ids[step.name], flush=True)
     return 0
 

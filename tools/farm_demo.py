@@ -32,7 +32,8 @@ PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "scontrol", "squeue", "un
 SHOTS, CHARACTERS = ["walk", "run", "wave"], ["Arm", "Leg"]  # of farm/make_shots.py
 WEDGES = ["", "Neutral.stiffness=4e4"]
 NO_TARGET = "Nobody.stiffness=1e4"  # a wedge that is bad input
-MID_BAKE = "openjd_progress: 80"  # a third of the frames, when the model is there already
+# Between these lines of its log a bake has done one to two thirds of its frames, when the model is there already.
+MID_BAKE, LATE = "openjd_progress: 80", "openjd_progress: 90"
 LONGEST = 900  # seconds that a run may take
 
 
@@ -159,15 +160,15 @@ class Farm:
             time.sleep(0.2)
         return found
 
-    def submit(self, parameters: dict, folder: Path) -> dict[str, str]:
-        """Submit the template; returns the ids of its steps' jobs by name."""
+    def submit(self, parameters: dict, folder: Path) -> list[str]:
+        """Submit the template; returns the names of its steps. folder: for their tasks and logs."""
         command = [OPENJD / "python", ROOT / "farm/slurm_submit.py", TEMPLATE, "--folder", folder]
         for name, value in parameters.items():
             command += ["-p", f"{name}={value if isinstance(value, str) else json.dumps(value)}"]
         run = subprocess.run(command, env=self.environment, capture_output=True, text=True, check=False)
         if run.returncode:
             raise Failed(f"the job was not submitted\n{run.stderr}")
-        return dict(line.split() for line in run.stdout.splitlines())
+        return [line.split()[0] for line in run.stdout.splitlines()]
 
     def finish(self):
         """Wait until all jobs are over."""
@@ -190,22 +191,22 @@ class Farm:
         return found
 
     def mid_bake(self, node: str, folder: Path) -> Bake:
-        """Wait for a bake on this node that is begun for the first time, and has come far."""
+        """Wait for a bake on this node that is begun for the first time and is in its middle."""
 
-        def far():
+        def found():
             for bake in self.bakes(node):
-                log = folder / f"Bake/{bake.task}.{bake.restarts}.log"
-                if not bake.restarts and MID_BAKE in log.read_text():
+                log = (folder / f"Bake/{bake.task}.{bake.restarts}.log").read_text()
+                if not bake.restarts and MID_BAKE in log and LATE not in log:
                     return bake
             return None
 
-        return self._wait(f"a bake on {node} is in its middle", far)
+        return self._wait(f"a bake on {node} is in its middle", found)
 
     def power_off(self, node: str):
         """End a node and all that it runs with kill -9."""
-        process = self.processes[node]
-        process.kill()
-        process.wait()
+        self.processes[node].kill()
+        self.processes[node].wait()
+        self._wait(f"nothing runs on {node}", lambda: not self.bakes(node), seconds=10)
 
 
 def free_ports(count: int) -> list[int]:
@@ -221,7 +222,7 @@ def free_ports(count: int) -> list[int]:
 
 
 def run_job(name: str, nodes: int, faults=False) -> dict:
-    """Bake everything on so many nodes; with faults, kill a bake on the first and then the second. Raises Failed."""
+    """Bake everything on so many nodes, with faults among them; returns what came of it. Raises Failed."""
     folder = folder_of(name)
     output, share, tasks = folder / "output", folder / "share", folder / "tasks"
     output.mkdir(parents=True)
@@ -231,29 +232,29 @@ def run_job(name: str, nodes: int, faults=False) -> dict:
     }  # fmt: skip
     with Farm(folder / "slurm", nodes) as farm:
         began = time.monotonic()
-        farm.submit(parameters, tasks)
-        injected = inject_faults(farm, tasks) if faults else {}
+        steps = farm.submit(parameters, tasks)
+        hit = inject_faults(farm, tasks) if faults else {}
         farm.finish()
         seconds = time.monotonic() - began
-        if faults:
-            check_bad_input(farm, parameters, folder / "bad_input")
+        bad_input_tries = try_bad_input(farm, parameters, folder / "bad_input") if faults else None
     if not (output / "index.json").exists():
         raise Failed(f"run '{name}' was not finished: see the logs in {tasks}")
     collected = json.loads((output / "index.json").read_text())
     if collected["wrong"]:
         raise Failed(f"run '{name}': {'; '.join(collected['wrong'])}")
-    check_models(share, tasks, name)
     bakes = {each: report["characters"][0]["bake"] for each, report in collected["reports"].items()}
-    return {
+    found = {
         "name": name,
         "nodes": nodes,
         "seconds": round(seconds, 1),
-        "tasks": {step.name: len(list(step.glob("*.0.log"))) for step in sorted(tasks.iterdir())},
-        "models": len(list(share.glob("*.dynamorph"))),
+        "tasks": {step: len(list((tasks / step).glob("*.0.log"))) for step in steps},
+        "models": models_built_once(share, tasks),
+        "frames": max(bake["frames"][1] for bake in bakes.values()),
         "hashes": {each: bake["hash"] for each, bake in bakes.items()},
-        "resumed": {each: bake["resumed"] for each, bake in bakes.items() if bake["resumed"]},
-        "faults": injected,
+        "faults": {fault: {"bake": each, "resumed": bakes[each]["resumed"]} for fault, each in hit.items()},
+        "blender": next(iter(collected["reports"].values()))["versions"]["blender"],
     }
+    return found | ({"bad_input_tries": bad_input_tries} if faults else {})
 
 
 def folder_of(run: str) -> Path:
@@ -276,67 +277,72 @@ def bake_name(tasks: Path, bake: Bake) -> str:
     return " ".join(filter(None, values.values()))
 
 
-def check_models(share: Path, tasks: Path, name: str):
-    """Each character's model was built once, by the step for it. Raises Failed."""
-    models = [path.stat().st_mtime for path in share.glob("*.dynamorph")]
+def models_built_once(share: Path, tasks: Path) -> int:
+    """How many models there are that no task wrote after the step that builds them."""
     built = max(path.stat().st_mtime for path in tasks.glob("Build/*.log"))
-    if len(models) != len(CHARACTERS) or max(models) > built:
-        raise Failed(f"run '{name}': {len(models)} models in {share}, or they were built again after the step Build")
+    return sum(path.stat().st_mtime <= built for path in share.glob("*.dynamorph"))
 
 
-def check_bad_input(farm: Farm, parameters: dict, folder: Path):
-    """A bake that cannot succeed is tried once, and what depends on it is not run. Raises Failed."""
+def try_bad_input(farm: Farm, parameters: dict, folder: Path) -> int:
+    """Submit a bake that cannot succeed; returns how often it was tried, and found to be so. Raises Failed."""
     (folder / "output").mkdir(parents=True)
     wrong = {"Output": str(folder / "output"), "Shots": SHOTS[:1], "Characters": CHARACTERS[:1], "Wedges": [NO_TARGET]}
     farm.submit(parameters | wrong, folder / "tasks")
     farm.finish()
-    logs = sorted(folder.glob("tasks/*/*.log"))
-    tries = [f"{log.parent.name}/{log.name}" for log in logs]
-    if tries != ["Bake/0.0.log", "Build/0.0.log", "Check/0.0.log"] or "exited with code: 2 " not in logs[0].read_text():
-        raise Failed(f"bad input was not tried exactly once, or not found to be so: {tries} in {folder}")
-
-
-def compare(runs: list[dict]):
-    """Every run came to the same bytes, and the bakes that were hit went on. Raises Failed."""
-    for run in runs:
-        if run["hashes"] != runs[0]["hashes"]:
-            raise Failed(f"run '{run['name']}' came to other bakes than '{runs[0]['name']}'")
-        for fault, name in run["faults"].items():
-            if name not in run["resumed"]:
-                raise Failed(f"run '{run['name']}', {fault}: '{name}' began anew")
+    if list(folder.glob("tasks/Collect/*.log")):
+        raise Failed(f"a step was run after the one that it depends on had failed: see {folder}")
+    return sum("exited with code: 2 " in log.read_text() for log in folder.glob("tasks/Bake/*.log"))
 
 
 # What comes of it ----------------------------------------------------------------------------------------------------
+
+
+def judge(runs: list[dict]) -> dict:
+    """All that was measured, and what follows from it."""
+    first = runs[0]
+    for run in runs:
+        run["speed_up"] = round(first["seconds"] / run["seconds"], 2)
+        run["hashes_equal"] = run["hashes"] == first["hashes"]
+        for fault in run["faults"].values():
+            same = run["hashes"][fault["bake"]] == first["hashes"][fault["bake"]]
+            fault["survived"] = same and 0 < fault["resumed"] < run["frames"]
+    return {
+        "versions": {
+            "Slurm": run_here("slurmd", "-V").split()[-1],
+            "openjd-cli": run_here(OPENJD / "openjd", "--version").split()[-1],
+            "Blender": first["blender"],
+        },
+        "runs": runs,
+    }
+
+
+def shortcomings(runs: list[dict]) -> list[str]:
+    """What is not as it should be."""
+    found = []
+    for run in runs:
+        if not run["hashes_equal"]:
+            found.append(f"{run['name']}: other hashes")
+        if run["models"] != len(CHARACTERS):
+            found.append(f"{run['name']}: {run['models']} models were built once, of {len(CHARACTERS)}")
+        found += [f"{run['name']}: {name}: began anew" for name, each in run["faults"].items() if not each["survived"]]
+        if run.get("bad_input_tries", 1) != 1:
+            found.append(f"{run['name']}: bad input was tried {run['bad_input_tries']} times")
+    return found
 
 
 def table(runs: list[dict]) -> list[list[str]]:
     """Rows of cells, the first with titles."""
     rows = [["run", "nodes", "tasks", "wall time", "speed-up", "faults", "survived", "hashes equal"]]
     for run in runs:
-        faults = [f"{fault}, went on after {run['resumed'][name]} frames" for fault, name in run["faults"].items()]
+        faults = run["faults"]
+        texts = [f"{name}, went on after {each['resumed']} of {run['frames']} frames" for name, each in faults.items()]
         rows.append([
             run["name"], str(run["nodes"]), str(sum(run["tasks"].values())), f"{run['seconds']:.0f} s",
-            f"{runs[0]['seconds'] / run['seconds']:.2f}", "; ".join(faults) or "none", str(len(faults) or ""), "yes",
+            f"{run['speed_up']:.2f}", "; ".join(texts) or "none",
+            f"{sum(each['survived'] for each in faults.values())} of {len(faults)}" if faults else "",
+            "yes" if run["hashes_equal"] else "no",
         ])  # fmt: skip
     return rows
-
-
-def figures(runs: list[dict]) -> dict:
-    """All that was measured, and with what."""
-    (report, *_) = json.loads((folder_of(runs[0]["name"]) / "output/index.json").read_text())["reports"].values()
-    first, last = report["characters"][0]["bake"]["frames"]
-    return {
-        "versions": {
-            "Slurm": run_here("slurmd", "-V").split()[-1],
-            "openjd-cli": run_here(OPENJD / "openjd", "--version").split()[-1],
-            "Blender": report["versions"]["blender"],
-        },
-        "tasks": runs[0]["tasks"],
-        "frames": last - first + 1,
-        "runs": [run | {"speed_up": round(runs[0]["seconds"] / run["seconds"], 2)} for run in runs],
-        "bad_input_tries": 1,
-        "hashes_equal": True,
-    }
 
 
 def print_table(rows: list[list[str]]):
@@ -352,9 +358,9 @@ def write_page(rows: list[list[str]], found: dict):
     if not end:
         raise Failed(f"{PAGE.name}: the marks {BEGIN} and {END} are missing")
     lines = [f"| {' | '.join(row)} |" for row in (rows[0], ["---"] * len(rows[0]), *rows[1:])]
-    tasks = ", ".join(f"{count} {step}" for step, count in found["tasks"].items())
+    tasks = ", ".join(f"{count} {step}" for step, count in found["runs"][0]["tasks"].items())
     programs = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
-    lines += ["", f"Tasks of a run: {tasks}. A bake has {found['frames']} frames. With {programs}."]
+    lines += ["", f"Tasks of a run: {tasks}. With {programs}."]
     PAGE.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")
 
 
@@ -395,10 +401,12 @@ def main() -> int:
         for name, nodes, faults in (("one node", 1, False), ("two nodes", 2, False), ("two nodes hit", 2, True)):
             runs.append(run_job(name, nodes, faults))
             print(f"farm-demo: {name}: {runs[-1]['seconds']:.0f} s", flush=True)
-        compare(runs)
-        rows, found = table(runs), figures(runs)
+        found = judge(runs)
         (WORK / "farm.json").write_text(json.dumps(found, indent=1) + "\n")
+        rows = table(runs)
         print_table(rows)
+        if wrong := shortcomings(runs):
+            raise Failed("; ".join(wrong))
         write_page(rows, found)
     except CannotRun as reason:
         print(f"farm-demo: SKIPPED, {reason}")
