@@ -194,7 +194,7 @@ def photograph(work: Work, run: report.Run | None, frames, engine: str) -> list:
     else:
         kept = slice(SHOWN_MODES)
         bake = replace(run.bake, coordinates=run.bake.coordinates[:, kept], modes=run.bake.modes[kept])
-        sinks.write_modal_keys(obj, bake)
+        sinks.write_keys(obj, bake)
     focus = {frame: work.shot.middle(frame) for frame in frames}
     return render(list(frames), CELL, engine, focus=focus, zoom=work.subject.zoom)
 

@@ -15,7 +15,7 @@ import dynamorph
 import numpy as np
 
 from . import volume
-from .scene_data import FREE_SETTINGS, LATER_SETTINGS, Character, ModelSettings, Skeleton, Target
+from .scene_data import ENGINE, FREE_SETTINGS, LATER_SETTINGS, Character, ModelSettings, Skeleton, Target
 from .volume import Progress, Stages
 
 Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.ndarray]]
@@ -26,7 +26,7 @@ FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
 # Of the tetrahedra.
 MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
-    "cage object", "pin radius", "pieces",
+    "cage object", "pin radius", "pieces", "engine",
 )  # fmt: skip
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group")  # of them and of what is held
 CAGE_SHARE = 0.35  # of the time of a build
@@ -87,7 +87,7 @@ class Model:
                 **{name: arrays[name] for name in cls.array_names()},
                 bone_names=tuple(meta["bone_names"]),
                 settings=ModelSettings(**meta["settings"]),
-                dependencies=meta["dependencies"],
+                dependencies={"engine": _engine_hash(1), **meta["dependencies"]},  # the first had no number
                 summary=meta["summary"],
             )
         except (KeyError, TypeError) as error:
@@ -388,7 +388,11 @@ def dependencies(character: Character) -> dict[str, str]:
     for name, value in asdict(settings).items():
         if name not in FREE_SETTINGS and value != LATER_SETTINGS.get(name):
             parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)
-    return {name: _hash(arrays) for name, arrays in parts.items()}
+    return {"engine": _engine_hash(ENGINE)} | {name: _hash(arrays) for name, arrays in parts.items()}
+
+
+def _engine_hash(number: int) -> str:
+    return _hash((np.array([number]),))
 
 
 def stale_reasons(model: Model, character: Character) -> list[str]:

@@ -18,13 +18,13 @@ import numpy as np
 from . import checks, extract
 from .extract import SceneError
 from .properties import KEY_REFERENCE, clothes_in, followers, named_targets, parts_in, plain
-from .scene_data import FREE_SETTINGS, SimulationSettings
+from .scene_data import ENGINE, FREE_SETTINGS, SimulationSettings
 
 
 def look_at_animation(obj):
     """Look at the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
     record = obj.dynamorph.bake
-    seen = json.dumps(extract.animation(obj)) if record.keys else ""
+    seen = json.dumps(extract.animation(obj)) if record.exists else ""
     if record.animation != seen:
         record.animation = seen
 
@@ -42,14 +42,17 @@ def model_age(obj) -> list[str]:
 
 def outdated(obj) -> list[str]:
     """What has changed since the bake of `obj`, as sentences. Reads no mesh and no animation: fit for drawing."""
-    record = obj.dynamorph.bake
-    if not (record.keys and record.inputs):
+    settings = obj.dynamorph
+    record = settings.bake
+    if not (record.exists and record.inputs):
         return []
     try:
         now = bake_inputs(obj, extract.simulation_settings(obj, bpy.context.scene))
     except SceneError as error:
         return [str(error)]
     then = _parsed(record.inputs)
+    if settings.simulation.keep_outside:  # the range is that of the next patch
+        now["simulation"] |= {name: then["simulation"][name] for name in ("start", "end")}
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
         found.append("the model was built again")
@@ -81,7 +84,8 @@ def model_inputs(obj) -> dict:
     groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
     targets = {name: {"mute": target.mute, "region": target.region} for name, target in named_targets(obj)}
-    return {"targets": targets, "model": model, "groups": groups, "scene": {"unit_scale": extract.unit_scale()}}
+    scene = {"unit_scale": extract.unit_scale(), "engine": ENGINE}
+    return {"targets": targets, "model": model, "groups": groups, "scene": scene}
 
 
 def bake_inputs(obj, simulation: SimulationSettings) -> dict:
@@ -91,6 +95,7 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     inputs["model"] = asdict(settings.model.settings())
     inputs["groups"]["armature_modifiers"] = checks.skinning_settings(obj)
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
+    inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):
         own = plain(target, skip=(*KEY_REFERENCE, "rig_world"))
         seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
@@ -102,7 +107,8 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
-    known = {"model": settings.model, "simulation": settings.simulation, "groups": None, "scene": None}
+    known = {"model": settings.model, "simulation": settings.simulation, "output": settings.output}
+    known |= {"groups": None, "scene": None}
     for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
         found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]

@@ -24,14 +24,16 @@ from pathlib import Path
 
 import bpy
 
-from . import changes, checks, clips, collect, extract, jobs, materials, model_file, properties, share, sinks
+from . import changes, checks, clips, collect, exports, extract, jobs, materials, model_file, properties, share, sinks
 from .scene_data import VARIANTS, Material, ModelSettings
 
 COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = ("begin", "preroll", "loop")
+SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop", "keep_outside")
+OUTPUT_SETTINGS = ("keys", "every", "tolerance")
+SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
 
 class InputError(ValueError):
@@ -126,6 +128,7 @@ def character_record(job) -> dict:
     }
     if job.bake:
         found["bake"] = {
+            "made_from": job.content_id(),
             "hash": clips.digest(job.result),
             "frames": [job.settings.start, job.settings.end],
             "fps": job.settings.fps,
@@ -157,7 +160,7 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
         chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
         if writes:
-            target = sub.add_mutually_exclusive_group(required=name != "build")
+            target = sub.add_mutually_exclusive_group(required=name not in ("build", "bake"))
             target.add_argument("-o", "--output", type=Path, metavar="FILE", help="the .blend to write")
             target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
         return sub
@@ -167,8 +170,15 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
     add_settings(bake, "simulation", SIMULATION_SETTINGS)
+    bake.add_argument("--sink", choices=[name.lower() for name in (*sink_names(), *exports.FORMATS)],
+                      help="what the bake becomes: modes, frames, pc2 and mdd play it in Blender, the rest are files "
+                      "for other programs; default: the object's own setting")  # fmt: skip
+    bake.add_argument("--sink-file", metavar="FILE",
+                      help=f"the file of such a sink; {sinks.OBJECT} in it is the object's name; default: that name, "
+                      "beside the .blend")  # fmt: skip
+    add_settings(bake, "output", OUTPUT_SETTINGS)
     build = command("build", run_job, "build models")
-    build.set_defaults(goal="BUILD", frames=None, substeps=None)
+    build.set_defaults(goal="BUILD", frames=None, substeps=None, sink=None, sink_file=None)
     for sub in (bake, build):
         add_settings(sub, "model", MODEL_SETTINGS)
         sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
@@ -263,22 +273,24 @@ def check_substeps(args):
 def run_job(args):
     """bake and build."""
     check_substeps(args)
-    if not (args.output or args.in_place or args.share):
-        raise InputError("say where the model goes: --output, --in-place or --share")
+    objects = chosen_objects(args)
+    check_sink(args, objects)
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
     shared = share.Share(args.share.resolve()) if args.share else None
     done = args.done
-    for obj in chosen_objects(args):
+    for obj in objects:
         for change in args.changes:
             set_property(obj, change)
-        for group, names in ((obj.dynamorph.model, MODEL_SETTINGS), (obj.dynamorph.simulation, SIMULATION_SETTINGS)):
+        for group, names in SETTINGS.items():
             for name in names:
                 if (value := getattr(args, name, None)) is not None:
-                    setattr(group, name, value.upper() if isinstance(value, str) else value)
+                    setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
         frames = tuple(args.frames) if args.frames else None
         rebuild = args.goal == "BUILD" and shared is None
         job = jobs.Job(obj, args.goal, frames, args.substeps, folder, rebuild, shared)
+        choose_sink(args, obj, job)
         jobs.run(job, Progress(args.progress == "openjd"))
+        export(args, obj, job, folder)
         for reason in job.reasons:
             print(f"{job.name}: built: {reason}")
         for warning in job.warnings:
@@ -289,6 +301,56 @@ def run_job(args):
         print_table(job, seconds)
         if job.kept:  # it is saved now
             job.kept.unlink(missing_ok=True)
+
+
+def sink_names() -> list[str]:
+    """What can play a bake in Blender."""
+    output = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["output"].fixed_type
+    return [item.identifier for item in output.properties["sink"].enum_items]
+
+
+def check_sink(args, objects):
+    """Raises InputError when the result would go nowhere, or two to one file."""
+    if args.goal == "BUILD":
+        if not (args.output or args.in_place or args.share):
+            raise InputError("say where the model goes: --output, --in-place or --share")
+        return
+    format = exports.FORMATS.get((args.sink or "").upper())
+    if format and not format.is_available:
+        raise InputError(f"--sink {args.sink}: this Blender was built without {format.label}")
+    if not (args.output or args.in_place or format):
+        raise InputError("say where the bake goes: --output or --in-place, or --sink with a file for other programs")
+    if args.sink_file is None:
+        return
+    if not (format or (args.sink or "").upper() in clips.CACHES):
+        raise InputError("--sink-file is for a --sink that is a file")
+    meshes = sum(1 if format else 1 + len(properties.clothes_in(obj)) for obj in objects)
+    if meshes > 1 and sinks.OBJECT not in args.sink_file:
+        raise InputError(
+            f"--sink-file {args.sink_file}: several objects would share it, put {sinks.OBJECT} in its name"
+        )
+
+
+def choose_sink(args, obj, job):
+    """Let the bake of `obj` become what --sink says."""
+    chosen = (args.sink or "").upper()
+    if chosen in exports.FORMATS:
+        obj.dynamorph.output.sink = "MODES"
+    elif chosen:
+        obj.dynamorph.output.sink = chosen
+        job.cache_file = args.sink_file
+
+
+def export(args, obj, job, folder: Path):
+    """Write the file for other programs that --sink asks for, if it does."""
+    format = exports.FORMATS.get((args.sink or "").upper())
+    if not format:
+        return
+    path = sinks.file_path(args.sink_file or str(folder / f"{sinks.OBJECT}{format.suffix}"), obj.name)
+    for text in exports.losses(obj, args.sink.upper()):
+        job.warnings.append(text)
+    exports.export(obj, args.sink.upper(), path, (job.settings.start, job.settings.end))
+    print(f"{job.name}: written to {path.name}")
 
 
 def set_property(obj, change: str):
@@ -411,10 +473,11 @@ def run_info(args):
         except jobs.expected_errors() as error:
             reasons = str(error)
         print(f"  state: {reasons}")
-        if not settings.bake.keys:
+        if not settings.bake.exists:
             print("  bake: none")
             continue
         print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
+        print(f"  bake made from {settings.bake.content_id[:12]}, result {settings.bake.digest[:12]}")
         changes.look_at_animation(obj)
         print(f"  bake state: {'; '.join(changes.outdated(obj)) or 'up to date'}")
 
@@ -465,11 +528,16 @@ def print_table(job, save_seconds: float):
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
     rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
     if job.bake:
-        rows.append(("frames x substeps", f"{len(job.settings.frames)} x {job.settings.substeps}"))
+        rows.append(("frames x substeps", f"{job.settings.end - job.settings.start + 1} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
         rows.append(("smallest det F", f"{job.report['smallest_det']:.2f}"))
         if "gap" in job.report:
             rows.append(("loop gap", f"{1000 * job.report['gap']:.3g} mm"))
+        rows.append(("keys", str(job.report["keys"])))
+        if job.report["keys_error"]:
+            rows.append(("keys' error", f"{1000 * job.report['keys_error']:.3g} mm"))
+        if "seam" in job.report:
+            rows.append(("seam", f"{1000 * job.report['seam']:.3g} mm"))
         if "compression_error" in job.report:
             rows.append(("compression error", f"{1000 * job.report['compression_error']:.3g} mm"))
     rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.seconds.items(), ("save", save_seconds))]

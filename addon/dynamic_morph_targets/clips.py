@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake with fewer keys, and as bytes for other programs. NumPy only, never bpy.
+"""A bake as other keys, and as bytes for point caches and other programs. NumPy only, never bpy.
 
 Surfaces are in the mesh object's local space, before skinning. A bake's surface = vertices + modes . coordinates +
 details . weights.
@@ -12,13 +12,15 @@ import io
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
-from .scene_data import Bake
+from .scene_data import Bake, OutputSettings
 
 CHUNK = 64  # frames whose surfaces are made at once: bounds memory
 ALIGNMENT = 64  # of the arrays in a clip, so that a program may use them where they are
+NOISE = 1e-5  # of the largest part of a shot: what shape keys, which are float32, cannot tell apart
 PADDING_FIELD = 0xD935  # of a ZIP entry's extra fields, as zipalign writes it
 
 
@@ -41,31 +43,63 @@ def digest(bake: Bake) -> str:
 
 def reach(bake: Bake, to_bind: np.ndarray) -> float:
     """How far a vertex is displaced from the Basis at most, in metres; to_bind (3, 3): local to metric space."""
-    metric = replace(bake, modes=bake.modes @ to_bind.T, details=bake.details @ to_bind.T)
-    return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(metric, 0.0))
+    in_metres = replace(bake, modes=bake.modes @ to_bind.T, details=bake.details @ to_bind.T)
+    return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(in_metres, 0.0))
 
 
-def with_fewer_keys(bake: Bake, budget: int) -> tuple[Bake, float]:
-    """The `budget` shapes that are best for this shot, and how far the surface is off at most, local units.
+def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
+    """The largest distance of a vertex between two bakes of the same frames, metres; to_bind as for `reach`."""
+    difference = Bake(
+        frames=bake.frames,
+        coordinates=np.hstack([bake.coordinates, -other.coordinates]),
+        weights=np.hstack([bake.weights, -other.weights]),
+        modes=np.concatenate([bake.modes, other.modes]),
+        details=np.concatenate([bake.details, other.details]),
+        target_names=(),
+        dry=np.zeros((len(bake.frames), 0)),
+    )
+    return reach(difference, to_bind)
+
+
+# As other keys -----------------------------------------------------------------------------------------------------
+
+
+def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Bake, float]:
+    """The bake as the shape keys that `output` asks for, and how far the surface is off at most, metres; to_bind as for
+    `reach`. A point cache has keys only for what shows without it.
+    """
+    if output.sink == "FRAMES":
+        kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.every)
+        return by_frames(bake, kept), off_between(bake, kept, to_bind)
+    if output.sink in CACHES:
+        return targets_alone(bake), 0.0
+    if not output.keys:
+        return bake, 0.0
+    fewer = with_fewer_keys(bake, output.keys)
+    return fewer, distance(bake, fewer, to_bind)
+
+
+def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
+    """The `budget` shapes that are best for this shot; None: as few as show all of it.
 
     Best: least squares over all frames and vertices, of the motion and of the targets' shapes without it (SVD). The
     details of the targets are then part of the modes.
     """
     shapes = np.concatenate([bake.modes, bake.details])
     shapes = shapes.reshape(len(shapes), -1)
-    if budget >= len(shapes):
-        return bake, 0.0
+    if budget is not None and budget >= len(shapes):
+        return bake
     # Orthonormal combinations of the shapes by their Gram matrix: there are few shapes and many vertices.
     squares, axes = np.linalg.eigh(shapes @ shapes.T)
     kept = squares > 1e-14 * squares[-1]
     lengths, axes = np.sqrt(squares[kept]), axes[:, kept]
     wet = np.hstack([bake.coordinates, bake.weights])
     dry = np.hstack([bake.dry, bake.weights])
-    _, _, best = np.linalg.svd(np.vstack([wet, dry]) @ axes * lengths, full_matrices=False)
-    best = best[:budget]
+    _, sizes, best = np.linalg.svd(np.vstack([wet, dry]) @ axes * lengths, full_matrices=False)
+    best = best[: budget or max(1, int((sizes > NOISE * sizes[0]).sum()))]
     onto = axes * lengths @ best.T  # (r + J, budget)
     modes = (best / lengths @ axes.T @ shapes).reshape(-1, *bake.modes.shape[1:])
-    fewer = replace(
+    return replace(
         bake,
         coordinates=wet @ onto,
         dry=dry @ onto,
@@ -73,40 +107,146 @@ def with_fewer_keys(bake: Bake, budget: int) -> tuple[Bake, float]:
         modes=modes,
         details=np.zeros((0, *bake.modes.shape[1:])),
     )
-    return fewer, distance(bake, fewer)
 
 
-def distance(bake: Bake, other: Bake) -> float:
-    """The largest distance of a vertex between two bakes of the same frames, local units."""
-    pairs = zip(surfaces(bake, 0.0), surfaces(other, 0.0), strict=True)
-    return max(float(np.linalg.norm(a - b, axis=2).max(initial=0.0)) for a, b in pairs)
+def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[Bake, float]:
+    """A bake whose frames between the first and the last of `patch` are those of the patch, and by how much the two are
+    apart at most where they meet, metres. The patch fades in and out within `fade` frames, where the bake goes on.
 
-
-def key_frames(bake: Bake, tolerance: float) -> np.ndarray:
-    """Indices of the frames between which the surface may be interpolated, off by at most `tolerance`, local units.
-
-    Each span is cut at the frame that is worst in it, until all are good enough (Douglas and Peucker 1973).
+    Both are of one mesh; their modes may be others. to_bind: as for `reach`.
     """
+    first, last = patch.frames[[0, -1]]
+    frames = np.concatenate([bake.frames[bake.frames < first], patch.frames, bake.frames[bake.frames > last]])
+    inside = (frames >= first) & (frames <= last)
+    share = inside.astype(float)  # of the patch
+    if bake.frames[0] < first:
+        share *= _smooth((frames - first) / fade)
+    if bake.frames[-1] > last:
+        share *= _smooth((last - frames) / fade)
+    share[~inside] = 0.0
+
+    def mixed(of_bake: np.ndarray, of_patch: np.ndarray) -> np.ndarray:
+        old = np.column_stack([np.interp(frames, bake.frames, column) for column in of_bake.T])
+        new = np.zeros((len(frames), of_patch.shape[1]))
+        new[inside] = of_patch
+        return np.hstack([(1.0 - share)[:, None] * old, share[:, None] * new])
+
+    both = Bake(
+        frames=frames,
+        coordinates=mixed(np.hstack([bake.coordinates, bake.weights]), np.hstack([patch.coordinates, patch.weights])),
+        weights=np.zeros((len(frames), 0)),
+        modes=np.concatenate([bake.modes, bake.details, patch.modes, patch.details]),
+        details=np.zeros((0, *bake.modes.shape[1:])),
+        target_names=patch.target_names,
+        dry=mixed(np.hstack([bake.dry, bake.weights]), np.hstack([patch.dry, patch.weights])),
+    )
+    return with_fewer_keys(both), _apart(bake, patch, to_bind)
+
+
+def _smooth(share: np.ndarray) -> np.ndarray:
+    share = share.clip(0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:
+    """The largest distance between a bake and the ends of a patch that are within it, metres."""
+    within = (patch.frames[[0, -1]] > bake.frames[0]) & (patch.frames[[0, -1]] < bake.frames[-1])
+    ends = np.array([0, len(patch.frames) - 1])[within]
+    if not len(ends):
+        return 0.0
     rows = np.hstack([bake.coordinates, bake.weights])
-    kept, spans = {0, len(rows) - 1}, [(0, len(rows) - 1)]
+    at = np.column_stack([np.interp(patch.frames[ends], bake.frames, column) for column in rows.T])
+    r = bake.coordinates.shape[1]
+    moved = _displaced(at[:, :r], at[:, r:], bake.modes, bake.details)
+    off = (moved - next(surfaces(at_rows(patch, ends), 0.0))) @ to_bind.T
+    return float(np.linalg.norm(off, axis=2).max())
+
+
+def targets_alone(bake: Bake) -> Bake:
+    """The targets' shapes as details, and no motion."""
+    onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.dry, rcond=None)
+    return replace(
+        bake,
+        coordinates=np.zeros((len(bake.frames), 0)),
+        dry=np.zeros((len(bake.frames), 0)),
+        modes=np.zeros((0, *bake.details.shape[1:])),
+        details=np.tensordot(onto_modes, bake.modes, 1) + bake.details,
+    )
+
+
+def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
+    """The surfaces at the frames `kept`, by index, as keys that blend from one to the next. The targets' shapes are
+    keys of their own, for where there is less motion.
+    """
+    shapes = targets_alone(bake)
+    used = np.abs(shapes.details).max(axis=(1, 2)) * shapes.weights.max(axis=0) > 0.0
+    at = bake.frames[kept]
+    blends = np.array([np.interp(bake.frames, at, one) for one in np.eye(len(kept))]).T  # (F, K)
+    count, still = len(bake.frames), int(used.sum())
+    moved = np.concatenate(list(surfaces(at_rows(bake, kept), 0.0)))
+    names = [name for name, is_used in zip(bake.target_names, used, strict=True) if is_used]
+    return Bake(
+        frames=bake.frames,
+        coordinates=np.hstack([blends, np.zeros((count, still))]),
+        weights=np.zeros((count, 0)),
+        modes=np.concatenate([moved, shapes.details[used]]),
+        details=np.zeros((0, *bake.modes.shape[1:])),
+        target_names=bake.target_names,
+        dry=np.hstack([np.zeros_like(blends), bake.weights[:, used]]),
+        mode_names=(*(f"Dynamorph Frame {frame:g}" for frame in at), *(f"Dynamorph Target {name}" for name in names)),
+    )
+
+
+def at_rows(bake: Bake, rows: np.ndarray) -> Bake:
+    """Some frames of a bake."""
+    return replace(
+        bake, frames=bake.frames[rows], coordinates=bake.coordinates[rows], weights=bake.weights[rows],
+        dry=bake.dry[rows],
+    )  # fmt: skip
+
+
+def samples_per_frame(bake: Bake) -> int:
+    """How many surfaces a bake has from one frame to the next."""
+    return round(1.0 / (bake.frames[1] - bake.frames[0])) if len(bake.frames) > 1 else 1
+
+
+def every_nth(bake: Bake, frames: int) -> np.ndarray:
+    """Indices of every n-th frame of a bake, and of its last."""
+    return np.unique(np.r_[0 : len(bake.frames) : frames * samples_per_frame(bake), len(bake.frames) - 1])
+
+
+def key_frames(bake: Bake, tolerance: float, to_bind: np.ndarray) -> np.ndarray:
+    """Indices of the frames between which the surface may be interpolated, off by at most `tolerance`, metres.
+
+    Each span is cut at the frame that is worst in it, until all are good enough (Douglas and Peucker 1973). to_bind:
+    as for `reach`.
+    """
+    end = len(bake.frames) - 1
+    kept, spans = {0, end}, [(0, end)]
     while spans:
         first, last = spans.pop()
-        worst, off = _worst_between(bake, rows, first, last)
+        worst, off = _worst_between(bake, first, last, to_bind)
         if off > tolerance:
             kept.add(worst)
             spans += [(first, worst), (worst, last)]
     return np.array(sorted(kept))
 
 
-def _worst_between(bake: Bake, rows: np.ndarray, first: int, last: int) -> tuple[int, float]:
-    """The frame between two others that is farthest from their interpolation, and how far it is."""
+def off_between(bake: Bake, kept: np.ndarray, to_bind: np.ndarray) -> float:
+    """How far the surface is off at most, in metres, where it is interpolated between the frames `kept`, by index."""
+    return max((_worst_between(bake, *span, to_bind)[1] for span in pairwise(kept)), default=0.0)
+
+
+def _worst_between(bake: Bake, first: int, last: int, to_bind: np.ndarray) -> tuple[int, float]:
+    """The frame between two others that is farthest from their interpolation, and how far it is, metres."""
+    rows = np.hstack([bake.coordinates, bake.weights])
     worst, off = first, 0.0
     for begin in range(first + 1, last, CHUNK):
         frames = np.arange(begin, min(begin + CHUNK, last))
         share = ((frames - first) / (last - first))[:, None]
         residual = rows[frames] - (1.0 - share) * rows[first] - share * rows[last]
         r = bake.coordinates.shape[1]
-        moved = _displaced(residual[:, :r], residual[:, r:], bake.modes, bake.details)
+        moved = _displaced(residual[:, :r], residual[:, r:], bake.modes, bake.details) @ to_bind.T
         distances = np.linalg.norm(moved, axis=2).max(axis=1)
         if distances.max() > off:
             worst, off = int(frames[distances.argmax()]), float(distances.max())
@@ -124,7 +264,7 @@ def point_cache(bake: Bake, vertices: np.ndarray) -> Iterator[bytes]:
     """The surface at each frame as PC2, the point cache of the Mesh Cache modifier: header, then frames."""
     yield b"POINTCACHE2\0"
     yield np.array([1, len(vertices)], "<i4").tobytes()
-    yield np.array([bake.frames[0], 1.0], "<f4").tobytes()
+    yield np.array([bake.frames[0], 1.0 / samples_per_frame(bake)], "<f4").tobytes()
     yield np.array([len(bake.frames)], "<i4").tobytes()
     for chunk in surfaces(bake, vertices):
         yield chunk.astype("<f4").tobytes()
@@ -136,6 +276,9 @@ def motion_designer(bake: Bake, vertices: np.ndarray, fps: float) -> Iterator[by
     yield (bake.frames / fps).astype(">f4").tobytes()
     for chunk in surfaces(bake, vertices):
         yield chunk.astype(">f4").tobytes()
+
+
+CACHES = {"PC2": lambda bake, vertices, _fps: point_cache(bake, vertices), "MDD": motion_designer}
 
 
 def raw(bake: Bake, vertices: np.ndarray, fps: float) -> bytes:

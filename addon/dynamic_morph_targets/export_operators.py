@@ -23,7 +23,7 @@ class BakedOperator(SoftSkinOperator):
     @classmethod
     def obstacle(cls, context):
         obstacle = super().obstacle(context)
-        return obstacle or ("" if properties.mesh_in(context).dynamorph.bake.keys else "Press Bake first")
+        return obstacle or ("" if properties.mesh_in(context).dynamorph.bake.exists else "Press Bake first")
 
 
 class DYNAMORPH_OT_export_check(BakedOperator, Operator):

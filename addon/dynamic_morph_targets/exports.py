@@ -17,7 +17,6 @@ import numpy as np
 
 from . import checks, clips, model_file, sinks
 from .properties import followers, key_points, rig_of
-from .scene_data import Bake
 
 MORPHS = 8  # that common engines and viewers blend at once
 INFLUENCES = 4  # bones of a vertex that glTF writes
@@ -175,7 +174,7 @@ def _write_usd(_obj, path: Path, _frames):
 def _write_raw(obj, path: Path, _frames):
     render = bpy.context.scene.render
     basis = key_points(obj.data.shape_keys.reference_key)
-    model_file.save(path, clips.raw(read_back(obj), basis, render.fps / render.fps_base))
+    model_file.save(path, clips.raw(sinks.read_back(obj), basis, render.fps / render.fps_base))
 
 
 FORMATS = {
@@ -189,37 +188,6 @@ FORMATS = {
 
 
 # Around the exporters ----------------------------------------------------------------------------------------------
-
-
-def read_back(obj) -> Bake:
-    """The bake of `obj` from its shape keys and curves, one frame a keyframe: details are modes like the others.
-
-    Raises ExportError.
-    """
-    record, keys = obj.dynamorph.bake, obj.data.shape_keys
-    slots = {slot.name_display: slot for slot in record.action.slots} if record.action else {}
-    curves = {}
-    for title in (sinks.SHAPES, sinks.MOTION):  # the motion replaces the shapes
-        if title in slots:
-            bag = record.action.layers[0].strips[0].channelbag(slots[title])
-            curves |= {curve.data_path: curve for curve in bag.fcurves}
-    columns, modes = [], []
-    basis = key_points(keys.reference_key).astype(np.float64)
-    for key in record.keys:
-        block = keys.key_blocks.get(key.name)
-        curve = block and curves.get(f"{block.path_from_id()}.value")
-        if curve:
-            points = np.empty((len(curve.keyframe_points), 2), np.float32)
-            curve.keyframe_points.foreach_get("co", points.ravel())
-            columns.append(points[:, 1])
-            modes.append(key_points(block) - basis)
-    if not columns:
-        raise ExportError(f"'{obj.name}': the curves of its bake are gone: bake again")
-    render = bpy.context.scene.render
-    frames = np.rint(points[:, 0] * render.frame_map_new / render.frame_map_old).astype(int)
-    coordinates = np.array(columns, np.float64).T
-    nothing = np.zeros((len(frames), 0)), np.zeros((0, *basis.shape))
-    return Bake(frames, coordinates, nothing[0], np.array(modes), nothing[1], (), coordinates)
 
 
 def _together(obj) -> list:

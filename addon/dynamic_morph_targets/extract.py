@@ -24,6 +24,7 @@ from .scene_data import (
     Follower,
     ForceField,
     ModelSettings,
+    OutputSettings,
     OwnCage,
     RigSamples,
     SimulationSettings,
@@ -109,11 +110,13 @@ def followers(obj, character: Character) -> list[Follower]:
     for piece in pieces:
         _refuse(checks.follower(obj, piece))
         to_body = inverse(body_world) @ _worlds_at_start(piece, rig)[0]
-        vertices = (rest_points(piece) @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
+        points = rest_points(piece)
+        vertices = (points @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
         found.append(
             Follower(
                 piece.name,
                 piece.session_uid,
+                points,
                 vertices,
                 inverse(to_body[:3, :3]),
                 nearest(vertices, skin, character.triangles[of_body]),
@@ -761,8 +764,15 @@ def hold_collapsed(samples: RigSamples, skeleton: Skeleton, before=None) -> tupl
     return replace(samples, pose=pose[-len(samples) :]), [warning]
 
 
+def output_settings(obj) -> OutputSettings:
+    """What the bakes of `obj` become, lengths in metres."""
+    chosen = obj.dynamorph.output.settings()
+    return replace(chosen, tolerance=unit_scale() * chosen.tolerance)
+
+
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
-    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it. Raises SceneError.
+    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it, which are rounded up to a
+    multiple of the samples a frame. Raises SceneError.
 
     The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
     per s^2.
@@ -773,16 +783,19 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     start, end = frames or own
     if end < start:
         raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
+    substeps = substeps or chosen.steps_per_frame(fps)
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
     gains = tuple(mode.gain for mode in obj.dynamorph.modes)
     return SimulationSettings(
         start,
         end,
         fps,
-        substeps or chosen.steps_per_frame(fps),
+        -(-substeps // chosen.samples) * chosen.samples,
         chosen.scheme,
         tuple(gravity.tolist()),
+        chosen.samples,
         chosen.preroll,
+        chosen.preroll_pose,
         chosen.begin,
         chosen.loop,
         gains if set(gains) != {1.0} else (),

@@ -7,25 +7,28 @@ Blender all at once, so that it is one undo step and an error before it changes 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import bpy
 import numpy as np
 
-from . import changes, extract, live_key, materials, model_file, preferences, probe, properties, share, sinks
+from . import changes, clips, extract, live_key, materials, model_file, preferences, probe, properties, share, sinks
 from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
 CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
+FADE = 5  # frames in which a part that is baked again goes over into the rest
 STRETCH = 1000  # frames of a shot that are read and simulated at once: bounds memory
 SHORT_STRETCH = 100  # where each node is read, or where they are kept for other processes, which go on from there
 
@@ -273,10 +276,13 @@ class Job:
         self.model = None
         self._shared_model = None
         self.references: list[tuple[float, float]] = []  # of a model that was built: `materials.references`
+        self.before: list = []  # the bakes that these are to become parts of
         self.result = None
         self.followers: list = []  # other meshes that the flesh carries along
         self.carried: list = []  # their bakes
-        self.size = 0  # of the bake, in bytes
+        self.cache_file: str | None = None  # where a point cache goes, see `sinks.file_path`
+        self.written: list[tuple] = []  # what they become: shape keys, and the file of a point cache or None
+        self.size = 0  # of that, in bytes
         self._read_from = 0.0  # of the whole, the part done before the rig is read
         self._error: BaseException | None = None
         self.thread = self._thread(self._compute)
@@ -304,6 +310,8 @@ class Job:
                 sinks.check(find(follower.session_uid), needs_keys=False)
         self.warnings = extract.warnings(obj, self.character)
         self.warnings += extract.far_followers(self.character, self.followers)
+        if self.bake:
+            self._read_output(obj)
         with suppress(model_file.ModelFileError):  # then one of the reasons
             self.previous = load_model(obj)
         self.reasons = self._reasons(obj)
@@ -320,20 +328,47 @@ class Job:
             return
         self.settings = settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
+        if self.bake and obj.dynamorph.simulation.keep_outside and obj.dynamorph.bake.exists:
+            self._read_kept(obj)
         self._whole = whole or settings.loop or fits
-        if self.share and self.bake and not (self._whole or self.character.probed):
+        if self.share and self.bake and not (self._whole or self.before or self.character.probed):
             self.kept = self.share.bake_path(self)
             model = self.model or self._shared_model
             self.resumed = self.share.unfinished(self.kept, model) if model else {}
         if self.resumed:
-            self._first = extract.sample_rig(obj, settings.start, settings.start, 1)
+            self._first = extract.sample_rig(obj, settings.first, settings.first, 1)
         self._next_stretch(obj)
+
+    def _read_kept(self, obj):
+        """The bake into which the frames are to go, and the way up to them. Raises SceneError, SinkError."""
+        self.before = [sinks.read_back(find(uid)) for uid in self._meshes()]
+        settings, (first, last) = self.settings, self.before[0].frames[[0, -1]].astype(int).tolist()
+        if settings.start > last + 1 or settings.end < first - 1:
+            raise SceneError(
+                f"'{self.name}': frames {settings.start} to {settings.end} are not next to those of the last bake, "
+                f"{first} to {last}: choose others, or turn Keep Other Frames off"
+            )
+        whole = {"start": min(settings.start, first), "end": max(settings.end, last)}
+        self.inputs["simulation"] |= whole
+        run_up = min(settings.start - whole["start"], max(settings.preroll, round(settings.fps)))
+        self.settings = replace(settings, loop=False)
+        if run_up:
+            self.settings = replace(self.settings, preroll=run_up, preroll_pose="ANIMATED")
+
+    def _read_output(self, obj):
+        self.output = extract.output_settings(obj)
+        if self.output.sink in clips.CACHES:
+            self.caches = self.folder or _blend_folder()
+            sinks.check_cache(obj, self.caches)
+            lost = ", ".join(f"'{name}'" for name in sinks.overwritten_keys(obj))
+            if lost:
+                self.warnings.append(f"The point cache plays over shape keys that also move: {lost}")
 
     def _next_stretch(self, obj):
         """What is to be read next."""
         settings = self.settings
         done = self.shot.done if self.shot else len(self.resumed.get("coordinates", ()))
-        first = settings.start + max(done - 1, 0)
+        first = settings.reached(done)
         stretch = SHORT_STRETCH if self.kept or self.character.probed else STRETCH
         frames = settings.end - first if self._whole else stretch
         self._sampling = extract.RigSampling(obj, first, min(first + frames, settings.end), settings.substeps)
@@ -447,7 +482,15 @@ class Job:
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
+        record.content_id = self.content_id()
+        record.digest = clips.digest(self.result)
         changes.look_at_animation(obj)
+
+    def content_id(self) -> str:
+        """Hash of all that the bake was made from."""
+        build, _ = engine()
+        made_from = [self.inputs, build.dependencies(self.character)]
+        return hashlib.sha256(json.dumps(made_from, sort_keys=True).encode()).hexdigest()
 
     def _write_keys(self, obj):
         pieces = [find(follower.session_uid) for follower in self.followers]
@@ -457,9 +500,9 @@ class Job:
         for piece in properties.followers(obj):
             if piece not in pieces:
                 sinks.free(piece)
-        self.size = sinks.write_modal_keys(obj, self.result)
-        for piece, carried in zip(pieces, self.carried, strict=True):
-            self.size += sinks.write_modal_keys(piece, carried, obj)
+        for each, (keys, cache) in zip((obj, *pieces), self.written, strict=True):
+            self.size += sinks.write_keys(each, keys, None if each == obj else obj, cache)
+            self.size += cache.stat().st_size if cache else 0
 
     def summary(self) -> str:
         """One line for the artist."""
@@ -467,10 +510,13 @@ class Job:
             return self.cage_summary() if self.reasons else "the cage is up to date"
         if not self.bake:
             return self.model_summary()
-        frames = len(self.settings.frames)
+        frames = self.settings.end - self.settings.start + 1
         seconds = sum(value for stage, value in self.seconds.items() if stage != "build")
         gap = f", loop gap {1000 * self.report['gap']:.3g} mm" if "gap" in self.report else ""
-        return f"{frames} frames in {seconds:.1f}\u00a0s, {self.size / 2**20:.1f}\u00a0MB{gap}"
+        off = self.report.get("keys_error", 0.0)
+        error = f", {self.report['keys']} keys off by at most {1000 * off:.2g} mm" if off else ""
+        seam = f", {1000 * self.report['seam']:.3g} mm from the other frames" if "seam" in self.report else ""
+        return f"{frames} frames in {seconds:.1f}\u00a0s, {self.size / 2**20:.1f}\u00a0MB{error}{gap}{seam}"
 
     def model_summary(self) -> str:
         made = self.model.summary
@@ -572,6 +618,11 @@ class Job:
         with self._stage("simulate"):
             self.result, self.report = self.shot.bake()
             self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
+        self.message = "Making keys"
+        if self.before:
+            self._splice()
+        with self._stage("make keys"):
+            self._make_keys()
         self.warnings += self.report["warnings"]
         first, last = self.model.summary.get("fitted", (self.settings.start, self.settings.end))
         if self.settings.start < first or self.settings.end > last:
@@ -584,6 +635,36 @@ class Job:
         for name in ("coordinates", "weights", "modes", "details", "dry"):
             if not all(np.isfinite(getattr(bake, name)).all() for bake in (self.result, *self.carried)):
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
+
+    def _to_metres(self) -> list[np.ndarray]:
+        """Local to metric space (3, 3) of the body and of what follows it."""
+        to_bind = self.character.to_bind
+        return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in self.followers)]
+
+    def _splice(self):
+        """Make the results parts of the bakes that there were."""
+        parts = zip(self.before, (self.result, *self.carried), self._to_metres(), strict=True)
+        spliced = [clips.splice(before, part, FADE, to_metres) for before, part, to_metres in parts]
+        self.result, *self.carried = (bake for bake, _ in spliced)
+        self.report["seam"] = max(seam for _, seam in spliced)
+
+    def _make_keys(self):
+        """What the results become, apart from Blender: shape keys, and the files of point caches."""
+        names = self.name, *(follower.name for follower in self.followers)
+        points_of = self.character.vertices, *(follower.points for follower in self.followers)
+        off = 0.0
+        for name, points, bake, to_metres in zip(
+            names, points_of, (self.result, *self.carried), self._to_metres(), strict=True
+        ):
+            keys, error = clips.as_keys(bake, self.output, to_metres)
+            off, cache = max(off, error), None
+            if self.output.sink in clips.CACHES:
+                chosen, sink = self.cache_file, self.output.sink
+                cache = sinks.file_path(chosen, name) if chosen else sinks.cache_path(self.caches, name, bake, sink)
+                model_file.save(cache, clips.CACHES[self.output.sink](bake, points, self.settings.fps))
+            self.written.append((keys, cache))
+        self.report["keys"] = len(self.written[0][0].modes) + len(self.written[0][0].details)
+        self.report["keys_error"] = off
 
     def _progress(self, begin: float, end: float):
         def progress(fraction: float, message: str) -> bool:

@@ -44,7 +44,7 @@ class Flesh:
         if self.model.settings.solver == "FULL":
             raise SceneError(f"'{obj.name}' has an unreduced model, too slow to play: choose Solver Reduced and build")
         _, simulate = jobs.engine()
-        self.player = simulate.Player(self.model, self.character, extract.simulation_settings(obj, scene))
+        self.player = simulate.Player(self.model, self.character, simulation_settings(obj, scene))
         self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
         nodes = simulate.node_modes(self.model, self.model.basis.T)
         modes = self.model.surface(nodes) if nodes.size else np.zeros((0, *self.character.vertices.shape))
@@ -229,9 +229,18 @@ class Session:
                 self._advance(obj)
             self._begin_again(obj)
         elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
-            self._start(number, self.flesh.player.begin(self.rig.after(obj, number)))
+            self._run_up(obj, number)
         while self.last < number:
             self._advance(obj)
+
+    def _run_up(self, obj, number: int):
+        """Begin at a frame as a bake that starts there does."""
+        player = self.flesh.player
+        first = number - player.settings.run_up
+        frame = player.begin(self.rig.after(obj, first))
+        for before in range(first, number):
+            frame = player.advance(self.rig.after(obj, before)[1:], before + 1)
+        self._start(number, frame)
 
     def _begin_again(self, obj):
         """From the end of a cycle to its start, without a jump."""
@@ -264,6 +273,11 @@ class Session:
         self.flesh.player.state = state
         self._frames = {k: frame for k, frame in self._frames.items() if k <= self.now}
         self.last = self.now
+
+
+def simulation_settings(obj, scene) -> SimulationSettings:
+    """As `extract.simulation_settings`, of which whole frames show."""
+    return replace(extract.simulation_settings(obj, scene), samples=1)
 
 
 def _sampling(obj) -> tuple:
@@ -317,7 +331,7 @@ def is_on(obj) -> bool:
 
 def obstacle(obj) -> str:
     """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
-    if obj.dynamorph.bake.keys:
+    if obj.dynamorph.bake.exists:
         return "The bake shows the motion already: press Free Bake first"
     age = changes.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
@@ -365,7 +379,7 @@ def follow(obj, scene, arrives=True):
     if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
         return
     try:
-        settings = extract.simulation_settings(obj, scene)
+        settings = simulation_settings(obj, scene)
         session = sessions.get(uid)
         if session is None or not session.fits(obj, settings):
             session = sessions[uid] = Session(obj, scene)

@@ -62,7 +62,7 @@ def _remove(obj):
         obj.active_shape_key_index = index if index >= 0 else len(blocks) - 1
     sinks.unmute_targets(obj, record.muted)
     record.key.name = ""
-    if not obj.dynamorph.bake.keys:
+    if not obj.dynamorph.bake.exists:
         sinks.leave(obj)
 
 

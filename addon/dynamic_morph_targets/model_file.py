@@ -17,7 +17,8 @@ import hashlib
 import json
 import math
 import os
-import tempfile
+import secrets
+from collections.abc import Iterable
 from itertools import combinations_with_replacement
 from pathlib import Path
 
@@ -91,19 +92,19 @@ def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
     return arrays, _parse(metadata["meta"])
 
 
-def save(path, packed: bytes):
+def save(path, content: bytes | Iterable[bytes]):
     """Write whole or not at all: a crash leaves the old file or the new one."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the rights of any new file
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(packed)
+        with temporary.open("xb") as file:
+            file.writelines([content] if isinstance(content, bytes) else content)
             file.flush()
             os.fsync(file.fileno())
-        Path(temporary).replace(path)
+        temporary.replace(path)
     except BaseException:
-        Path(temporary).unlink()
+        temporary.unlink(missing_ok=True)
         raise
 
 

@@ -412,17 +412,19 @@ def draw_bake(layout, obj):
         column.active = not simulation.use_scene_range
         column.prop(simulation, "start")
         column.prop(simulation, "end")
-        for name in ("substeps", "scheme", "gravity", "fields", "begin", "preroll", "loop"):
+        column.prop(simulation, "keep_outside")
+        for name in ("substeps", "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop"):
             body.prop(simulation, name)
+    draw_output(layout, settings.output)
     draw_job(layout, "dynamorph.bake", "REC", "Bake")
     draw_job(layout, "dynamorph.bake_all", "NONE", "Bake All")
-    if settings.bake.keys:
+    if settings.bake.exists:
         draw_outdated(layout, changes.outdated(obj))
-        strip = sinks.influence_strip(obj)
-        if strip:
+        influence = sinks.influence(obj)
+        if influence:
             row = layout.row()
             row.use_property_decorate = True  # it is to be keyed
-            row.prop(strip, "influence", slider=True)
+            row.prop(*influence, text="Influence", slider=True)
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
             draw_warnings(layout, settings.bake.warnings)
@@ -430,6 +432,19 @@ def draw_bake(layout, obj):
         row = layout.row(align=True)
         row.operator_menu_enum("dynamorph.export", "format", icon="EXPORT")
         row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")
+
+
+def draw_output(layout, output):
+    column = layout.column()
+    column.enabled = jobs.running is None
+    column.prop(output, "sink")
+    if output.sink == "MODES":
+        column.prop(output, "keys")
+    elif output.sink == "FRAMES":
+        column.prop(output, "tolerance")
+        row = column.row()
+        row.active = output.tolerance == 0.0
+        row.prop(output, "every")
 
 
 def draw_setup(layout):

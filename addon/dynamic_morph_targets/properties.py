@@ -28,7 +28,7 @@ from bpy.props import (
 from bpy.types import PropertyGroup
 
 from . import events, materials
-from .scene_data import METHODS, Material, ModelSettings, Skeleton
+from .scene_data import METHODS, Material, ModelSettings, OutputSettings, Skeleton
 
 NEUTRAL = "Neutral"
 OVERRIDE = {"LIBRARY_OVERRIDABLE"}
@@ -499,6 +499,12 @@ class DynamorphSimulation(PropertyGroup):
         description="Steps a frame; 0 chooses as many as keep a step below 1/120 s",
         default=0, min=0, max=1000, soft_max=20, override=OVERRIDE,
     )  # fmt: skip
+    samples: IntProperty(
+        name="Samples",
+        description="Times a frame at which the motion is kept, so that motion blur sees it swing between two frames. "
+        "Substeps are rounded up to a multiple",
+        default=1, min=1, max=32, soft_max=8, override=OVERRIDE,
+    )  # fmt: skip
     scheme: EnumProperty(
         name="Scheme",
         description="Time integration",
@@ -528,8 +534,23 @@ class DynamorphSimulation(PropertyGroup):
         default="SETTLE", override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
-        name="Pre-Roll", description="Frames in which the first pose is held before the start",
+        name="Pre-Roll", description="Frames that are simulated before the start",
         default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
+    )  # fmt: skip
+    preroll_pose: EnumProperty(
+        name="Pre-Roll Pose",
+        description="What the rig does in the frames before the start. A loop needs no animated ones",
+        items=(
+            ("HELD", "Held", "It holds the pose of the start"),
+            ("ANIMATED", "Animated", "It moves as its animation says: by keyframes before the start, or extrapolated"),
+        ),
+        default="HELD", override=OVERRIDE,
+    )  # fmt: skip
+    keep_outside: BoolProperty(
+        name="Keep Other Frames",
+        description="Bake the range into the last bake, of which the other frames stay as they are. The rig runs up to "
+        "the range for a second, and where the two meet they are blended",
+        override=OVERRIDE,
     )  # fmt: skip
     loop: BoolProperty(
         name="Loop", description="The range is a cycle: its last frame continues with its first, without a jump",
@@ -540,10 +561,45 @@ class DynamorphSimulation(PropertyGroup):
         return self.substeps or max(1, math.ceil(120.0 / fps - 1e-6))
 
 
+class DynamorphOutput(PropertyGroup):
+    """What a bake becomes."""
+
+    sink: EnumProperty(
+        name="Bake To", description="What plays the motion in Blender",
+        items=(
+            ("MODES", "Shape Keys", "A few keys, the modes, with a curve each: small, editable, for engines too"),
+            ("FRAMES", "Shape Key a Frame", "The surface at single frames as keys, and curves that blend them"),
+            ("PC2", "Point Cache (PC2)", "A file with the surface at every frame, played by a Mesh Cache modifier"),
+            ("MDD", "Point Cache (MDD)", "As PC2, for programs that read only that"),
+        ),
+        default=OutputSettings.sink, override=OVERRIDE,
+    )  # fmt: skip
+    keys: IntProperty(
+        name="Keys",
+        description="How many shape keys the motion may take; the best for this shot are found. 0: one for each mode",
+        default=OutputSettings.keys, min=0, soft_max=32, override=OVERRIDE,
+    )  # fmt: skip
+    every: IntProperty(
+        name="Every", description="Frames from one key to the next", default=OutputSettings.every, min=1, soft_max=10,
+        override=OVERRIDE,
+    )  # fmt: skip
+    tolerance: FloatProperty(
+        name="Error",
+        description="How far the surface may be off between keys, which then are where they are needed. 0: a key at "
+        "regular frames",
+        default=OutputSettings.tolerance, min=0.0, soft_max=0.01, precision=4, subtype="DISTANCE", override=OVERRIDE,
+    )  # fmt: skip
+
+    def settings(self) -> OutputSettings:
+        """As the panels show them: lengths in Blender units."""
+        return OutputSettings(**{field.name: getattr(self, field.name) for field in fields(OutputSettings)})
+
+
 class DynamorphBake(PropertyGroup):
-    """What a bake changed, so that Free Bake can undo exactly that. A bake exists when `keys` is not empty."""
+    """What a bake changed, so that Free Bake can undo exactly that."""
 
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
+    cache: StringProperty(name="Cache", description="File name of the point cache, if one plays the motion")
     muted: CollectionProperty(name="Muted", description="Target keys that the bake muted", type=DynamorphKey)
     action: PointerProperty(name="Action", description="Action with the modal curves", type=bpy.types.Action)
     had_animation_data: BoolProperty(
@@ -555,6 +611,12 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
+    content_id: StringProperty(name="Bake Id", description="Hash of all that the bake was made from")
+    digest: StringProperty(name="Result Id", description="Hash of what was simulated")
+
+    @property
+    def exists(self) -> bool:
+        return bool(self.keys or self.cache)
 
 
 class DynamorphSculpt(PropertyGroup):
@@ -618,6 +680,7 @@ class DynamorphSettings(PropertyGroup):
         name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
     )
     live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
+    output: PointerProperty(name="Output", description="What a bake becomes", type=DynamorphOutput, override=OVERRIDE)
     bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
     sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
 
@@ -817,7 +880,7 @@ def clothes_in(obj) -> list:
 
 def is_shown_on(obj) -> bool:
     """Whether there are keys of a bake or of Live on a mesh."""
-    return bool(obj.dynamorph.bake.keys or obj.dynamorph.live.key.name)
+    return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
 
 
 def followers(obj) -> list:
@@ -872,6 +935,7 @@ CLASSES = (
     DynamorphMode,
     DynamorphLive,
     DynamorphSimulation,
+    DynamorphOutput,
     DynamorphBake,
     DynamorphSculpt,
     DynamorphSettings,

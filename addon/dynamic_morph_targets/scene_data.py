@@ -314,6 +314,7 @@ def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
+ENGINE = 1  # of what is computed: raised when the same scene gives another model or another motion than before
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.
 LATER_SETTINGS = {"cage_thickness": 0.0, "cage_grading": 0.0, "separate": True}
 
@@ -418,13 +419,14 @@ class SurfaceMap:
 class Follower:
     """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
 
-    session_uid: of its object. vertices (P, 3): at rest, in the character's bind space; from_body (3, 3) carries
-    displacements in the character's local space to the mesh's own; skin: the points of the character's surface nearest
-    to the vertices.
+    session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
+    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own;
+    skin: the points of the character's surface nearest to the vertices.
     """
 
     name: str
     session_uid: int
+    points: np.ndarray
     vertices: np.ndarray
     from_body: np.ndarray
     skin: SurfaceMap
@@ -434,8 +436,10 @@ class Follower:
 class SimulationSettings:
     """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
 
-    begin: REST has the targets' shapes without motion at `start`, SETTLE is in balance and moves with the rig. loop:
-    the range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    samples: states a frame that are kept, of which `substeps` is a multiple.
+    begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
+    preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
+    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
     """
 
     start: int = 1
@@ -444,14 +448,52 @@ class SimulationSettings:
     substeps: int = 5
     scheme: str = "BDF2"
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    preroll: int = 0  # frames held at the first pose before `start`
+    samples: int = 1
+    preroll: int = 0
+    preroll_pose: str = "HELD"
     begin: str = "SETTLE"
     loop: bool = False
     gains: tuple[float, ...] = ()
 
+    def __post_init__(self):
+        if self.substeps % self.samples:
+            raise ValueError(f"substeps: expected a multiple of samples ({self.samples}), got {self.substeps}")
+
     @property
     def frames(self) -> np.ndarray:
-        return np.arange(self.start, self.end + 1)
+        """Those of the result, with fractions for the samples between them."""
+        return self.times[self.run_up * self.samples :]
+
+    @property
+    def run_up(self) -> int:
+        """Frames that are simulated before `start` and dropped. A cycle needs none: it finds what came before."""
+        return self.preroll if self.preroll_pose == "ANIMATED" and not self.loop else 0
+
+    @property
+    def held(self) -> int:
+        """Frames in which the first pose is held."""
+        return self.preroll if self.preroll_pose == "HELD" else 0
+
+    @property
+    def first(self) -> int:
+        """The frame that the simulation begins with."""
+        return self.start - self.run_up
+
+    @property
+    def simulated(self) -> np.ndarray:
+        """The whole frames, with those that are dropped."""
+        return np.arange(self.first, self.end + 1)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Of all states, as `frames`, with those that are dropped."""
+        if self.samples == 1:
+            return self.simulated
+        return self.first + np.arange((self.end - self.first) * self.samples + 1) / self.samples
+
+    def reached(self, states: int) -> int:
+        """The frame that is done with so many states; the first without any."""
+        return self.first + max(states - 1, 0) // self.samples
 
     @property
     def step(self) -> float:
@@ -460,12 +502,23 @@ class SimulationSettings:
 
 
 @dataclass(frozen=True)
+class OutputSettings:
+    """What a bake becomes in Blender. sink: MODES, FRAMES, PC2 or MDD."""
+
+    sink: str = "MODES"
+    keys: int = 0  # of MODES, at most; 0: as many as there are
+    every: int = 1  # of FRAMES: a key at every n-th frame,
+    tolerance: float = 0.0  # or, if this is not 0, where the surface is off by more than so many metres without it
+
+
+@dataclass(frozen=True)
 class Bake:
     """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
 
-    frames (F,), coordinates (F, r), weights (F, J), modes (r, V, 3), details (J, V, 3): what the cage cannot carry of
-    each target's shape. target_names (J,). dry (F, r): the coordinates of the targets' shapes alone, without motion.
-    node_modes (r, n, 3): the modes of the cage's nodes, bind space, for what else moves with the flesh.
+    frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
+    details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). dry (F, r): the coordinates
+    of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind space, for
+    what else moves with the flesh. mode_names (r,): of the shape keys that they become; empty: numbered.
     """
 
     frames: np.ndarray
@@ -476,6 +529,7 @@ class Bake:
     target_names: tuple[str, ...]
     dry: np.ndarray
     node_modes: np.ndarray | None = None
+    mode_names: tuple[str, ...] = ()
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""

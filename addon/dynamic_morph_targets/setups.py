@@ -5,7 +5,7 @@ A setup names shape keys, bones and vertex groups, and holds none of their conte
 
     format, version
     targets: a list, the neutral one first, each its properties, "bones" (names) and "pose" (rest and local, by bone)
-    skin, model, simulation: properties by name; modes: a list of such
+    skin, model, simulation, output: properties by name; modes: a list of such
     pieces: a list, each its properties and "object", the name of another mesh or ""
 
 What a file leaves out stays as it is. `check` refuses a setup wholly, before `apply` writes anything.
@@ -27,6 +27,7 @@ from .properties import (
     DynamorphBonePose,
     DynamorphMode,
     DynamorphModel,
+    DynamorphOutput,
     DynamorphPiece,
     DynamorphSettings,
     DynamorphSimulation,
@@ -45,12 +46,18 @@ NOT_AUTHORED = {
     DynamorphSettings: ("name", "groups", "active_target_index", "active_mode_index", "active_piece_index", "had_keys"),
     DynamorphModel: {"name", *DynamorphModel.__annotations__}.difference(field.name for field in fields(ModelSettings)),
     DynamorphSimulation: ("name",),
+    DynamorphOutput: ("name",),
     DynamorphMode: ("name",),
     DynamorphTarget: KEY_REFERENCE[1:],  # the name is in the file
     DynamorphBonePose: ("name",),
     DynamorphPiece: (),
 }
-PARTS = {"skin": DynamorphSettings, "model": DynamorphModel, "simulation": DynamorphSimulation}
+PARTS = {
+    "skin": DynamorphSettings,
+    "model": DynamorphModel,
+    "simulation": DynamorphSimulation,
+    "output": DynamorphOutput,
+}
 GROUPS = ("soft_group", "stiffness_group")
 
 
@@ -78,6 +85,7 @@ def of_object(obj) -> dict:
         "skin": authored(settings),
         "model": authored(settings.model),
         "simulation": authored(settings.simulation),
+        "output": authored(settings.output),
         "modes": [authored(mode) for mode in settings.modes],
         "pieces": [
             {**authored(piece), "object": piece.object.name if piece.object else ""}
@@ -106,6 +114,7 @@ def apply(obj, setup: dict) -> dict[str, list[str]]:
     assign(settings, lacking.without_lost_groups(setup.get("skin", {}), GROUPS))
     assign(settings.model, setup.get("model", {}))
     assign(settings.simulation, setup.get("simulation", {}))
+    assign(settings.output, setup.get("output", {}))
     modes = setup.get("modes", [])
     while len(settings.modes) < len(modes):
         settings.modes.add()

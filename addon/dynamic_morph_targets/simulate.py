@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain, islice
 
 import dynamorph
 import numpy as np
@@ -29,9 +30,9 @@ CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest
 
 @dataclass(frozen=True)
 class Frame:
-    """One simulated frame: coordinates (dofs,), target weights (J,), and the engine's report of its steps."""
+    """A frame, or a time between two: coordinates (dofs,), target weights (J,), and a report of the steps to it."""
 
-    number: int
+    number: float
     coordinates: np.ndarray
     weights: np.ndarray
     steps: dict
@@ -78,7 +79,7 @@ class Player:
     ):
         self.model = model
         self.settings = settings
-        self.number, self.passes = settings.start, 0
+        self.number, self.passes = settings.first, 0
         self.engine = None
         self._keep_going = keep_going
         self.character = character.by_method()
@@ -124,25 +125,26 @@ class Player:
         return float(np.linalg.norm(np.ptp(self.character.vertices @ self.character.to_bind.T, axis=0)))
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
-        """Every frame from settings.start to settings.end, one pass; rig: 1 + (end - start) * substeps samples."""
-        yield self.begin(rig)
-        yield from self.play(rig[1:], self.settings.frames[1:])
+        """One of each of settings.frames, one pass; rig: 1 + (end - first) * substeps samples."""
+        settings = self.settings
+        frames = chain([self.begin(rig)], self.play(rig[1:], settings.simulated[1:]))
+        yield from islice(frames, settings.run_up * settings.samples, None)
 
     def begin(self, rig: RigSamples) -> Frame:
-        """The frame settings.start. rig: its sample and those that follow it, of which the first counts."""
+        """The frame settings.first. rig: its sample and those that follow it, of which the first counts."""
         self._hold_targets(rig[:1])
         bones, weights = self._posed(rig[:2])  # or nodes, if those are known
         if self.settings.begin == "REST":
             self.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
         else:
-            held = self.settings.preroll > 0
+            held = self.settings.held > 0
             begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
         still = [np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights)]
-        for _ in range(self.settings.preroll):
+        for _ in range(self.settings.held):
             self._ask()
             self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
-        self.number = self.settings.start
+        self.number = self.settings.first
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
 
     def resume(self, first: RigSamples, state):
@@ -180,25 +182,34 @@ class Player:
 
     def advance(self, rig: RigSamples, number: int) -> Frame:
         """The frame `number`, one frame after the last; rig: its settings.substeps samples."""
-        return next(self.play(rig, [number]))
+        *_, frame = self.play(rig, [number])
+        return frame
 
     def play(self, rig: RigSamples, numbers) -> Iterator[Frame]:
-        """The frames `numbers`, which follow the last; rig: settings.substeps samples each."""
-        substeps = self.settings.substeps
+        """The frames `numbers`, which follow the last, and what is kept between; rig: settings.substeps samples each.
+
+        Force fields change from frame to frame.
+        """
+        substeps, samples = self.settings.substeps, self.settings.samples
+        stride = substeps // samples
         if len(rig) != len(numbers) * substeps:
             raise ValueError(f"rig: expected {len(numbers) * substeps} samples, got {len(rig)}")
         frames = max(1, CHUNK_NODES // (len(rig.nodes.rest) * substeps)) if rig.nodes else CHUNK
         for first in range(0, len(numbers), frames):
             chunk = numbers[first : first + frames]
-            samples = rig[first * substeps : (first + len(chunk)) * substeps]
-            bones, weights = self._posed(samples)
+            moving = rig[first * substeps : (first + len(chunk)) * substeps]
+            bones, weights = self._posed(moving)
             for k, number in enumerate(chunk):
                 self.number = int(number)
                 self._ask()
-                steps, last = slice(k * substeps, (k + 1) * substeps), (k + 1) * substeps - 1
-                push = self._push(samples.fields, last, bones[last])
-                report = self._simulation.advance(bones[steps], weights[steps], push)
-                yield Frame(self.number, self._simulation.coordinates, weights[last], report)
+                last = (k + 1) * substeps - 1
+                push = self._push(moving.fields, last, bones[last])
+                for left in reversed(range(samples)):
+                    end = last + 1 - left * stride
+                    steps = slice(end - stride, end)
+                    report = self._simulation.advance(bones[steps], weights[steps], push)
+                    time = self.number - left / samples
+                    yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
 
     def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
         """A player that goes on from here with the materials, poses and blending of `character`.
@@ -316,9 +327,9 @@ def simulate(
     settings: SimulationSettings,
     progress: Progress | None = None,
 ) -> Iterator[Frame]:
-    """Yields every frame from settings.start to settings.end, in one pass.
+    """Yields one of each of settings.frames, in one pass.
 
-    rig: 1 + (end - start) * substeps samples, the first at `start`. progress(fraction, message) -> bool is asked at
+    rig: 1 + (end - first) * substeps samples, from settings.first on. progress(fraction, message) -> bool is asked at
     every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
     """
     return _player(model, character, settings, progress).run(rig)
@@ -329,7 +340,7 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
 
     Passes over its range until one ends as it began: in place and, by the frame after, in velocity.
     """
-    numbers, fixed_point = player.settings.frames[1:], _FixedPoint()
+    samples, numbers, fixed_point = player.settings.samples, player.settings.simulated[1:], _FixedPoint()
     next_frame = rig[1 : 1 + player.settings.substeps], numbers[:1]  # none in a range of one frame
     first = player.begin(rig)
     while True:
@@ -338,7 +349,8 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
         ended = player.past
         first = player.begin_again(rig, frames[-1])
         start = player.state
-        pairs = list(zip(frames, [frames[-1], *player.play(*next_frame)], strict=False))
+        again = [frames[-1], *player.play(*next_frame)]
+        pairs = list(zip(frames[::samples], again[::samples], strict=False))
         gap = max(player.gap(*pair) for pair in pairs)
         if gap <= CLOSED * player.size or player.passes == PASSES or player.engine is None:
             return frames, gap
@@ -373,7 +385,7 @@ def _player(model: Model, character: Character, settings: SimulationSettings, pr
     """A player that reports to `progress`."""
 
     def keep_going() -> bool:
-        done = (player.number - settings.start) / len(settings.frames)
+        done = (player.number - settings.first) / len(settings.simulated)
         message = f"Simulating frame {player.number}"
         if settings.loop:  # nobody knows how many passes it takes
             done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
@@ -404,7 +416,8 @@ def build_for(
 
 class Shot:
     """A bake in the making: the moving rig comes in stretches, so that a long shot takes no more memory than a short
-    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch.
+    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch. The run-up is
+    part of the shot, but not of its bake.
 
     progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
     """
@@ -413,7 +426,7 @@ class Shot:
         self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
     ):
         self.player = _player(model, character, settings, progress)
-        self.done = 0  # frames
+        self.done = 0  # of settings.times
         self._coordinates, self._weights, self._steps = [], [], []  # a stretch each
         self._loop: dict = {}
         self._warnings: list[str] = []
@@ -421,7 +434,7 @@ class Shot:
 
     @property
     def is_complete(self) -> bool:
-        return self.done == len(self.player.settings.frames)
+        return self.done == len(self.player.settings.times)
 
     def play(self, rig: RigSamples):
         """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
@@ -432,12 +445,10 @@ class Shot:
         if settings.loop:
             frames, gap = cycle(player, rig)
             self._loop, self._warnings = {"gap": gap}, _loop_warnings(player, rig, gap)
-        elif self.done:
-            numbers = settings.frames[self.done : self.done + len(rig) // settings.substeps]
-            frames = list(player.play(rig, numbers))
         else:
-            numbers = settings.frames[1 : 1 + (len(rig) - 1) // settings.substeps]
-            frames = [player.begin(rig), *player.play(rig[1:], numbers)]
+            frames = [] if self.done else [player.begin(rig)]
+            rig, reached = rig[len(frames) :], settings.reached(self.done)
+            frames += player.play(rig, range(reached + 1, reached + 1 + len(rig) // settings.substeps))
         self.done += len(frames)
         self._coordinates.append(np.array([frame.coordinates for frame in frames]))
         self._weights.append(np.array([frame.weights for frame in frames]))
@@ -464,10 +475,11 @@ class Shot:
     def bake(self) -> tuple[Bake, dict]:
         """The bake and its report, when all is played."""
         began, player = time.perf_counter(), self.player
-        model, character = player.model, player.character
-        coordinates, weights = np.concatenate(self._coordinates), np.concatenate(self._weights)
+        model, character, settings = player.model, player.character, player.settings
+        kept = slice(settings.run_up * settings.samples, None)
+        coordinates, weights = (np.concatenate(rows)[kept] for rows in (self._coordinates, self._weights))
         dry = player.dry(weights)
-        report = _report(player.settings.frames, np.concatenate(self._steps)) | self._loop
+        report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, dry))
         coordinates, free = player.with_gains(coordinates, dry), model.basis.T
@@ -477,7 +489,7 @@ class Shot:
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
         names = tuple(target.name for target in character.targets)
-        return Bake(player.settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+        return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
 
 
 def bake(
@@ -579,7 +591,7 @@ def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
 
 
 def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
-    """Of what the steps of each frame did (F, STEP)."""
+    """Of what the steps to each of `frames` (F,) did (F, STEP)."""
     by_name = dict(zip(STEP, steps.T, strict=True))
     moving = by_name["steps"] > 0
     rates = by_name["steps"][moving] / by_name["seconds"][moving]
@@ -592,13 +604,18 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
         "energy": float(by_name["energy"].max()),  # elastic, J
         "warnings": [],
     }
-    unconverged = frames[by_name["converged"] == 0].tolist()
+    unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
         report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
-    cuts = frames[by_name["teleported"] != 0].tolist()
+    cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
         report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
     return report
+
+
+def _whole(frames: np.ndarray) -> list[int]:
+    """The frames that steps, named by where they ended, belong to."""
+    return np.unique(np.ceil(frames)).astype(int).tolist()
 
 
 def _some(numbers: list[int]) -> str:

@@ -1,24 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake -> Blender: modal shape keys, and their removal.
+"""A bake -> Blender: shape keys or a point cache, and their removal.
 
 surface = vertices + modes . coordinates + details . weights becomes one shape key a mode and one a target's detail,
 with the coordinates as F-curves. The curves sit in an Action of their own, as strips on NLA tracks, because an
 animation data holds one Action and that is the artist's. There are two tracks: the lower one plays the targets' shapes,
-the one above it replaces them by the motion, as far as the influence of its strip says.
+the one above it replaces them by the motion, as far as the influence of its strip says. In the place of the upper track
+there may be a point cache: a Mesh Cache modifier before all others, whose influence is its own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
 import numpy as np
 
-from . import checks
+from . import checks, clips
 from .properties import basis_hash, followers, key_points, key_reach, reconcile
 from .scene_data import Bake
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
+CACHE_FOLDER = "dynamorph_caches"  # beside the .blend
+OBJECT = "{object}"  # in the name of a file that each mesh has one of
 NEGLIGIBLE = 1e-7  # of the bounding box: displacements that no key is made for
 KEYFRAME_BYTES = 72  # that Blender takes for one
 NAME_BYTES = 59  # Blender has room for 63, cuts within a letter, and may add ".001"
@@ -59,6 +63,37 @@ def check(obj, needs_keys=True):
         raise SinkError(f"'{obj.name}': {driven} has a driver, so a bake cannot mute the key: remove the driver")
 
 
+def check_cache(obj, folder: Path | None):
+    """Refuse a point cache that has no place: folder is that of the .blend. Raises SinkError."""
+    if folder is None:
+        raise SinkError(f"The point cache of '{obj.name}' goes into a folder beside the .blend: save the .blend first")
+
+
+def file_path(file: str, name: str) -> Path:
+    """The file of an object, as named with `OBJECT` in the place of its name."""
+    return Path(file.replace(OBJECT, bpy.path.clean_name(name))).resolve()
+
+
+def cache_path(folder: Path, name: str, bake: Bake, sink: str) -> Path:
+    """Of the point cache of a bake: named by its content, so that none is changed that another .blend plays."""
+    return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{clips.digest(bake)[:12]}.{sink.lower()}"), name)
+
+
+def overwritten_keys(obj) -> list[str]:
+    """The artist's own shape keys that move, over which a point cache plays."""
+    keys = obj.data.shape_keys
+    if keys is None:
+        return []
+    animation = keys.animation_data
+    moving = {driver.data_path for driver in animation.drivers} if animation else set()
+    if animation and animation.action and animation.action_slot:
+        bags = (strip.channelbag(animation.action_slot) for layer in animation.action.layers for strip in layer.strips)
+        moving |= {curve.data_path for bag in bags if bag for curve in bag.fcurves}
+    own = {target.name for target in obj.dynamorph.targets[1:]} | set(_baked_names(obj))
+    others = [block for block in keys.key_blocks[1:] if block.name not in own and not block.mute]
+    return [block.name for block in others if block.value or f"{block.path_from_id()}.value" in moving]
+
+
 def check_not_edited(obj):
     """Refuse Edit Mode, in which Blender removes no shape keys. Raises SinkError."""
     if obj.mode == "EDIT":
@@ -76,11 +111,12 @@ def check_local(*blocks):
             )
 
 
-def write_modal_keys(obj, bake: Bake, skin=None) -> int:
-    """Write the bake as modal shape keys and F-curves, replacing the previous bake of `obj`. Raises SinkError.
+def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
+    """Write the bake as shape keys and F-curves, replacing the previous bake of `obj`. Raises SinkError.
 
     The old bake goes only when the new one is complete; its Influence stays. skin: the soft skin that `obj` follows,
-    if it is none itself; its Basis is made if there is none. Returns the bytes that Blender keeps.
+    if it is none itself; its Basis is made if there is none. cache: a point cache (.pc2, .mdd) that plays the motion,
+    if the keys do not. Returns the bytes of keys and curves.
     """
     check(obj, needs_keys=skin is None)
     reconcile(obj)
@@ -94,7 +130,7 @@ def write_modal_keys(obj, bake: Bake, skin=None) -> int:
     keys = _scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
     old = _baked_names(obj)  # now: a new key may look like an old one, or take the name of one that was deleted
     before = obj.data.shape_keys.animation_data is not None
-    had_animation_data = record.had_animation_data if record.keys else before
+    had_animation_data = record.had_animation_data if record.exists else before
     active_index = obj.active_shape_key_index
     blocks, action = [], None
     try:
@@ -112,8 +148,10 @@ def write_modal_keys(obj, bake: Bake, skin=None) -> int:
         raise
     obj.active_shape_key_index = active_index
     _keep_influence(_strip(obj.data.shape_keys, record.action), _strip(obj.data.shape_keys, action))
-    _free(obj, old)
+    _free(obj, old, keep_cache=cache is not None)
     _record(obj, names, [key.name for key in keys], action, had_animation_data)
+    if cache:
+        _play_cache(obj, cache, bake, skin)
     mute_targets(obj, record.muted, bake.target_names, skin)
     return sum(key.bytes() for key in keys)
 
@@ -143,10 +181,25 @@ def leave(obj):
         obj.shape_key_clear()
 
 
+def influence(obj) -> tuple:
+    """What says how much of the bake's motion shows, an NLA strip or a modifier, and which property; None without."""
+    if modifier := cache_modifier(obj):
+        return modifier, "factor"
+    strip = influence_strip(obj)
+    return strip and (strip, "influence")
+
+
 def influence_strip(obj):
-    """The NLA strip whose `influence` says how much of the bake's motion shows, or None."""
+    """The NLA strip that plays the bake's motion, or None."""
     keys, action = obj.data.shape_keys, obj.dynamorph.bake.action
     return keys and _strip(keys, action)
+
+
+def cache_modifier(obj):
+    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
+    file = obj.dynamorph.bake.cache
+    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
+    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
 
 
 def show_influence(obj):
@@ -174,7 +227,7 @@ def free(obj):
     """
     baked = (obj, *followers(obj))
     for each in baked:
-        if each.dynamorph.bake.keys and each.data.shape_keys:  # else the artist has removed all there was
+        if each.dynamorph.bake.exists and each.data.shape_keys:  # else the artist has removed all there was
             check(each)
     for each in baked:
         reconcile(each)
@@ -182,15 +235,64 @@ def free(obj):
         leave(each)
 
 
+def read_back(obj) -> Bake:
+    """The bake of `obj` as its shape keys and curves now have it, at its keyframes and the whole frames between, local
+    space. All keys are modes. Raises SinkError.
+    """
+    record, keys = obj.dynamorph.bake, obj.data.shape_keys
+    reconcile(obj)
+    wet, dry = _curves_of(keys, record.action, MOTION), _curves_of(keys, record.action, SHAPES)
+    blocks = [keys.key_blocks[name] for name in _baked_names(obj)] if keys else []
+    paths = [f"{block.path_from_id()}.value" for block in blocks]
+    curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
+    if not curves or record.cache:
+        raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
+    times = np.unique(np.concatenate([_times(curve) for curve in curves]))
+    render = bpy.context.scene.render
+    per_frame = render.frame_map_old / render.frame_map_new
+    whole = np.arange(np.ceil(times[0] / per_frame), times[-1] / per_frame + 1e-3)
+    frames = np.unique(np.concatenate([np.round(times / per_frame, 3), whole]))
+
+    def values(curve) -> np.ndarray:
+        return np.array([curve.evaluate(time) for time in frames * per_frame]) if curve else np.zeros(len(frames))
+
+    basis = key_points(keys.reference_key).astype(np.float64)
+    return Bake(
+        frames=frames,
+        coordinates=np.array([values(wet.get(path) or dry.get(path)) for path in paths]).T,
+        weights=np.zeros((len(frames), 0)),
+        modes=np.array([key_points(block) - basis for block in blocks]),
+        details=np.zeros((0, *basis.shape)),
+        target_names=tuple(target.name for target in obj.dynamorph.targets),
+        dry=np.array([values(dry.get(path)) for path in paths]).T,
+        mode_names=tuple(block.name for block in blocks),
+    )
+
+
+def _curves_of(keys, action, title: str) -> dict:
+    """The curves of one slot of a bake's Action, by path."""
+    slot = action and next((slot for slot in action.slots if slot.name_display == title), None)
+    if not (keys and slot):
+        return {}
+    return {curve.data_path: curve for curve in action.layers[0].strips[0].channelbag(slot).fcurves}
+
+
+def _times(curve) -> np.ndarray:
+    points = np.empty((len(curve.keyframe_points), 2), np.float32)
+    curve.keyframe_points.foreach_get("co", points.ravel())
+    return points[:, 0].astype(np.float64)
+
+
 def _baked_names(obj) -> list[str]:
     """Names of the shape keys that the bake added and that are still there; the references must be reconciled."""
     return [key.name for key in obj.dynamorph.bake.keys if key.name]
 
 
-def _free(obj, names):
+def _free(obj, names, keep_cache=False):
+    """keep_cache: the modifier stays for the next one, with the place and the influence that the artist gave it."""
     record = obj.dynamorph.bake
     keys = obj.data.shape_keys
-    if record.keys and keys:
+    if record.exists and keys:
         active = obj.active_shape_key.name if obj.active_shape_key else ""
         _remove(obj, [keys.key_blocks[name] for name in names], record.action)
         index = keys.key_blocks.find(active)
@@ -200,6 +302,11 @@ def _free(obj, names):
         if unused and not record.had_animation_data:
             keys.animation_data_clear()
     unmute_targets(obj, record.muted)
+    modifier = cache_modifier(obj)
+    if modifier and not keep_cache:
+        modifier.driver_remove("factor")
+        obj.modifiers.remove(modifier)
+        record.cache = ""
     record.keys.clear()
     record.action = None
     record.summary = record.warnings = ""
@@ -235,15 +342,20 @@ def _scaled_keys(bake: Bake, basis: np.ndarray) -> list[_Key]:
         motion, shapes = bake.coordinates[:, k], bake.dry[:, k]
         largest = max(np.abs(motion).max(), np.abs(shapes).max()) or 1.0
         needed = np.abs(mode).max() * np.abs(shapes).max() > negligible
-        name = f"Dynamorph Mode {k + 1:02d}"
-        keys.append(_Key(name, points(largest * mode), -1.0, motion / largest, shapes / largest if needed else None))
+        name = bake.mode_names[k] if bake.mode_names else f"Dynamorph Mode {k + 1:02d}"
+        without = shapes / largest if needed else None
+        keys.append(_Key(_fit(name), points(largest * mode), -1.0, motion / largest, without))
     for j, detail in enumerate(bake.details):
         weights = bake.weights[:, j]
         largest = np.abs(weights).max()
         if np.abs(detail).max() * largest > negligible:
-            name = f"Dynamorph Detail {bake.target_names[j]}".encode()[:NAME_BYTES].decode(errors="ignore")
+            name = _fit(f"Dynamorph Detail {bake.target_names[j]}")
             keys.append(_Key(name, points(largest * detail), 0.0, None, weights / largest))
     return keys
+
+
+def _fit(name: str) -> str:
+    return name.encode()[:NAME_BYTES].decode(errors="ignore")
 
 
 def _add_key(obj, key: _Key):
@@ -275,12 +387,14 @@ def _add_curves(keys, names, frames, values: list[_Key]):
 
 
 def add_curve(channels, name: str, times, values):
-    """A curve of the value of the key `name`, linear between the times."""
+    """A curve of the value of the key `name`, linear between the times; of equal values the ends count."""
     points = np.column_stack([times, values]).astype(np.float32)
+    same = points[1:, 1] == points[:-1, 1]
+    points = points[~(np.r_[False, same] & np.r_[same, False])]
     curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
-    curve.keyframe_points.add(len(times))
+    curve.keyframe_points.add(len(points))
     curve.keyframe_points.foreach_set("co", points.ravel())
-    curve.keyframe_points.foreach_set("interpolation", np.full(len(times), LINEAR, np.int32))
+    curve.keyframe_points.foreach_set("interpolation", np.full(len(points), LINEAR, np.int32))
     curve.update()
 
 
@@ -333,6 +447,28 @@ def _keep_influence(old, new):
     copy.update()
 
 
+def _play_cache(obj, file: Path, bake: Bake, skin):
+    """Let a Mesh Cache modifier play the motion in a file; what follows a soft skin takes the influence from there."""
+    modifier = cache_modifier(obj)
+    if modifier is None:
+        modifier = obj.modifiers.new(MOTION, "MESH_CACHE")
+        obj.modifiers.move(len(obj.modifiers) - 1, 0)  # it has the surface that the others deform
+    render, samples = bpy.context.scene.render, clips.samples_per_frame(bake)
+    modifier.cache_format = file.suffix[1:].upper()
+    modifier.filepath = bpy.path.relpath(str(file)) if bpy.data.filepath else str(file)
+    modifier.frame_start = bake.frames[0] * samples  # the modifier scales first
+    modifier.frame_scale = samples * render.frame_map_new / render.frame_map_old
+    modifier.show_in_editmode = False
+    obj.dynamorph.bake.cache = file.name
+    if skin:
+        driver = modifier.driver_add("factor").driver
+        driver.type = "SUM"
+        variable = driver.variables.get("skin") or driver.variables.new()
+        variable.name = "skin"
+        variable.targets[0].id = skin
+        variable.targets[0].data_path = cache_modifier(skin).path_from_id("factor")
+
+
 def _remove(obj, blocks, action):
     """Remove shape keys, and the Action with its strips and the tracks that then are empty."""
     keys = obj.data.shape_keys
@@ -370,7 +506,7 @@ def _record(obj, names, wanted, action, had_animation_data):
 def mute_targets(obj, muted, simulated, skin=None):
     """The result contains the targets' shapes, so their own keys rest, and keys called so of what follows a soft skin.
 
-    muted: the list that remembers them; skin: as for `write_modal_keys`.
+    muted: the list that remembers them; skin: as for `write_keys`.
     """
     blocks = obj.data.shape_keys.key_blocks
     for target in (skin or obj).dynamorph.targets[1:]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import dynamorph
 import numpy as np
 
-from .scene_data import Character, connected_parts, loose_parts
+from .scene_data import Character, connected_parts
 
 Progress = Callable[[float, str], bool]
 
@@ -19,7 +19,6 @@ GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a sc
 MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
 HELD = 0.05  # nodes softer than this in the Soft group are free
 FEWEST_NODES = 50  # of a piece's own cage
-FLAT = 1e-3  # of a part's area^1.5, as volume, about: less has no inside
 
 
 @dataclass(frozen=True)
@@ -208,24 +207,12 @@ def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
 
 def _parted(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> tuple:
     """The mesh, cut where it joins skin that merely touches, the skin's embedding in it, and the counts."""
-    parting = dynamorph.Parting(mesh, surface, _outward(surface, cage.triangles))
+    parting = dynamorph.Parting(mesh, surface, cage.triangles)
     tets = int(parting.glued.sum())
     if not tets or not cage.settings.separate:
         return mesh, dynamorph.embed(mesh, surface), {"tets": tets, "split_nodes": 0}
     cut = parting.cut()
     return cut, parting.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
-
-
-def _outward(surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The triangles (T, 3), those of parts that are inside out turned over: the way through the flesh is inward."""
-    part = loose_parts(surface, triangles)[triangles[:, 0]]
-    corners = surface[triangles]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.bincount(part, np.linalg.norm(across, axis=1))
-    middle = [np.bincount(part, along) / np.maximum(np.bincount(part), 1) for along in corners.mean(axis=1).T]
-    away = corners[:, 0] - np.column_stack(middle)[part]
-    inside_out = np.bincount(part, np.einsum("tc,tc->t", across, away)) < -FLAT * area**1.5
-    return np.where(inside_out[part, None], triangles[:, ::-1], triangles)
 
 
 def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:

@@ -51,7 +51,7 @@ def _look_at_meshes():
 
 def _look_at_animations():
     for obj in properties.soft_skins(bpy.context.scene.objects):
-        if obj.dynamorph.bake.keys and obj.is_editable:
+        if obj.dynamorph.bake.exists and obj.is_editable:
             changes.look_at_animation(obj)
             sinks.share_influence(obj)
 

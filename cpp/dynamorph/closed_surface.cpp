@@ -7,7 +7,6 @@
 #include <map>
 #include <numeric>
 #include <queue>
-#include <set>
 #include <sstream>
 #include <tuple>
 #include <unordered_map>
@@ -94,9 +93,10 @@ class Closing {
   }
 
   ClosedSurface result(const UnitBox& box) const {
-    ClosedSurface s{Points(points_.size(), 3), Triangles(faces_.size(), 3), static_cast<int>(authored_), defects_};
+    ClosedSurface s{Points(points_.size(), 3), Triangles(faces_.size(), 3), static_cast<int>(authored_), defects_, {}};
     for (size_t i = 0; i < points_.size(); ++i) s.vertices.row(i) = box.origin + box.size * points_[i];
     for (size_t f = 0; f < faces_.size(); ++f) s.triangles.row(f) << faces_[f][0], faces_[f][1], faces_[f][2];
+    for (const auto& [f, edge] : soup_) s.flipped.push_back(f >= 0 && !runs_along(f, edge.first, edge.second));
     return s;
   }
 
@@ -117,6 +117,7 @@ class Closing {
 
   std::vector<Vector3d> points_;  // in the unit box
   std::vector<Face> faces_;
+  std::vector<std::pair<int, Edge>> soup_;  // of each triangle of it: its face, -1 if collapsed, and its first edge
   size_t authored_ = 0;
   std::map<Edge, std::vector<int>> edges_;  // with their faces
   Defects defects_;
@@ -130,7 +131,7 @@ void Closing::weld(const Points& vertices, const Triangles& triangles, const Uni
   points_ = std::move(welder.points);
   defects_.stray_vertices = static_cast<int>(std::count(number.begin(), number.end(), -1));
   Sets pieces(points_.size());
-  std::set<Face> seen;
+  std::map<Face, int> seen;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
     const Face f{number[triangles(t, 0)], number[triangles(t, 1)], number[triangles(t, 2)]};
     pieces.join(f[0], f[1]);
@@ -139,10 +140,13 @@ void Closing::weld(const Points& vertices, const Triangles& triangles, const Uni
     const Vector3d u = points_[f[1]] - points_[f[0]], v = points_[f[2]] - points_[f[0]];
     // One without area still joins its neighbours: it stays.
     defects_.degenerate_faces += u.cross(v).norm() <= 1e-12 * std::max(u.squaredNorm(), v.squaredNorm());
+    soup_.push_back({-1, {f[0], f[1]}});
     if (collapsed) continue;
     Face corners = f;
     std::sort(corners.begin(), corners.end());
-    if (seen.insert(corners).second)
+    const auto [same, is_new] = seen.emplace(corners, static_cast<int>(faces_.size()));
+    soup_.back().first = same->second;
+    if (is_new)
       faces_.push_back(f);
     else
       ++defects_.duplicate_faces;

@@ -7,6 +7,8 @@
 // closed loops, also at T-junctions and edges of many faces. Every loop is capped with triangles the other way round.
 #pragma once
 
+#include <vector>
+
 #include "dynamorph/types.hpp"
 
 namespace dynamorph {
@@ -28,6 +30,7 @@ struct ClosedSurface {
   Triangles triangles;  // outward; the first `authored` of the soup, the rest caps
   int authored = 0;
   Defects defects;
+  std::vector<bool> flipped;  // which triangles of the soup look inward
 };
 
 /// Welds vertices nearer than 1e-6 of the diagonal. Throws Error when the soup is empty, flat, not finite, or outside

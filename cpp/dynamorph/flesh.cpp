@@ -30,13 +30,6 @@ double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& 
              : infinity;  // not so for NaN: a triangle along the line
 }
 
-Surface closed(const Points& vertices, const Triangles& triangles) {
-  check_triangles(vertices, triangles);
-  if (triangles.rows() == 0) return Surface(vertices, triangles);
-  const ClosedSurface closed = close_surface(vertices, triangles);
-  return Surface(closed.vertices, closed.triangles);
-}
-
 using Cell = std::array<std::int64_t, 3>;
 
 /// Where each vertex is, on a grid of 1e-6 of the diagonal.
@@ -78,8 +71,10 @@ std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cel
 
 }  // namespace
 
-Flesh::Flesh(const Points& vertices, const Triangles& triangles, double spacing) : body_(closed(vertices, triangles)) {
+Flesh::Flesh(const Points& vertices, const Triangles& triangles, double spacing) {
+  check_triangles(vertices, triangles);
   weld(vertices, triangles);
+  close(vertices, triangles);
   refine(spacing);
   connect();
   find_parts();
@@ -101,6 +96,15 @@ void Flesh::weld(const Points& vertices, const Triangles& triangles) {
   }
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
     triangles_.push_back({of_vertex_[triangles(t, 0)], of_vertex_[triangles(t, 1)], of_vertex_[triangles(t, 2)]});
+}
+
+/// Turns the triangles outward, as those of the closed body are.
+void Flesh::close(const Points& vertices, const Triangles& triangles) {
+  if (triangles.rows() == 0) return;
+  const ClosedSurface closed = close_surface(vertices, triangles);
+  body_ = Surface(closed.vertices, closed.triangles);
+  for (size_t t = 0; t < triangles_.size(); ++t)
+    if (closed.flipped[t]) std::swap(triangles_[t][1], triangles_[t][2]);
 }
 
 /// Triangles are halved at their longest edge; both triangles of an edge get the same middle.

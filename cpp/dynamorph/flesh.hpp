@@ -24,9 +24,9 @@ class Flesh {
     double length;
   };
 
-  /// The skin: vertices and outward triangles. It may be open, and have seams: equal vertices at open edges count as
-  /// one. Edges longer than `spacing` (metres) get points in between.
-  /// Throws std::invalid_argument when a triangle names a vertex that does not exist.
+  /// The skin: vertices and triangles, which may look either way. It may be open, and have seams: equal vertices at
+  /// open edges count as one. Edges longer than `spacing` (metres) get points in between. Throws std::invalid_argument
+  /// when a triangle names a vertex that does not exist.
   Flesh(const Points& vertices, const Triangles& triangles, double spacing);
 
   int size() const { return int(points_.size()); }
@@ -52,6 +52,7 @@ class Flesh {
   };
 
   void weld(const Points& vertices, const Triangles& triangles);
+  void close(const Points& vertices, const Triangles& triangles);
   void refine(double spacing);
   void connect();
   void find_parts();
@@ -69,7 +70,7 @@ class Flesh {
   std::vector<int> part_;
   std::vector<bool> buried_;  // inside another place of the same part, or touching it
   Bvh bvh_ = Bvh({});
-  Surface body_;
+  Surface body_ = Surface(Points(0, 3), Triangles(0, 3));  // closed
 };
 
 /// The shortest ways from one point of the skin, found as far as they are asked for.

@@ -194,7 +194,7 @@ class StandIn:
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
 
-    def Shot(self, model, character, settings, progress):  # noqa: N802: in the place of a class
+    def Shot(self, model, character, settings, progress):  # in the place of a class
         return StandInShot(self, character, settings, progress)
 
 

@@ -3,9 +3,10 @@
 
 from dataclasses import replace
 
+import bpy
 import numpy as np
 import pytest
-from builders import part
+from builders import activate, evaluated_points, part, rig_of
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -151,6 +152,185 @@ def test_a_pre_roll_can_be_cancelled(shot):
     with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
         player.begin(shot.rig[:2])
     assert len(asked) == 9
+
+
+# Run-up ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def swaying(shot, soft_arm):
+    """The arm whose rig sways sideways over frames 1 to 60, beside its bend."""
+    rig = rig_of(soft_arm)
+    soft_arm.parent = rig
+    for frame in range(1, 61, 6):
+        rig.location.x = 0.15 * np.sin(0.35 * frame)
+        rig.keyframe_insert("location", frame=frame)
+    return soft_arm
+
+
+def baked(obj, frames, preroll=0, pose="ANIMATED", **job):
+    """A job that baked these frames."""
+    jobs, simulation = part("jobs"), obj.dynamorph.simulation
+    simulation.preroll, simulation.preroll_pose = preroll, pose
+    job = jobs.Job(obj, "BAKE", frames, **job)
+    jobs.run(job)
+    return job
+
+
+def test_a_run_up_is_what_came_before(shot, swaying):
+    """From the same first frame on to the last bit; from a later one to a hundredth of the motion, which the slowest
+    swing forgets in 40 frames.
+    """
+    bake = baked(swaying, (1, 60)).result
+    whole, motion = bake.coordinates, np.abs(bake.coordinates - bake.dry).max()
+    same = baked(swaying, (50, 60), preroll=49)
+    assert same.result.frames.tolist() == list(range(50, 61))
+    assert np.array_equal(same.result.coordinates, whole[49:])
+    later = baked(swaying, (50, 60), preroll=40).result.coordinates
+    assert later == pytest.approx(whole[49:], abs=1e-2 * motion)
+    for other in (baked(swaying, (50, 60)), baked(swaying, (50, 60), preroll=40, pose="HELD")):
+        assert np.abs(other.result.coordinates[0] - whole[49]).max() > 0.1 * motion
+
+
+def test_a_run_up_comes_in_stretches_too(shot, swaying, tmp_path, monkeypatch):
+    whole = baked(swaying, (50, 60), preroll=20)
+    jobs, share = part("jobs"), part("share").Share(tmp_path)
+    monkeypatch.setattr(jobs, "STRETCH", 7)
+    stretched = baked(swaying, (50, 60), preroll=20)
+    monkeypatch.setattr(jobs, "SHORT_STRETCH", 7)
+    job = jobs.Job(swaying, "BAKE", (50, 60), share=share)
+    steps = jobs.Batch([job], "BAKE").steps()
+    while not (job.shot and job.shot.done == 15):  # two stretches
+        next(steps)
+    job.cancelled = True
+    with pytest.raises(jobs.Cancelled):
+        list(steps)
+    resumed = jobs.Job(swaying, "BAKE", (50, 60), share=share)
+    jobs.run(resumed)
+    assert len(resumed.resumed["coordinates"]) >= 8
+    for job in (stretched, resumed):
+        assert np.array_equal(job.result.coordinates, whole.result.coordinates)
+        assert job.report["steps"] == whole.report["steps"] == 30 * job.settings.substeps
+
+
+def test_extrapolated_curves_run_up_on_their_course(shot, soft_arm):
+    """Flesh that begins at rest is calm when the shot begins, though the rig moves at three metres a second."""
+    rig = rig_of(soft_arm)
+    soft_arm.parent = rig
+    rig.animation_data_clear()
+    for frame, x in ((1, 0.0), (9, 1.0)):
+        rig.location.x = x
+        rig.keyframe_insert("location", frame=frame)
+    bag = rig.animation_data.action.layers[0].strips[0].channelbag(rig.animation_data.action_slot)
+    for curve in bag.fcurves:
+        curve.extrapolation = "LINEAR"
+        for point in curve.keyframe_points:
+            point.interpolation = "LINEAR"
+    soft_arm.dynamorph.simulation.begin, soft_arm.dynamorph.simulation.gravity = "REST", 0.0
+    running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
+    travelled = running.rig.object_world[:, 0, 3]
+    assert travelled == pytest.approx(np.linspace(-10.0, travelled[-1], len(travelled)), abs=1e-5)
+    calm, jolt = (np.abs(job.result.coordinates - job.result.dry).max() for job in (running, hit))
+    assert calm < 1e-3 * jolt and jolt > 0.0
+
+
+def test_a_loop_needs_no_run_up(shot, soft_arm):
+    soft_arm.dynamorph.simulation.loop = True
+    with_preroll, without = baked(soft_arm, (1, 20), preroll=30), baked(soft_arm, (1, 20))
+    assert np.array_equal(with_preroll.result.coordinates, without.result.coordinates)
+
+
+# Samples between frames --------------------------------------------------------------------------------------------
+
+
+def gusty(obj):
+    """Wind on the arm that changes with the frames."""
+    bpy.ops.object.effector_add(type="WIND", rotation=(0.0, np.pi / 2, 0.0))
+    wind = bpy.context.object
+    for frame, strength in ((1, 0.0), (10, 200.0), (20, 0.0)):
+        wind.field.strength = strength
+        wind.field.keyframe_insert("strength", frame=frame)
+    activate(obj)
+
+
+def turned_round(obj):
+    obj.dynamorph.simulation.loop = True
+
+
+@pytest.mark.parametrize("samples", [2, 3])
+@pytest.mark.parametrize("change", [lambda obj: None, gusty, turned_round])
+def test_samples_between_frames_change_nothing_at_the_frames(shot, soft_arm, change, samples):
+    """To the last bit, by steps of the same length."""
+    change(soft_arm)
+    whole = baked(soft_arm, (1, 20), substeps=6)
+    soft_arm.dynamorph.simulation.samples = samples
+    fine = baked(soft_arm, (1, 20), substeps=6)
+    assert fine.result.frames == pytest.approx(np.arange(19 * samples + 1) / samples + 1)
+    for name in ("frames", "coordinates", "weights", "dry"):
+        assert np.array_equal(getattr(fine.result, name)[::samples], getattr(whole.result, name)), name
+    between = fine.result.coordinates[samples // 2 :: samples]
+    middle = (whole.result.coordinates[1:] + whole.result.coordinates[:-1]) / 2
+    assert np.abs(between - middle).max() > 1e-3 * np.abs(middle).max()  # no mere interpolation
+    assert fine.report["steps"] == whole.report["steps"]
+    assert fine.summary().startswith("20 frames in ")
+
+
+def test_substeps_are_rounded_up_to_the_samples(shot, soft_arm):
+    soft_arm.dynamorph.simulation.samples = 4
+    assert baked(soft_arm, (1, 3)).settings.substeps == 8  # of 5
+    assert baked(soft_arm, (1, 3), substeps=9).settings.substeps == 12
+    with pytest.raises(ValueError, match="multiple of samples"):
+        replace(shot.settings, substeps=5, samples=2)
+
+
+def test_samples_come_in_stretches_and_run_up_too(shot, swaying, monkeypatch):
+    swaying.dynamorph.simulation.samples = 2
+    whole = baked(swaying, (30, 50), preroll=15)
+    assert whole.result.frames[:3].tolist() == [30.0, 30.5, 31.0] and len(whole.result.coordinates) == 41
+    monkeypatch.setattr(part("jobs"), "STRETCH", 4)
+    stretched = baked(swaying, (30, 50), preroll=15)
+    assert np.array_equal(stretched.result.coordinates, whole.result.coordinates)
+    assert len(stretched.rig) <= 4 * stretched.settings.substeps
+
+
+@pytest.mark.parametrize("done", [2, 5, 20])
+def test_samples_go_on_where_another_process_was_stopped(shot, done):
+    simulate = part("simulate")
+    settings = replace(shot.settings, substeps=5, samples=5)
+    whole = simulate.Shot(shot.model, shot.character, settings)
+    whole.play(shot.rig)
+    begun, other = (simulate.Shot(shot.model, shot.character, settings) for _ in range(2))
+    begun.play(shot.rig[: 1 + (done - 1) * 5])
+    other.resume(begun.kept(), shot.rig[:1])
+    assert settings.reached(other.done) == done
+    if not other.is_complete:
+        other.play(shot.rig[1 + (done - 1) * 5 :])
+    (bake, report), (expected, full) = other.bake(), whole.bake()
+    assert np.array_equal(bake.coordinates, expected.coordinates) and report["steps"] == full["steps"]
+
+
+def test_warnings_name_whole_frames(shot):
+    settings = replace(shot.settings, samples=shot.settings.substeps)
+    world = np.array(shot.rig.rig_world)
+    world[3 * settings.substeps + 2 :, 0, 3] += 50.0  # a cut between frames 4 and 5
+    cut = replace(shot.rig, rig_world=world, object_world=world)
+    _, report = part("simulate").bake(shot.model, shot.character, cut, settings)
+    assert [text for text in report["warnings"] if "jumps" in text] == [
+        "The rig jumps at frame 5: the soft skin was carried along"
+    ]
+
+
+def test_blender_shows_the_samples_at_sub_frames(shot, soft_arm):
+    """By keyframes there, for motion blur."""
+    soft_arm.dynamorph.simulation.samples = 2
+    job = baked(soft_arm, (1, 20))
+    rest = shot.character.vertices
+    soft_arm.modifiers["Armature"].show_viewport = False
+    for k in (0, 1, 9, 10, 38):
+        bpy.context.scene.frame_set(1 + k // 2, subframe=k % 2 / 2)
+        assert np.abs(evaluated_points(soft_arm) - rest - job.result.displacement(k)).max() < 1e-5 * size(shot)
+    swing = (job.result.displacement(9) - (job.result.displacement(8) + job.result.displacement(10)) / 2) / size(shot)
+    assert np.abs(swing).max() > 1e-4
 
 
 # Loops -------------------------------------------------------------------------------------------------------------
@@ -302,3 +482,62 @@ def test_a_shot_goes_on_where_another_process_was_stopped(shot, done):
     bake, report = other.bake()
     assert np.array_equal(bake.coordinates, shot.result.coordinates)
     assert report["steps"] == shot.report["steps"] and report["iterations"] == shot.report["iterations"]
+
+
+# A part of a bake again ----------------------------------------------------------------------------------------------
+
+
+def shown_at(obj, frames):
+    """The mesh (F, V, 3) as Blender shows it, world space."""
+    out = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        out.append(evaluated_points(obj))
+    return np.array(out)
+
+
+def rebaked(obj, start, end, **more):
+    """The job of a bake of these frames into the rest."""
+    simulation = obj.dynamorph.simulation
+    simulation.use_scene_range, simulation.keep_outside = False, True
+    simulation.start, simulation.end = start, end
+    job = part("jobs").Job(obj, goal="BAKE", **more)
+    part("jobs").run(job)
+    return job
+
+
+def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
+    before = shown_at(soft_arm, range(1, 21))
+    same = rebaked(soft_arm, 8, 15)
+    assert same.report["seam"] < 1e-5
+    assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
+    assert len(same.written[0][0].modes) <= len(shot.result.modes) + 2
+
+    lower = rig_of(soft_arm).pose.bones["lower"]
+    for frame, angle in ((1, 0.0), (10, 0.0), (12, 0.5), (14, 0.0), (20, 0.0)):
+        lower.rotation_euler.y = angle
+        lower.keyframe_insert("rotation_euler", index=1, frame=frame)
+    job = rebaked(soft_arm, 6, 20)
+    assert job.settings.run_up == 5  # as far as the bake goes back, a second otherwise
+    assert part("changes").outdated(soft_arm) == []
+    mixed = shown_at(soft_arm, range(1, 21))
+    assert [float(frame) for frame in part("sinks").read_back(soft_arm).frames] == list(range(1, 21))
+    soft_arm.dynamorph.simulation.keep_outside = False
+    soft_arm.dynamorph.simulation.start = 1
+    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
+    whole = shown_at(soft_arm, range(1, 21))
+    assert np.abs(mixed - whole)[10:].max() < 1e-5
+    assert np.abs(mixed - whole)[:10].max() < 0.05 * np.abs(whole - before).max()
+
+
+def test_frames_that_do_not_adjoin_are_refused(shot, soft_arm):
+    with pytest.raises(ValueError, match="frames 40 to 50 are not next to those of the last bake, 1 to 20"):
+        rebaked(soft_arm, 40, 50)
+    assert len(rebaked(soft_arm, 21, 24).result.frames) == 24
+
+
+def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
+    soft_arm.dynamorph.output.sink = "PC2"
+    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path))
+    with pytest.raises(ValueError, match="bake to shape keys first"):
+        rebaked(soft_arm, 8, 15, folder=tmp_path)

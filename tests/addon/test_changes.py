@@ -237,3 +237,20 @@ def test_drawing_is_cheap(baked):
     milliseconds = 1000 * (time.perf_counter() - began) / 20
     print(f"badges: {milliseconds:.2f} ms")
     assert milliseconds < 10
+
+
+def test_a_bake_says_what_it_was_made_from_and_what_came_of_it(scene, baked):
+    """By hashes that are the same again for the same scene."""
+    record = baked.dynamorph.bake
+    before = record.content_id, record.digest
+    assert all(len(digest) == 64 for digest in before)
+    bpy.ops.dynamorph.bake()
+    assert (record.content_id, record.digest) == before
+    baked.dynamorph.simulation.gravity = 0.5
+    bpy.ops.dynamorph.bake()
+    assert record.content_id != before[0]
+
+
+def test_another_engine_counts(monkeypatch, baked):
+    monkeypatch.setattr(part("changes"), "ENGINE", 2)
+    assert outdated(baked) == ["Engine changed"] == model_changes(baked)

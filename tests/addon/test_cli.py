@@ -114,7 +114,8 @@ def test_large_models_follow_the_output(shot, run, stand_in, tmp_path, monkeypat
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (["bake", "{shot}", "--object", "Arm"], "--output --in-place is required"),
+        (["bake", "{shot}", "--object", "Arm"], "say where the bake goes"),
+        (["free", "{shot}", "--object", "Arm"], "--output --in-place is required"),
         (["bake", "{shot}", "-o", "{out}"], "--object --all is required"),
         (["bake", "{shot}", "--object", "Nope", "-o", "{out}"], "no object named 'Nope'"),
         (["bake", "{shot}.nope", "--object", "Arm", "-o", "{out}"], "there is no file"),
@@ -309,3 +310,48 @@ def test_collect_makes_one_page_of_many_bakes(shot, run, stand_in, tmp_path):
     code, _, errors = run("collect", folder, "-o", page)
     assert code == 2 and "'<Leg>.json' is no report" in errors
     assert run("collect", tmp_path, "-o", tmp_path / "none" / "page.html")[0] == 2
+
+
+# What a bake becomes ------------------------------------------------------------------------------------------------
+
+
+def test_a_sink_that_plays_in_blender(shot, run):
+    output = shot.parent / "elsewhere" / "baked.blend"
+    output.parent.mkdir()
+    code, out, errors = run("bake", shot, "--object", "Arm", "--sink", "pc2", "-o", output)
+    assert code == 0, errors
+    bpy.ops.wm.open_mainfile(filepath=str(output))
+    modifier = bpy.data.objects["Arm"].modifiers[0]
+    assert modifier.filepath.startswith("//dynamorph_caches")
+    assert Path(bpy.path.abspath(modifier.filepath)).parent == output.parent / "dynamorph_caches"
+    assert Path(bpy.path.abspath(modifier.filepath)).is_file()
+    again = shot.parent / "again.blend"
+    code, out, errors = run("bake", output, "--object", "Arm", "--sink", "modes", "--keys", 2, "-o", again)
+    assert code == 0, errors
+    assert "keys' error" in out
+    assert len(bake_of(again, "Arm")) == 2 and len(bpy.data.objects["Arm"].modifiers) == 1
+
+
+def test_a_sink_that_is_a_file_for_other_programs(shot, run):
+    code, out, errors = run("bake", shot, "--object", "Arm", "--sink", "raw")
+    assert code == 0, errors
+    assert (shot.parent / "Arm.npz").is_file() and "written to Arm.npz" in out
+    code, _, errors = run("bake", shot, "--all", "--sink", "mdd", "--sink-file", shot.parent / "x.mdd", "-o", "y.blend")
+    assert code == 2 and "put {object} in its name" in errors
+    files, saved = shot.parent / "{object}.mdd", shot.parent / "y.blend"
+    code, _, errors = run("bake", shot, "--all", "--sink", "mdd", "--sink-file", files, "-o", saved)
+    assert code == 0, errors
+    assert (shot.parent / "Arm.mdd").is_file() and (shot.parent / "Leg.mdd").is_file()
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        ([], "say where the bake goes"),
+        (["--sink", "frames"], "say where the bake goes"),
+        (["--sink", "frames", "--sink-file", "x", "--in-place"], "is for a --sink that is a file"),
+    ],
+)
+def test_a_bake_that_would_go_nowhere(shot, run, arguments, words):
+    code, _, errors = run("bake", shot, "--object", "Arm", *arguments)
+    assert code == 2 and words in errors

@@ -16,7 +16,7 @@ FRAMES = 1, 20
 def baked(soft_arm):
     """The arm with a bake of every frame, and the posed surface (F, V, 3) in world space."""
     bake = hand_made_bake(soft_arm)
-    part("sinks").write_modal_keys(soft_arm, bake)
+    part("sinks").write_keys(soft_arm, bake)
     return soft_arm, bake
 
 
@@ -183,7 +183,7 @@ def test_what_moves_with_the_flesh_is_exported_too(scene, baked, tmp_path, key):
     sleeve = make_arm(scene, "Sleeve")
     bpy.data.objects.remove(rig_of(sleeve))
     sleeve.modifiers["Armature"].object = rig_of(obj)
-    part("sinks").write_modal_keys(sleeve, hand_made_bake(obj, seed=2), obj)
+    part("sinks").write_keys(sleeve, hand_made_bake(obj, seed=2), obj)
     exact, before = posed(sleeve), fingerprint(sleeve)
     path = tmp_path / f"arm{part('exports').FORMATS[key].suffix}"
     part("exports").export(obj, key, path, FRAMES)
@@ -221,7 +221,7 @@ def test_export_check_says_what_is_dropped(baked, words):
 
 def test_export_check_counts_the_morphs_that_move(scene):
     obj = make_soft(make_arm(scene))
-    part("sinks").write_modal_keys(obj, hand_made_bake(obj, modes=9))
+    part("sinks").write_keys(obj, hand_made_bake(obj, modes=9))
     assert any(text.startswith("10 keys move") for text in part("exports").losses(obj, "FBX"))
 
 

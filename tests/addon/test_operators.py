@@ -57,7 +57,7 @@ def test_add_target_refusals(soft_arm):
     refused(bpy.ops.dynamorph.add_target, "'flexed' is a target already", key="flexed")
     refused(bpy.ops.dynamorph.add_target, "neutral target", key="Basis")
     refused(bpy.ops.dynamorph.add_target, "no shape key 'nope'", key="nope")
-    part("sinks").write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
     refused(bpy.ops.dynamorph.add_target, "belongs to the bake", key="Dynamorph Mode 01")
 
 

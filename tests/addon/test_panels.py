@@ -90,7 +90,7 @@ def test_on_the_rig_for_its_skin(soft_arm, mode):
 
 
 def test_a_target_without_its_key_is_marked(soft_arm):
-    part("sinks").write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
     soft_arm.shape_key_clear()
     assert "flexed" in drawn(soft_arm)
     part("sinks").free(soft_arm)

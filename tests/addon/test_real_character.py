@@ -113,11 +113,11 @@ def test_picture(baked, single):
     _keep_outside(bpy.data.objects["Swimsuit"], body)
     sinks = part("sinks")
     rows = [Row("Dynamic morph targets", "", _pictures(), [""] * len(PICTURED))]
-    sinks.write_modal_keys(body, single)
+    sinks.write_keys(body, single)
     rows.insert(0, Row("Single material", "", _pictures(), [""] * len(PICTURED)))
     sinks.free(body)
     rows.insert(0, Row("Plain skinning", "", _pictures(), [""] * len(PICTURED)))
-    sinks.write_modal_keys(body, job.result)
+    sinks.write_keys(body, job.result)
     columns = [f"{frame}: {event}" for frame, event in PICTURED.items()]
     save(
         compose("MakeHuman body", f"{CLIP}, the file's own clip and shape keys", columns, rows),

@@ -25,7 +25,7 @@ from builders import (
 def test_blender_shows_the_bake(soft_arm):
     bake = hand_made_bake(soft_arm)
     soft_arm.scale = (1.0, 2.0, 0.5)
-    part("sinks").write_modal_keys(soft_arm, bake)
+    part("sinks").write_keys(soft_arm, bake)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == [
         "Basis", "flexed", "smile", "Dynamorph Mode 01", "Dynamorph Mode 02", "Dynamorph Mode 03",
         "Dynamorph Detail flexed",
@@ -41,7 +41,7 @@ def test_the_artists_keys_play_on_top(soft_arm):
     soft_arm.vertex_groups.new(name="Half").add(list(range(200)), 0.5, "REPLACE")
     blocks["smile"].vertex_group = "Half"
     bake = hand_made_bake(soft_arm)
-    part("sinks").write_modal_keys(soft_arm, bake)
+    part("sinks").write_keys(soft_arm, bake)
     assert blocks["flexed"].mute and not blocks["smile"].mute
     assert_shows(soft_arm, bake, extra=0.5 * part("extract").target_shape(soft_arm, "smile"))
 
@@ -61,7 +61,7 @@ def test_the_artists_action_and_nla_play_on(scene, soft_arm):
     scene.frame_set(1)
     before = fingerprint(soft_arm)
     bake = hand_made_bake(soft_arm)
-    part("sinks").write_modal_keys(soft_arm, bake)
+    part("sinks").write_keys(soft_arm, bake)
     assert keys.animation_data.action.name == before["animation"][0]
     scene.frame_set(20)
     assert smile.value == pytest.approx(1.0)
@@ -113,10 +113,10 @@ def test_free_leaves_no_trace(scene, soft_arm, prepare):
     scene.frame_set(5)
     before = fingerprint(soft_arm)
     sinks = part("sinks")
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     assert soft_arm.active_shape_key_index == 1
     scene.frame_set(5)
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, modes=5, seed=2))  # bake again
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm, modes=5, seed=2))  # bake again
     scene.frame_set(5)
     assert [track.name for track in keys_of(soft_arm).animation_data.nla_tracks] == ["Dynamorph Shapes", "Dynamorph"]
     sinks.free(soft_arm)
@@ -127,10 +127,10 @@ def test_free_leaves_no_trace(scene, soft_arm, prepare):
 
 def test_baking_again_replaces_the_bake(soft_arm):
     sinks = part("sinks")
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     names = [k.name for k in keys_of(soft_arm).key_blocks]
     second = hand_made_bake(soft_arm, seed=2)
-    sinks.write_modal_keys(soft_arm, second)
+    sinks.write_keys(soft_arm, second)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == names
     assert len(bpy.data.actions) == 2  # the rig's and the bake's
     assert_shows(soft_arm, second)
@@ -138,14 +138,14 @@ def test_baking_again_replaces_the_bake(soft_arm):
 
 def test_a_failure_keeps_the_previous_bake(soft_arm, monkeypatch):
     sinks = part("sinks")
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     bpy.context.scene.frame_set(5)
     before = fingerprint(soft_arm)
     for broken in ("_add_curves", "_add_key"):
         with monkeypatch.context() as patch:
             patch.setattr(sinks, broken, lambda *_args: 1 / 0)
             with pytest.raises(ZeroDivisionError):
-                sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
+                sinks.write_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
         bpy.context.scene.frame_set(5)
         assert fingerprint(soft_arm) == before
 
@@ -155,14 +155,14 @@ def test_a_failed_first_bake_leaves_no_trace(soft_arm, monkeypatch):
     before = fingerprint(soft_arm)
     monkeypatch.setattr(sinks, "_add_curves", lambda *_args: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+        sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     assert fingerprint(soft_arm) == before
 
 
 def test_free_finds_renamed_and_moved_keys(soft_arm):
     sinks = part("sinks")
     before = fingerprint(soft_arm)
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     blocks = keys_of(soft_arm).key_blocks
     blocks["Dynamorph Mode 02"].name = "my favourite"
     blocks["flexed"].name = "biceps"
@@ -181,7 +181,7 @@ def test_free_finds_renamed_and_moved_keys(soft_arm):
 def test_a_users_key_named_like_ours_is_never_taken(soft_arm):
     """The record knows its keys by name and shape, not by a prefix."""
     sinks = part("sinks")
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     add_key(soft_arm, "Dynamorph Mode 09", 0.1)
     sinks.free(soft_arm)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile", "Dynamorph Mode 09"]
@@ -191,9 +191,9 @@ def test_baking_again_after_a_key_was_deleted(soft_arm):
     sinks = part("sinks")
     before = fingerprint(soft_arm)
     bake = hand_made_bake(soft_arm)
-    sinks.write_modal_keys(soft_arm, bake)
+    sinks.write_keys(soft_arm, bake)
     soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks["Dynamorph Mode 01"])
-    sinks.write_modal_keys(soft_arm, bake)
+    sinks.write_keys(soft_arm, bake)
     assert [key.key_index for key in soft_arm.dynamorph.bake.keys] == [3, 4, 5, 6]
     assert_shows(soft_arm, bake)
     bpy.context.scene.frame_set(1)
@@ -204,10 +204,10 @@ def test_baking_again_after_a_key_was_deleted(soft_arm):
 @pytest.mark.parametrize("name", ["Dynamorph Mode 01", "Dynamorph Detail flexed"])  # the first and the last key
 def test_a_users_key_in_place_of_a_deleted_one_is_never_taken(soft_arm, name):
     sinks = part("sinks")
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks[name])
     add_key(soft_arm, name, 0.1)
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
     sinks.free(soft_arm)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile", name]
 
@@ -215,7 +215,7 @@ def test_a_users_key_in_place_of_a_deleted_one_is_never_taken(soft_arm, name):
 def test_free_finds_its_keys_after_an_edit_of_the_mesh(soft_arm):
     """Blender carries the edit of the Basis into the other keys, and rounds."""
     sinks = part("sinks")
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     soft_arm.active_shape_key_index = 0
     activate(soft_arm)
     bpy.ops.object.mode_set(mode="EDIT")
@@ -230,7 +230,7 @@ def test_a_duplicate_is_freed_alone(soft_arm):
     sinks = part("sinks")
     before = [k.name for k in keys_of(soft_arm).key_blocks]
     bake = hand_made_bake(soft_arm)
-    sinks.write_modal_keys(soft_arm, bake)
+    sinks.write_keys(soft_arm, bake)
     activate(soft_arm)
     soft_arm.select_set(True)
     bpy.ops.object.duplicate()
@@ -248,7 +248,7 @@ def test_bakes_survive_save_and_load(soft_arm, tmp_path):
     sinks = part("sinks")
     before = fingerprint(soft_arm)
     bake = hand_made_bake(soft_arm)
-    sinks.write_modal_keys(soft_arm, bake)
+    sinks.write_keys(soft_arm, bake)
     for _ in range(2):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
@@ -263,8 +263,8 @@ def test_two_baked_characters(scene, soft_arm):
     sinks = part("sinks")
     other = make_soft(make_arm(scene, "Leg"))
     first, second = hand_made_bake(soft_arm), hand_made_bake(other, seed=5)
-    sinks.write_modal_keys(soft_arm, first)
-    sinks.write_modal_keys(other, second)
+    sinks.write_keys(soft_arm, first)
+    sinks.write_keys(other, second)
     assert_shows(soft_arm, first)
     sinks.free(soft_arm)
     assert_shows(other, second)
@@ -274,7 +274,7 @@ def test_single_frame_and_still_bakes(scene, soft_arm):
     sinks = part("sinks")
     bake = hand_made_bake(soft_arm, frames=range(7, 8))
     bake.coordinates[:, 1] = 0.0
-    sinks.write_modal_keys(soft_arm, bake)
+    sinks.write_keys(soft_arm, bake)
     for frame in (1, 7, 30):
         scene.frame_set(frame)
         value = keys_of(soft_arm).key_blocks["Dynamorph Mode 01"].value
@@ -305,7 +305,7 @@ def test_influence_blends_from_the_shapes_to_the_motion(scene, soft_arm, influen
     sinks = part("sinks")
     bake = hand_made_bake(soft_arm)
     bake.dry[:, 1] = 0.0  # a mode that no shape needs
-    sinks.write_modal_keys(soft_arm, bake)
+    sinks.write_keys(soft_arm, bake)
     sinks.influence_strip(soft_arm).influence = influence
     for frame in (1, 7, 20, 30):
         scene.frame_set(frame)
@@ -316,7 +316,7 @@ def test_influence_blends_from_the_shapes_to_the_motion(scene, soft_arm, influen
 def test_the_slider_shows_at_once(scene, soft_arm):
     sinks = part("sinks")
     bake = hand_made_bake(soft_arm)
-    sinks.write_modal_keys(soft_arm, bake)
+    sinks.write_keys(soft_arm, bake)
     scene.frame_set(4)
     sinks.influence_strip(soft_arm).influence = 0.25
     sinks.show_influence(soft_arm)
@@ -328,7 +328,7 @@ def test_the_slider_shows_at_once(scene, soft_arm):
 def test_keyed_influence_survives_saving_and_another_bake(scene, soft_arm, tmp_path):
     sinks = part("sinks")
     before = fingerprint(soft_arm)
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     strip = sinks.influence_strip(soft_arm)
     for frame, influence in ((1, 0.0), (11, 1.0)):
         strip.influence = influence
@@ -339,7 +339,7 @@ def test_keyed_influence_survives_saving_and_another_bake(scene, soft_arm, tmp_p
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
     obj, scene = bpy.data.objects["Arm"], bpy.context.scene
     bake = hand_made_bake(obj, frames=range(1, 31), seed=4)
-    sinks.write_modal_keys(obj, bake)
+    sinks.write_keys(obj, bake)
     for frame, influence in ((1, 0.0), (6, 0.5), (11, 1.0), (25, 1.0)):
         scene.frame_set(frame)
         assert shown_displacement(obj) == pytest.approx(influenced(bake, influence, frame), abs=1e-6)
@@ -350,21 +350,21 @@ def test_keyed_influence_survives_saving_and_another_bake(scene, soft_arm, tmp_p
 
 def test_a_slider_that_was_set_stays_for_the_next_bake(soft_arm):
     sinks = part("sinks")
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     sinks.influence_strip(soft_arm).influence = 0.375
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm, seed=3))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm, seed=3))
     strip = sinks.influence_strip(soft_arm)
     assert strip.influence == 0.375 and not strip.fcurves.find("influence").keyframe_points
     sinks.free(soft_arm)
     assert sinks.influence_strip(soft_arm) is None
-    sinks.write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
     assert sinks.influence_strip(soft_arm).influence == 1.0
 
 
 def test_static_morph_targets_have_no_motion_to_influence(scene, soft_arm):
     sinks = part("sinks")
     bake = hand_made_bake(soft_arm, modes=0)
-    sinks.write_modal_keys(soft_arm, bake)
+    sinks.write_keys(soft_arm, bake)
     assert [track.name for track in keys_of(soft_arm).animation_data.nla_tracks] == ["Dynamorph Shapes"]
     assert sinks.influence_strip(soft_arm) is None
     assert_shows(soft_arm, bake)
@@ -372,7 +372,7 @@ def test_static_morph_targets_have_no_motion_to_influence(scene, soft_arm):
 
 def test_the_size_of_a_bake(soft_arm):
     bake = hand_made_bake(soft_arm)
-    size = part("sinks").write_modal_keys(soft_arm, bake)
+    size = part("sinks").write_keys(soft_arm, bake)
     keys, vertices, frames = 4, len(soft_arm.data.vertices), 20
     assert size == keys * vertices * 12 + (3 + 3 + 1) * frames * 72
 
@@ -427,7 +427,7 @@ def test_refused(soft_arm, spoil, words):
     spoil(soft_arm)
     names = [k.name for k in keys_of(soft_arm).key_blocks]
     with pytest.raises(part("sinks").SinkError, match=words):
-        part("sinks").write_modal_keys(soft_arm, bake)
+        part("sinks").write_keys(soft_arm, bake)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == names
     assert not soft_arm.dynamorph.bake.keys
 
@@ -453,7 +453,7 @@ def test_vertex_count_must_match(soft_arm):
     other = make_mesh(bpy.context.scene, "Other", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
     other.shape_key_add(name="Basis")
     with pytest.raises(part("sinks").SinkError, match="'Other' has 3 vertices, the bake 272"):
-        part("sinks").write_modal_keys(other, bake)
+        part("sinks").write_keys(other, bake)
 
 
 def test_writing_is_fast(scene):
@@ -466,14 +466,14 @@ def test_writing_is_fast(scene):
         np.zeros((1, 13_000, 3)), ("Neutral",), rng.normal(size=(250, 20)),
     )  # fmt: skip
     began = time.perf_counter()
-    part("sinks").write_modal_keys(obj, bake)
+    part("sinks").write_keys(obj, bake)
     seconds = time.perf_counter() - began
-    print(f"write_modal_keys: {seconds * 1e3:.0f} ms")
+    print(f"write_keys: {seconds * 1e3:.0f} ms")
     assert seconds < 2.0
 
 
 def test_a_key_whose_mute_is_driven_is_refused(soft_arm):
     soft_arm.data.shape_keys.key_blocks["flexed"].driver_add("mute")
     with pytest.raises(part("sinks").SinkError, match="flexed.*has a driver"):
-        part("sinks").write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+        part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
     assert not soft_arm.dynamorph.bake.keys

@@ -586,5 +586,5 @@ def test_adding_asks_for_the_key_only_where_there_are_several(soft_arm):
     targets = part("targets")
     add_key(soft_arm, "frown", 0.0)
     assert targets.eligible(soft_arm) == ["smile", "frown"]
-    part("sinks").write_modal_keys(soft_arm, hand_made_bake(soft_arm))
+    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
     assert targets.eligible(soft_arm) == ["smile", "frown"]

@@ -175,3 +175,14 @@ def test_progress_of_the_cage_is_the_whole_progress(cage):
     assert {message for _, message in heard} == {"Meshing", "Embedding"}
     with pytest.raises(dynamorph.Cancelled):
         build_cage(bar(cage_nodes=200), lambda fraction, message: message != "Embedding")
+
+
+def test_models_of_another_engine_are_out_of_date(monkeypatch, cage):
+    """The first had no number."""
+    of = bar()
+    arrays, meta = build(of, previous=cage).to_arrays()
+    meta["dependencies"] = {name: digest for name, digest in meta["dependencies"].items() if name != "engine"}
+    first = building.Model.from_arrays(arrays, meta)
+    assert stale_reasons(first, of) == [] and has_cage(first, of)
+    monkeypatch.setattr(building, "ENGINE", 2)
+    assert stale_reasons(first, of) == ["engine changed"] and not has_cage(first, of)

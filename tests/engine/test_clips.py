@@ -4,6 +4,7 @@
 import io
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,8 @@ def test_fewer_keys_are_the_best_and_say_how_far_they_are_off():
     exact = surface(bake, 0.0).reshape(len(bake.frames), -1)
     errors = []
     for budget in (1, 2, 4, 8):
-        fewer, error = clips.with_fewer_keys(bake, budget)
+        fewer = clips.with_fewer_keys(bake, budget)
+        error = clips.distance(bake, fewer, np.eye(3))
         assert len(fewer.modes) + len(fewer.details) == budget
         off = np.linalg.norm(surface(bake, vertices) - surface(fewer, vertices), axis=2).max()
         assert error == pytest.approx(off, rel=1e-9)
@@ -85,16 +87,15 @@ def test_fewer_keys_are_the_best_and_say_how_far_they_are_off():
         missed = both - np.vstack([fewer.coordinates, fewer.dry]) @ fewer.modes.reshape(budget, -1)
         assert np.linalg.norm(missed) == pytest.approx(np.linalg.norm(left), rel=1e-6, abs=1e-9)
     assert errors == sorted(errors, reverse=True)
-    same, error = clips.with_fewer_keys(bake, 99)
+    same = clips.with_fewer_keys(bake, 99)
     assert same is bake
-    assert error == 0.0
 
 
 def test_key_frames_keep_the_surface_within_the_tolerance():
     bake, vertices = shot(frames=200)
     exact, counts = surface(bake, vertices), []
     for tolerance in (3.0, 1.0, 0.1):
-        kept = clips.key_frames(bake, tolerance)
+        kept = clips.key_frames(bake, tolerance, np.eye(3))
         between = np.array([
             [np.interp(np.arange(200), kept, exact[kept, v, c]) for c in range(3)] for v in range(len(vertices))
         ]).transpose(2, 0, 1)  # fmt: skip
@@ -102,7 +103,39 @@ def test_key_frames_keep_the_surface_within_the_tolerance():
         counts.append(len(kept))
     assert counts == sorted(counts)
     assert counts[0] < 200
-    assert list(clips.key_frames(shot(frames=1)[0], 0.0)) == [0]
+    assert list(clips.key_frames(shot(frames=1)[0], 0.0, np.eye(3))) == [0]
+
+
+@pytest.mark.parametrize("first, last", [(0, 39), (10, 25), (0, 12), (30, 39)])
+def test_a_patch_takes_the_place_of_its_frames(first, last):
+    """Whatever modes it has: where it is far from its seams it shows, and outside the bake is as it was."""
+    bake, vertices = shot()
+    other, _ = shot(modes=5, seed=3)
+    patch = clips.at_rows(other, np.arange(first, last + 1))
+    found, apart = clips.splice(bake, patch, 4.0, 2.0 * np.eye(3))
+    np.testing.assert_array_equal(found.frames, bake.frames)
+    size = np.abs(surface(bake, 0.0)).max()
+    inner = np.arange(first + 4 * (first > 0), last + 1 - 4 * (last < 39))
+    outer = np.r_[0:first, last + 1 : 40]
+    for rows, source in ((inner, other), (outer, bake)):
+        np.testing.assert_allclose(surface(found, vertices)[rows], surface(source, vertices)[rows], atol=1e-4 * size)
+        dry = [replace(each, coordinates=each.dry) for each in (found, source)]
+        np.testing.assert_allclose(surface(dry[0], vertices)[rows], surface(dry[1], vertices)[rows], atol=1e-4 * size)
+    ends = [end for end in (first, last) if 0 < end < 39]
+    off = np.linalg.norm(surface(bake, 0.0) - surface(other, 0.0), axis=2)[ends].max(initial=0.0)
+    assert apart == pytest.approx(2.0 * off)
+
+
+def test_a_patch_of_the_same_model_needs_no_more_keys():
+    bake, vertices = shot()
+    turned, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(6, 6)))
+    same = replace(
+        bake, coordinates=bake.coordinates @ turned, dry=bake.dry @ turned, modes=np.tensordot(turned.T, bake.modes, 1)
+    )
+    found, apart = clips.splice(bake, clips.at_rows(same, np.arange(10, 20)), 2.0, np.eye(3))
+    assert apart < 1e-9
+    assert len(found.modes) == len(bake.modes) + len(bake.details) - 1  # the neutral target has no detail
+    np.testing.assert_allclose(surface(found, vertices), surface(bake, vertices), atol=1e-4)
 
 
 def test_point_caches_are_read_back():

@@ -200,3 +200,11 @@ def test_save_replaces_whole_files_only(tmp_path, packed, monkeypatch):
     save(path, packed)
     assert unpack(path.read_bytes())[1] == META
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_a_file_has_the_rights_of_any_other(tmp_path):
+    """Whoever shares the folder may read it."""
+    (tmp_path / "other").touch()
+    save(tmp_path / "model", [b"a", b"b"])
+    assert (tmp_path / "model").stat().st_mode == (tmp_path / "other").stat().st_mode
+    assert (tmp_path / "model").read_bytes() == b"ab" and len(list(tmp_path.iterdir())) == 2

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bake can become in Blender: fewer keys, keys of single frames, point caches. All show the engine's surface."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from builders import assert_shows, evaluated_points, fingerprint, hand_made_bake, keys_of, make_mesh, part
+
+SINKS = ("MODES", "FRAMES", "PC2", "MDD")
+
+
+def smooth_bake(obj, frames=range(1, 21), **more):
+    """A hand-made bake that moves smoothly; without motion it has the targets' shapes."""
+    bake = hand_made_bake(obj, frames, **more)
+    time = np.linspace(0.0, 3.0, len(frames))[:, None]
+    rng = np.random.default_rng(2)
+    modes = len(bake.modes)
+    coordinates = 2.0 * 0.5 ** np.arange(modes) * np.sin(time * (1 + np.arange(modes)) + rng.uniform(0, 6, modes))
+    weights = np.column_stack([np.cos(time) ** 2, np.sin(time) ** 2])
+    return replace(
+        bake, coordinates=coordinates, weights=weights, dry=weights @ rng.normal(0, 1.0, (2, modes)),
+        modes=bake.modes - bake.modes.mean(axis=1, keepdims=True),
+    )  # fmt: skip
+
+
+def dry_of(bake):
+    return replace(bake, coordinates=bake.dry)
+
+
+def written(obj, bake, folder, skin=None, to_bind=None, **output):
+    """The bake written as `output` says; returns how far the surface is off, in metres."""
+    clips, sinks = part("clips"), part("sinks")
+    chosen = part("scene_data").OutputSettings(**output)
+    keys, off = clips.as_keys(bake, chosen, np.eye(3) if to_bind is None else to_bind)
+    cache = None
+    if chosen.sink in clips.CACHES:
+        cache = sinks.cache_path(folder, obj.name, bake, chosen.sink)
+        cache.parent.mkdir(exist_ok=True)
+        points = part("extract").rest_points(obj)
+        cache.write_bytes(b"".join(clips.CACHES[chosen.sink](bake, points, 24.0)))
+    sinks.write_keys(obj, keys, skin, cache)
+    return off
+
+
+@pytest.mark.parametrize("sink", SINKS)
+def test_blender_shows_the_surface_with_and_without_the_motion(scene, soft_arm, tmp_path, sink):
+    bake = smooth_bake(soft_arm)
+    before = fingerprint(soft_arm)
+    assert written(soft_arm, bake, tmp_path, sink=sink) < 1e-6
+    assert_shows(soft_arm, bake)
+    sinks = part("sinks")
+    owner, name = sinks.influence(soft_arm)
+    setattr(owner, name, 0.0)
+    sinks.show_influence(soft_arm)
+    assert_shows(soft_arm, dry_of(bake))
+    setattr(owner, name, 0.5)
+    sinks.show_influence(soft_arm)
+    assert_shows(soft_arm, replace(bake, coordinates=(bake.coordinates + bake.dry) / 2))
+    sinks.free(soft_arm)
+    assert fingerprint(soft_arm) == before
+    assert not soft_arm.dynamorph.bake.exists
+
+
+@pytest.mark.parametrize("second", SINKS)
+@pytest.mark.parametrize("first", SINKS)
+def test_one_takes_the_place_of_another(soft_arm, tmp_path, first, second):
+    before = fingerprint(soft_arm)
+    written(soft_arm, smooth_bake(soft_arm, seed=1), tmp_path, sink=first)
+    bake = smooth_bake(soft_arm, seed=2)
+    written(soft_arm, bake, tmp_path, sink=second)
+    assert_shows(soft_arm, bake)
+    part("sinks").free(soft_arm)
+    assert fingerprint(soft_arm) == before
+
+
+@pytest.mark.parametrize("keys", [1, 2, 3])
+def test_fewer_keys_are_as_far_off_as_is_said(soft_arm, tmp_path, keys):
+    bake = smooth_bake(soft_arm, modes=4)
+    to_bind = np.diag([2.0, 2.0, 2.0])
+    off = written(soft_arm, bake, tmp_path, to_bind=to_bind, keys=keys)
+    assert len(soft_arm.dynamorph.bake.keys) == keys
+    assert off > 0.0
+    seen = 0.0
+    for row, frame in enumerate(bake.frames):
+        bpy.context.scene.frame_set(int(frame))
+        blocks = [block for block in keys_of(soft_arm).key_blocks[1:] if not block.mute]
+        shown = sum(block.value * part("extract").target_shape(soft_arm, block.name) for block in blocks)
+        seen = max(seen, np.linalg.norm(2.0 * (shown - bake.displacement(row)), axis=1).max())
+    assert seen == pytest.approx(off, rel=1e-3)
+
+
+def test_frames_between_keys_are_blended(soft_arm, tmp_path):
+    bake = smooth_bake(soft_arm)
+    off = written(soft_arm, bake, tmp_path, sink="FRAMES", every=4)
+    names = [key.name for key in soft_arm.dynamorph.bake.keys]
+    assert names == [*(f"Dynamorph Frame {n}" for n in (1, 5, 9, 13, 17, 20)), "Dynamorph Target Neutral",
+                     "Dynamorph Target flexed"]  # fmt: skip
+    between = bake.displacement(4) / 2 + bake.displacement(8) / 2  # frames 5 and 9
+    blended = replace(
+        bake, frames=np.array([7]), coordinates=np.ones((1, 1)), modes=between[None], weights=bake.weights[:1] * 0.0
+    )
+    assert_shows(soft_arm, blended)
+    assert off >= np.linalg.norm(between - bake.displacement(6), axis=1).max() > 1e-4
+    curves = [curve for slot in (0, 1) for curve in _curves(soft_arm, slot)]
+    assert max(len(curve.keyframe_points) for curve in curves if "Frame" in curve.data_path) < 12  # not one a frame
+
+
+def _curves(obj, slot):
+    action = obj.dynamorph.bake.action
+    return action.layers[0].strips[0].channelbag(action.slots[slot]).fcurves
+
+
+def test_keys_are_where_they_are_needed(soft_arm, tmp_path):
+    bake = smooth_bake(soft_arm, frames=range(1, 61))
+    counts = []
+    for tolerance in (0.05, 0.01, 0.002):
+        off = written(soft_arm, bake, tmp_path, sink="FRAMES", tolerance=tolerance)
+        assert 0.0 < off <= tolerance
+        counts.append(len(soft_arm.dynamorph.bake.keys))
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1] < 60
+
+
+@pytest.mark.parametrize("sink", ["PC2", "MDD"])
+@pytest.mark.parametrize("remapped", [False, True])
+def test_point_caches_have_sub_frames(scene, soft_arm, tmp_path, sink, remapped):
+    if remapped:
+        scene.render.frame_map_old, scene.render.frame_map_new = 100, 200
+    frames = np.arange(10.0, 20.25, 0.25)
+    bake = smooth_bake(soft_arm, frames)
+    written(soft_arm, bake, tmp_path, sink=sink)
+    basis = part("extract").rest_points(soft_arm)
+    soft_arm.modifiers["Armature"].show_viewport = False
+    for row in (0, 1, 6, 23, 40):
+        scene.frame_set(int(frames[row]), subframe=frames[row] % 1.0)
+        assert np.abs(evaluated_points(soft_arm) - (basis + bake.displacement(row))).max() < 1e-5
+
+
+def test_a_cache_goes_before_all_modifiers_and_stays_where_it_is_moved(soft_arm, tmp_path):
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    modifier = soft_arm.modifiers[0]
+    assert modifier.type == "MESH_CACHE"
+    modifier.name, modifier.factor = "Mine", 0.25
+    written(soft_arm, smooth_bake(soft_arm, seed=5), tmp_path, sink="PC2")
+    assert [each.type for each in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
+    assert soft_arm.modifiers["Mine"].factor == 0.25
+    assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 2  # another file may play the first
+
+
+def test_what_follows_takes_the_influence_of_the_cache(scene, soft_arm, tmp_path):
+    sinks = part("sinks")
+    shirt = make_mesh(scene, "Shirt", part("extract").rest_points(soft_arm) * 1.1, [])
+    written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
+    bake = smooth_bake(soft_arm, seed=3)
+    written(shirt, bake, tmp_path, skin=soft_arm, sink="PC2")
+    for factor in (0.0, 1.0):
+        soft_arm.modifiers[0].factor = factor
+        soft_arm.modifiers[0].keyframe_insert("factor", frame=int(1 + 19 * factor))
+    points = part("extract").rest_points(shirt)
+    for row, factor in ((0, 0.0), (19, 1.0)):
+        scene.frame_set(row + 1)
+        shown = factor * bake.displacement(row) + (1.0 - factor) * dry_of(bake).displacement(row)
+        assert np.abs(evaluated_points(shirt) - (points + shown)).max() < 1e-5
+    sinks.free(soft_arm)
+    assert not shirt.modifiers and not (shirt.animation_data and shirt.animation_data.drivers)
+
+
+def test_keys_that_a_cache_plays_over_are_named(soft_arm):
+    sinks, blocks = part("sinks"), keys_of(soft_arm).key_blocks
+    assert sinks.overwritten_keys(soft_arm) == []
+    blocks["smile"].value = 0.5
+    assert sinks.overwritten_keys(soft_arm) == ["smile"]
+    blocks["smile"].value = 0.0
+    blocks["smile"].keyframe_insert("value", frame=1)
+    assert sinks.overwritten_keys(soft_arm) == ["smile"]
+    blocks["smile"].mute = True
+    assert sinks.overwritten_keys(soft_arm) == []
+
+
+def test_a_cache_needs_a_saved_file(soft_arm):
+    with pytest.raises(part("sinks").SinkError, match="save the .blend first"):
+        part("sinks").check_cache(soft_arm, None)
+
+
+@pytest.mark.parametrize("sink", ["MODES", "FRAMES"])
+def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, sink):
+    bake = smooth_bake(soft_arm)
+    written(soft_arm, bake, tmp_path, sink=sink)
+    found = part("sinks").read_back(soft_arm)
+    np.testing.assert_array_equal(found.frames, bake.frames)
+    for row in range(len(bake.frames)):
+        assert np.abs(found.displacement(row) - bake.displacement(row)).max() < 1e-6
+        assert np.abs(dry_of(found).displacement(row) - dry_of(bake).displacement(row)).max() < 1e-6
