@@ -17,7 +17,7 @@ import bulging_cylinder as limb
 import dynamic_morph_targets
 from stage import add_mesh, add_shape_keys, add_soft_skin, add_vertex_groups, save_scene, set_up_scene
 
-FRAMES = 4000
+FRAMES = 3000
 SHOTS = {"walk": 26, "run": 16, "wave": 34}  # frames that a bend and its return take
 CHARACTERS = {"Arm": 1.0, "Leg": 1.3}  # thickness
 MODES = 40
