@@ -56,7 +56,7 @@ bench-docs: build
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
 
-# Bakes on a Slurm of two nodes on this machine, of which one is killed; takes about 9 minutes. What could not be installed
+# Bakes on a Slurm of two nodes on this machine, of which one is killed; takes 5 to 10 minutes. What could not be installed
 # (not root, not Debian) it names, and skips.
 farm-demo: build
 	@tools/setup.sh farm || :
