@@ -69,9 +69,12 @@ static const char* dm_array_in(const unsigned char* bytes, size_t size, dm_array
   for (out->axes = 0; out->axes < 3; ++out->axes) {
     const int n = dm_number(&text, end);
     if (n < 0) break;
-    if (n && count > size / (size_t)n) return "the clip is damaged: an array has an impossible shape";
-    count *= (size_t)n;
+    if (n == 0) count = 0; /* whatever the other axes are */
     out->shape[out->axes] = n;
+  }
+  for (int axis = 0; axis < out->axes && count; ++axis) {
+    if (count > size / (size_t)out->shape[axis]) return "the clip is damaged: an array has an impossible shape";
+    count *= (size_t)out->shape[axis];
   }
   if (count * sizeof(float) != size - begin) return "the clip is damaged: an array does not fit its shape";
   if ((uintptr_t)(bytes + begin) % sizeof(float)) return "the file's bytes must be aligned to four";

@@ -70,12 +70,12 @@ class Model:
         return [field.name for field in fields(cls) if field.type == "np.ndarray"]
 
     def to_arrays(self) -> tuple[dict[str, np.ndarray], dict]:
-        """(arrays, metadata) for `model_file`."""
+        """(arrays, metadata) for `model_file`, the same for each build of the same: how long it took is left out."""
         meta = {
             "settings": asdict(self.settings),
             "bone_names": list(self.bone_names),
             "dependencies": self.dependencies,
-            "summary": self.summary,
+            "summary": {name: value for name, value in self.summary.items() if name != "seconds"},
         }
         return {name: getattr(self, name) for name in self.array_names()}, meta
 
@@ -88,7 +88,7 @@ class Model:
                 bone_names=tuple(meta["bone_names"]),
                 settings=ModelSettings(**meta["settings"]),
                 dependencies={"engine": _engine_hash(1), **meta["dependencies"]},  # the first had no number
-                summary=meta["summary"],
+                summary={"seconds": {}, **meta["summary"]},
             )
         except (KeyError, TypeError) as error:
             raise ValueError(f"The stored model is incomplete ({error}): build it again") from error

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from .properties import key_points, rig_of
+from .properties import cache_modifier, key_points, rig_of
 from .scene_data import Skeleton, Target, turned
 
 SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
@@ -76,7 +76,7 @@ def notes(obj) -> Iterator[Problem]:
     """What does not hinder a simulation, but will be ignored or will hide its result."""
     for modifier in armature_modifiers(obj)[-1:]:
         for before in _modifiers_before(obj, modifier):
-            if before.type in DEFORMING:
+            if before.type in DEFORMING and before != cache_modifier(obj):
                 yield Problem(f"'{obj.name}': modifier '{before.name}' before the Armature is not simulated")
         yield from _scene_drivers(modifier.object)
     reason = beyond_bones(obj)

@@ -29,7 +29,7 @@ from .scene_data import VARIANTS, Material, ModelSettings
 
 COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
-SETTABLE = (*(field.name for field in fields(Material)), "radius")  # of a target
+SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop", "keep_outside")
 OUTPUT_SETTINGS = ("keys", "every", "tolerance")
@@ -176,9 +176,12 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     bake.add_argument("--sink-file", metavar="FILE",
                       help=f"the file of such a sink; {sinks.OBJECT} in it is the object's name; default: that name, "
                       "beside the .blend")  # fmt: skip
+    bake.add_argument("--clips", choices=("scene", "actions"), default="scene",
+                      help="actions, of gltf and fbx: an animation for each Action of the armature, simulated by "
+                      "itself in the place of the scene's frames")  # fmt: skip
     add_settings(bake, "output", OUTPUT_SETTINGS)
     build = command("build", run_job, "build models")
-    build.set_defaults(goal="BUILD", frames=None, substeps=None, sink=None, sink_file=None)
+    build.set_defaults(goal="BUILD", frames=None, substeps=None, sink=None, sink_file=None, clips="scene")
     for sub in (bake, build):
         add_settings(sub, "model", MODEL_SETTINGS)
         sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
@@ -287,10 +290,12 @@ def run_job(args):
                     setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
         frames = tuple(args.frames) if args.frames else None
         rebuild = args.goal == "BUILD" and shared is None
-        job = jobs.Job(obj, args.goal, frames, args.substeps, folder, rebuild, shared)
+        goal = "BUILD" if args.clips == "actions" else args.goal  # the clips are simulated as they are written
+        job = jobs.Job(obj, goal, frames, args.substeps, folder, rebuild, shared)
         choose_sink(args, obj, job)
-        jobs.run(job, Progress(args.progress == "openjd"))
-        export(args, obj, job, folder)
+        tick = Progress(args.progress == "openjd")
+        jobs.run(job, tick)
+        export(args, obj, job, folder, tick)
         for reason in job.reasons:
             print(f"{job.name}: built: {reason}")
         for warning in job.warnings:
@@ -318,6 +323,8 @@ def check_sink(args, objects):
     format = exports.FORMATS.get((args.sink or "").upper())
     if format and not format.is_available:
         raise InputError(f"--sink {args.sink}: this Blender was built without {format.label}")
+    if args.clips == "actions" and not (format and format.skins):
+        raise InputError("--clips actions is for --sink gltf and --sink fbx")
     if not (args.output or args.in_place or format):
         raise InputError("say where the bake goes: --output or --in-place, or --sink with a file for other programs")
     if args.sink_file is None:
@@ -341,15 +348,16 @@ def choose_sink(args, obj, job):
         job.cache_file = args.sink_file
 
 
-def export(args, obj, job, folder: Path):
+def export(args, obj, job, folder: Path, tick):
     """Write the file for other programs that --sink asks for, if it does."""
     format = exports.FORMATS.get((args.sink or "").upper())
     if not format:
         return
     path = sinks.file_path(args.sink_file or str(folder / f"{sinks.OBJECT}{format.suffix}"), obj.name)
-    for text in exports.losses(obj, args.sink.upper()):
-        job.warnings.append(text)
-    exports.export(obj, args.sink.upper(), path, (job.settings.start, job.settings.end))
+    sink, clips = args.sink.upper(), args.clips.upper()
+    job.warnings += exports.losses(obj, sink, clips)
+    frames = (job.settings.start, job.settings.end) if job.bake else ()
+    exports.export(obj, sink, path, frames, clips, tick)
     print(f"{job.name}: written to {path.name}")
 
 
@@ -457,9 +465,10 @@ def run_fit(args):
 def run_free(args):
     for obj in chosen_objects(args):
         sinks.check(obj)
-        baked = len(obj.dynamorph.bake.keys)
+        baked = obj.dynamorph.bake
+        removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
         sinks.free(obj)
-        print(f"{obj.name}: {baked} baked keys removed")
+        print(f"{obj.name}: {removed} removed")
     save(args)
 
 
@@ -526,7 +535,8 @@ class Progress:
 def print_table(job, save_seconds: float):
     made = job.model.summary
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
-    rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
+    if made["seconds"]:  # it was built now
+        rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
     if job.bake:
         rows.append(("frames x substeps", f"{job.settings.end - job.settings.start + 1} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))

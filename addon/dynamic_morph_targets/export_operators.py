@@ -12,9 +12,10 @@ from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper
 
 from . import exports, properties
-from .operators import SoftSkinOperator
+from .operators import JobOperator, SoftSkinOperator, listed
 
 FORMATS = [(key, each.label, each.description) for key, each in exports.FORMATS.items() if each.is_available]
+SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
 
 
 class BakedOperator(SoftSkinOperator):
@@ -45,7 +46,7 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
 
 
 class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
-    """Write the baked character, with its armature, over the frames of the scene"""
+    """Write the baked character, with its armature, over the frames of the scene or with a clip for each Action"""
 
     bl_idname = "dynamorph.export"
     bl_label = "Export Bake"
@@ -55,6 +56,13 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
     check_extension = None
 
     format: EnumProperty(name="Format", description="What the bake is written as", items=FORMATS)
+    clips: EnumProperty(
+        name="Clips", description="Which animations the file has",
+        items=(
+            ("SCENE", "Scene", "One, the bake over the frames of the scene"),
+            ("ACTIONS", "One for Each Action", "One for each Action of the armature, for which the flesh is simulated"),
+        ),
+    )  # fmt: skip
     filter_glob: StringProperty(
         name="Filter", description="Files that are shown", options={"HIDDEN"},
         default=";".join(f"*{each.suffix}" for each in exports.FORMATS.values()),
@@ -70,8 +78,10 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
     def draw(self, context):
         layout = self.layout
         layout.prop(self, "format")
+        if exports.FORMATS[self.format].skins:
+            layout.prop(self, "clips")
         column = layout.column()
-        for text in exports.losses(properties.mesh_in(context), self.format):
+        for text in exports.losses(properties.mesh_in(context), self.format, self.chosen_clips):
             column.label(text=text, icon="ERROR")
 
     def check(self, _context):
@@ -80,13 +90,58 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
         changed, self.filepath = path != self.filepath, path
         return changed
 
+    @property
+    def chosen_clips(self) -> str:
+        return self.clips if exports.FORMATS[self.format].skins else "SCENE"
+
     def apply(self, obj):
-        scene = bpy.context.scene
         path = Path(bpy.path.abspath(self.filepath)).with_suffix(exports.FORMATS[self.format].suffix)
+        if self.chosen_clips == "ACTIONS":  # a job of its own, for it takes a while
+            return self._start_actions(path)
+        scene = bpy.context.scene
         exports.export(obj, self.format, path, (scene.frame_start, scene.frame_end))
-        for text in exports.losses(obj, self.format):
-            self.report({"WARNING"}, text)
-        self.report({"INFO"}, rpt_("'{name}' written as '{file}'").format(name=obj.name, file=path.name))
+        report_export(self, obj, path)
+        return {"FINISHED"}
+
+    def _start_actions(self, path: Path):
+        try:
+            bpy.ops.dynamorph.export_actions("INVOKE_DEFAULT", format=self.format, filepath=str(path))
+        except RuntimeError as error:  # what it reported
+            raise exports.ExportError(str(error).removeprefix("Error: ").strip()) from error
+        return {"FINISHED"}
 
 
-register, unregister = bpy.utils.register_classes_factory((DYNAMORPH_OT_export_check, DYNAMORPH_OT_export))
+class DYNAMORPH_OT_export_actions(JobOperator, Operator):
+    """Simulate the flesh for each Action of the armature, and write all as clips of one file"""
+
+    bl_idname = "dynamorph.export_actions"
+    bl_label = "Export Actions"
+    bl_options = {"REGISTER", "INTERNAL"}
+    goal = "EXPORT_ACTIONS"
+
+    format: EnumProperty(name="Format", description="What the clips are written as", items=SKINS)
+    filepath: StringProperty(name="File Path", description="Where the clips are written", subtype="FILE_PATH")
+
+    def _batch(self, obj):
+        return exports.ActionsExport(obj, self.format, Path(self.filepath))
+
+    def _done(self, batch):
+        obj = batch.jobs[0].target()
+        for job in batch.jobs:
+            for warning in job.warnings:
+                self.report({"WARNING"}, f"{job.clip.name}: {warning}")
+        report_export(self, obj, batch.path, [clip.name for clip in batch.clips])
+        return {"FINISHED"}
+
+
+def report_export(operator, obj, path: Path, clips=()):
+    """What was lost, and where the file is; clips: the names of those of Actions."""
+    for text in exports.losses(obj, operator.format, "ACTIONS" if clips else "SCENE"):
+        operator.report({"WARNING"}, text)
+    text = rpt_("'{name}' written as '{file}': {clips}" if clips else "'{name}' written as '{file}'")
+    operator.report({"INFO"}, text.format(name=obj.name, file=path.name, clips=listed(clips)))
+
+
+register, unregister = bpy.utils.register_classes_factory(
+    (DYNAMORPH_OT_export_check, DYNAMORPH_OT_export, DYNAMORPH_OT_export_actions)
+)

@@ -15,7 +15,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import checks, clips, model_file, sinks
+from . import actions, checks, clips, extract, glb, jobs, live_key, model_file, sinks
 from .properties import followers, key_points, rig_of
 
 MORPHS = 8  # that common engines and viewers blend at once
@@ -28,14 +28,15 @@ class ExportError(ValueError):
 
 @dataclass(frozen=True)
 class Format:
-    """suffix: of its files; write(obj, path, frames); skins: whether armature and keys are written, not their result;
-    option: of bpy.app.build_options that it needs."""
+    """suffix: of its files; write(obj, path, frames, takes); skins: whether it has armature and keys, and so a clip for
+    each Action; surface: whether it has what they result in; option: of bpy.app.build_options that it needs."""
 
     label: str
     suffix: str
     description: str
     write: Callable
     skins: bool = False
+    surface: bool = False
     option: str = ""
 
     @property
@@ -43,15 +44,64 @@ class Format:
         return not self.option or getattr(bpy.app.build_options, self.option)
 
 
-def export(obj, key: str, path: Path, frames: tuple[int, int]):
-    """Write the baked `obj`, with its armature and what moves with its flesh, over `frames` (first, last) to `path`,
-    whole or not at all.
+def export(obj, key: str, path: Path, frames: tuple[int, int], clips="SCENE", tick=None):
+    """Write `obj`, with its armature and what moves with its flesh, to `path`, whole or not at all.
 
-    key: of FORMATS. Selection, frame, keys and curves are afterwards as before. Raises ExportError, OSError.
+    key: of FORMATS. clips: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
+    then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
+    ExportError, OSError, and with ACTIONS as `jobs.run`.
     """
+    if clips == "ACTIONS":
+        jobs.run_all(ActionsExport(obj, key, path), tick)
+        return
+    _check_place(obj, key, path)
+    _check_bake(obj, FORMATS[key])
+    _write(obj, key, path, frames)
+
+
+class ActionsExport(jobs.Batch):
+    """Simulates a clip for each Action that moves the armature of `obj`, with the model as it is built, and writes all
+    to `path`, whole or not at all: an animation for each, by its name, of bones and of shape keys that all clips share.
+
+    It needs no bake, and leaves the one that there is as it is. key: of a format that skins. Raises ExportError, and as
+    `actions.clips_of` and `jobs.Batch`.
+    """
+
+    def __init__(self, obj, key: str, path: Path):
+        _check_place(obj, key, path)
+        if not FORMATS[key].skins:
+            raise ExportError(
+                f"{FORMATS[key].label} has one animation only: choose glTF or FBX for one for each Action"
+            )
+        self.key, self.path = key, path
+        self.clips = actions.clips_of(obj)
+        super().__init__([actions.ClipJob(obj, clip, self.clips) for clip in self.clips], "EXPORT_ACTIONS")
+
+    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        yield from super().steps(seconds, pause)
+        self._write_clips()
+
+    def _write_clips(self):
+        obj, job = self.jobs[0].target(), self.jobs[0]
+        pieces = [jobs.find(follower.session_uid) for follower in job.followers]
+        bakes = [actions.joined(each) for each in zip(*([job.result, *job.carried] for job in self.jobs), strict=True)]
+        budget = obj.dynamorph.output.keys
+        with ExitStack() as stack:
+            stack.enter_context(_as_it_was(obj))
+            stack.enter_context(actions.laid_out(rig_of(obj), self.clips))
+            copies = stack.enter_context(_stand_ins((obj, *pieces)))
+            for copy, bake in zip(copies, bakes, strict=True):
+                skin = None if copy == copies[0] else copies[0]
+                live_key.remove(copy)
+                if copy.data.shape_keys:
+                    actions.lay_out(copy.data.shape_keys, self.clips)
+                sinks.write_keys(copy, clips.with_fewer_keys(bake, budget) if budget else bake, skin)
+            _write(copies[0], self.key, self.path, (self.clips[0].first, self.clips[-1].last), self.clips)
+
+
+def _check_place(obj, key: str, path: Path):
+    """Refuse, before any work, what cannot be written. Raises ExportError, sinks.SinkError."""
     chosen = FORMATS[key]
-    if not any(key.name in _keys(obj) for key in obj.dynamorph.bake.keys):
-        raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
     if not chosen.is_available:
         raise ExportError(f"This Blender was built without {chosen.label}: choose another format")
     sinks.check_not_edited(obj)
@@ -60,10 +110,18 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
         raise ExportError(f"'{hidden.name}' is hidden, so Blender exports nothing of it: show it")
     if not path.parent.is_dir():
         raise ExportError(f"There is no folder '{path.parent}' to write '{path.name}' to: choose another")
+
+
+def _write(obj, key: str, path: Path, frames: tuple[int, int], takes=()):
+    """Write the character of `obj` as it shows; takes: the clips that are laid out, if each is to be an animation.
+
+    Raises ExportError, OSError.
+    """
+    chosen = FORMATS[key]
     partial = path.with_name(f"{path.stem}.part{path.suffix}")  # exporters look at the suffix
     try:
         with _as_it_was(obj):
-            chosen.write(obj, partial, frames)
+            chosen.write(obj, partial, frames, takes)
         if not partial.is_file():
             raise ExportError(f"Blender's {chosen.label} exporter wrote nothing: its report says why")
         partial.replace(path)
@@ -73,37 +131,85 @@ def export(obj, key: str, path: Path, frames: tuple[int, int]):
         partial.unlink(missing_ok=True)
 
 
-def losses(obj, key: str) -> Iterator[str]:
-    """What the format will not show as Blender does, as sentences. Reads the scene only."""
-    chosen = FORMATS[key]
+def _check_bake(obj, chosen: Format):
+    """Refuse a bake that is not there, or not in the form that the format writes. Raises ExportError."""
+    record = obj.dynamorph.bake
+    shown = sinks.cache_modifier(obj) if record.cache else any(name in _keys(obj) for name in _baked_keys(obj))
+    if not shown:
+        raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
+    if record.cache and not chosen.surface:
+        raise ExportError(
+            f"The bake of '{obj.name}' is a point cache, {chosen.label} writes shape keys: bake to Shape Keys first, "
+            "or choose Alembic or USD"
+        )
+
+
+def losses(obj, key: str, clips="SCENE") -> Iterator[str]:
+    """What the format will not show as Blender does, as sentences; clips: as for `export`. Reads the scene only."""
+    if key == "RAW":
+        yield from _raw_losses(obj)
+    elif FORMATS[key].skins:
+        planned = _planned_keys(obj) if clips == "ACTIONS" else None
+        for mesh in (obj, *followers(obj)):
+            yield from _skinning_losses(mesh, key)
+            yield from _key_losses(mesh, key, planned)
+
+
+def _planned_keys(obj) -> int:
+    """How many keys the clips of all Actions take together, at most."""
+    settings = obj.dynamorph
+    return settings.output.keys or len(settings.modes) + max(len(settings.targets) - 1, 0)
+
+
+def _raw_losses(obj) -> Iterator[str]:
     pieces = ", ".join(f"'{piece.name}'" for piece in followers(obj))
-    if key == "RAW" and pieces:
+    if pieces:
         yield f"A raw clip is of one mesh: {pieces} is left out"
-    if not chosen.skins:
-        return
-    modifiers = checks.armature_modifiers(obj)
+    others = [name for name in _moving_keys(obj) if name not in _baked_keys(obj)]
+    if others:
+        yield f"A raw clip has the bake's keys alone: {', '.join(others)} is left out"
+
+
+def _skinning_losses(obj, key: str) -> Iterator[str]:
+    label, modifiers = FORMATS[key].label, checks.armature_modifiers(obj)
     if not modifiers:
         yield f"'{obj.name}' has no Armature modifier: its bones are not written"
         return
     for modifier in obj.modifiers:
         if modifier not in modifiers and modifier.show_viewport:
-            yield f"Modifier '{modifier.name}' is left out: {chosen.label} writes shape keys or modifiers, not both"
-    if any(modifier.use_deform_preserve_volume for modifier in modifiers) or len(modifiers) > 1:
-        yield "The armature skins by more than one linear blend (Preserve Volume, several modifiers): it will differ"
-    if any(bone.bbone_segments > 1 for bone in checks.deforming_bones(obj, rig_of(obj))):
-        yield f"Bendy bones are written straight: {chosen.label} has none"
-    keys = _moving_keys(obj)
-    if len(keys) > MORPHS:
-        yield (
-            f"{len(keys)} keys move: many engines blend {MORPHS} at most. Set Keys to {MORPHS} and bake again, or use "
-            "Alembic or USD"
-        )
-    driven = [name for name in keys if name in _driven_keys(obj)]
-    if driven:
-        yield f"Drivers are left out, their values at each frame are written: {', '.join(driven)}"
+            where = "after" if obj.modifiers.find(modifier.name) > obj.modifiers.find(modifiers[-1].name) else "before"
+            yield (
+                f"'{obj.name}': modifier '{modifier.name}' {where} the Armature is left out: {label} takes shape keys "
+                "or modifiers, not both. Use Alembic or USD"
+            )
+    beyond = checks.beyond_bones(obj)
+    if beyond:
+        yield f"'{obj.name}' is skinned with {beyond}, {label} skins by plain bones: it will differ. Use Alembic or USD"
     crowded = _crowded_vertices(obj)
     if key == "GLTF" and crowded:
-        yield f"{crowded} vertices follow more than {INFLUENCES} bones: the weakest of them are dropped"
+        yield f"'{obj.name}': {crowded} vertices follow more than {INFLUENCES} bones: the weakest of them are dropped"
+
+
+def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
+    """planned: how many keys there will be in the place of the bake's, if there will be others."""
+    moving, baked = _moving_keys(obj), _baked_keys(obj)
+    others = [name for name in moving if name not in baked]
+    count = len(moving) if planned is None else len(others) + planned
+    if count > MORPHS:
+        room = MORPHS - len(others)
+        again = "bake to Shape Keys again with Keys" if planned is None else "set Keys to"
+        remedy = f"{again} {room}, or use" if room > 0 else "use"
+        yield f"'{obj.name}': {count} keys move, many engines blend {MORPHS} at most: {remedy} Alembic or USD"
+    driven = [name for name in moving if name in _driven_keys(obj)]
+    if driven:
+        yield f"'{obj.name}': drivers are left out, the values they give at each frame are written: {', '.join(driven)}"
+    blocks = obj.data.shape_keys.key_blocks if moving else ()
+    whole = [name for name in moving if blocks[name].vertex_group or blocks[name].relative_key != blocks[0]]
+    if key == "GLTF" and whole:
+        yield (
+            f"'{obj.name}': glTF knows no vertex groups of shape keys, and none relative to others than "
+            f"'{blocks[0].name}': {', '.join(whole)} will differ"
+        )
 
 
 def _keys(obj):
@@ -111,20 +217,32 @@ def _keys(obj):
     return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
 
 
+def _baked_keys(obj) -> set[str]:
+    return {key.name for key in obj.dynamorph.bake.keys}
+
+
 def _moving_keys(obj) -> list[str]:
     """The keys that count: not muted, and with a curve, a driver, or a value."""
-    animated = _animated_keys(obj)
+    animated = _baked_keys(obj) | _driven_keys(obj) | _played_keys(obj)
     return [name for name, key in list(_keys(obj).items())[1:] if not key.mute and (key.value or name in animated)]
-
-
-def _animated_keys(obj) -> set[str]:
-    baked = {key.name for key in obj.dynamorph.bake.keys}
-    return baked | _driven_keys(obj)
 
 
 def _driven_keys(obj) -> set[str]:
     animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
-    paths = [driver.data_path for driver in animation.drivers] if animation else []
+    return _keys_at(obj, {driver.data_path for driver in animation.drivers} if animation else ())
+
+
+def _played_keys(obj) -> set[str]:
+    """The keys that Actions of the artist move, by the NLA too."""
+    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
+    if not animation:
+        return set()
+    strips = [strip for track in animation.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
+    curves = [curve for player in (animation, *strips) for curve in extract.curves(player.action, player.action_slot)]
+    return _keys_at(obj, {curve.data_path for curve in curves})
+
+
+def _keys_at(obj, paths) -> set[str]:
     return {name for name, key in _keys(obj).items() if f"{key.path_from_id()}.value" in paths}
 
 
@@ -140,49 +258,58 @@ def _crowded_vertices(obj) -> int:
 # Writers -----------------------------------------------------------------------------------------------------------
 
 
-def _write_gltf(obj, path: Path, frames):
+def _write_gltf(obj, path: Path, frames, takes):
     with _sampled(obj, frames):
         bpy.ops.export_scene.gltf(
             filepath=str(path), use_selection=True, export_animation_mode="SCENE", export_force_sampling=True,
             export_anim_scene_split_object=False,
             export_optimize_animation_size=False, export_morph_normal=False, export_frame_range=True,
         )  # fmt: skip
+    if takes:
+        parts = {clip.name: (clip.first - frames[0], clip.last - frames[0]) for clip in takes}
+        path.write_bytes(glb.split_animation(path.read_bytes(), parts, _fps()))
 
 
-def _write_fbx(obj, path: Path, frames):
+def _write_fbx(obj, path: Path, frames, takes):
     with _sampled(obj, frames):
         bpy.ops.export_scene.fbx(
-            filepath=str(path), use_selection=True, add_leaf_bones=False, bake_anim_use_nla_strips=False,
+            filepath=str(path), use_selection=True, add_leaf_bones=False, bake_anim_use_nla_strips=bool(takes),
             bake_anim_use_all_actions=False, bake_anim_simplify_factor=0.0, use_mesh_modifiers=False,
         )  # fmt: skip
 
 
-def _write_alembic(_obj, path: Path, frames):
+def _write_alembic(_obj, path: Path, frames, _takes):
     bpy.ops.wm.alembic_export(
         filepath=str(path), selected=True, start=frames[0], end=frames[1], uvs=True, normals=False,
-        as_background_job=False,
+        as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes, as a model's
     )  # fmt: skip
 
 
-def _write_usd(_obj, path: Path, _frames):
+def _write_usd(_obj, path: Path, _frames, _takes):
     bpy.ops.wm.usd_export(
         filepath=str(path), selected_objects_only=True, export_animation=True, export_armatures=False,
-        export_shapekeys=False, export_normals=False,
+        export_shapekeys=False, export_normals=False, export_custom_properties=False,
     )  # fmt: skip
 
 
-def _write_raw(obj, path: Path, _frames):
-    render = bpy.context.scene.render
+def _write_raw(obj, path: Path, _frames, _takes):
     basis = key_points(obj.data.shape_keys.reference_key)
-    model_file.save(path, clips.raw(sinks.read_back(obj), basis, render.fps / render.fps_base))
+    model_file.save(path, clips.raw(sinks.read_back(obj), basis, _fps()))
+
+
+def _fps() -> float:
+    render = bpy.context.scene.render
+    return render.fps / render.fps_base
 
 
 FORMATS = {
     "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True),
     "FBX": Format("FBX", ".fbx", "Morph targets and bones, for engines and other packages", _write_fbx,
                   skins=True),
-    "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic, option="alembic"),
-    "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, option="usd"),
+    "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic,
+                      surface=True, option="alembic"),
+    "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
+                  option="usd"),
     "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", _write_raw),
 }  # fmt: skip
 
@@ -216,6 +343,33 @@ def _as_it_was(obj):
 
 
 @contextmanager
+def _stand_ins(meshes):
+    """Copies of mesh objects, by their names, to be changed and written: the originals stay as they are."""
+    layer, actions_before = bpy.context.view_layer, set(bpy.data.actions)
+    names = [(block, block.name) for mesh in meshes for block in (mesh, mesh.data)]
+    copies = []
+    try:
+        for mesh in meshes:
+            copies.append(mesh.copy())
+            copies[-1].data = mesh.data.copy()
+            bpy.context.scene.collection.objects.link(copies[-1])
+        for (original, name), copy in zip(names, (b for c in copies for b in (c, c.data)), strict=True):
+            original.name = actions.ASIDE
+            copy.name = name
+        layer.update()
+        yield copies
+    finally:
+        for copy in copies:
+            mesh = copy.data
+            bpy.data.objects.remove(copy)
+            bpy.data.meshes.remove(mesh)  # with its shape keys
+        for action in set(bpy.data.actions) - actions_before:  # of the curves
+            bpy.data.actions.remove(action)
+        for original, name in names:
+            original.name = name
+
+
+@contextmanager
 def _sampled(obj, frames):
     """The frames as the scene's, and `_sampled_keys` of the whole character."""
     scene = bpy.context.scene
@@ -239,6 +393,7 @@ def _sampled_keys(obj, frames):
     animation = keys.animation_data
     before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
     names = [block.name for block in keys.key_blocks]
+    values[:, [block.mute for block in keys.key_blocks]] = 0.0  # FBX knows no muted keys
     action = bpy.data.actions.new(obj.name)
     try:
         slot = action.slots.new(keys.id_type, obj.name)

@@ -231,7 +231,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     if missing:
         raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
     material = target.material()
-    for field, value in vars(material).items():
+    for field, value in (*vars(material).items(), ("influence", target.influence)):
         if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
@@ -239,7 +239,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
-    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius)
+    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius, target.influence)
 
 
 def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:
@@ -719,7 +719,7 @@ def _animation_hash(data) -> str:
     for strip in strips:
         digest.update(repr([getattr(strip, name) for name in STRIP_FIELDS]).encode())
     for player in (data, *strips):
-        for curve in _curves(player.action, player.action_slot):
+        for curve in curves(player.action, player.action_slot):
             digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
             for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
                 values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
@@ -728,7 +728,8 @@ def _animation_hash(data) -> str:
     return digest.hexdigest()
 
 
-def _curves(action, slot) -> list:
+def curves(action, slot) -> list:
+    """The F-curves of one slot of an Action; either may be None."""
     if not (action and slot):
         return []
     bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]

@@ -18,7 +18,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from . import changes, checks, events, extract, jobs, live_key, probe, properties
 from .extract import SceneError
-from .scene_data import Character, Material, RigSamples, SimulationSettings
+from .scene_data import Character, Material, RigSamples, SimulationSettings, TargetSet
 
 BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
 CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
@@ -184,7 +184,9 @@ class Session:
                 self._advance(obj)
             values += share * (self.flesh.values(self._frames[before + 1]) - values)
         if not np.isfinite(values).all():  # Python and drivers can set a gain to anything
-            raise jobs.SelfCheckError(f"'{obj.name}': its motion is not numbers: reset the gains of its modes")
+            raise jobs.SelfCheckError(
+                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' influence"
+            )
         return values
 
     def rig_changed(self):
@@ -218,6 +220,7 @@ class Session:
             self.rig_changed()
         player.settings = settings
         player.gains = _gains(obj, self.flesh.modes)
+        player.influence = _influence(obj, player.character)
         self.flesh.player = player
 
     def _reach(self, obj, number: int, arrives: bool):
@@ -300,6 +303,17 @@ def _gains(obj, count: int) -> np.ndarray:
     return gains
 
 
+def _influence(obj, character: Character) -> np.ndarray:
+    """Of the character's targets (J,), as authored now."""
+    by_name = {name: target.influence for name, target in properties.named_targets(obj)}
+    return np.array([by_name[name] for target_set in character.target_sets for name in _names(target_set)])
+
+
+def _names(target_set: TargetSet) -> tuple[str, ...]:
+    """Of its targets, as `properties.named_targets` has them."""
+    return "", *(target.name for target in target_set.targets[1:])
+
+
 def _materials(obj) -> dict[str, Material]:
     """The materials of all targets by name."""
     return {name: target.material() for name, target in properties.named_targets(obj)}
@@ -316,8 +330,8 @@ def _placing(obj) -> tuple:
 def _with_materials(character: Character, materials: dict[str, Material]) -> Character:
     sets = []
     for target_set in character.target_sets:
-        names = "", *(target.name for target in target_set.targets[1:])
-        targets = (replace(t, material=materials[name]) for name, t in zip(names, target_set.targets, strict=True))
+        named = zip(_names(target_set), target_set.targets, strict=True)
+        targets = (replace(target, material=materials[name]) for name, target in named)
         sets.append(replace(target_set, targets=tuple(targets)))
     return replace(character, target_sets=tuple(sets))
 

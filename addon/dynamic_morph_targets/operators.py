@@ -107,8 +107,11 @@ class JobOperator(SoftSkinOperator):
         """The jobs to be done one after the other; obj: the mesh of the context."""
         return [jobs.Job(obj, self.goal, rebuild=self.goal == "BUILD")]
 
+    def _batch(self, obj) -> jobs.Batch:
+        return jobs.Batch(self._jobs(obj), self.goal)
+
     def apply(self, obj):
-        batch = jobs.Batch(self._jobs(obj), self.goal)
+        batch = self._batch(obj)
         jobs.run_all(batch)
         self._done(batch)
 
@@ -135,7 +138,7 @@ class JobOperator(SoftSkinOperator):
         jobs.stop()
 
     def _begin(self, context):
-        self.batch = jobs.running = jobs.Batch(self._jobs(properties.mesh_in(context)), self.goal)
+        self.batch = jobs.running = self._batch(properties.mesh_in(context))
         self.steps = self.batch.steps(SLICE, 0.0)
         self.shown = 0.0  # when
         self.timer = context.window_manager.event_timer_add(TICK, window=context.window)

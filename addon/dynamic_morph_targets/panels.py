@@ -262,6 +262,7 @@ def draw_target(layout, obj, target):
     if not neutral:
         column.prop_search(target, "region", obj, "vertex_groups")
         column.prop(target, "radius")
+    column.prop(target, "influence")
     draw_material(layout, target)
 
 
@@ -429,9 +430,16 @@ def draw_bake(layout, obj):
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
             draw_warnings(layout, settings.bake.warnings)
         layout.operator("dynamorph.free_bake", icon="X")
-        row = layout.row(align=True)
-        row.operator_menu_enum("dynamorph.export", "format", icon="EXPORT")
-        row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")
+        draw_export(layout)
+
+
+def draw_export(layout):
+    if jobs.running and jobs.running.goal == "EXPORT_ACTIONS":
+        draw_job(layout, "dynamorph.export_actions", "EXPORT")
+        return
+    row = layout.row(align=True)
+    row.operator_menu_enum("dynamorph.export", "format", icon="EXPORT")
+    row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")
 
 
 def draw_output(layout, output):

@@ -180,6 +180,12 @@ def _set_weight(target, weight: float):
         target.density = weight / target.volume
 
 
+def _shown_changed(group, _context):
+    from . import live  # which looks at what is authored here
+
+    live.refresh(group.id_data)
+
+
 class DynamorphTarget(KeyReference, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
@@ -220,6 +226,12 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         description="How far from its pose, over all its bones, the target reaches: it has faded out there. 0: as far "
         "as there is no nearer target",
         default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
+    )  # fmt: skip
+    influence: FloatProperty(
+        name="Influence",
+        description="How much of the motion shows in this target's pose, within its region: at 0 there is the sculpted "
+        "shape alone",
+        default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=_shown_changed,
     )  # fmt: skip
     region: StringProperty(
         name="Region",
@@ -437,7 +449,7 @@ class DynamorphModel(PropertyGroup):
         override=OVERRIDE,
     )  # fmt: skip
     separate: BoolProperty(
-        name="Separate Touching Parts",
+        name="Split Touching Parts",
         description="Cut the cage where it joins parts of the skin that merely touch, such as an arm and the side it "
         "hangs at, so that they move by themselves",
         default=ModelSettings.separate, override=OVERRIDE,
@@ -455,21 +467,15 @@ class DynamorphModel(PropertyGroup):
         return ModelSettings(**{field.name: getattr(self, field.name) for field in fields(ModelSettings)})
 
 
-def _mode_changed(mode, _context):
-    from . import live
-
-    live.refresh(mode.id_data)
-
-
 class DynamorphMode(PropertyGroup):
     """One displacement mode of the built model, as the artist wants to see it."""
 
     gain: FloatProperty(
         name="Gain", description="Factor on this mode's motion about the targets' shapes, in Live and in the next bake",
-        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=_mode_changed,
+        default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=_shown_changed,
     )  # fmt: skip
     solo: BoolProperty(
-        name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE, update=_mode_changed
+        name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE, update=_shown_changed
     )
 
 
@@ -881,6 +887,13 @@ def clothes_in(obj) -> list:
 def is_shown_on(obj) -> bool:
     """Whether there are keys of a bake or of Live on a mesh."""
     return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
+
+
+def cache_modifier(obj):
+    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
+    file = obj.dynamorph.bake.cache
+    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
+    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
 
 
 def followers(obj) -> list:

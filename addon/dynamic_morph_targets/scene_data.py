@@ -240,7 +240,8 @@ class Target:
     name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
-    angle from its pose, radians, at which the target has faded out; 0 for never.
+    angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the flesh's
+    motion shows in its pose, 0 to 1.
     """
 
     name: str
@@ -250,6 +251,7 @@ class Target:
     rig_world: np.ndarray
     material: Material
     radius: float = 0.0
+    influence: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -69,9 +69,9 @@ class Player:
     """One character, stepped frame by frame: a bake and playback both run this.
 
     keep_going() -> bool is asked at every frame, of an unreduced model at every iteration; False raises
-    dynamorph.Cancelled. number: the frame it is at; passes: how often it has begun again. gains (dofs,): what `shown`
-    applies, to be set at any time. engine: model.engine(character), if it is at hand already; afterwards None for
-    static morph targets.
+    dynamorph.Cancelled. number: the frame it is at; passes: how often it has begun again. gains (dofs,) and influence
+    (J,) of the targets: what `shown` applies, to be set at any time. engine: model.engine(character), if it is at hand
+    already; afterwards None for static morph targets.
     """
 
     def __init__(
@@ -91,6 +91,7 @@ class Player:
             self.engine = engine or model.engine(self.character, self.character.probed)
             self._shapes = model.target_coordinates(self.engine)
             self._simulation = self._stepper()
+        self.influence = np.array([target.influence for target in self.character.targets])
         self.gains = np.ones(self._shapes.shape[1])
         if model.settings.solver == "REDUCED":
             known = min(len(settings.gains), len(self.gains))
@@ -174,10 +175,13 @@ class Player:
         return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
 
     def gap(self, first: Frame, second: Frame) -> float:
-        """The largest distance, in metres, between the soft skins of two frames as `shown` in one pose."""
+        """The largest distance, in metres, between the soft skins of two frames in one pose, as `shown` by targets of
+        full influence: what others hide at the seam of a loop is seen elsewhere.
+        """
         displacement = np.tensordot(second.weights - first.weights, self.model.details, 1)
         if self.engine is not None:
-            displacement += self.model.surface(self.engine.displacement(self.shown(second) - self.shown(first)))
+            first, second = (self._with_gains(frame.coordinates, self.dry(frame.weights)) for frame in (first, second))
+            displacement += self.model.surface(self.engine.displacement(second - first))
         return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
 
     def advance(self, rig: RigSamples, number: int) -> Frame:
@@ -228,12 +232,50 @@ class Player:
         return weights @ self._shapes
 
     def shown(self, frame: Frame) -> np.ndarray:
-        """The frame's coordinates with each mode's gain on its motion about the targets' shapes."""
-        return self.with_gains(frame.coordinates, self.dry(frame.weights))
+        """The frame's coordinates with the modes' gains and the targets' influence on the motion about their shapes."""
+        return self.as_shown(frame.coordinates, frame.weights)
 
-    def with_gains(self, coordinates: np.ndarray, dry: np.ndarray) -> np.ndarray:
-        """As `shown`, of coordinates (..., dofs) with and without motion."""
+    def as_shown(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """As `shown`, of coordinates (..., dofs) at the targets' weights (..., J).
+
+        In the region of a set the motion has the mean influence of its targets, by their weights, which sum to one.
+        """
+        dry = self.dry(weights)
+        coordinates = self._with_gains(coordinates, dry)
+        if self.engine is None or (self.influence == 1.0).all():
+            return coordinates
+        sizes = [len(target_set.targets) for target_set in self.character.target_sets]
+        begins = np.cumsum([0, *sizes[:-1]])
+        shares = np.add.reduceat(weights * self.influence, begins, axis=-1)
+        parts = self._in_regions(coordinates - dry)
+        return dry + sum(share[..., None] * part for share, part in zip(np.moveaxis(shares, -1, 0), parts, strict=True))
+
+    def _with_gains(self, coordinates: np.ndarray, dry: np.ndarray) -> np.ndarray:
         return coordinates + (self.gains - 1.0) * (coordinates - dry)
+
+    def _in_regions(self, motion: np.ndarray) -> list[np.ndarray]:
+        """Each set's part of a motion (..., dofs); they sum to it."""
+        if len(self.character.target_sets) == 1:
+            return [motion]
+        if self.model.settings.solver == "FULL":
+            return [motion * share for share in self._node_shares]
+        return [motion @ part for part in self._region_parts]
+
+    @cached_property
+    def _node_shares(self) -> np.ndarray:
+        """How much of each free node follows each set, once an axis: (S, 3 free)."""
+        model = self.model
+        corners, around = model.tets.ravel(), np.repeat(model.shares, 4, axis=0)
+        total = np.array([np.bincount(corners, share, len(model.nodes)) for share in around.T])
+        return np.repeat((total / total.sum(axis=0).clip(1e-300))[:, model.free], 3, axis=1)
+
+    @cached_property
+    def _region_parts(self) -> list[np.ndarray]:
+        """For each set the (r, r) that takes coordinates to what the modes can do of their motion in its region alone,
+        by least squares.
+        """
+        back = np.linalg.pinv(self.model.basis)
+        return [(back @ (share[:, None] * self.model.basis)).T for share in self._node_shares]
 
     def _ask(self):
         """Raises dynamorph.Cancelled when it is not to go on."""
@@ -482,7 +524,7 @@ class Shot:
         report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, dry))
-        coordinates, free = player.with_gains(coordinates, dry), model.basis.T
+        coordinates, free = player.as_shown(coordinates, weights), model.basis.T
         if model.settings.solver == "FULL" and player.engine is not None:
             coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
         modes = node_modes(model, free)

@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 
 from . import checks, clips
-from .properties import basis_hash, followers, key_points, key_reach, reconcile
+from .properties import basis_hash, cache_modifier, followers, key_points, key_reach, reconcile
 from .scene_data import Bake
 
 SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
@@ -26,6 +26,11 @@ OBJECT = "{object}"  # in the name of a file that each mesh has one of
 NEGLIGIBLE = 1e-7  # of the bounding box: displacements that no key is made for
 KEYFRAME_BYTES = 72  # that Blender takes for one
 NAME_BYTES = 59  # Blender has room for 63, cuts within a letter, and may add ".001"
+# Of a strip, when it plays what; the ends last, which the others move.
+TIMING = (
+    "extrapolation", "use_reverse", "action_frame_start", "action_frame_end", "scale", "repeat", "frame_start_raw",
+    "frame_end_raw",
+)  # fmt: skip
 LINEAR = 1  # Keyframe.interpolation as foreach_set knows it
 
 
@@ -195,28 +200,27 @@ def influence_strip(obj):
     return keys and _strip(keys, action)
 
 
-def cache_modifier(obj):
-    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
-    file = obj.dynamorph.bake.cache
-    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
-    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
-
-
 def show_influence(obj):
     """Let Blender evaluate anew, which it does not do by itself when an influence is set."""
     strip = influence_strip(obj)
     if strip:
         strip.mute = strip.mute
-        share_influence(obj)
+        share_strip(obj)
 
 
-def share_influence(obj):
-    """Give what follows a soft skin the influence of its bake, set or animated."""
-    strip = influence_strip(obj)
-    for other in filter(None, map(influence_strip, followers(obj))):
-        if strip and _influence(other) != _influence(strip):
-            _keep_influence(strip, other)
-            other.mute = other.mute
+def share_strip(obj):
+    """Let the strip of the targets' shapes, and the strips of what follows a soft skin, play when that of its motion
+    does; what follows with the same influence, set or animated. Strips that were cut or doubled stay as they are.
+    """
+    motion = _strips(obj.data.shape_keys, obj.dynamorph.bake.action, MOTION)
+    for other in (obj, *followers(obj)) if motion else ():
+        shapes, moving = (_strips(other.data.shape_keys, other.dynamorph.bake.action, t) for t in (SHAPES, MOTION))
+        for strips in (shapes, moving):
+            if len(motion) == len(strips) == 1:
+                _keep_timing(motion[0], strips[0])
+        if moving and _influence(moving[0]) != _influence(motion[0]):
+            _keep_influence(motion[0], moving[0])
+            moving[0].mute = moving[0].mute
 
 
 def free(obj):
@@ -350,7 +354,8 @@ def _scaled_keys(bake: Bake, basis: np.ndarray) -> list[_Key]:
         largest = np.abs(weights).max()
         if np.abs(detail).max() * largest > negligible:
             name = _fit(f"Dynamorph Detail {bake.target_names[j]}")
-            keys.append(_Key(name, points(largest * detail), 0.0, None, weights / largest))
+            values = weights / largest  # with the motion too: the strips may be moved apart
+            keys.append(_Key(name, points(largest * detail), 0.0, values if len(bake.modes) else None, values))
     return keys
 
 
@@ -414,11 +419,23 @@ def _add_track(animation, title: str, action, slot, times):
 
 
 def _strip(keys, action):
-    """The strip that plays the motion in `action`, or None."""
-    if action is None or keys.animation_data is None:
-        return None
-    strips = (strip for track in keys.animation_data.nla_tracks for strip in track.strips if strip.action == action)
-    return next((strip for strip in strips if strip.action_slot and strip.action_slot.name_display == MOTION), None)
+    """The first strip that plays the motion in `action`, or None."""
+    return next(iter(_strips(keys, action, MOTION)), None)
+
+
+def _strips(keys, action, title: str) -> list:
+    """The strips that play the slot of a bake's `action`, which may be None."""
+    if action is None or keys is None or keys.animation_data is None:
+        return []
+    strips = [strip for track in keys.animation_data.nla_tracks for strip in track.strips if strip.action == action]
+    return [strip for strip in strips if strip.action_slot and strip.action_slot.name_display == title]
+
+
+def _keep_timing(old, new):
+    """Let a strip play when another does."""
+    if any(getattr(old, name) != getattr(new, name) for name in TIMING):
+        for name in TIMING:
+            setattr(new, name, getattr(old, name))
 
 
 def _influence(strip) -> tuple:
@@ -470,20 +487,35 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
 
 
 def _remove(obj, blocks, action):
-    """Remove shape keys, and the Action with its strips and the tracks that then are empty."""
+    """Remove shape keys, and the Action with its strips and the tracks that then are empty; also the copies
+    that Blender makes of it for strips that are duplicated.
+    """
     keys = obj.data.shape_keys
-    animation = keys.animation_data
-    if animation and action:
-        for track in list(animation.nla_tracks):
-            for strip in [strip for strip in track.strips if strip.action == action]:
+    actions = [action] if action else []
+    tracks = keys.animation_data.nla_tracks if keys.animation_data and action else []
+    paths = {f"{block.path_from_id()}.value" for block in blocks}
+    for track in list(tracks):
+        for strip in list(track.strips):
+            if strip.action and strip.action not in actions and _moves_only(strip.action, paths):
+                actions.append(strip.action)
+            if strip.action in actions:
                 track.strips.remove(strip)
-                if not track.strips:
-                    animation.nla_tracks.remove(track)
+                if all(left.type == "TRANSITION" for left in track.strips):
+                    tracks.remove(track)
+                    break
     for name in [block.name for block in blocks]:  # by name: each removal moves the others in memory
         obj.shape_key_remove(keys.key_blocks[name])
-    recorded = obj.dynamorph.bake.action == action  # the record counts as a user
-    if action and action.users == int(recorded):
-        bpy.data.actions.remove(action)
+    for each in actions:
+        recorded = obj.dynamorph.bake.action == each  # the record counts as a user
+        if each.users == int(recorded):
+            bpy.data.actions.remove(each)
+
+
+def _moves_only(action, paths: set[str]) -> bool:
+    """Whether an Action has curves, all of these paths."""
+    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    moved = {curve.data_path for bag in bags for curve in bag.fcurves}
+    return bool(moved) and moved <= paths
 
 
 def _record(obj, names, wanted, action, had_animation_data):

@@ -226,7 +226,7 @@ def _glued_warnings(character: Character, glued: dict) -> list[str]:
     if not glued["tets"] or character.settings.separate:
         return []
     return [
-        f"{glued['tets']} tetrahedra join parts of the skin that merely touch: turn on Separate Touching Parts, raise "
+        f"{glued['tets']} tetrahedra join parts of the skin that merely touch: turn on Split Touching Parts, raise "
         "Cage Nodes, or move the parts away from each other in the rest pose"
     ]
 

@@ -53,7 +53,7 @@ def _look_at_animations():
     for obj in properties.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.bake.exists and obj.is_editable:
             changes.look_at_animation(obj)
-            sinks.share_influence(obj)
+            sinks.share_strip(obj)
 
 
 @persistent

@@ -242,6 +242,7 @@ CALLS = {  # what a button needs before it, and what it is given
 CHANGING_NOTHING = {  # of what is saved and undone
     "cancel": (target_selected, {}),
     "export": (baked, {"format": "RAW", "filepath": str(FOLDER / "clip.npz")}),
+    "export_actions": (baked, {"format": "GLTF", "filepath": str(FOLDER / "clips.glb")}),
     "export_check": (baked, {"format": "GLTF"}),
     "material_preset": (target_selected, {"name": "Test"}),
     "play_mode": (built, {}),

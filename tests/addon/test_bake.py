@@ -106,6 +106,30 @@ def test_gains_are_baked(shot):
     assert np.allclose(motion, before * [0, 0, 0, 0, 0, 0.5, 0.5, 0.5])
 
 
+@pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 40}, {"method": "STATIC"}])
+def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change):
+    """In their poses, and in between as much of each as its weight is."""
+    build, simulate = part("jobs").engine()
+    character = shot.character.with_settings(**change)
+    model = build.build(character)
+
+    def motion(*influence):
+        sets = character.target_sets[0]
+        targets = tuple(replace(t, influence=value) for t, value in zip(sets.targets, influence, strict=True))
+        shown = replace(character, target_sets=(replace(sets, targets=targets),))
+        assert build.stale_reasons(model, shown) == []
+        bake, _ = simulate.bake(model, shown, shot.rig, shot.settings)
+        return np.tensordot(bake.coordinates - bake.dry, bake.modes, 1), bake.weights
+
+    whole, weights = motion(1.0, 1.0)
+    largest = np.abs(whole).max(initial=0.0)
+    assert weights[0] == pytest.approx([1, 0]) and weights[-1] == pytest.approx([0, 1])
+    for influence in ((0.0, 0.0), (1.0, 0.0), (0.0, 0.7)):
+        shown = (weights @ influence)[:, None, None] * whole
+        assert motion(*influence)[0] == pytest.approx(shown, abs=1e-5 * largest)
+    assert largest > 1e-3 * size(shot) or "method" in change
+
+
 # How it begins -----------------------------------------------------------------------------------------------------
 
 
@@ -433,6 +457,21 @@ def test_a_loop_is_what_many_cycles_come_to(shot):
     assert bake.coordinates[:-1] == pytest.approx(motion[-11:], abs=1e-4 * np.abs(motion).max())
 
 
+def test_a_loop_closes_whatever_its_targets_hide(shot):
+    """Where they hide the motion at the seam, it is periodic all the same: it shows elsewhere."""
+    sets = shot.character.target_sets[0]
+    hidden = tuple(replace(t, influence=k) for k, t in enumerate(sets.targets))
+    character = replace(shot.character, target_sets=(replace(sets, targets=hidden),))
+    rig, settings = cyclic(shot), replace(shot.settings, end=shot.settings.start + 11, loop=True)
+    (bake, report), (open_, before) = (
+        part("simulate").bake(shot.model, each, rig, settings) for each in (character, shot.character)
+    )
+    assert report["gap"] == before["gap"]
+    assert np.abs(bake.displacement(11) - bake.displacement(0)).max() < 1e-6 * size(shot)
+    shown = open_.dry + open_.weights[:, 1:] * (open_.coordinates - open_.dry)
+    assert bake.coordinates == pytest.approx(shown, abs=1e-9)
+
+
 def test_a_pose_that_is_no_cycle_is_named(shot):
     _, report = looped(shot, cyclic(shot, closed=False))
     assert len(report["warnings"]) == 1 and "off its pose at frame 1: end the loop" in report["warnings"][0]
@@ -541,3 +580,18 @@ def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
     part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path))
     with pytest.raises(ValueError, match="bake to shape keys first"):
         rebaked(soft_arm, 8, 15, folder=tmp_path)
+
+
+@pytest.mark.parametrize("preserve_volume", [False, True])
+def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume):
+    """What it plays is no part of what it is made from."""
+    soft_arm.modifiers["Armature"].use_deform_preserve_volume = preserve_volume
+    soft_arm.dynamorph.output.sink = "PC2"
+    baked = [part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]
+    for job in baked:
+        part("jobs").run(job)
+    assert part("clips").digest(baked[0].result) == part("clips").digest(baked[1].result)
+    assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 1
+    assert [modifier.type for modifier in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
+    assert not any("'Dynamorph'" in note.text for note in part("checks").notes(soft_arm))
+    assert part("changes").outdated(soft_arm) == []

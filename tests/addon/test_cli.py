@@ -350,6 +350,7 @@ def test_a_sink_that_is_a_file_for_other_programs(shot, run):
         ([], "say where the bake goes"),
         (["--sink", "frames"], "say where the bake goes"),
         (["--sink", "frames", "--sink-file", "x", "--in-place"], "is for a --sink that is a file"),
+        (["--sink", "usd", "--clips", "actions"], "--clips actions is for --sink gltf and --sink fbx"),
     ],
 )
 def test_a_bake_that_would_go_nowhere(shot, run, arguments, words):

@@ -84,6 +84,7 @@ def test_operators_that_change_data_are_undone(operators):
     assert without <= {
         "dynamorph.cancel",
         "dynamorph.export",
+        "dynamorph.export_actions",
         "dynamorph.export_check",
         "dynamorph.play_mode",
         "dynamorph.save_setup",

@@ -290,6 +290,28 @@ def test_gains_and_solo_show_at_once(playing):
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
 
 
+def test_influence_of_a_target_shows_at_once_and_as_in_the_bake(playing):
+    whole = play(playing, range(1, 21))
+    playing.dynamorph.targets["flexed"].influence = 0.0
+    bake, dry = baked(playing), session(playing).flesh.player.dry
+    assert apart(surface(playing), bake[-1]) < 1e-6 < apart(whole[-1], bake[-1])
+    weights = session(playing)._frames[20].weights
+    assert (
+        apart(surface(playing).ravel(), session(playing).flesh.points(np.concatenate([dry(weights), weights]))) < 1e-6
+    )
+    assert apart(play(playing, range(1, 21)), bake) < 1e-6
+    playing.dynamorph.targets["flexed"].influence = 1.0
+    assert apart(play(playing, range(1, 21)), whole) < 1e-6
+
+
+def test_influence_of_a_target_that_is_no_number_is_refused(playing):
+    play(playing, range(1, 4))
+    playing.dynamorph.targets["flexed"].influence = float("nan")
+    stopped(playing, "reset the gains")
+    with pytest.raises(part("extract").SceneError, match="influence of target 'flexed' is not a number"):
+        baked(playing)
+
+
 def test_a_gain_that_is_no_number_is_not_shown(playing):
     play(playing, range(1, 4))
     playing.dynamorph.modes[0].gain = float("nan")

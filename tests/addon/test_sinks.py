@@ -374,7 +374,7 @@ def test_the_size_of_a_bake(soft_arm):
     bake = hand_made_bake(soft_arm)
     size = part("sinks").write_keys(soft_arm, bake)
     keys, vertices, frames = 4, len(soft_arm.data.vertices), 20
-    assert size == keys * vertices * 12 + (3 + 3 + 1) * frames * 72
+    assert size == keys * vertices * 12 + (3 + 3 + 2) * frames * 72
 
 
 # What is refused, before anything changes ------------------------------------------------------------------------

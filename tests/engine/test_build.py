@@ -186,3 +186,9 @@ def test_models_of_another_engine_are_out_of_date(monkeypatch, cage):
     assert stale_reasons(first, of) == [] and has_cage(first, of)
     monkeypatch.setattr(building, "ENGINE", 2)
     assert stale_reasons(first, of) == ["engine changed"] and not has_cage(first, of)
+
+
+def test_the_same_model_is_the_same_bytes(cage):
+    """Whenever, and however long it took."""
+    first, second = (model_file.pack(*build(bar(), previous=cage).to_arrays()) for _ in range(2))
+    assert first == second

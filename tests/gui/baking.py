@@ -43,6 +43,21 @@ def influence():
     strip.influence = 1.0
 
 
+@step("Bake to other keys", picture=sidebar)
+def other_keys():
+    """A key a frame, then a budget of keys, show the same motion."""
+    whole, output = shown_at(limb.FLEXED + 1), settings().output
+    for sink, name, value in (("FRAMES", "output.every", "1"), ("MODES", "output.keys", "8")):
+        output.sink = sink
+        yield from driver.drawn()
+        yield from sidebar.enter(name, value)
+        yield from sidebar.press("dynamorph.bake")
+        yield from job_done()
+        assert np.abs(shown_at(limb.FLEXED + 1) - whole).max() < 1e-3
+    assert len(settings().bake.keys) == 8
+    output.keys = 0
+
+
 @step("Out of date", picture=sidebar)
 def out_of_date():
     yield from select_target(1)

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The animation of a binary glTF file as several, one for each part of its time. NumPy only, never bpy.
+
+A .glb is a header, then chunks: JSON, which says where everything is, and bytes. The parts need no other bytes than the
+whole, only times of their own, which are appended.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+
+import numpy as np
+
+HEADER, CHUNK = "<4sII", "<I4s"  # magic, version, length; length, kind
+FLOAT = 5126
+SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, FLOAT: 4}  # bytes of a number, by componentType
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: float) -> bytes:
+    """A file whose one animation has a key at each frame, with an animation for each part in its place.
+
+    parts: by name, the first frame and the last, counted from the animation's first. Each begins at time 0.
+    """
+    document, binary = _chunks(data)
+    (whole,) = document["animations"]
+    accessors, views = document["accessors"], document["bufferViews"]
+    document["animations"] = []
+    for name, (first, last) in parts.items():
+        times = (np.arange(last - first + 1) / fps).astype("<f4")
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": times.nbytes})
+        binary += times.tobytes()
+        ends = {"min": [float(times[0])], "max": [float(times[-1])]}
+        accessors.append(
+            {
+                "bufferView": len(views) - 1,
+                "componentType": FLOAT,
+                "count": len(times),
+                "type": "SCALAR",
+                **ends,
+            }
+        )
+        shared, samplers = len(accessors) - 1, []
+        for sampler in whole["samplers"]:
+            output = accessors[sampler["output"]]
+            each = output["count"] // accessors[sampler["input"]]["count"]  # values a key: of weights, one a morph
+            size = SIZES[output["componentType"]] * WIDTHS[output["type"]]
+            begin = output.get("byteOffset", 0) + first * each * size
+            accessors.append({**output, "byteOffset": begin, "count": len(times) * each})
+            for bound in ("min", "max"):
+                accessors[-1].pop(bound, None)
+            samplers.append({**sampler, "input": shared, "output": len(accessors) - 1})
+        document["animations"].append({**whole, "name": name, "samplers": samplers})
+    document["buffers"][0]["byteLength"] = len(binary)
+    return _joined(document, binary)
+
+
+def _chunks(data: bytes) -> tuple[dict, bytearray]:
+    """The JSON and the bytes of a file as Blender writes it, in two chunks."""
+    start = struct.calcsize(HEADER)
+    (length, _), begin = struct.unpack_from(CHUNK, data, start), start + struct.calcsize(CHUNK)
+    document = json.loads(data[begin : begin + length])
+    begin += length + struct.calcsize(CHUNK)
+    return document, bytearray(data[begin : begin + document["buffers"][0]["byteLength"]])
+
+
+def _joined(document: dict, binary: bytearray) -> bytes:
+    text = json.dumps(document, separators=(",", ":")).encode()
+    body = b""
+    for kind, chunk, blank in ((b"JSON", text, b" "), (b"BIN\0", bytes(binary), b"\0")):
+        chunk += blank * (-len(chunk) % 4)
+        body += struct.pack(CHUNK, len(chunk), kind) + chunk
+    return struct.pack(HEADER, b"glTF", 2, struct.calcsize(HEADER) + len(body)) + body

@@ -1,0 +1,294 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A clip for each Action, as games have them: each read back and compared with Blender playing and baking it alone."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+import round_trips
+from builders import activate, fingerprint, keys_of, make_arm, make_soft, part, rig_of
+from robustness import OPS, coarse, settings
+from round_trips import farthest
+from test_exports import add_sleeve
+from test_operators import Window
+
+BEND, WAVE = range(1, 13), range(5, 18)  # the frames of the Actions
+CLOSE = 2e-5
+
+
+def new_action(rig, name, bone, axis, keys):
+    """An Action that turns one bone: keys, (frame, angle)."""
+    action = bpy.data.actions.new(name)
+    rig.animation_data.action = action
+    for frame, angle in keys:
+        rig.pose.bones[bone].rotation_euler[axis] = angle
+        rig.pose.bones[bone].keyframe_insert("rotation_euler", index=axis, frame=frame)
+    rig.pose.bones[bone].rotation_euler[axis] = 0.0
+    return action
+
+
+@pytest.fixture
+def game_arm(scene):
+    """The soft arm with a built model, a sleeve, and two clips as artists keep them: "Bend", which is on, and "Wave", a
+    loop of a bone that Bend leaves alone, which is pushed down. Other Actions are none of its clips."""
+    obj = coarse(make_soft(make_arm(scene)))
+    rig = rig_of(obj)
+    add_sleeve(scene, obj)
+    piece = obj.dynamorph.pieces.add()
+    piece.object, piece.name = bpy.data.objects["Sleeve"], "Sleeve"
+    animation = rig.animation_data
+    bpy.data.actions.remove(animation.action)
+    rig.pose.bones["lower"].rotation_euler.x = 0.0
+    wave = new_action(rig, "Wave", "upper", 1, [(5, 0.0), (9, 0.6), (13, -0.4), (17, 0.0)])
+    wave.use_frame_range = wave.use_cyclic = True
+    wave.frame_start, wave.frame_end = WAVE[0], WAVE[-1]
+    track = animation.nla_tracks.new()
+    track.name = "Wave"
+    track.strips.new("Wave", 40, wave).action_slot = wave.slots[0]
+    new_action(rig, "A Pose", "upper", 1, [(3, 0.2)]).use_fake_user = True
+    bend = new_action(rig, "Bend", "lower", 0, [(1, 0.0), (8, 1.2), (12, 0.9)])
+    camera = bpy.data.objects.new("Camera", None)
+    camera.keyframe_insert("location", frame=1)
+    camera.keyframe_insert("location", frame=50)
+    animation.action = bend
+    scene.frame_set(3)
+    activate(obj)
+    OPS.build()
+    return obj
+
+
+def alone(obj, name, frames, loop):
+    """Each mesh as Blender shows it with this Action and a bake of it, and nothing else."""
+    animation, simulation = rig_of(obj).animation_data, obj.dynamorph.simulation
+    for bone in rig_of(obj).pose.bones:
+        bone.rotation_euler = 0.0, 0.0, 0.0
+    animation.action, animation.use_nla = bpy.data.actions[name], False
+    simulation.loop, simulation.keep_outside, simulation.preroll_pose = loop, False, "HELD"
+    part("jobs").run(part("jobs").Job(obj, "BAKE", (frames[0], frames[-1])))
+    return {mesh: round_trips.shown(mesh, frames) for mesh in ("Arm", "Sleeve")}
+
+
+def state(obj):
+    """All that an export could leave behind."""
+    rig = rig_of(obj)
+    animation = rig.animation_data
+    bones = [tuple(bone.rotation_euler) for bone in rig.pose.bones]
+    tracks = [(t.name, t.mute, t.is_solo, [(s.name, s.frame_start) for s in t.strips]) for t in animation.nla_tracks]
+    blocks = (bpy.data.objects, bpy.data.meshes, bpy.data.shape_keys, bpy.data.actions, bpy.data.scenes)
+    names = [sorted(block.name for block in kind) for kind in blocks]
+    chosen = [other.name for other in bpy.context.selected_objects], bpy.context.object.name
+    return {
+        "rig": (animation.action.name, animation.action_slot.identifier, animation.use_nla, bones, tracks),
+        "names": names,
+        "chosen": chosen,
+        "frame": bpy.context.scene.frame_current,
+        "keys": {mesh: fingerprint(bpy.data.objects[mesh]) for mesh in ("Arm", "Sleeve")},
+        "settings": settings(obj.dynamorph),
+    }
+
+
+def exported(obj, folder, key="GLTF"):
+    path = folder / f"arm{part('exports').FORMATS[key].suffix}"
+    part("exports").export(obj, key, path, (1, 1), clips="ACTIONS")
+    return path
+
+
+@pytest.mark.parametrize("baked", [True, False])
+def test_gltf_has_a_clip_for_each_action(game_arm, tmp_path, baked):
+    pytest.importorskip("pygltflib")
+    obj = game_arm
+    simulation = obj.dynamorph.simulation
+    if baked:  # of which no clip becomes a part, whatever is asked for a bake
+        OPS.bake()
+        simulation.keep_outside, simulation.preroll_pose, simulation.preroll, simulation.samples = (
+            True,
+            "ANIMATED",
+            4,
+            2,
+        )
+    before = state(obj)
+    path = exported(obj, tmp_path)
+    assert state(obj) == before
+    assert [file.name for file in tmp_path.iterdir()] == ["arm.glb"]
+    file = round_trips.Gltf(path)
+    assert [animation.name for animation in file.file.animations] == ["Bend", "Wave"]
+    for name, frames in (("Bend", BEND), ("Wave", WAVE)):
+        assert file.times(name) == pytest.approx((np.array(frames) - frames[0]) / 24.0)
+        for mesh, exact in alone(obj, name, frames, loop=name == "Wave").items():
+            assert farthest(file.surfaces(mesh, len(frames), name), exact, same_order=False) < CLOSE, (name, mesh)
+    loop = file.surfaces("Arm", len(WAVE), "Wave")
+    assert farthest(loop[:1], loop[-1:]) < 1e-5  # the Bake is closed to a millionth; shape keys are float32
+    assert np.linalg.norm(loop - loop[0], axis=2).max() > 0.1
+
+
+def test_fbx_has_a_clip_for_each_action(game_arm, tmp_path):
+    obj = game_arm
+    before = state(obj)
+    path = exported(obj, tmp_path, "FBX")
+    assert state(obj) == before
+    exact = {name: alone(obj, name, frames, name == "Wave") for name, frames in (("Bend", BEND), ("Wave", WAVE))}
+    round_trips.imported(bpy.ops.import_scene.fbx, path, anim_offset=0.0)
+    assert sorted({action.name.rpartition("|")[2] for action in bpy.data.actions}) == ["Bend", "Wave"]
+    for name, meshes in exact.items():
+        frames = range(len(meshes["Arm"]))
+        for owner in (bpy.data.objects["Arm Rig"], *bpy.data.shape_keys):
+            wanted = "OBJECT" if owner.id_type == "OBJECT" else "KEY"
+            for action in bpy.data.actions:
+                prefix, _, clip = action.name.rpartition("|")
+                if clip == name and action.slots[0].target_id_type == wanted and prefix == owner.name:
+                    owner.animation_data.action = action
+                    owner.animation_data.action_slot = action.slots[0]
+        for mesh, surface in meshes.items():
+            assert farthest(round_trips.shown(mesh, frames), surface) < CLOSE, (name, mesh)
+
+
+def test_the_clips_share_as_many_keys_as_are_asked_for(game_arm, tmp_path):
+    pytest.importorskip("pygltflib")
+    obj = game_arm
+    obj.dynamorph.output.keys = 3
+    exports, clips, actions = part("exports"), part("clips"), part("actions")
+    assert not any("keys move" in text for text in exports.losses(obj, "GLTF", "ACTIONS"))
+    batch = exports.ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
+    part("jobs").run_all(batch)
+    file = round_trips.Gltf(tmp_path / "arm.glb")
+    (mesh,) = (mesh for mesh in file.file.meshes if mesh.name == "Arm")
+    assert [name for name in mesh.extras["targetNames"] if "Dynamorph" in name] == [
+        f"Dynamorph Mode 0{k}" for k in (1, 2, 3)
+    ]
+    whole = actions.joined([job.result for job in batch.jobs])
+    fewer = clips.with_fewer_keys(whole, 3)
+    basis = part("extract").rest_points(obj)
+    found = np.concatenate([file.morphed("Arm", name) for name in ("Bend", "Wave")])
+    exact = np.concatenate(list(clips.surfaces(fewer, basis)))
+    assert farthest(found, exact, same_order=False) < CLOSE
+    obj.dynamorph.output.keys = 0
+    obj.dynamorph.modes.add()
+    obj.dynamorph.modes.add()
+    (text,) = exports.losses(obj, "GLTF", "ACTIONS")
+    assert "'Arm': 9 keys move" in text and "set Keys to 8, or" in text
+
+
+def test_influence_counts(game_arm, tmp_path):
+    pytest.importorskip("pygltflib")
+    obj = game_arm
+    OPS.bake()
+    part("sinks").influence_strip(obj).influence = 0.5
+    batch = part("exports").ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
+    part("jobs").run_all(batch)
+    bend = batch.jobs[0].result
+    half = replace(bend, coordinates=(bend.coordinates + bend.dry) / 2)
+    exact = np.concatenate(list(part("clips").surfaces(half, part("extract").rest_points(obj))))
+    assert farthest(round_trips.Gltf(batch.path).morphed("Arm", "Bend"), exact, same_order=False) < CLOSE
+
+
+def test_faces_that_an_action_moves_are_in_its_clip(game_arm, tmp_path):
+    """An Action may have slots for the shape keys too; drivers count as well."""
+    pytest.importorskip("pygltflib")
+    obj, keys = game_arm, keys_of(game_arm)
+    bend = bpy.data.actions["Bend"]
+    keys.animation_data_create().action = bend
+    keys.animation_data.action_slot = bend.slots.new("KEY", "Face")
+    for frame in (1, 12):
+        keys.key_blocks["smile"].value = (frame - 1) / 11
+        keys.key_blocks["smile"].keyframe_insert("value", frame=frame)
+    keys.key_blocks["smile"].value = 0.0
+    keys.animation_data.action = None
+    file = round_trips.Gltf(exported(obj, tmp_path))
+    keys.animation_data.action = bend
+    keys.animation_data.action_slot = bend.slots[-1]
+    exact = alone(obj, "Bend", BEND, loop=False)["Arm"]
+    assert farthest(file.surfaces("Arm", len(BEND), "Bend"), exact, same_order=False) < CLOSE
+
+
+def test_the_buttons_write_clips(game_arm, tmp_path, capfd):
+    activate(game_arm)
+    OPS.bake()
+    assert OPS.export(format="GLTF", clips="ACTIONS", filepath=str(tmp_path / "arm")) == {"FINISHED"}
+    assert "'Arm' written as 'arm.glb': Bend, Wave" in capfd.readouterr().out
+    OPS.export(format="RAW", clips="ACTIONS", filepath=str(tmp_path / "arm"))  # it has one only
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["arm.glb", "arm.npz"]
+
+
+def test_in_a_window_the_artist_s_animation_is_there_between_two_turns(game_arm, tmp_path):
+    obj = game_arm
+    operators, button_class = part("operators"), part("export_operators").DYNAMORPH_OT_export_actions
+
+    class Button(operators.JobOperator):
+        goal, _batch, _done = button_class.goal, button_class._batch, button_class._done
+        format, filepath, reports = "GLTF", str(tmp_path / "arm.glb"), []
+
+        def report(self, kind, text):
+            self.reports.append((*kind, text))
+
+    before, window, button, ticks = state(obj), Window(obj), Button(), 0
+    result = operators.guarded(button, button._begin, window)
+    while result == {"RUNNING_MODAL"}:
+        assert state(obj) == before and part("jobs").running is button.batch
+        result, ticks = button.modal(window, SimpleNamespace(type="TIMER", value="NOTHING")), ticks + 1
+    assert result == {"FINISHED"} and ticks > 5 and part("jobs").running is None
+    assert button.reports[-1] == ("INFO", "'Arm' written as 'arm.glb': Bend, Wave")
+    assert state(obj) == before and (tmp_path / "arm.glb").exists()
+
+
+def fail(*_arguments):
+    raise RuntimeError("Error: no disk")
+
+
+def test_what_fails_or_is_cancelled_leaves_all_as_it_was(game_arm, tmp_path, monkeypatch):
+    obj = game_arm
+    exports, jobs = part("exports"), part("jobs")
+    rig_of(obj).animation_data.nla_tracks[0].is_solo = True
+    bpy.context.scene.frame_set(3)
+    before = state(obj)
+    broken = replace(exports.FORMATS["GLTF"], write=fail)
+    with monkeypatch.context() as patch:
+        patch.setitem(exports.FORMATS, "GLTF", broken)
+        with pytest.raises(exports.ExportError, match="no disk"):
+            exported(obj, tmp_path)
+    assert state(obj) == before
+    with pytest.raises(jobs.Cancelled):
+        exports.export(obj, "GLTF", tmp_path / "arm.glb", (1, 1), "ACTIONS", tick=lambda batch: batch.cancel())
+    assert state(obj) == before
+    assert list(tmp_path.iterdir()) == []
+
+
+def linked_to_tweak(obj):
+    animation = rig_of(obj).animation_data
+    animation.nla_tracks[0].strips[0].select = True
+    animation.use_tweak_mode = True
+
+
+def without_clips(obj):
+    for action in list(bpy.data.actions):
+        bpy.data.actions.remove(action)
+
+
+def stretched(_obj):
+    bpy.context.scene.render.frame_map_new = 200
+
+
+def sculpted(obj):
+    keys_of(obj).key_blocks["flexed"].points[0].co.x += 0.1
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (without_clips, "No Action moves bones of 'Arm Rig'"),
+        (stretched, "Time Stretching"),
+        (sculpted, "out of date.*press Build Model"),
+        (linked_to_tweak, "in NLA tweak mode"),
+    ],
+)
+def test_refused(game_arm, tmp_path, change, words):
+    change(game_arm)
+    with pytest.raises(ValueError, match=words):
+        exported(game_arm, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_formats_of_a_surface_have_no_clips(game_arm, tmp_path):
+    with pytest.raises(part("exports").ExportError, match="Alembic has one animation only"):
+        exported(game_arm, tmp_path, "ALEMBIC")
