@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness bakes fuzz stubs format lint wheel extension clean
+.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness bakes farm-demo fuzz stubs format lint wheel \
+	extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -60,6 +61,12 @@ robustness: build
 sections ?=
 bakes: build
 	@$(python) tests/benchmarks/bakes_page.py $(sections)
+
+# Bakes on a Slurm of two nodes on this machine, of which one is killed; takes 5 to 10 minutes. What could not be installed
+# (not root, not Debian) it names, and skips.
+farm-demo: build
+	@tools/setup.sh farm || :
+	@$(python) tools/farm_demo.py
 
 # More spoiled meshes than `make test` tries: examples=2000 takes about 15 minutes. What fails is tried first next time.
 examples ?= 2000

@@ -1,7 +1,8 @@
 #!/bin/bash
 # SPDX-License-Identifier: GPL-3.0-or-later
 # System packages where they are missing, and one virtual environment for each supported Python that is found.
-# Costs nothing when there is nothing to do. `setup.sh bench` adds what only the benchmarks need.
+# Costs nothing when there is nothing to do. `setup.sh bench` adds what only the benchmarks need, `setup.sh farm` what only
+# the demo of a render farm needs.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -9,6 +10,8 @@ supported=(3.11 3.13) # Blender 4.5 LTS, Blender 5.2 LTS
 packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev doctest-dev
           libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
 [[ ${1:-} != bench ]] || packages+=(libbenchmark-dev)
+[[ ${1:-} != farm ]] || packages+=(slurmctld slurmd slurm-client munge)
+openjd=openjd-cli==0.8.0
 
 install_packages() {
   if ! command -v dpkg-query >/dev/null; then
@@ -63,6 +66,15 @@ make_environment() { # version
     'import sysconfig; print(sysconfig.get_path("purelib"))')/dynamorph.pth"
 }
 
+make_openjd_environment() { # of its own: it needs nothing of Dynamorph's, nor that of it
+  local environment=build/openjd pythons=(.venv/3.*/bin/python)
+  [[ $(cat $environment/requirements.txt 2>/dev/null) != "$openjd" ]] || return 0
+  echo "setup: installing $openjd"
+  "${pythons[0]}" -m venv $environment
+  $environment/bin/python -m pip install --quiet --disable-pip-version-check $openjd
+  echo $openjd >$environment/requirements.txt
+}
+
 install_packages
 for version in "${supported[@]}"; do
   make_environment "$version"
@@ -71,3 +83,4 @@ if ! compgen -G '.venv/3.*/bin/python' >/dev/null; then
   echo "setup: Dynamorph needs Python ${supported[0]} or ${supported[1]}" >&2
   exit 1
 fi
+[[ ${1:-} != farm ]] || make_openjd_environment

@@ -133,6 +133,7 @@ def character_record(job) -> dict:
             "frames": [job.settings.start, job.settings.end],
             "fps": job.settings.fps,
             "substeps": job.settings.substeps,
+            "resumed": len(job.resumed.get("coordinates", ())),
             "max_displacement": clips.reach(job.result, job.character.to_bind),
             **{name: value for name, value in job.report.items() if name != "warnings"},
         }

@@ -12,6 +12,7 @@ import json
 import re
 import threading
 import time
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -24,7 +25,7 @@ import numpy as np
 from . import changes, clips, extract, live_key, materials, model_file, preferences, probe, properties, share, sinks
 from .extract import SceneError
 
-PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes
+PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
 CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
@@ -109,18 +110,18 @@ def store_model(obj, packed: bytes, folder: Path | None = None):
         model_file.save(folders[0] / f"{content_id}.dynamorph", packed)
         obj.pop(PACKED, None)
     else:
-        obj.pop(PACKED, None)  # Blender cuts bytes that replace other bytes at their first zero
-        obj[PACKED] = packed
+        obj.pop(PACKED, None)
+        obj[PACKED] = _as_numbers(packed)  # exporters of Blender's own crash on bytes with zeros in them
     obj.dynamorph.model.content_id = content_id
 
 
 def stored_model(obj) -> bytes | None:
     """The packed model of `obj`, or None. Raises ModelFileError when there should be one."""
     packed = obj.get(PACKED)
-    if packed is not None:
-        if not isinstance(packed, bytes):
-            raise model_file.ModelFileError(f"The model of '{obj.name}' is damaged: build it again")
+    if isinstance(packed, bytes):  # of version 0.1's first files
         return packed
+    if packed is not None:
+        return _as_bytes(obj.name, packed)
     content_id = obj.dynamorph.model.content_id
     if not content_id:
         return None
@@ -134,6 +135,24 @@ def stored_model(obj) -> bytes | None:
             f"The model of '{obj.name}' is missing (looked for in {places}): put it back or build again"
         )
     return path.read_bytes()
+
+
+def _as_numbers(packed: bytes) -> array:
+    numbers = array("i", [len(packed)])
+    numbers.frombytes(packed + bytes(-len(packed) % numbers.itemsize))
+    return numbers
+
+
+def _as_bytes(name: str, numbers) -> bytes:
+    """The inverse of `_as_numbers`; name: of the object. Raises ModelFileError."""
+    try:
+        numbers = np.asarray(numbers, "<i4")
+        count, packed = int(numbers[0]), numbers[1:].tobytes()
+        if not 0 <= len(packed) - count < 4:
+            raise ValueError
+    except (TypeError, ValueError, IndexError):
+        raise model_file.ModelFileError(f"The model of '{name}' is damaged: build it again") from None
+    return packed[:count]
 
 
 def fit_modes(obj, count: int):

@@ -78,7 +78,7 @@ def state():
             mine["settings"] = settings(obj.dynamorph)
             mine["modifiers"] = [plain(modifier) for modifier in obj.modifiers]
             mine["pinned"] = obj.show_only_shape_key
-            mine["model"] = obj.get(part("jobs").PACKED)
+            mine["model"] = list(obj.get(part("jobs").PACKED, ()))
             mine["keys"] = fingerprint(obj) if keys_of(obj) else None
             mine["groups"] = obj.vertex_groups.keys()
             mine["weights"] = [[(g.group, g.weight) for g in vertex.groups] for vertex in obj.data.vertices]

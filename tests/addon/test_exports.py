@@ -109,11 +109,20 @@ def test_a_raw_clip_is_the_bake(baked, tmp_path, read):
 
 @pytest.mark.parametrize("key", ["ALEMBIC", "USD"])
 def test_a_model_that_is_kept_with_the_object_is_not_exported(baked, tmp_path, key):
-    """Blender would crash on its bytes."""
+    """On bytes, as which the first versions kept it, Blender would crash."""
     obj, _ = baked
+    obj.pop(part("jobs").PACKED, None)
     obj[part("jobs").PACKED] = b"a\0b"
     path = written(obj, key, tmp_path)
     assert part("jobs").PACKED.encode() not in path.read_bytes()
+
+
+def test_blenders_own_exporter_bears_a_model(soft_arm, stand_in, tmp_path):
+    """All custom properties are written by default."""
+    bpy.ops.dynamorph.build()
+    assert part("jobs").PACKED in soft_arm
+    bpy.ops.wm.alembic_export(filepath=str(tmp_path / "own.abc"), as_background_job=False)
+    assert (tmp_path / "own.abc").is_file()
 
 
 def test_drivers_actions_and_influence_are_exported_as_shown(scene, baked, tmp_path):

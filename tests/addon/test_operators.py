@@ -171,15 +171,32 @@ def test_a_model_id_cannot_lead_out_of_its_folder(soft_arm, stand_in, tmp_path, 
         part("jobs").stored_model(soft_arm)
 
 
-@pytest.mark.parametrize("damage", [lambda b: b[:-1], lambda b: b"x" + b[1:], lambda b: "text", lambda b: 7])
+@pytest.mark.parametrize(
+    "damage",
+    [lambda n: n[:-1], lambda n: [7, *n[1:]], lambda n: [n[0], 7, *n[2:]], lambda n: "text", lambda n: 7, lambda n: {}],
+)
 def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
     jobs = part("jobs")
     bpy.ops.dynamorph.build()
-    soft_arm[jobs.PACKED] = damage(soft_arm[jobs.PACKED])
+    damaged = damage(list(soft_arm[jobs.PACKED]))
+    del soft_arm[jobs.PACKED]
+    soft_arm[jobs.PACKED] = damaged
     jobs._load.cache_clear()
     job = jobs.Job(soft_arm, goal="BAKE")
     jobs.run(job)
     assert stand_in.built == 2 and len(job.reasons) == 1
+
+
+def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
+    """As the first versions did, with which exporters of Blender's own crash."""
+    jobs = part("jobs")
+    bpy.ops.dynamorph.build()
+    packed = jobs.stored_model(soft_arm)
+    del soft_arm[jobs.PACKED]
+    soft_arm[jobs.PACKED] = packed
+    jobs._load.cache_clear()
+    assert jobs.stored_model(soft_arm) == packed
+    assert jobs.stale_reasons(soft_arm, part("extract").character(soft_arm)) == []
 
 
 # Errors and cancelling change nothing ------------------------------------------------------------------------------

@@ -195,7 +195,7 @@ def test_a_linked_character_that_is_live_plays(asset):
 def test_an_override_keeps_materials_alone(asset, tmp_path):
     saved = asset("build")
     obj = open_override(saved)
-    stored = bytes(obj[part("jobs").PACKED])
+    stored = part("jobs").stored_model(obj)
     obj.dynamorph.active_target_index = 1
     assert OPS.apply_material(preset="FAT") == {"FINISHED"}
     obj.dynamorph.targets[0].stiffness = 4321.0
@@ -214,7 +214,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
     assert (neutral.name, flexed.name, flexed.bone_names()) == ("Neutral", "flexed", ("lower",))
     assert vars(flexed.material()) == pytest.approx(vars(part("materials").PRESETS["FAT"].material))
     assert (neutral.stiffness, obj.dynamorph.simulation.preroll) == (4321.0, 7)
-    assert bytes(obj[part("jobs").PACKED]) == stored
+    assert part("jobs").stored_model(obj) == stored
     assert part("jobs").stale_reasons(obj, part("extract").character(obj)) == []
 
 

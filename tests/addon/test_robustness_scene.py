@@ -149,10 +149,10 @@ def test_other_skinning_is_refused_and_nothing_changes(scene, skin, change, word
     bake(skin)
     change(skin)
     scene.frame_set(1)
-    before, model = fingerprint(skin), skin[part("jobs").PACKED]
+    before, model = fingerprint(skin), part("jobs").stored_model(skin)
     for button in (OPS.bake, OPS.build, OPS.capture_pose, OPS.fit_material):
         refused(button, words)
-    assert fingerprint(skin) == before and skin[part("jobs").PACKED] == model
+    assert fingerprint(skin) == before and part("jobs").stored_model(skin) == model
     part("jobs").show_stale(skin)
     assert words in skin.dynamorph.model.stale
     assert np.isfinite(motion(skin)).all()  # the bake still plays

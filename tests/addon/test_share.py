@@ -52,6 +52,7 @@ def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
     assert len(list(folder.glob("*.unfinished"))) == 1
     job = baked(coarse, folder)
     assert len(job.resumed["coordinates"]) == 11  # frames
+    assert part("cli").character_record(job)["bake"]["resumed"] == 11
     whole = baked(coarse)
     assert np.array_equal(job.result.coordinates, whole.result.coordinates)
     assert job.report["steps"] == whole.report["steps"]

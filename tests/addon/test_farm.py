@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in farm/: the job template, how Slurm runs a task of it, the job type for Flamenco.
+
+`make farm-demo` runs the first two on a real Slurm. Here the schedulers are stand-ins, that record what they are asked.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from builders import part
+
+ROOT = Path(__file__).parents[2]
+FARM = ROOT / "farm"
+OPENJD = ROOT / "build/openjd/bin"
+
+FLAMENCO = """
+const vm = require("vm"), fs = require("fs");
+const tasks = [];
+const author = {
+    Task: (name, type) => ({
+        name, type, commands: [], after: [],
+        addCommand(command) { this.commands.push(command); },
+        addDependency(task) { this.after.push(task.name); },
+    }),
+    Command: (name, parameters) => ({ name, parameters }),
+};
+const context = vm.createContext({ author });
+vm.runInContext(fs.readFileSync(process.argv[1], "utf8"), context);
+const settings = JSON.parse(process.argv[2]);
+for (const setting of vm.runInContext("JOB_TYPE", context).settings)
+    if (settings[setting.key] === undefined) settings[setting.key] = setting.default;
+context.compileJob({ settings, addTask: (task) => tasks.push(task) });
+console.log(JSON.stringify(tasks));
+"""
+
+
+def program(folder, name, script):
+    """A shell script in the place of a program."""
+    path = folder / name
+    path.write_text(f"#!/bin/bash\n{script}\n")
+    path.chmod(0o755)
+    return path
+
+
+def understood(arguments, opens_file):
+    """The command line knows these arguments, or argparse exits."""
+    return part("cli").parser(opens_file).parse_args(arguments)
+
+
+# Slurm ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def try_task(tmp_path):
+    """Runs slurm_task.sh with a task that ends with a code; returns its own code and what scontrol was asked."""
+    (tmp_path / "Bake").mkdir()
+    program(tmp_path, "openjd", 'echo "Process pid 1 exited with code: $1 (unsigned)"; echo "$@"; exit $(($1 != 0))')
+    program(tmp_path, "scontrol", f'echo "$@" >>"{tmp_path}/asked"')
+
+    def run(code, restarts=""):
+        (tmp_path / "asked").write_text("")
+        variables = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "SLURM_ARRAY_TASK_ID": "3", "SLURM_JOB_ID": "17"}
+        variables |= {"SLURM_RESTART_COUNT": restarts} if restarts else {}
+        done = subprocess.run(
+            [FARM / "slurm_task.sh", tmp_path / "Bake", "openjd", str(code)], env=variables, check=False
+        )
+        return done.returncode, (tmp_path / "asked").read_text()
+
+    return run
+
+
+def test_a_task_that_is_done_is_done(try_task, tmp_path):
+    assert try_task(0) == (0, "")
+    assert f"--tasks file://{tmp_path}/Bake/3.json" in (tmp_path / "Bake/3.0.log").read_text()
+
+
+@pytest.mark.parametrize("code", [2, 3])
+def test_a_task_that_would_fail_again_fails(try_task, code):
+    assert try_task(code) == (code, "")
+
+
+@pytest.mark.parametrize("code", [1, 75, 130, -9])
+def test_other_tasks_are_tried_again(try_task, code, tmp_path):
+    assert try_task(code) == (75, "requeue 17\n")
+    assert try_task(code, restarts="1") == (75, "requeue 17\n")
+    assert {path.name for path in (tmp_path / "Bake").iterdir()} == {"3.0.log", "3.1.log"}
+
+
+def test_but_not_for_ever(try_task):
+    assert try_task(75, restarts="4") == (75, "")
+
+
+# Open Job Description -------------------------------------------------------------------------------------------------
+
+needs_openjd = pytest.mark.skipif(not OPENJD.exists(), reason="needs openjd-cli: tools/setup.sh farm")
+
+
+@needs_openjd
+def test_the_template_keeps_to_the_specification():
+    checked = subprocess.run(
+        [OPENJD / "openjd", "check", FARM / "dynamorph.openjd.yaml"], capture_output=True, check=False
+    )
+    assert checked.returncode == 0, checked.stderr.decode()
+
+
+@needs_openjd
+def test_each_step_is_an_array_that_waits_for_the_one_before(tmp_path):
+    sbatch = 'echo "$@" >>"$0.asked"; wc -l <"$0.asked"'
+    program(tmp_path, "sbatch", sbatch)
+    shots, wedges = 'Shots=["walk","run"]', 'Wedges=["","Neutral.stiffness=3e4","Neutral.poisson=0.3"]'
+    submitted = subprocess.run(
+        [OPENJD / "python", FARM / "slurm_submit.py", FARM / "dynamorph.openjd.yaml", "--folder", tmp_path / "slurm",
+         "-p", shots, "-p", wedges, "-p", f"Folder={tmp_path}", "--", "--partition=farm"],
+        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert submitted.stdout.split() == ["Check", "1", "Build", "2", "Bake", "3", "Collect", "4"]
+    asked = (tmp_path / "sbatch.asked").read_text().splitlines()
+    assert [line.split("--array=")[1].split()[0] for line in asked] == ["0-1", "0-0", "0-5", "0-0"]
+    assert "--dependency" not in asked[0]
+    assert all(f"--dependency=afterok:{i} " in asked[i] and "--partition=farm" in asked[i] for i in (1, 2, 3))
+    tasks = [json.loads((tmp_path / f"slurm/Bake/{i}.json").read_text()) for i in range(6)]
+    assert [[task["Shot"], task["Wedge"][:9]] for (task,) in tasks[:4]] == [
+        ["walk", ""], ["walk", "Neutral.s"], ["walk", "Neutral.p"], ["run", ""],
+    ]  # fmt: skip
+
+
+@needs_openjd
+def test_the_template_says_what_the_command_line_knows(addon, tmp_path):
+    """Its tasks run a Python that only records how it was called."""
+    python = program(tmp_path, "python", f'printf "%s\\n" "$@" "" >>"{tmp_path}/called"')
+    parameters = {
+        "Python": str(python), "Folder": str(tmp_path), "Output": str(tmp_path / "out"), "Share": str(tmp_path),
+        "Shots": ["walk"], "Characters": ["Arm", "Left Leg"], "Wedges": ["", "Neutral.stiffness=3e4"],
+    }  # fmt: skip
+    subprocess.run(
+        [OPENJD / "openjd", "run", FARM / "dynamorph.openjd.yaml", "--step", "Collect", "--run-dependencies",
+         "-p", json.dumps(parameters)], stdout=subprocess.DEVNULL, check=True,
+    )  # fmt: skip
+    calls = [call.split("\n") for call in (tmp_path / "called").read_text().rstrip("\n").split("\n\n")]
+    assert all(call[:2] == ["-m", "dynamic_morph_targets"] for call in calls)
+    found = [understood(call[2:], opens_file=True) for call in calls]
+    assert [call[2] for call in calls] == ["check"] * 2 + ["build"] * 2 + ["bake"] * 4 + ["collect"]
+    assert found[-1].expect == len({args.report for args in found[4:8]}) == 4
+    assert [args.changes for args in found[4:8]] == [[], ["Neutral.stiffness=3e4"]] * 2
+    assert found[7].output == tmp_path / "out/walk Left Leg Neutral.stiffness=3e4.blend"
+
+
+# Flamenco -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def compiled():
+    """Compiles the job type with settings, and with its defaults for the others; returns the tasks by name."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("needs node, to run the job type")
+
+    def run(**settings):
+        settings = {"blendfile": "/shots/walk.flamenco.blend", "output": "/out", "share": "/share"} | settings
+        done = subprocess.run(
+            [node, "-e", FLAMENCO, FARM / "flamenco_dynamorph.js", json.dumps(settings)],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return {task["name"]: task for task in json.loads(done.stdout)}
+
+    return run
+
+
+def test_flamenco_bakes_each_character_and_wedge(compiled):
+    tasks = compiled(characters="Arm, Leg", wedges="Neutral.stiffness=1e4, Neutral.stiffness=3e4")
+    bakes = [name for name in tasks if name.startswith("bake ")]
+    assert len(bakes) == 4 and "bake walk Leg Neutral.stiffness=3e4" in bakes
+    assert all(tasks[name]["after"] == [f"build {name.split()[2]}"] for name in bakes)
+    assert tasks["build Arm"]["after"] == ["check Arm"]
+    assert tasks["collect"]["after"] == bakes
+    assert {task["type"] for task in tasks.values()} == {"blender"}
+
+
+def test_flamenco_says_what_the_command_line_knows(addon, compiled):
+    tasks = compiled(characters="Arm")
+    assert list(tasks) == ["check Arm", "build Arm", "bake walk Arm", "collect"]
+    for task in tasks.values():
+        (command,) = task["commands"]
+        assert command["name"] == "exec" and command["parameters"]["exe"] == "{blender}"
+        arguments = command["parameters"]["args"]
+        blender = arguments[: arguments.index("-c")]
+        assert blender == ["-b"] + ["/shots/walk.flamenco.blend"] * (task["name"] != "collect")
+        args = understood(arguments[arguments.index("dynamorph") + 1 :], opens_file=False)
+        assert getattr(args, "changes", []) == []
