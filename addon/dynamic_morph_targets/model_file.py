@@ -13,12 +13,15 @@ exactly what `pack` would write: then no byte of the file can change unnoticed.
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import math
 import os
 import secrets
+import time
 from collections.abc import Iterable
+from contextlib import suppress
 from itertools import combinations_with_replacement
 from pathlib import Path
 
@@ -28,6 +31,7 @@ FORMAT = "dynamorph model"
 VERSION = 4  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only; 4: stiffness
 OLDEST = 2  # that can be read
 MAX_HEADER = 16 * 2**20
+ABANDONED = 3600.0  # seconds after which nobody writes to a part of a file any more
 DTYPES = {
     "F64": "<f8", "F32": "<f4", "I64": "<i8", "I32": "<i4", "I16": "<i2", "I8": "|i1",
     "U64": "<u8", "U32": "<u4", "U16": "<u2", "U8": "|u1", "BOOL": "|b1",
@@ -96,6 +100,10 @@ def save(path, content: bytes | Iterable[bytes]):
     """Write whole or not at all: a crash leaves the old file or the new one."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    for left in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # by a process that was killed
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > ABANDONED:
+                left.unlink()
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the rights of any new file
     try:
         with temporary.open("xb") as file:

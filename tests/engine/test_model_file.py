@@ -3,6 +3,7 @@
 
 import hashlib
 import json
+import os
 import time
 
 import numpy as np
@@ -208,3 +209,14 @@ def test_a_file_has_the_rights_of_any_other(tmp_path):
     save(tmp_path / "model", [b"a", b"b"])
     assert (tmp_path / "model").stat().st_mode == (tmp_path / "other").stat().st_mode
     assert (tmp_path / "model").read_bytes() == b"ab" and len(list(tmp_path.iterdir())) == 2
+
+
+def test_what_a_killed_process_left_is_cleared(tmp_path):
+    """An hour later: until then somebody may be writing it."""
+    old, new, other = (tmp_path / f"{name}.part" for name in ("model.1", "model.2", "other.1"))
+    for part in (old, new, other):
+        part.touch()
+    for part in (old, other):
+        os.utime(part, (0, 0))
+    save(tmp_path / "model", b"a")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model", "model.2.part", "other.1.part"]
