@@ -400,6 +400,19 @@ def test_a_loop_closes(shot, travel):
     assert np.abs(single.displacement(11) - single.displacement(0)).max() > 10 * report["gap"]
 
 
+def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
+    """What flesh that is too soft for accelerated passes falls back to."""
+    simulate, rig, settings = part("simulate"), cyclic(shot), replace(shot.settings, end=12, loop=True)
+    found = []
+    for passes in (40, 0):
+        monkeypatch.setattr(simulate, "ACCELERATED", passes)
+        player = simulate.Player(shot.model, shot.character, settings)
+        frames, gap = simulate.cycle(player, rig)
+        assert gap <= 1e-6 * size(shot) and player.passes < simulate.PASSES
+        found.append(np.array([frame.coordinates for frame in frames]))
+    assert found[1] == pytest.approx(found[0], abs=1e-4 * np.abs(found[0]).max())
+
+
 def test_a_loop_closes_in_velocity_too(shot):
     """Flesh that springs back undamped crosses its place at the start of a pass long before it does so as fast."""
     simulate, rig = part("simulate"), cyclic(shot)
