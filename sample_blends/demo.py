@@ -18,6 +18,7 @@ try:
     import numpy as np
     from contact_sheet import Row, compose, quiet, render, save
     from dynamic_morph_targets import cli, jobs, sinks
+    from dynamic_morph_targets.__main__ import leave
 except ImportError as error:
     sys.exit(f"demo: {error}. `make demo` installs and builds everything first; see README.md for doing it by hand.")
 
@@ -151,10 +152,8 @@ def main() -> int:
     except jobs.expected_errors() as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
-    finally:
-        dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -24,6 +24,7 @@ try:
     import results_page
     from contact_sheet import Row, compose, render, save
     from dynamic_morph_targets import report, sinks
+    from dynamic_morph_targets.__main__ import leave
     from dynamic_morph_targets.scene_data import VARIANTS
     from subjects import SUBJECTS, Sheet, Shot, Subject, open_shot
 except ImportError as error:
@@ -310,10 +311,7 @@ def main() -> int:
     args = parser.parse_args()
     complete = not args.draft and set(args.only) == set(PARTS) and set(args.scenes) == set(SUBJECTS)
     dynamic_morph_targets.register()
-    try:
-        make(args, ROOT / "docs" if complete else ROOT / "out" / "results")
-    finally:
-        dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered
+    make(args, ROOT / "docs" if complete else ROOT / "out" / "results")
     return 0
 
 
@@ -345,4 +343,4 @@ def timed(what: str, function, *arguments):
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

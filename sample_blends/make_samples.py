@@ -10,6 +10,7 @@ import bulging_cylinder
 import dynamic_morph_targets
 import herbert
 import shoulder
+from dynamic_morph_targets.__main__ import leave
 
 SCENES = {"bulging_cylinder": bulging_cylinder, "herbert": herbert, "shoulder": shoulder}
 
@@ -18,4 +19,4 @@ if __name__ == "__main__":
     dynamic_morph_targets.register()
     for name in sys.argv[2:] or SCENES:
         SCENES[name].make(folder / f"{name}.blend")
-    dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered
+    leave(0)

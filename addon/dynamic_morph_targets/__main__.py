@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`python -m dynamic_morph_targets`: the command line without Blender, on the bpy wheel."""
 
-import atexit
 import os
 import shutil
 import sys
-
-exit_code = 1  # of what ends otherwise
 
 
 def run() -> int:
@@ -23,15 +20,14 @@ def run() -> int:
     return cli.main(sys.argv[1:], opens_file=True)
 
 
-def _end():
-    """End here: in what C++ tears down after this, bpy 4.5 may wait for ever where a process has one core."""
+def leave(code: int):
+    """End this process, for scripts too: as it tears itself down, bpy 4.5 may wait for ever for a thread of its own."""
     if bpy := sys.modules.get("bpy"):
         shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # which it would have done
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(exit_code)
+    os._exit(code)
 
 
 if __name__ == "__main__":
-    atexit.register(_end)  # before bpy registers what it does at the end, so after that
-    exit_code = run()
+    leave(run())

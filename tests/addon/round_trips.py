@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import shutil
 import struct
 import subprocess
@@ -425,6 +424,7 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
 
 def main():
     import dynamic_morph_targets
+    from dynamic_morph_targets.__main__ import leave
 
     dynamic_morph_targets.register()
     shot = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "sample_blends" / "bulging_cylinder.blend"
@@ -434,7 +434,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         rows = measure(obj, Path(folder))
     print(json.dumps({"blender": bpy.app.version_string, "file": shot.name, "forms": rows}, indent=1), flush=True)
-    os._exit(0)  # Blender 4.5 waits for ever for a thread of its own after it has exported
+    leave(0)
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ import walks  # noqa: E402
 from builders import make_arm, make_soft  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets import jobs, model_file, sinks  # noqa: E402
+from dynamic_morph_targets.__main__ import leave  # noqa: E402
 
 
 def main():
@@ -46,9 +47,7 @@ def main():
         code = 0
     except BaseException:
         traceback.print_exc()
-    finally:
-        dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered
-        os._exit(code)  # Blender 4.5 waits for ever for a thread of its own when it exits after it has rendered
+    leave(code)
 
 
 # Round trips ----------------------------------------------------------------------------------------------------------

@@ -24,6 +24,7 @@ import numpy as np  # noqa: E402
 import test_defects  # noqa: E402
 from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
 from dynamic_morph_targets import extract, jobs  # noqa: E402
+from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from mathutils import Vector  # noqa: E402
 from performance_page import grid  # noqa: E402
 
@@ -101,12 +102,9 @@ def main() -> int:
         print(f"robustness: ../shared/assets has no {', '.join(missing)}: nothing is written")
         return 0
     dynamic_morph_targets.register()
-    try:
-        write_page()
-    finally:
-        dynamic_morph_targets.unregister()  # Blender's Python module crashes on exit with classes registered
-    print(f"written to {PAGE.relative_to(ROOT)}", flush=True)
-    os._exit(0)  # Blender 4.5 waits for ever for a thread of its own when it exits after it has rendered
+    write_page()
+    print(f"written to {PAGE.relative_to(ROOT)}")
+    return 0
 
 
 def write_page() -> None:
@@ -275,4 +273,4 @@ def boundary(tets: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())
