@@ -132,6 +132,7 @@ def _fill(track, clip: Clip, action, slot):
 def _slot(action, owner):
     """The slot of an Action that moves `owner`, of an armature object its bones; one of its name first. Or None."""
     fitting = [slot for slot in action.slots if slot.target_id_type in {owner.id_type, "UNSPECIFIED"}]
+    fitting = [slot for slot in fitting if not slot.users() or owner in slot.users()]  # else it is another character's
     for slot in sorted(fitting, key=lambda slot: slot.name_display != owner.name):
         paths = (curve.data_path for curve in extract.curves(action, slot))
         if any(_has(owner, path) for path in paths if owner.id_type == "KEY" or path.startswith(POSE)):

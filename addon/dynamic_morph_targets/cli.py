@@ -31,7 +31,9 @@ COLLECT = "make one page of many reports; fails when one of them is missing or t
 DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
 SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop", "keep_outside")
+SIMULATION_SETTINGS = (
+    "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop", "keep_outside",
+)  # fmt: skip
 OUTPUT_SETTINGS = ("keys", "every", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
@@ -166,7 +168,7 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         return sub
 
     check = command("check", run_check, "say what is in the way of a build, and what is not likely to be meant", False)
-    bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
+    bake = command("bake", run_job, "simulate, and write shape keys or files; builds first what is out of date")
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
     add_settings(bake, "simulation", SIMULATION_SETTINGS)

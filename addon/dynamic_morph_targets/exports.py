@@ -285,7 +285,9 @@ def _write_alembic(_obj, path: Path, frames, _takes):
     )  # fmt: skip
 
 
-def _write_usd(_obj, path: Path, _frames, _takes):
+def _write_usd(_obj, path: Path, frames, _takes):
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames  # until `_as_it_was`
     bpy.ops.wm.usd_export(
         filepath=str(path), selected_objects_only=True, export_animation=True, export_armatures=False,
         export_shapekeys=False, export_normals=False, export_custom_properties=False,

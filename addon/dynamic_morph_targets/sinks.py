@@ -10,6 +10,7 @@ there may be a point cache: a Mesh Cache modifier before all others, whose influ
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,9 +80,9 @@ def file_path(file: str, name: str) -> Path:
     return Path(file.replace(OBJECT, bpy.path.clean_name(name))).resolve()
 
 
-def cache_path(folder: Path, name: str, bake: Bake, sink: str) -> Path:
-    """Of the point cache of a bake: named by its content, so that none is changed that another .blend plays."""
-    return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{clips.digest(bake)[:12]}.{sink.lower()}"), name)
+def cache_path(folder: Path, name: str, content: str, sink: str) -> Path:
+    """Of a point cache: named by a hash of its content, so that none is changed that another .blend plays."""
+    return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{content[:12]}.{sink.lower()}"), name)
 
 
 def overwritten_keys(obj) -> list[str]:
@@ -239,9 +240,9 @@ def free(obj):
         leave(each)
 
 
-def read_back(obj) -> Bake:
-    """The bake of `obj` as its shape keys and curves now have it, at its keyframes and the whole frames between, local
-    space. All keys are modes. Raises SinkError.
+def read_back(obj, samples: int = 1) -> Bake:
+    """The bake of `obj` as its shape keys and curves now have it, at its frames and `samples` times a frame, local
+    space. All keys are modes. Its strips count as they were baked. Raises SinkError.
     """
     record, keys = obj.dynamorph.bake, obj.data.shape_keys
     reconcile(obj)
@@ -251,11 +252,11 @@ def read_back(obj) -> Bake:
     curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
     if not curves or record.cache:
         raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
-    times = np.unique(np.concatenate([_times(curve) for curve in curves]))
     render = bpy.context.scene.render
     per_frame = render.frame_map_old / render.frame_map_new
-    whole = np.arange(np.ceil(times[0] / per_frame), times[-1] / per_frame + 1e-3)
-    frames = np.unique(np.concatenate([np.round(times / per_frame, 3), whole]))
+    ends = [end / per_frame for curve in curves for end in curve.range()]
+    first, last = math.ceil(min(ends) - 1e-3), math.floor(max(ends) + 1e-3)
+    frames = first + np.arange((last - first) * samples + 1) / samples
 
     def values(curve) -> np.ndarray:
         return np.array([curve.evaluate(time) for time in frames * per_frame]) if curve else np.zeros(len(frames))
@@ -281,12 +282,6 @@ def _curves_of(keys, action, title: str) -> dict:
     return {curve.data_path: curve for curve in action.layers[0].strips[0].channelbag(slot).fcurves}
 
 
-def _times(curve) -> np.ndarray:
-    points = np.empty((len(curve.keyframe_points), 2), np.float32)
-    curve.keyframe_points.foreach_get("co", points.ravel())
-    return points[:, 0].astype(np.float64)
-
-
 def _baked_names(obj) -> list[str]:
     """Names of the shape keys that the bake added and that are still there; the references must be reconciled."""
     return [key.name for key in obj.dynamorph.bake.keys if key.name]
@@ -310,6 +305,7 @@ def _free(obj, names, keep_cache=False):
     if modifier and not keep_cache:
         modifier.driver_remove("factor")
         obj.modifiers.remove(modifier)
+    if not keep_cache:
         record.cache = ""
     record.keys.clear()
     record.action = None
@@ -355,7 +351,8 @@ def _scaled_keys(bake: Bake, basis: np.ndarray) -> list[_Key]:
         if np.abs(detail).max() * largest > negligible:
             name = _fit(f"Dynamorph Detail {bake.target_names[j]}")
             values = weights / largest  # with the motion too: the strips may be moved apart
-            keys.append(_Key(name, points(largest * detail), 0.0, values if len(bake.modes) else None, values))
+            lowest = -1.0 if weights.min() < 0.0 else 0.0
+            keys.append(_Key(name, points(largest * detail), lowest, values if len(bake.modes) else None, values))
     return keys
 
 
