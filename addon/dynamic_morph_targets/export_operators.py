@@ -45,8 +45,8 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
             self.report({"INFO"}, rpt_("{format} will show all of '{name}'").format(format=label, name=obj.name))
 
 
-class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
-    """Write the baked character, with its armature, over the frames of the scene or with a clip for each Action"""
+class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
+    """Write the baked character with its armature over the scene's frames, or simulated for each Action as a clip"""
 
     bl_idname = "dynamorph.export"
     bl_label = "Export Bake"
@@ -72,7 +72,7 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
         if not self.filepath:
             name = bpy.path.clean_name(properties.mesh_in(context).name)
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
-        self.filepath = str(Path(self.filepath).with_suffix(exports.FORMATS[self.format].suffix))
+        self.filepath = str(exports.named(Path(self.filepath), self.format))
         return super().invoke(context, event)
 
     def draw(self, context):
@@ -86,7 +86,7 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
 
     def check(self, _context):
         """The name follows the format."""
-        path = str(Path(self.filepath).with_suffix(exports.FORMATS[self.format].suffix))
+        path = str(exports.named(Path(self.filepath), self.format))
         changed, self.filepath = path != self.filepath, path
         return changed
 
@@ -95,7 +95,7 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
         return self.clips if exports.FORMATS[self.format].skins else "SCENE"
 
     def apply(self, obj):
-        path = Path(bpy.path.abspath(self.filepath)).with_suffix(exports.FORMATS[self.format].suffix)
+        path = exports.named(Path(bpy.path.abspath(self.filepath)), self.format)
         if self.chosen_clips == "ACTIONS":  # a job of its own, for it takes a while
             return self._start_actions(path)
         scene = bpy.context.scene
@@ -127,9 +127,8 @@ class DYNAMORPH_OT_export_actions(JobOperator, Operator):
 
     def _done(self, batch):
         obj = batch.jobs[0].target()
-        for job in batch.jobs:
-            for warning in job.warnings:
-                self.report({"WARNING"}, f"{job.clip.name}: {warning}")
+        for warning in batch.warnings:
+            self.report({"WARNING"}, warning)
         report_export(self, obj, batch.path, [clip.name for clip in batch.clips])
         return {"FINISHED"}
 

@@ -299,7 +299,7 @@ class Job:
         self.result = None
         self.followers: list = []  # other meshes that the flesh carries along
         self.carried: list = []  # their bakes
-        self.cache_file: str | None = None  # where a point cache goes, see `sinks.file_path`
+        self.cache_files: dict[str, Path] = {}  # where point caches go, by mesh, if not where they go by default
         self.written: list[tuple] = []  # what they become: shape keys, and the file of a point cache or None
         self.size = 0  # of that, in bytes
         self._read_from = 0.0  # of the whole, the part done before the rig is read
@@ -360,7 +360,7 @@ class Job:
         self._next_stretch(obj)
 
     def _read_kept(self, obj):
-        """The bake into which the frames are to go, if there is one, and the way up to them. Raises SceneError, SinkError."""
+        """The bake that the frames go into, if there is one, and the way up to them. Raises SceneError, SinkError."""
         if not obj.dynamorph.bake.exists:
             return
         self.before = [sinks.read_back(find(uid), self.settings.samples) for uid in self._meshes()]
@@ -387,9 +387,12 @@ class Job:
         if self.output.sink in clips.CACHES:
             self.caches = self.folder or _blend_folder()
             sinks.check_cache(obj, self.caches)
-            lost = ", ".join(f"'{name}'" for name in sinks.overwritten_keys(obj))
-            if lost:
-                self.warnings.append(f"The point cache plays over shape keys that also move: {lost}")
+            for mesh in map(find, self._meshes()):
+                lost = ", ".join(f"'{name}'" for name in sinks.overwritten_keys(mesh))
+                if lost:
+                    self.warnings.append(
+                        f"The point cache of '{mesh.name}' plays over shape keys that move too: {lost}"
+                    )
 
     def _next_stretch(self, obj):
         """What is to be read next."""
@@ -689,9 +692,9 @@ class Job:
                 raise SceneError(f"'{name}': {error}") from error
             off, cache = max(off, error), None
             if self.output.sink in clips.CACHES:
-                chosen, sink = self.cache_file, self.output.sink
                 content = clips.digest(bake, points, self.settings.fps)
-                cache = sinks.file_path(chosen, name) if chosen else sinks.cache_path(self.caches, name, content, sink)
+                default = sinks.cache_path(self.caches, name, content, self.output.sink)
+                cache = self.cache_files.get(name, default)
                 model_file.save(cache, clips.CACHES[self.output.sink](bake, points, self.settings.fps))
             self.written.append((keys, cache))
         self.report["keys"] = len(self.written[0][0].modes) + len(self.written[0][0].details)

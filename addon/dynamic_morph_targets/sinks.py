@@ -87,17 +87,8 @@ def cache_path(folder: Path, name: str, content: str, sink: str) -> Path:
 
 def overwritten_keys(obj) -> list[str]:
     """The artist's own shape keys that move, over which a point cache plays."""
-    keys = obj.data.shape_keys
-    if keys is None:
-        return []
-    animation = keys.animation_data
-    moving = {driver.data_path for driver in animation.drivers} if animation else set()
-    if animation and animation.action and animation.action_slot:
-        bags = (strip.channelbag(animation.action_slot) for layer in animation.action.layers for strip in layer.strips)
-        moving |= {curve.data_path for bag in bags if bag for curve in bag.fcurves}
-    own = {target.name for target in obj.dynamorph.targets[1:]} | set(_baked_names(obj))
-    others = [block for block in keys.key_blocks[1:] if block.name not in own and not block.mute]
-    return [block.name for block in others if block.value or f"{block.path_from_id()}.value" in moving]
+    own = {target.name for target in obj.dynamorph.targets[1:]} | checks.baked_keys(obj)
+    return [name for name in checks.moving_keys(obj) if name not in own]
 
 
 def check_not_edited(obj):
@@ -279,7 +270,7 @@ def _curves_of(keys, action, title: str) -> dict:
     slot = action and next((slot for slot in action.slots if slot.name_display == title), None)
     if not (keys and slot):
         return {}
-    return {curve.data_path: curve for curve in action.layers[0].strips[0].channelbag(slot).fcurves}
+    return {curve.data_path: curve for curve in checks.curves(action, slot)}
 
 
 def _baked_names(obj) -> list[str]:
