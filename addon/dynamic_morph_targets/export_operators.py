@@ -11,11 +11,17 @@ from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper
 
-from . import exports, properties
+from . import exports, panels, properties
 from .operators import JobOperator, SoftSkinOperator, listed
 
+LINE = 60  # letters in one of the file browser's side bar
 FORMATS = [(key, each.label, each.description) for key, each in exports.FORMATS.items() if each.is_available]
 SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
+
+
+def draw_losses(layout, lost):
+    for text in lost:
+        panels.draw_message(layout, text, width=LINE)
 
 
 class BakedOperator(SoftSkinOperator):
@@ -40,9 +46,12 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
         lost = list(exports.losses(obj, self.format))
         for text in lost:
             self.report({"WARNING"}, text)
+        label = exports.FORMATS[self.format].label
         if not lost:
-            label = exports.FORMATS[self.format].label
             self.report({"INFO"}, rpt_("{format} will show all of '{name}'").format(format=label, name=obj.name))
+        elif not bpy.app.background:  # the status bar shows the last alone
+            window = bpy.context.window_manager
+            window.popup_menu(lambda menu, _: draw_losses(menu.layout, lost), title=label, icon="ERROR")
 
 
 class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
@@ -80,9 +89,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         layout.prop(self, "format")
         if exports.FORMATS[self.format].skins:
             layout.prop(self, "clips")
-        column = layout.column()
-        for text in exports.losses(properties.mesh_in(context), self.format, self.chosen_clips):
-            column.label(text=text, icon="ERROR")
+        draw_losses(layout, exports.losses(properties.mesh_in(context), self.format, self.chosen_clips))
 
     def check(self, _context):
         """The name follows the format."""
