@@ -132,7 +132,7 @@ def at(*fractions: float):
 
 @step("Esc while it reads the rig")
 def cancel_reading():
-    sections["simulation"] = yield from sidebar.unfold("simulation.substeps", above="dynamorph.bake")
+    sections["simulation"] = yield from sidebar.unfold("simulation.substeps", above="output.sink")
     yield from sections["simulation"].keep("simulation")
     yield from sidebar.enter("simulation.substeps", "20")
     assert settings().simulation.substeps == 20

@@ -79,7 +79,7 @@ def build():
 
 @step("Play it live", picture=view)
 def live():
-    section = yield from sidebar.unfold("dynamorph.live", above="dynamorph.bake")
+    section = yield from sidebar.unfold("dynamorph.live", above="output.sink")
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("live").is_on(skin()), "Live to be on")
     with frames.timed(addon("live"), "follow") as follow:

@@ -42,7 +42,7 @@ def bounce():
 
 @step("Modes and Check Targets")
 def modes():
-    section = yield from sidebar.unfold("dynamorph.check_targets", above="dynamorph.bake")
+    section = yield from sidebar.unfold("dynamorph.check_targets", above="output.sink")
     yield from sidebar.press("dynamorph.check_targets")
     yield from until(lambda: settings().live.checks, "what the targets miss")
     yield from section.keep("modes")
@@ -64,7 +64,7 @@ def modes():
 def live():
     bpy.context.scene.frame_set(limb.FIRST)
     yield from frames.click(limb.FIRST)
-    section = sections["live"] = yield from sidebar.unfold("dynamorph.live", above="dynamorph.bake")
+    section = sections["live"] = yield from sidebar.unfold("dynamorph.live", above="output.sink")
     begin = time.perf_counter()
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("live").is_on(skin()), "Live to be on")
