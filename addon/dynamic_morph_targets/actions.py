@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from . import extract, jobs
+from . import checks, jobs
 from .extract import SceneError
 from .properties import rig_of
 from .scene_data import Bake
@@ -132,8 +132,9 @@ def _fill(track, clip: Clip, action, slot):
 def _slot(action, owner):
     """The slot of an Action that moves `owner`, of an armature object its bones; one of its name first. Or None."""
     fitting = [slot for slot in action.slots if slot.target_id_type in {owner.id_type, "UNSPECIFIED"}]
+    fitting = [slot for slot in fitting if not slot.users() or owner in slot.users()]  # else it is another character's
     for slot in sorted(fitting, key=lambda slot: slot.name_display != owner.name):
-        paths = (curve.data_path for curve in extract.curves(action, slot))
+        paths = (curve.data_path for curve in checks.curves(action, slot))
         if any(_has(owner, path) for path in paths if owner.id_type == "KEY" or path.startswith(POSE)):
             return slot
     return None
@@ -150,7 +151,7 @@ def _has(owner, path: str) -> bool:
 def _values(owner, clips) -> dict:
     """What the clips would change, by path: Blender leaves in place what it has last evaluated."""
     actions = [_action(clip) for clip in clips]
-    paths = {curve.data_path for action in actions for curve in extract.curves(action, _slot(action, owner))}
+    paths = {curve.data_path for action in actions for curve in checks.curves(action, _slot(action, owner))}
     found = {path: owner.path_resolve(path) for path in paths if _has(owner, path)}
     return {path: value if isinstance(value, str | int | float) else tuple(value) for path, value in found.items()}
 

@@ -370,3 +370,48 @@ def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray)
             f"{count} of the {len(vertices)} vertices of '{name}' have no bone weight: they stay behind when the "
             "armature moves; weight them"
         )
+
+
+# What moves shape keys -----------------------------------------------------------------------------------------------
+
+
+def curves(action, slot) -> list:
+    """The F-curves of one slot of an Action; either may be None."""
+    if not (action and slot):
+        return []
+    bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
+    return [curve for bag in bags if bag for curve in bag.fcurves]
+
+
+def keys_of(obj):
+    """The shape keys of `obj`, by name too; empty when the artist has removed all."""
+    return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
+
+
+def baked_keys(obj) -> set[str]:
+    return {key.name for key in obj.dynamorph.bake.keys}
+
+
+def moving_keys(obj) -> list[str]:
+    """The keys that count: not muted, and with a curve, a driver, or a value."""
+    animated = baked_keys(obj) | driven_keys(obj) | _played_keys(obj)
+    return [name for name, key in list(keys_of(obj).items())[1:] if not key.mute and (key.value or name in animated)]
+
+
+def driven_keys(obj) -> set[str]:
+    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
+    return _keys_at(obj, {driver.data_path for driver in animation.drivers} if animation else ())
+
+
+def _played_keys(obj) -> set[str]:
+    """The keys that Actions of the artist move, by the NLA too."""
+    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
+    if not animation:
+        return set()
+    strips = [strip for track in animation.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
+    found = [curve for player in (animation, *strips) for curve in curves(player.action, player.action_slot)]
+    return _keys_at(obj, {curve.data_path for curve in found})
+
+
+def _keys_at(obj, paths) -> set[str]:
+    return {name for name, key in keys_of(obj).items() if f"{key.path_from_id()}.value" in paths}

@@ -4,8 +4,8 @@
     blender -b shot.blend -c dynamorph bake --object Body -o baked.blend
     python -m dynamic_morph_targets bake shot.blend --object Body -o baked.blend
 
-Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 75 a file could
-not be read or written (a full disk, a lost network: try again), 130 Ctrl-C.
+Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 70 a fault of this
+program, 75 a file could not be read or written (a full disk, a lost network: try again), 130 Ctrl-C.
 
 --report writes what came of a command as JSON, also when it fails. Its keys: docs/file_format.md.
 """
@@ -14,11 +14,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import platform
 import signal
 import sys
 import time
 import tomllib
+import traceback
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -28,10 +30,13 @@ from . import changes, checks, clips, collect, exports, extract, jobs, materials
 from .scene_data import VARIANTS, Material, ModelSettings
 
 COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
-DONE, BAD_INPUT, SELF_CHECK_FAILED, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 75, 130  # 75 as EX_TEMPFAIL of sysexits.h
+# 70 and 75 as EX_SOFTWARE and EX_TEMPFAIL of sysexits.h.
+DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70, 75, 130
 SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
-SIMULATION_SETTINGS = ("samples", "begin", "preroll", "preroll_pose", "loop", "keep_outside")
+SIMULATION_SETTINGS = (
+    "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop", "keep_outside",
+)  # fmt: skip
 OUTPUT_SETTINGS = ("keys", "every", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
@@ -84,6 +89,9 @@ def _run(args, opens_file: bool) -> int:
         code, error = TRY_AGAIN, f"error: {failure}: try again"
     except jobs.expected_errors() as failure:
         code, error = BAD_INPUT, f"error: {failure}"
+    except Exception as fault:  # of ours: the report is written all the same
+        traceback.print_exc()
+        code, error = FAULT, f"fault: {type(fault).__name__}: {fault}"
     if error:
         print(f"dynamorph: {error}", file=sys.stderr)
     if getattr(args, "report", None):
@@ -166,7 +174,7 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         return sub
 
     check = command("check", run_check, "say what is in the way of a build, and what is not likely to be meant", False)
-    bake = command("bake", run_job, "simulate and write shape keys; builds first what is out of date")
+    bake = command("bake", run_job, "simulate, and write shape keys or files; builds first what is out of date")
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
     add_settings(bake, "simulation", SIMULATION_SETTINGS)
@@ -277,35 +285,46 @@ def run_job(args):
     """bake and build."""
     check_substeps(args)
     objects = chosen_objects(args)
-    check_sink(args, objects)
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
+    files = sink_files(args, objects, folder)
+    for obj in objects:  # all that may be refused, before any work
+        apply_settings(args, obj)
     shared = share.Share(args.share.resolve()) if args.share else None
-    done = args.done
     for obj in objects:
-        for change in args.changes:
-            set_property(obj, change)
-        for group, names in SETTINGS.items():
-            for name in names:
-                if (value := getattr(args, name, None)) is not None:
-                    setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
         frames = tuple(args.frames) if args.frames else None
         rebuild = args.goal == "BUILD" and shared is None
         goal = "BUILD" if args.clips == "actions" else args.goal  # the clips are simulated as they are written
         job = jobs.Job(obj, goal, frames, args.substeps, folder, rebuild, shared)
-        choose_sink(args, obj, job)
-        tick = Progress(args.progress == "openjd")
-        jobs.run(job, tick)
-        export(args, obj, job, folder, tick)
+        job.cache_files = files
+        jobs.run(job, Progress(args.progress == "openjd"))
+        if sink_of(args) in exports.FORMATS:
+            export(args, obj, job, files[obj.name])
         for reason in job.reasons:
             print(f"{job.name}: built: {reason}")
         for warning in job.warnings:
             print(f"{job.name}: warning: {warning}")
-        done.append(job)
+        args.done.append(job)
     seconds = save(args) if args.output or args.in_place else 0.0
-    for job in done:
+    for job in args.done:
         print_table(job, seconds)
         if job.kept:  # it is saved now
             job.kept.unlink(missing_ok=True)
+
+
+def apply_settings(args, obj):
+    """Set on the object what the command line says. Raises InputError."""
+    for change in args.changes:
+        set_property(obj, change)
+    for group, names in SETTINGS.items():
+        for name in names:
+            if (value := getattr(args, name, None)) is not None:
+                setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
+    if args.sink:  # files for other programs are made of the modes
+        obj.dynamorph.output.sink = "MODES" if sink_of(args) in exports.FORMATS else sink_of(args)
+
+
+def sink_of(args) -> str:
+    return (args.sink or "").upper()
 
 
 def sink_names() -> list[str]:
@@ -314,50 +333,46 @@ def sink_names() -> list[str]:
     return [item.identifier for item in output.properties["sink"].enum_items]
 
 
-def check_sink(args, objects):
-    """Raises InputError when the result would go nowhere, or two to one file."""
+def sink_files(args, objects, folder: Path) -> dict[str, Path]:
+    """The files that --sink and --sink-file ask for, by the names of their meshes. Raises InputError, ExportError."""
     if args.goal == "BUILD":
         if not (args.output or args.in_place or args.share):
             raise InputError("say where the model goes: --output, --in-place or --share")
-        return
-    format = exports.FORMATS.get((args.sink or "").upper())
-    if format and not format.is_available:
-        raise InputError(f"--sink {args.sink}: this Blender was built without {format.label}")
-    if args.clips == "actions" and not (format and format.skins):
+        return {}
+    sink = sink_of(args)
+    chosen = exports.FORMATS.get(sink)
+    if args.clips == "actions" and not (chosen and chosen.skins):
         raise InputError("--clips actions is for --sink gltf and --sink fbx")
-    if not (args.output or args.in_place or format):
+    if args.clips == "actions" and args.frames:
+        raise InputError("--clips actions takes the frames of each Action: leave --frames out")
+    if not (args.output or args.in_place or chosen):
         raise InputError("say where the bake goes: --output or --in-place, or --sink with a file for other programs")
-    if args.sink_file is None:
-        return
-    if not (format or (args.sink or "").upper() in clips.CACHES):
+    if args.sink_file and not (chosen or sink in clips.CACHES):
         raise InputError("--sink-file is for a --sink that is a file")
-    meshes = sum(1 if format else 1 + len(properties.clothes_in(obj)) for obj in objects)
-    if meshes > 1 and sinks.OBJECT not in args.sink_file:
-        raise InputError(
-            f"--sink-file {args.sink_file}: several objects would share it, put {sinks.OBJECT} in its name"
-        )
+    if not (args.sink_file or chosen):
+        return {}
+    suffix = chosen.suffix if chosen else f".{sink.lower()}"
+    pattern = args.sink_file or str(folder / f"{sinks.OBJECT}{suffix}")
+    if Path(pattern).suffix.lower() != suffix:
+        raise InputError(f"--sink-file {pattern}: a file of {args.sink} ends in {suffix}")
+    meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else properties.clothes_in(obj)))]
+    files = {mesh.name: sinks.file_path(pattern, mesh.name) for mesh in meshes}
+    if len(set(files.values())) < len(files):
+        raise InputError(f"--sink-file {pattern}: several meshes would share it, put {sinks.OBJECT} in its name")
+    for path in files.values():
+        if not path.parent.is_dir():
+            raise InputError(f"there is no folder '{path.parent}' to write '{path.name}' to")
+    for obj in objects if chosen else ():
+        exports.check_place(obj, sink, files[obj.name])
+    return files
 
 
-def choose_sink(args, obj, job):
-    """Let the bake of `obj` become what --sink says."""
-    chosen = (args.sink or "").upper()
-    if chosen in exports.FORMATS:
-        obj.dynamorph.output.sink = "MODES"
-    elif chosen:
-        obj.dynamorph.output.sink = chosen
-        job.cache_file = args.sink_file
-
-
-def export(args, obj, job, folder: Path, tick):
-    """Write the file for other programs that --sink asks for, if it does."""
-    format = exports.FORMATS.get((args.sink or "").upper())
-    if not format:
-        return
-    path = sinks.file_path(args.sink_file or str(folder / f"{sinks.OBJECT}{format.suffix}"), obj.name)
-    sink, clips = args.sink.upper(), args.clips.upper()
-    job.warnings += exports.losses(obj, sink, clips)
-    frames = (job.settings.start, job.settings.end) if job.bake else ()
-    exports.export(obj, sink, path, frames, clips, tick)
+def export(args, obj, job, path: Path):
+    """Write the bake for other programs."""
+    sink, takes, tick = sink_of(args), args.clips.upper(), Progress(args.progress == "openjd")
+    job.warnings += exports.losses(obj, sink, takes)
+    first, last = job.result.frames[[0, -1]] if job.bake else (0, 0)
+    job.warnings += exports.export(obj, sink, path, (math.ceil(first), math.floor(last)), takes, tick)
     print(f"{job.name}: written to {path.name}")
 
 
@@ -517,19 +532,20 @@ def save(args) -> float:
 
 
 class Progress:
-    """Prints a line at each tenth, not at each tick. openjd: as Open Job Description's schedulers read it."""
+    """Prints a line at each tenth, not at each tick; openjd: each hundredth, for Open Job Description's farms."""
 
     def __init__(self, openjd=False):
         self.openjd = openjd
-        self.tenth = -1
+        self.step = 1 if openjd else 10
+        self.percent = -1
 
     def __call__(self, job):
-        tenth = int(10 * job.fraction)
-        if tenth > self.tenth:
-            self.tenth = tenth
-            print(f"{job.name}: {10 * tenth:3d} %  {job.message}", flush=True)
+        percent = int(100 * job.fraction) // self.step * self.step
+        if percent > self.percent:
+            self.percent = percent
+            print(f"{job.name}: {percent:3d} %  {job.message}", flush=True)
             if self.openjd:
-                print(f"openjd_progress: {10 * tenth}\nopenjd_status: {job.name}: {job.message}", flush=True)
+                print(f"openjd_progress: {percent}\nopenjd_status: {job.name}: {job.message}", flush=True)
 
 
 def print_table(job, save_seconds: float):

@@ -20,7 +20,8 @@ from .scene_data import Bake, OutputSettings
 
 CHUNK = 64  # frames whose surfaces are made at once: bounds memory
 ALIGNMENT = 64  # of the arrays in a clip, so that a program may use them where they are
-NOISE = 1e-5  # of the largest part of a shot: what shape keys, which are float32, cannot tell apart
+NOISE = 1e-5  # of the farthest that a shape moves a vertex: less is what is lost by keys of float32
+MOST_KEYS = 2000  # of single frames: Blender plays no more, and they would fill the memory
 PADDING_FIELD = 0xD935  # of a ZIP entry's extra fields, as zipalign writes it
 
 
@@ -31,11 +32,11 @@ def surfaces(bake: Bake, vertices: np.ndarray, chunk: int = CHUNK) -> Iterator[n
         yield vertices + _displaced(bake.coordinates[frames], bake.weights[frames], bake.modes, bake.details)
 
 
-def digest(bake: Bake) -> str:
-    """Identifies what was simulated: SHA-256 of all numbers of a bake."""
-    found = hashlib.sha256()
-    for name in ("frames", "coordinates", "weights", "modes", "details", "dry"):
-        array = np.ascontiguousarray(getattr(bake, name))
+def digest(bake: Bake, *more) -> str:
+    """Identifies what was simulated: SHA-256 of all numbers of a bake, and of more."""
+    found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "details", "dry")
+    for name, numbers in (*((name, getattr(bake, name)) for name in names), *(("more", each) for each in more)):
+        array = np.ascontiguousarray(numbers)
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
         found.update(array.tobytes())
     return found.hexdigest()
@@ -66,10 +67,15 @@ def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
 
 def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Bake, float]:
     """The bake as the shape keys that `output` asks for, and how far the surface is off at most, metres; to_bind as for
-    `reach`. A point cache has keys only for what shows without it.
+    `reach`. A point cache has keys only for what shows without it. Raises ValueError when there would be too many.
     """
     if output.sink == "FRAMES":
         kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.every)
+        if len(kept) > MOST_KEYS:
+            raise ValueError(
+                f"{len(kept)} shape keys are too many, {MOST_KEYS} are the most: raise Frame Step or Tolerance, or "
+                "choose a point cache"
+            )
         return by_frames(bake, kept), off_between(bake, kept, to_bind)
     if output.sink in CACHES:
         return targets_alone(bake), 0.0
@@ -86,43 +92,52 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
     details of the targets are then part of the modes.
     """
     shapes = np.concatenate([bake.modes, bake.details])
-    shapes = shapes.reshape(len(shapes), -1)
-    if budget is not None and budget >= len(shapes):
+    if (budget is not None and budget >= len(shapes)) or not shapes.any():
         return bake
+    shapes = shapes.reshape(len(shapes), -1)
     # Orthonormal combinations of the shapes by their Gram matrix: there are few shapes and many vertices.
     squares, axes = np.linalg.eigh(shapes @ shapes.T)
     kept = squares > 1e-14 * squares[-1]
     lengths, axes = np.sqrt(squares[kept]), axes[:, kept]
     wet = np.hstack([bake.coordinates, bake.weights])
     dry = np.hstack([bake.dry, bake.weights])
-    _, sizes, best = np.linalg.svd(np.vstack([wet, dry]) @ axes * lengths, full_matrices=False)
-    best = best[: budget or max(1, int((sizes > NOISE * sizes[0]).sum()))]
+    _, _, best = np.linalg.svd(np.vstack([wet, dry]) @ axes * lengths, full_matrices=False)
+    best = best[:budget]
     onto = axes * lengths @ best.T  # (r + J, budget)
-    modes = (best / lengths @ axes.T @ shapes).reshape(-1, *bake.modes.shape[1:])
+    modes = best / lengths @ axes.T @ shapes
+    coordinates, without = wet @ onto, dry @ onto
+    if budget is None:
+        reached = np.abs(np.vstack([coordinates, without])).max(axis=0) * np.abs(modes).max(axis=1)
+        seen = reached > NOISE * reached.max()
+        coordinates, without, modes = coordinates[:, seen], without[:, seen], modes[seen]
     return replace(
         bake,
-        coordinates=wet @ onto,
-        dry=dry @ onto,
+        coordinates=coordinates,
+        dry=without,
         weights=np.zeros((len(bake.frames), 0)),
-        modes=modes,
+        modes=modes.reshape(-1, *bake.modes.shape[1:]),
         details=np.zeros((0, *bake.modes.shape[1:])),
+        node_modes=None,
+        mode_names=(),
     )
 
 
 def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[Bake, float]:
     """A bake whose frames between the first and the last of `patch` are those of the patch, and by how much the two are
-    apart at most where they meet, metres. The patch fades in and out within `fade` frames, where the bake goes on.
+    apart at most where they meet, metres. The patch fades in and out within `fade` frames, a quarter of it at most,
+    where the bake has frames too.
 
-    Both are of one mesh; their modes may be others. to_bind: as for `reach`.
+    Both are of one mesh; their modes may be others. Details become modes. to_bind: as for `reach`.
     """
-    first, last = patch.frames[[0, -1]]
+    (begin, end), (first, last) = bake.frames[[0, -1]], patch.frames[[0, -1]]
     frames = np.concatenate([bake.frames[bake.frames < first], patch.frames, bake.frames[bake.frames > last]])
     inside = (frames >= first) & (frames <= last)
     share = inside.astype(float)  # of the patch
-    if bake.frames[0] < first:
-        share *= _smooth((frames - first) / fade)
-    if bake.frames[-1] > last:
-        share *= _smooth((last - frames) / fade)
+    fade = min(fade, (last - first) / 4.0)
+    if fade and begin < first < end:
+        share *= _smooth((frames - first) / min(fade, end - first))
+    if fade and begin < last < end:
+        share *= _smooth((last - frames) / min(fade, last - begin))
     share[~inside] = 0.0
 
     def mixed(of_bake: np.ndarray, of_patch: np.ndarray) -> np.ndarray:
@@ -163,15 +178,21 @@ def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:
 
 
 def targets_alone(bake: Bake) -> Bake:
-    """The targets' shapes as details, and no motion."""
-    onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.dry, rcond=None)
+    """The targets' shapes as details, and no motion. Where the bake does not tell them apart, what they come to."""
+    nothing = np.zeros((len(bake.frames), 0))
+    if not bake.weights.shape[1]:
+        still = with_fewer_keys(replace(bake, coordinates=bake.dry))
+        names = tuple(f"Shape {k + 1:02d}" for k in range(len(still.modes)))
+        details, weights = still.modes, still.dry
+    else:
+        onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.dry, rcond=None)
+        details = np.tensordot(onto_modes, bake.modes, 1) + bake.details
+        weights, names = bake.weights, bake.target_names
+    modes = np.zeros((0, *bake.modes.shape[1:]))
     return replace(
-        bake,
-        coordinates=np.zeros((len(bake.frames), 0)),
-        dry=np.zeros((len(bake.frames), 0)),
-        modes=np.zeros((0, *bake.details.shape[1:])),
-        details=np.tensordot(onto_modes, bake.modes, 1) + bake.details,
-    )
+        bake, coordinates=nothing, dry=nothing, weights=weights, modes=modes, details=details, target_names=names,
+        mode_names=(),
+    )  # fmt: skip
 
 
 def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
@@ -179,21 +200,27 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
     keys of their own, for where there is less motion.
     """
     shapes = targets_alone(bake)
-    used = np.abs(shapes.details).max(axis=(1, 2)) * shapes.weights.max(axis=0) > 0.0
-    at = bake.frames[kept]
-    blends = np.array([np.interp(bake.frames, at, one) for one in np.eye(len(kept))]).T  # (F, K)
-    count, still = len(bake.frames), int(used.sum())
-    moved = np.concatenate(list(surfaces(at_rows(bake, kept), 0.0)))
-    names = [name for name, is_used in zip(bake.target_names, used, strict=True) if is_used]
+    used = np.flatnonzero(np.abs(shapes.details).max(axis=(1, 2)) * np.abs(shapes.weights).max(axis=0))
+    count, keys, at = len(bake.frames), len(kept), bake.frames[kept]
+    moved = np.empty((keys, *bake.modes.shape[1:]), np.float32)
+    for first, chunk in zip(range(0, keys, CHUNK), surfaces(at_rows(bake, kept), 0.0), strict=True):
+        moved[first : first + CHUNK] = chunk
+    coordinates, dry = np.zeros((2, count, keys + len(used)), np.float32)
+    for k, row in enumerate(kept):
+        before, after = kept[max(k - 1, 0)], kept[min(k + 1, keys - 1)]
+        near, heights = slice(before, after + 1), [k == 0, 1, k == keys - 1]
+        coordinates[near, k] = np.interp(bake.frames[near], bake.frames[[before, row, after]], heights)
+    dry[:, keys:] = shapes.weights[:, used]
+    names = [f"Dynamorph Frame {frame:g}" for frame in at]
     return Bake(
         frames=bake.frames,
-        coordinates=np.hstack([blends, np.zeros((count, still))]),
+        coordinates=coordinates,
         weights=np.zeros((count, 0)),
         modes=np.concatenate([moved, shapes.details[used]]),
         details=np.zeros((0, *bake.modes.shape[1:])),
         target_names=bake.target_names,
-        dry=np.hstack([np.zeros_like(blends), bake.weights[:, used]]),
-        mode_names=(*(f"Dynamorph Frame {frame:g}" for frame in at), *(f"Dynamorph Target {name}" for name in names)),
+        dry=dry,
+        mode_names=(*names, *(f"Dynamorph Target {shapes.target_names[j]}" for j in used)),
     )
 
 
@@ -221,11 +248,11 @@ def key_frames(bake: Bake, tolerance: float, to_bind: np.ndarray) -> np.ndarray:
     Each span is cut at the frame that is worst in it, until all are good enough (Douglas and Peucker 1973). to_bind:
     as for `reach`.
     """
-    end = len(bake.frames) - 1
+    end, rows = len(bake.frames) - 1, np.hstack([bake.coordinates, bake.weights])
     kept, spans = {0, end}, [(0, end)]
     while spans:
         first, last = spans.pop()
-        worst, off = _worst_between(bake, first, last, to_bind)
+        worst, off = _worst_between(bake, rows, first, last, to_bind)
         if off > tolerance:
             kept.add(worst)
             spans += [(first, worst), (worst, last)]
@@ -234,12 +261,12 @@ def key_frames(bake: Bake, tolerance: float, to_bind: np.ndarray) -> np.ndarray:
 
 def off_between(bake: Bake, kept: np.ndarray, to_bind: np.ndarray) -> float:
     """How far the surface is off at most, in metres, where it is interpolated between the frames `kept`, by index."""
-    return max((_worst_between(bake, *span, to_bind)[1] for span in pairwise(kept)), default=0.0)
-
-
-def _worst_between(bake: Bake, first: int, last: int, to_bind: np.ndarray) -> tuple[int, float]:
-    """The frame between two others that is farthest from their interpolation, and how far it is, metres."""
     rows = np.hstack([bake.coordinates, bake.weights])
+    return max((_worst_between(bake, rows, *span, to_bind)[1] for span in pairwise(kept)), default=0.0)
+
+
+def _worst_between(bake: Bake, rows: np.ndarray, first: int, last: int, to_bind: np.ndarray) -> tuple[int, float]:
+    """The frame between two others that is farthest from their interpolation, and how far it is, metres."""
     worst, off = first, 0.0
     for begin in range(first + 1, last, CHUNK):
         frames = np.arange(begin, min(begin + CHUNK, last))

@@ -11,11 +11,17 @@ from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper
 
-from . import exports, properties
+from . import exports, panels, properties
 from .operators import JobOperator, SoftSkinOperator, listed
 
+LINE = 60  # letters in one of the file browser's side bar
 FORMATS = [(key, each.label, each.description) for key, each in exports.FORMATS.items() if each.is_available]
 SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
+
+
+def draw_losses(layout, lost):
+    for text in lost:
+        panels.draw_message(layout, text, width=LINE)
 
 
 class BakedOperator(SoftSkinOperator):
@@ -40,13 +46,16 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
         lost = list(exports.losses(obj, self.format))
         for text in lost:
             self.report({"WARNING"}, text)
+        label = exports.FORMATS[self.format].label
         if not lost:
-            label = exports.FORMATS[self.format].label
             self.report({"INFO"}, rpt_("{format} will show all of '{name}'").format(format=label, name=obj.name))
+        elif not bpy.app.background:  # the status bar shows the last alone
+            window = bpy.context.window_manager
+            window.popup_menu(lambda menu, _: draw_losses(menu.layout, lost), title=label, icon="ERROR")
 
 
-class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
-    """Write the baked character, with its armature, over the frames of the scene or with a clip for each Action"""
+class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
+    """Write the baked character with its armature over the scene's frames, or simulated for each Action as a clip"""
 
     bl_idname = "dynamorph.export"
     bl_label = "Export Bake"
@@ -72,7 +81,7 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
         if not self.filepath:
             name = bpy.path.clean_name(properties.mesh_in(context).name)
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
-        self.filepath = str(Path(self.filepath).with_suffix(exports.FORMATS[self.format].suffix))
+        self.filepath = str(exports.named(Path(self.filepath), self.format))
         return super().invoke(context, event)
 
     def draw(self, context):
@@ -80,13 +89,11 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
         layout.prop(self, "format")
         if exports.FORMATS[self.format].skins:
             layout.prop(self, "clips")
-        column = layout.column()
-        for text in exports.losses(properties.mesh_in(context), self.format, self.chosen_clips):
-            column.label(text=text, icon="ERROR")
+        draw_losses(layout, exports.losses(properties.mesh_in(context), self.format, self.chosen_clips))
 
     def check(self, _context):
         """The name follows the format."""
-        path = str(Path(self.filepath).with_suffix(exports.FORMATS[self.format].suffix))
+        path = str(exports.named(Path(self.filepath), self.format))
         changed, self.filepath = path != self.filepath, path
         return changed
 
@@ -95,7 +102,7 @@ class DYNAMORPH_OT_export(BakedOperator, ExportHelper, Operator):
         return self.clips if exports.FORMATS[self.format].skins else "SCENE"
 
     def apply(self, obj):
-        path = Path(bpy.path.abspath(self.filepath)).with_suffix(exports.FORMATS[self.format].suffix)
+        path = exports.named(Path(bpy.path.abspath(self.filepath)), self.format)
         if self.chosen_clips == "ACTIONS":  # a job of its own, for it takes a while
             return self._start_actions(path)
         scene = bpy.context.scene
@@ -127,9 +134,8 @@ class DYNAMORPH_OT_export_actions(JobOperator, Operator):
 
     def _done(self, batch):
         obj = batch.jobs[0].target()
-        for job in batch.jobs:
-            for warning in job.warnings:
-                self.report({"WARNING"}, f"{job.clip.name}: {warning}")
+        for warning in batch.warnings:
+            self.report({"WARNING"}, warning)
         report_export(self, obj, batch.path, [clip.name for clip in batch.clips])
         return {"FINISHED"}
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import actions, checks, clips, extract, glb, jobs, live_key, model_file, sinks
+from . import actions, checks, clips, glb, jobs, live_key, model_file, sinks
 from .properties import followers, key_points, rig_of
 
 MORPHS = 8  # that common engines and viewers blend at once
@@ -44,19 +44,21 @@ class Format:
         return not self.option or getattr(bpy.app.build_options, self.option)
 
 
-def export(obj, key: str, path: Path, frames: tuple[int, int], clips="SCENE", tick=None):
-    """Write `obj`, with its armature and what moves with its flesh, to `path`, whole or not at all.
+def export(obj, key: str, path: Path, frames: tuple[int, int], takes="SCENE", tick=None) -> list[str]:
+    """Write `obj`, with its armature and what moves with its flesh, to `path`, whole or not at all; returns warnings.
 
-    key: of FORMATS. clips: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
+    key: of FORMATS. takes: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
     then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
     ExportError, OSError, and with ACTIONS as `jobs.run`.
     """
-    if clips == "ACTIONS":
-        jobs.run_all(ActionsExport(obj, key, path), tick)
-        return
-    _check_place(obj, key, path)
+    if takes == "ACTIONS":
+        batch = ActionsExport(obj, key, path)
+        jobs.run_all(batch, tick)
+        return batch.warnings
+    check_place(obj, key, path)
     _check_bake(obj, FORMATS[key])
     _write(obj, key, path, frames)
+    return []
 
 
 class ActionsExport(jobs.Batch):
@@ -68,14 +70,22 @@ class ActionsExport(jobs.Batch):
     """
 
     def __init__(self, obj, key: str, path: Path):
-        _check_place(obj, key, path)
+        check_place(obj, key, path)
         if not FORMATS[key].skins:
             raise ExportError(
                 f"{FORMATS[key].label} has one animation only: choose glTF or FBX for one for each Action"
             )
+        if obj.dynamorph.model.solver == "FULL" and obj.dynamorph.model.method != "STATIC":
+            raise ExportError(
+                f"'{obj.name}': clips share their shape keys, and the Full solver makes others for each: choose Reduced"
+            )
         self.key, self.path = key, path
         self.clips = actions.clips_of(obj)
         super().__init__([actions.ClipJob(obj, clip, self.clips) for clip in self.clips], "EXPORT_ACTIONS")
+
+    @property
+    def warnings(self) -> list[str]:
+        return [f"{job.clip.name}: {warning}" for job in self.jobs for warning in job.warnings]
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
         yield from super().steps(seconds, pause)
@@ -99,7 +109,7 @@ class ActionsExport(jobs.Batch):
             _write(copies[0], self.key, self.path, (self.clips[0].first, self.clips[-1].last), self.clips)
 
 
-def _check_place(obj, key: str, path: Path):
+def check_place(obj, key: str, path: Path):
     """Refuse, before any work, what cannot be written. Raises ExportError, sinks.SinkError."""
     chosen = FORMATS[key]
     if not chosen.is_available:
@@ -134,7 +144,8 @@ def _write(obj, key: str, path: Path, frames: tuple[int, int], takes=()):
 def _check_bake(obj, chosen: Format):
     """Refuse a bake that is not there, or not in the form that the format writes. Raises ExportError."""
     record = obj.dynamorph.bake
-    shown = sinks.cache_modifier(obj) if record.cache else any(name in _keys(obj) for name in _baked_keys(obj))
+    keys = checks.baked_keys(obj).intersection(checks.keys_of(obj).keys())
+    shown = sinks.cache_modifier(obj) if record.cache else keys
     if not shown:
         raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
     if record.cache and not chosen.surface:
@@ -144,12 +155,12 @@ def _check_bake(obj, chosen: Format):
         )
 
 
-def losses(obj, key: str, clips="SCENE") -> Iterator[str]:
-    """What the format will not show as Blender does, as sentences; clips: as for `export`. Reads the scene only."""
+def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
+    """What the format will not show as Blender does, as sentences; takes: as for `export`. Reads the scene only."""
     if key == "RAW":
         yield from _raw_losses(obj)
     elif FORMATS[key].skins:
-        planned = _planned_keys(obj) if clips == "ACTIONS" else None
+        planned = _planned_keys(obj) if takes == "ACTIONS" else None
         for mesh in (obj, *followers(obj)):
             yield from _skinning_losses(mesh, key)
             yield from _key_losses(mesh, key, planned)
@@ -165,7 +176,7 @@ def _raw_losses(obj) -> Iterator[str]:
     pieces = ", ".join(f"'{piece.name}'" for piece in followers(obj))
     if pieces:
         yield f"A raw clip is of one mesh: {pieces} is left out"
-    others = [name for name in _moving_keys(obj) if name not in _baked_keys(obj)]
+    others = [name for name in checks.moving_keys(obj) if name not in checks.baked_keys(obj)]
     if others:
         yield f"A raw clip has the bake's keys alone: {', '.join(others)} is left out"
 
@@ -192,7 +203,7 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
 
 def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
     """planned: how many keys there will be in the place of the bake's, if there will be others."""
-    moving, baked = _moving_keys(obj), _baked_keys(obj)
+    moving, baked = checks.moving_keys(obj), checks.baked_keys(obj)
     others = [name for name in moving if name not in baked]
     count = len(moving) if planned is None else len(others) + planned
     if count > MORPHS:
@@ -200,7 +211,7 @@ def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
         again = "bake to Shape Keys again with Keys" if planned is None else "set Keys to"
         remedy = f"{again} {room}, or use" if room > 0 else "use"
         yield f"'{obj.name}': {count} keys move, many engines blend {MORPHS} at most: {remedy} Alembic or USD"
-    driven = [name for name in moving if name in _driven_keys(obj)]
+    driven = [name for name in moving if name in checks.driven_keys(obj)]
     if driven:
         yield f"'{obj.name}': drivers are left out, the values they give at each frame are written: {', '.join(driven)}"
     blocks = obj.data.shape_keys.key_blocks if moving else ()
@@ -210,40 +221,6 @@ def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
             f"'{obj.name}': glTF knows no vertex groups of shape keys, and none relative to others than "
             f"'{blocks[0].name}': {', '.join(whole)} will differ"
         )
-
-
-def _keys(obj):
-    """The shape keys of `obj`, by name too; empty when the artist has removed all."""
-    return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
-
-
-def _baked_keys(obj) -> set[str]:
-    return {key.name for key in obj.dynamorph.bake.keys}
-
-
-def _moving_keys(obj) -> list[str]:
-    """The keys that count: not muted, and with a curve, a driver, or a value."""
-    animated = _baked_keys(obj) | _driven_keys(obj) | _played_keys(obj)
-    return [name for name, key in list(_keys(obj).items())[1:] if not key.mute and (key.value or name in animated)]
-
-
-def _driven_keys(obj) -> set[str]:
-    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
-    return _keys_at(obj, {driver.data_path for driver in animation.drivers} if animation else ())
-
-
-def _played_keys(obj) -> set[str]:
-    """The keys that Actions of the artist move, by the NLA too."""
-    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
-    if not animation:
-        return set()
-    strips = [strip for track in animation.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
-    curves = [curve for player in (animation, *strips) for curve in extract.curves(player.action, player.action_slot)]
-    return _keys_at(obj, {curve.data_path for curve in curves})
-
-
-def _keys_at(obj, paths) -> set[str]:
-    return {name for name, key in _keys(obj).items() if f"{key.path_from_id()}.value" in paths}
 
 
 def _crowded_vertices(obj) -> int:
@@ -285,7 +262,9 @@ def _write_alembic(_obj, path: Path, frames, _takes):
     )  # fmt: skip
 
 
-def _write_usd(_obj, path: Path, _frames, _takes):
+def _write_usd(_obj, path: Path, frames, _takes):
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames  # until `_as_it_was`
     bpy.ops.wm.usd_export(
         filepath=str(path), selected_objects_only=True, export_animation=True, export_armatures=False,
         export_shapekeys=False, export_normals=False, export_custom_properties=False,
@@ -293,6 +272,7 @@ def _write_usd(_obj, path: Path, _frames, _takes):
 
 
 def _write_raw(obj, path: Path, _frames, _takes):
+    """One row a frame, whatever the bake's samples are: players count by frames."""
     basis = key_points(obj.data.shape_keys.reference_key)
     model_file.save(path, clips.raw(sinks.read_back(obj), basis, _fps()))
 
@@ -312,6 +292,13 @@ FORMATS = {
                   option="usd"),
     "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", _write_raw),
 }  # fmt: skip
+
+
+def named(path: Path, key: str) -> Path:
+    """The path with the suffix of a format, in place of that of another one."""
+    if path.suffix.lower() in {each.suffix for each in FORMATS.values()}:
+        return path.with_suffix(FORMATS[key].suffix)
+    return path.with_name(f"{path.name}{FORMATS[key].suffix}")
 
 
 # Around the exporters ----------------------------------------------------------------------------------------------

@@ -719,21 +719,13 @@ def _animation_hash(data) -> str:
     for strip in strips:
         digest.update(repr([getattr(strip, name) for name in STRIP_FIELDS]).encode())
     for player in (data, *strips):
-        for curve in curves(player.action, player.action_slot):
+        for curve in checks.curves(player.action, player.action_slot):
             digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
             for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
                 values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
                 curve.keyframe_points.foreach_get(name, values)
                 digest.update(values.tobytes())
     return digest.hexdigest()
-
-
-def curves(action, slot) -> list:
-    """The F-curves of one slot of an Action; either may be None."""
-    if not (action and slot):
-        return []
-    bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
-    return [curve for bag in bags if bag for curve in bag.fcurves]
 
 
 def render_runs() -> bool:

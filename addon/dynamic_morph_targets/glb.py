@@ -45,7 +45,10 @@ def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: floa
         shared, samplers = len(accessors) - 1, []
         for sampler in whole["samplers"]:
             output = accessors[sampler["output"]]
-            each = output["count"] // accessors[sampler["input"]]["count"]  # values a key: of weights, one a morph
+            keys = accessors[sampler["input"]]["count"]
+            if keys <= last:
+                raise ValueError(f"The animation has {keys} keys, the clip '{name}' is to end with the {last + 1}th")
+            each = output["count"] // keys  # values a key: of weights, one a morph
             size = SIZES[output["componentType"]] * WIDTHS[output["type"]]
             begin = output.get("byteOffset", 0) + first * each * size
             accessors.append({**output, "byteOffset": begin, "count": len(times) * each})

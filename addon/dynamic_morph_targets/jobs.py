@@ -299,7 +299,7 @@ class Job:
         self.result = None
         self.followers: list = []  # other meshes that the flesh carries along
         self.carried: list = []  # their bakes
-        self.cache_file: str | None = None  # where a point cache goes, see `sinks.file_path`
+        self.cache_files: dict[str, Path] = {}  # where point caches go, by mesh, if not where they go by default
         self.written: list[tuple] = []  # what they become: shape keys, and the file of a point cache or None
         self.size = 0  # of that, in bytes
         self._read_from = 0.0  # of the whole, the part done before the rig is read
@@ -347,7 +347,8 @@ class Job:
             return
         self.settings = settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
-        if self.bake and obj.dynamorph.simulation.keep_outside and obj.dynamorph.bake.exists:
+        chosen = obj.dynamorph.simulation
+        if self.bake and chosen.keep_outside and (self.frames or not chosen.use_scene_range):
             self._read_kept(obj)
         self._whole = whole or settings.loop or fits
         if self.share and self.bake and not (self._whole or self.before or self.character.probed):
@@ -359,8 +360,10 @@ class Job:
         self._next_stretch(obj)
 
     def _read_kept(self, obj):
-        """The bake into which the frames are to go, and the way up to them. Raises SceneError, SinkError."""
-        self.before = [sinks.read_back(find(uid)) for uid in self._meshes()]
+        """The bake that the frames go into, if there is one, and the way up to them. Raises SceneError, SinkError."""
+        if not obj.dynamorph.bake.exists:
+            return
+        self.before = [sinks.read_back(find(uid), self.settings.samples) for uid in self._meshes()]
         settings, (first, last) = self.settings, self.before[0].frames[[0, -1]].astype(int).tolist()
         if settings.start > last + 1 or settings.end < first - 1:
             raise SceneError(
@@ -370,6 +373,11 @@ class Job:
         whole = {"start": min(settings.start, first), "end": max(settings.end, last)}
         self.inputs["simulation"] |= whole
         run_up = min(settings.start - whole["start"], max(settings.preroll, round(settings.fps)))
+        since = ", ".join(changes.outdated(obj))
+        if since:
+            self.warnings.append(f"Since the other frames were baked: {since}")
+        if settings.loop:
+            self.warnings.append("A part of a bake is no loop: Loop is ignored")
         self.settings = replace(settings, loop=False)
         if run_up:
             self.settings = replace(self.settings, preroll=run_up, preroll_pose="ANIMATED")
@@ -379,9 +387,12 @@ class Job:
         if self.output.sink in clips.CACHES:
             self.caches = self.folder or _blend_folder()
             sinks.check_cache(obj, self.caches)
-            lost = ", ".join(f"'{name}'" for name in sinks.overwritten_keys(obj))
-            if lost:
-                self.warnings.append(f"The point cache plays over shape keys that also move: {lost}")
+            for mesh in map(find, self._meshes()):
+                lost = ", ".join(f"'{name}'" for name in sinks.overwritten_keys(mesh))
+                if lost:
+                    self.warnings.append(
+                        f"The point cache of '{mesh.name}' plays over shape keys that move too: {lost}"
+                    )
 
     def _next_stretch(self, obj):
         """What is to be read next."""
@@ -508,7 +519,7 @@ class Job:
     def content_id(self) -> str:
         """Hash of all that the bake was made from."""
         build, _ = engine()
-        made_from = [self.inputs, build.dependencies(self.character)]
+        made_from = [self.inputs, build.dependencies(self.character), *map(clips.digest, self.before)]
         return hashlib.sha256(json.dumps(made_from, sort_keys=True).encode()).hexdigest()
 
     def _write_keys(self, obj):
@@ -675,11 +686,15 @@ class Job:
         for name, points, bake, to_metres in zip(
             names, points_of, (self.result, *self.carried), self._to_metres(), strict=True
         ):
-            keys, error = clips.as_keys(bake, self.output, to_metres)
+            try:
+                keys, error = clips.as_keys(bake, self.output, to_metres)
+            except ValueError as error:
+                raise SceneError(f"'{name}': {error}") from error
             off, cache = max(off, error), None
             if self.output.sink in clips.CACHES:
-                chosen, sink = self.cache_file, self.output.sink
-                cache = sinks.file_path(chosen, name) if chosen else sinks.cache_path(self.caches, name, bake, sink)
+                content = clips.digest(bake, points, self.settings.fps)
+                default = sinks.cache_path(self.caches, name, content, self.output.sink)
+                cache = self.cache_files.get(name, default)
                 model_file.save(cache, clips.CACHES[self.output.sink](bake, points, self.settings.fps))
             self.written.append((keys, cache))
         self.report["keys"] = len(self.written[0][0].modes) + len(self.written[0][0].details)

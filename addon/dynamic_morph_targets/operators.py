@@ -78,7 +78,7 @@ def listed(names: list[str]) -> str:
 
 
 class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
-    """Remove the baked shape keys and curves, and restore the target keys"""
+    """Remove the baked shape keys, curves and modifier, and restore the target keys"""
 
     bl_idname = "dynamorph.free_bake"
     bl_label = "Free Bake"
@@ -183,7 +183,7 @@ class DYNAMORPH_OT_build(JobOperator, Operator):
 
 
 class DYNAMORPH_OT_bake(JobOperator, Operator):
-    """Simulate the frame range and write the motion as shape keys; builds the model first if it is out of date"""
+    """Simulate the frame range and write the motion as Bake To says; builds the model first if it is out of date"""
 
     bl_idname = "dynamorph.bake"
     bl_label = "Bake Soft Skin"

@@ -410,7 +410,7 @@ def draw_bake(layout, obj):
         body.enabled = jobs.running is None
         body.prop(simulation, "use_scene_range")
         column = body.column(align=True)
-        column.active = not simulation.use_scene_range
+        column.enabled = not simulation.use_scene_range
         column.prop(simulation, "start")
         column.prop(simulation, "end")
         column.prop(simulation, "keep_outside")
@@ -430,7 +430,7 @@ def draw_bake(layout, obj):
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
             draw_warnings(layout, settings.bake.warnings)
         layout.operator("dynamorph.free_bake", icon="X")
-        draw_export(layout)
+    draw_export(layout)
 
 
 def draw_export(layout):

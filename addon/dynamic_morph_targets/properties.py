@@ -586,11 +586,11 @@ class DynamorphOutput(PropertyGroup):
         default=OutputSettings.keys, min=0, soft_max=32, override=OVERRIDE,
     )  # fmt: skip
     every: IntProperty(
-        name="Every", description="Frames from one key to the next", default=OutputSettings.every, min=1, soft_max=10,
-        override=OVERRIDE,
+        name="Frame Step", description="Frames from one key to the next", default=OutputSettings.every,
+        min=1, soft_max=10, override=OVERRIDE,
     )  # fmt: skip
     tolerance: FloatProperty(
-        name="Error",
+        name="Tolerance",
         description="How far the surface may be off between keys, which then are where they are needed. 0: a key at "
         "regular frames",
         default=OutputSettings.tolerance, min=0.0, soft_max=0.01, precision=4, subtype="DISTANCE", override=OVERRIDE,

@@ -385,7 +385,7 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
     Passes over its range until one ends as it began: in place and, by the frame after, in velocity.
     """
     loop = _Loop(player, rig)
-    if not _accelerate(loop):
+    if not _accelerate(loop) and player.pose_gap(rig) <= SAME_POSE * player.size:  # else it cannot close
         _newton(loop)
     return loop.frames, loop.gap
 
@@ -452,28 +452,28 @@ def _accelerate(loop: _Loop) -> bool:
     return False
 
 
-def _newton(loop: _Loop) -> bool:
+def _newton(loop: _Loop):
     """Newton's method for what a pass leaves as it was, whose tangent is only ever multiplied, by a pass that begins a
     little otherwise (Knoll and Keyes 2004, Jacobian-free Newton-Krylov methods). Flesh so soft that one pass does not
     foretell the next closes by it. Plain passes go before, and wherever a step does not help.
     """
     began, ended = loop.began, loop.began
     plain = PLAIN
-    while loop.passes < PASSES:
+    while loop.passes < PASSES - PLAIN - KRYLOV - 2:
         for _ in range(plain):
             began, ended = ended, loop(ended)
-        if loop.is_closed:
-            return True
+        off = np.linalg.norm(ended - began)
+        if loop.is_closed or not 0.0 < off < np.inf:
+            return
         step, plain = _newton_step(loop, began, ended), PLAIN
         for share in (1.0, 0.5):
             trial = began + share * step
             after = loop(trial)
-            if np.linalg.norm(after - trial) < (1.0 - 0.3 * share) * np.linalg.norm(ended - began):
+            if np.linalg.norm(after - trial) < (1.0 - 0.3 * share) * off:
                 began, ended, plain = trial, after, 0
                 break
         if loop.is_closed:
-            return True
-    return False
+            return
 
 
 def _newton_step(loop: _Loop, began: np.ndarray, ended: np.ndarray) -> np.ndarray:
@@ -482,7 +482,7 @@ def _newton_step(loop: _Loop, began: np.ndarray, ended: np.ndarray) -> np.ndarra
     """
     residual = (ended - began).ravel()
     size = np.linalg.norm(residual)
-    nearby = 1e-4 * max(np.linalg.norm(began), 1e-12)
+    nearby = 1e-4 * max(np.linalg.norm(began), size)
     basis, hessenberg = [residual / size], np.zeros((KRYLOV + 1, KRYLOV))
     for j in range(KRYLOV):
         changed = (loop(began + nearby * basis[j].reshape(began.shape)) - ended).ravel() / nearby
@@ -655,7 +655,7 @@ def _loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
             "pose comes back, or turn Loop off"
         ]
     if gap > CLOSED * player.size:
-        return [f"The loop is not closed after {PASSES} passes: raise the targets' damping, or make it longer"]
+        return [f"The loop is not closed after {player.passes} passes: raise the targets' damping, or make it longer"]
     return []
 
 
@@ -763,6 +763,8 @@ def _worst_elements(player: Player, coordinates: np.ndarray, dry: np.ndarray) ->
 
 def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The rotation (3, 3) and shift (3,) that carry points (V, 3) nearest to others, as a whole."""
+    if not len(points):
+        return np.eye(3), np.zeros(3)
     centre, goal = points.mean(axis=0), onto.mean(axis=0)
     u, _, vt = np.linalg.svd((onto - goal).T @ (points - centre))
     turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt

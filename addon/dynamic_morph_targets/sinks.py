@@ -10,6 +10,7 @@ there may be a point cache: a Mesh Cache modifier before all others, whose influ
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,24 +80,15 @@ def file_path(file: str, name: str) -> Path:
     return Path(file.replace(OBJECT, bpy.path.clean_name(name))).resolve()
 
 
-def cache_path(folder: Path, name: str, bake: Bake, sink: str) -> Path:
-    """Of the point cache of a bake: named by its content, so that none is changed that another .blend plays."""
-    return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{clips.digest(bake)[:12]}.{sink.lower()}"), name)
+def cache_path(folder: Path, name: str, content: str, sink: str) -> Path:
+    """Of a point cache: named by a hash of its content, so that none is changed that another .blend plays."""
+    return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{content[:12]}.{sink.lower()}"), name)
 
 
 def overwritten_keys(obj) -> list[str]:
     """The artist's own shape keys that move, over which a point cache plays."""
-    keys = obj.data.shape_keys
-    if keys is None:
-        return []
-    animation = keys.animation_data
-    moving = {driver.data_path for driver in animation.drivers} if animation else set()
-    if animation and animation.action and animation.action_slot:
-        bags = (strip.channelbag(animation.action_slot) for layer in animation.action.layers for strip in layer.strips)
-        moving |= {curve.data_path for bag in bags if bag for curve in bag.fcurves}
-    own = {target.name for target in obj.dynamorph.targets[1:]} | set(_baked_names(obj))
-    others = [block for block in keys.key_blocks[1:] if block.name not in own and not block.mute]
-    return [block.name for block in others if block.value or f"{block.path_from_id()}.value" in moving]
+    own = {target.name for target in obj.dynamorph.targets[1:]} | checks.baked_keys(obj)
+    return [name for name in checks.moving_keys(obj) if name not in own]
 
 
 def check_not_edited(obj):
@@ -239,9 +231,9 @@ def free(obj):
         leave(each)
 
 
-def read_back(obj) -> Bake:
-    """The bake of `obj` as its shape keys and curves now have it, at its keyframes and the whole frames between, local
-    space. All keys are modes. Raises SinkError.
+def read_back(obj, samples: int = 1) -> Bake:
+    """The bake of `obj` as its shape keys and curves now have it, at its frames and `samples` times a frame, local
+    space. All keys are modes. Its strips count as they were baked. Raises SinkError.
     """
     record, keys = obj.dynamorph.bake, obj.data.shape_keys
     reconcile(obj)
@@ -251,11 +243,11 @@ def read_back(obj) -> Bake:
     curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
     if not curves or record.cache:
         raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
-    times = np.unique(np.concatenate([_times(curve) for curve in curves]))
     render = bpy.context.scene.render
     per_frame = render.frame_map_old / render.frame_map_new
-    whole = np.arange(np.ceil(times[0] / per_frame), times[-1] / per_frame + 1e-3)
-    frames = np.unique(np.concatenate([np.round(times / per_frame, 3), whole]))
+    ends = [end / per_frame for curve in curves for end in curve.range()]
+    first, last = math.ceil(min(ends) - 1e-3), math.floor(max(ends) + 1e-3)
+    frames = first + np.arange((last - first) * samples + 1) / samples
 
     def values(curve) -> np.ndarray:
         return np.array([curve.evaluate(time) for time in frames * per_frame]) if curve else np.zeros(len(frames))
@@ -278,13 +270,7 @@ def _curves_of(keys, action, title: str) -> dict:
     slot = action and next((slot for slot in action.slots if slot.name_display == title), None)
     if not (keys and slot):
         return {}
-    return {curve.data_path: curve for curve in action.layers[0].strips[0].channelbag(slot).fcurves}
-
-
-def _times(curve) -> np.ndarray:
-    points = np.empty((len(curve.keyframe_points), 2), np.float32)
-    curve.keyframe_points.foreach_get("co", points.ravel())
-    return points[:, 0].astype(np.float64)
+    return {curve.data_path: curve for curve in checks.curves(action, slot)}
 
 
 def _baked_names(obj) -> list[str]:
@@ -310,6 +296,7 @@ def _free(obj, names, keep_cache=False):
     if modifier and not keep_cache:
         modifier.driver_remove("factor")
         obj.modifiers.remove(modifier)
+    if not keep_cache:
         record.cache = ""
     record.keys.clear()
     record.action = None
@@ -355,7 +342,8 @@ def _scaled_keys(bake: Bake, basis: np.ndarray) -> list[_Key]:
         if np.abs(detail).max() * largest > negligible:
             name = _fit(f"Dynamorph Detail {bake.target_names[j]}")
             values = weights / largest  # with the motion too: the strips may be moved apart
-            keys.append(_Key(name, points(largest * detail), 0.0, values if len(bake.modes) else None, values))
+            lowest = -1.0 if weights.min() < 0.0 else 0.0
+            keys.append(_Key(name, points(largest * detail), lowest, values if len(bake.modes) else None, values))
     return keys
 
 

@@ -403,13 +403,17 @@ def test_a_loop_closes(shot, travel):
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
     """What flesh that is too soft for accelerated passes falls back to."""
     simulate, rig, settings = part("simulate"), cyclic(shot), replace(shot.settings, end=12, loop=True)
-    found = []
+    found, steps = [], []
+    monkeypatch.setattr(simulate, "PLAIN", 1)  # more would find it
+    step = simulate._newton_step
+    monkeypatch.setattr(simulate, "_newton_step", lambda *args: steps.append(1) or step(*args))
     for passes in (40, 0):
         monkeypatch.setattr(simulate, "ACCELERATED", passes)
         player = simulate.Player(shot.model, shot.character, settings)
         frames, gap = simulate.cycle(player, rig)
         assert gap <= 1e-6 * size(shot) and player.passes < simulate.PASSES
         found.append(np.array([frame.coordinates for frame in frames]))
+    assert steps
     assert found[1] == pytest.approx(found[0], abs=1e-4 * np.abs(found[0]).max())
 
 
@@ -436,16 +440,40 @@ def test_a_loop_closes_in_velocity_too(shot):
     assert player.gap(settled, frames[0]) > 1e2 * gap
 
 
+class Map:
+    """In the place of a loop: an affine map of six numbers."""
+
+    def __init__(self, factor):
+        random = np.random.default_rng(0)
+        turn, _ = np.linalg.qr(random.normal(size=(6, 6)))
+        self.matrix, self.shift = factor * turn, random.normal(size=6)
+        self.began, self.passes, self.off = np.zeros((1, 6)), 0, np.full(6, np.inf)
+
+    @property
+    def is_closed(self):
+        return np.abs(self.off).max() < 1e-8
+
+    def __call__(self, began):
+        self.passes += 1
+        ended = began @ self.matrix + self.shift
+        self.off = (ended - began)[0]
+        return ended
+
+
 def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
-    """Of an affine map that hardly contracts, where passes alone would need thousands."""
-    random = np.random.default_rng(0)
-    turn, _ = np.linalg.qr(random.normal(size=(6, 6)))
-    shift, x = random.normal(size=6), np.zeros((1, 6))
-    fixed_point = part("simulate")._FixedPoint()
-    for _ in range(7):
-        ended = 0.999 * x @ turn + shift
-        x = fixed_point.next(x, ended, (ended - x)[0])
-    assert x == pytest.approx(0.999 * x @ turn + shift, abs=1e-9)
+    """Where passes alone would need thousands."""
+    loop = Map(0.999)
+    assert part("simulate")._accelerate(loop)
+    assert loop.passes <= 9
+
+
+@pytest.mark.parametrize("factor", [0.999, 1.5, 0.0])
+def test_newtons_method_finds_fixed_points(factor):
+    """That passes alone hardly come nearer to, or leave; or one that they meet at once."""
+    loop = Map(factor)
+    part("simulate")._newton(loop)
+    assert loop.is_closed
+    assert loop.passes < 60
 
 
 @pytest.mark.parametrize("frames", [12, 1])
@@ -585,7 +613,59 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
 def test_frames_that_do_not_adjoin_are_refused(shot, soft_arm):
     with pytest.raises(ValueError, match="frames 40 to 50 are not next to those of the last bake, 1 to 20"):
         rebaked(soft_arm, 40, 50)
+
+
+def test_a_bake_is_made_longer(shot, soft_arm):
+    """As if it had been baked in one: there is nothing to blend with."""
+    rig_of(soft_arm).pose.bones["lower"].rotation_euler.x = 0.5
+    rig_of(soft_arm).pose.bones["lower"].keyframe_insert("rotation_euler", frame=30)
+    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
     assert len(rebaked(soft_arm, 21, 24).result.frames) == 24
+    longer = shown_at(soft_arm, range(1, 25))
+    soft_arm.dynamorph.simulation.start, soft_arm.dynamorph.simulation.keep_outside = 1, False
+    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
+    assert np.abs(longer - shown_at(soft_arm, range(1, 25))).max() < 1e-5
+
+
+@pytest.mark.parametrize("sink", ["FRAMES", "PC2"])
+def test_a_range_is_baked_into_other_sinks(shot, soft_arm, tmp_path, sink):
+    before = shown_at(soft_arm, range(1, 21))
+    strip = part("sinks").influence_strip(soft_arm)
+    strip.influence = 0.0
+    part("sinks").show_influence(soft_arm)
+    still = shown_at(soft_arm, range(1, 21))
+    strip.influence = 1.0
+    soft_arm.dynamorph.output.sink = sink
+    rebaked(soft_arm, 8, 15, folder=tmp_path)
+    assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
+    setattr(*part("sinks").influence(soft_arm), 0.0)
+    part("sinks").show_influence(soft_arm)
+    assert np.abs(shown_at(soft_arm, range(1, 21)) - still).max() < 1e-5
+
+
+def test_what_the_other_frames_were_made_from_is_said(shot, soft_arm):
+    record = soft_arm.dynamorph.bake
+    soft_arm.dynamorph.targets[1].stiffness *= 2.0
+    job = rebaked(soft_arm, 8, 15)
+    assert any("other frames" in text and "stiffness" in text for text in job.warnings)
+    assert "stiffness" in record.warnings
+    first = record.content_id
+    rebaked(soft_arm, 8, 15)
+    assert record.content_id != first  # it was made from another bake
+
+
+def test_a_patch_keeps_samples_alike(shot, soft_arm):
+    soft_arm.dynamorph.simulation.samples = 2
+    frames = rebaked(soft_arm, 8, 15).result.frames
+    np.testing.assert_allclose(frames, np.arange(1.0, 20.5, 0.5))
+
+
+def test_free_bake_forgets_a_cache_whose_modifier_was_removed(shot, soft_arm, tmp_path):
+    soft_arm.dynamorph.output.sink = "PC2"
+    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path))
+    soft_arm.modifiers.remove(soft_arm.modifiers[0])
+    part("sinks").free(soft_arm)
+    assert not soft_arm.dynamorph.bake.exists
 
 
 def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):

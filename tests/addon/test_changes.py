@@ -140,7 +140,7 @@ def test_the_model_s_settings_are_named_until_they_are_set_back(baked, name, val
 
 
 def curve_of(rig):
-    return part("extract")._curves(rig.animation_data.action, rig.animation_data.action_slot)[0]
+    return part("checks").curves(rig.animation_data.action, rig.animation_data.action_slot)[0]
 
 
 def looked(obj):

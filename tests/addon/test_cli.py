@@ -351,8 +351,31 @@ def test_a_sink_that_is_a_file_for_other_programs(shot, run):
         (["--sink", "frames"], "say where the bake goes"),
         (["--sink", "frames", "--sink-file", "x", "--in-place"], "is for a --sink that is a file"),
         (["--sink", "usd", "--clips", "actions"], "--clips actions is for --sink gltf and --sink fbx"),
+        (["--sink", "gltf", "--clips", "actions", "--frames", "1", "9"], "leave --frames out"),
+        (["--sink", "gltf", "--sink-file", "x.fbx"], "a file of gltf ends in .glb"),
+        (["--sink", "pc2", "--sink-file", "x.cache", "--in-place"], "a file of pc2 ends in .pc2"),
+        (["--sink", "raw", "--sink-file", "nowhere/x.npz"], "there is no folder"),
     ],
 )
-def test_a_bake_that_would_go_nowhere(shot, run, arguments, words):
+def test_a_bake_that_would_go_nowhere(shot, run, stand_in, arguments, words):
     code, _, errors = run("bake", shot, "--object", "Arm", *arguments)
     assert code == 2 and words in errors
+    assert stand_in.built == 0
+
+
+def test_what_one_of_many_refuses_is_found_before_any_work(shot, run, stand_in):
+    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    bpy.data.objects["Leg"].dynamorph.targets[1].name = "bent"
+    bpy.data.objects["Leg"].data.shape_keys.key_blocks["flexed"].name = "bent"
+    bpy.ops.wm.save_mainfile()
+    code, _, errors = run("bake", shot, "--all", "--set", "flexed.stiffness=2e4", "--in-place")
+    assert code == 2 and "'Leg' has no target named 'flexed'" in errors
+    assert stand_in.built == 0
+
+
+def test_a_fault_of_ours_is_reported(shot, run, stand_in):
+    stand_in.fail = ZeroDivisionError("a bug")
+    report = shot.parent / "report.json"
+    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place", "--report", report)
+    assert code == 70 and "ZeroDivisionError: a bug" in errors
+    assert json.loads(report.read_text())["exit_code"] == 70

@@ -91,7 +91,7 @@ def state(obj):
 
 def exported(obj, folder, key="GLTF"):
     path = folder / f"arm{part('exports').FORMATS[key].suffix}"
-    part("exports").export(obj, key, path, (1, 1), clips="ACTIONS")
+    part("exports").export(obj, key, path, (1, 1), takes="ACTIONS")
     return path
 
 

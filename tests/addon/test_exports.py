@@ -3,6 +3,7 @@
 
 import re
 from functools import partial
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -266,7 +267,25 @@ def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["arm.npz"]
     assert bpy.ops.dynamorph.export_check(format="FBX") == {"FINISHED"}
     part("sinks").free(obj)
-    assert not bpy.ops.dynamorph.export.poll()
+    with pytest.raises(RuntimeError, match="press Bake first"):
+        bpy.ops.dynamorph.export(format="RAW", filepath=str(tmp_path / "none"))
+    assert not bpy.ops.dynamorph.export_check.poll()
+
+
+def test_a_name_keeps_what_only_looks_like_a_suffix():
+    exports = part("exports")
+    assert exports.named(Path("hero.v002"), "GLTF") == Path("hero.v002.glb")
+    assert exports.named(Path("hero.v002.fbx"), "GLTF") == Path("hero.v002.glb")
+
+
+def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
+    """Its exporter takes those of the scene."""
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not for this Python")
+    obj, _ = baked
+    part("exports").export(obj, "USD", tmp_path / "part.usdc", (5, 9))
+    stage = usd.Stage.Open(str(tmp_path / "part.usdc"))
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (5.0, 9.0)
+    assert (bpy.context.scene.frame_start, bpy.context.scene.frame_end) == FRAMES
 
 
 def test_refused(baked, tmp_path):

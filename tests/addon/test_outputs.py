@@ -36,7 +36,7 @@ def written(obj, bake, folder, skin=None, to_bind=None, **output):
     keys, off = clips.as_keys(bake, chosen, np.eye(3) if to_bind is None else to_bind)
     cache = None
     if chosen.sink in clips.CACHES:
-        cache = sinks.cache_path(folder, obj.name, bake, chosen.sink)
+        cache = sinks.cache_path(folder, obj.name, clips.digest(bake), chosen.sink)
         cache.parent.mkdir(exist_ok=True)
         points = part("extract").rest_points(obj)
         cache.write_bytes(b"".join(clips.CACHES[chosen.sink](bake, points, 24.0)))

@@ -190,8 +190,8 @@ def action_over_strips(obj):
 
 
 def noisy_curves(obj):
-    extract, data = part("extract"), rig_of(obj).animation_data
-    for curve in extract._curves(data.action, data.action_slot):
+    data = rig_of(obj).animation_data
+    for curve in part("checks").curves(data.action, data.action_slot):
         curve.modifiers.new("NOISE").strength = 0.3
 
 
