@@ -7,18 +7,26 @@ const JOB_TYPE = {
     description: "Simulate soft skins and write them as shape keys",
     settings: [
         {
-            key: "characters", type: "string", required: true,
+            key: "characters", type: "string", default: "",
             eval: "', '.join(o.name for o in C.scene.objects if o.type == 'MESH' and len(o.dynamorph.targets))",
             evalInfo: { showLinkButton: true, description: "Soft skins of the scene" },
-            description: "Names of the objects, with commas between them",
+            description: "Names of the objects, with commas between them. Empty: all soft skins in one task",
         },
         {
             key: "wedges", type: "string", default: "",
             description: "TARGET.PROPERTY=VALUE, with commas between them: a bake for each. Empty: one as it is",
         },
         {
+            key: "sink", type: "string", default: "",
+            description: "modes, frames, pc2, mdd, gltf, fbx, alembic, usd or raw. Empty: as each object says",
+        },
+        {
+            key: "options", type: "string", default: "",
+            description: "More of bake's command line, with spaces between words, as --keys 8",
+        },
+        {
             key: "output", type: "string", subtype: "dir_path", required: true,
-            description: "Folder for the baked files and reports. It must be there",
+            description: "Folder for the baked files, and one with the reports of each job. It must be there",
         },
         {
             key: "share", type: "string", subtype: "dir_path", required: true,
@@ -28,18 +36,26 @@ const JOB_TYPE = {
     ],
 };
 
+const ENDINGS = { gltf: "glb", fbx: "fbx", alembic: "abc", usd: "usdc", raw: "npz", pc2: "pc2", mdd: "mdd" };
+
 function compileJob(job) {
     const settings = job.settings;
-    const collect = authorTask("collect", ["collect", settings.output, "-o", `${settings.output}/index.html`]);
-    for (const character of namesIn(settings.characters)) {
-        const check = authorTask(`check ${character}`, ["check", "--object", character], settings.blendfile);
+    const shot = settings.blendfile.split(/[\\/]/).pop().replace(/(\.flamenco)?\.blend$/, "");
+    const characters = namesOrNone(settings.characters), wedges = namesOrNone(settings.wedges);
+    const reports = `${settings.output}/${shot} ${formatTimestampLocal(job.created)}`;  // nothing of other jobs in it
+    const expected = String(characters.length * wedges.length);
+    const collect = authorTask(
+        "collect", ["collect", reports, "-o", `${reports}/index.html`, "--expect", expected]);
+    for (const character of characters) {
+        const who = character ? ["--object", character] : ["--all"];
+        const check = authorTask(`check ${character || "all"}`, ["check", ...who], settings.blendfile);
         const build = authorTask(
-            `build ${character}`, ["build", "--object", character, "--share", settings.share], settings.blendfile);
+            `build ${character || "all"}`, ["build", ...who, "--share", settings.share], settings.blendfile);
         build.addDependency(check);
         job.addTask(check);
         job.addTask(build);
-        for (const wedge of wedgesIn(settings.wedges)) {
-            const bake = authorBake(settings, character, wedge);
+        for (const wedge of wedges) {
+            const bake = authorBake(settings, shot, character, wedge, reports);
             bake.addDependency(build);
             collect.addDependency(bake);
             job.addTask(bake);
@@ -48,14 +64,21 @@ function compileJob(job) {
     job.addTask(collect);
 }
 
-function authorBake(settings, character, wedge) {
-    const shot = settings.blendfile.split(/[\\/]/).pop().replace(/(\.flamenco)?\.blend$/, "");
-    const name = [shot, character, wedge].filter(Boolean).join(" ");
-    const set = wedge ? ["--set", wedge] : [];
+function authorBake(settings, shot, character, wedge, reports) {
+    const name = joined(shot, character, wedge);
     return authorTask(`bake ${name}`, [
-        "bake", "--object", character, ...set, "--share", settings.share,
-        "-o", `${settings.output}/${name}.blend`, "--report", `${settings.output}/${name}.json`,
+        "bake", ...(character ? ["--object", character] : ["--all"]), ...(wedge ? ["--set", wedge] : []),
+        ...sinkOf(settings, shot, wedge), ...settings.options.split(/\s+/).filter(Boolean), "--share", settings.share,
+        "-o", `${settings.output}/${name}.blend`, "--report", `${reports}/${name}.json`,
     ], settings.blendfile);
+}
+
+// A file is beside the baked .blend. For {object} Dynamorph puts a mesh's name: clothes have a point cache each.
+function sinkOf(settings, shot, wedge) {
+    if (!settings.sink) return [];
+    const ending = ENDINGS[settings.sink];
+    const file = ending ? ["--sink-file", `${settings.output}/${joined(shot, "{object}", wedge)}.${ending}`] : [];
+    return ["--sink", settings.sink, ...file];
 }
 
 // With "exec" and not "blender-render": nothing is rendered, and all that is after -c belongs to Dynamorph.
@@ -66,11 +89,12 @@ function authorTask(name, command, ...blendfile) {
     return task;
 }
 
-function namesIn(list) {
-    return list.split(",").map((name) => name.trim()).filter(Boolean);
+function joined(...names) {
+    return names.filter(Boolean).join(" ");
 }
 
-function wedgesIn(list) {
-    const wedges = namesIn(list);
-    return wedges.length ? wedges : [""];  // one bake as it is
+// [""] where there is no name: one task for all characters, or one bake as it is.
+function namesOrNone(list) {
+    const names = list.split(",").map((name) => name.trim()).filter(Boolean);
+    return names.length ? names : [""];
 }

@@ -4,8 +4,9 @@ openjd-cli:
 
     python slurm_submit.py dynamorph.openjd.yaml -p 'Shots=["walk","run"]' -p Folder=/show/shots -- --partition=farm
 
-What is after -- goes to sbatch. Prints a line for each step: its name and Slurm's id of its job. Tasks and logs go into
-a folder, which like all that parameters name must be there on every node. docs/farm.md
+What is after -- goes to sbatch. Prints a line for each step: its name and Slurm's id of its job. A step waits until all
+tasks before it have succeeded; only the last step is run whatever came of them, and can tell of it. Tasks and logs go
+into a folder, which like all that parameters name must be there on every node. docs/farm.md
 """
 
 from __future__ import annotations
@@ -51,16 +52,33 @@ def write_tasks(step, folder: Path) -> int:
     return len(tasks)
 
 
-def submit(step, run: list[str | Path], folder: Path, after: list[str], options: list[str]) -> str:
-    """Submit a step whose tasks `run` runs; returns Slurm's id. after: ids of the jobs that must succeed first."""
+def submit(step, run: list[str | Path], folder: Path, depend: list[str], options: list[str]) -> str:
+    """Submit a step whose tasks `run` runs; returns Slurm's id. depend: sbatch's options that say what it waits for."""
     count = write_tasks(step, folder)
-    depend = [f"--dependency=afterok:{':'.join(after)}", "--kill-on-invalid-dep=yes"] if after else []
     command = [
         "sbatch", "--parsable", f"--job-name={step.name}", f"--array=0-{count - 1}", "--requeue",
         f"--output={folder}/%a.slurm", "--open-mode=append", *depend, *options,
         TASK, folder, *run, "--step", step.name,
     ]  # fmt: skip
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.strip().partition(";")[0]
+
+
+def wait_for(ids: list[str], is_last: bool) -> list[str]:
+    """sbatch's options for a step that waits for these jobs."""
+    if not ids:
+        return []
+    if is_last:
+        return [f"--dependency=afterany:{':'.join(ids)}"]
+    return [f"--dependency=afterok:{':'.join(ids)}", "--kill-on-invalid-dep=yes"]
+
+
+def cancel(ids: dict[str, str]) -> str:
+    """Cancel the jobs of these steps; returns what came of it."""
+    if not ids:
+        return ""
+    done = subprocess.run(["scancel", *ids.values()], check=False)
+    names = ", ".join(f"{name} {job}" for name, job in ids.items())
+    return f"cancelled: {names}\n" if done.returncode == 0 else f"not cancelled, do so by scancel: {names}\n"
 
 
 def name_and_value(text: str) -> tuple[str, str]:
@@ -94,10 +112,11 @@ def main() -> int:
     ids: dict[str, str] = {}
     for step in job.steps:  # a step comes after those that it depends on
         after = [ids[dependency.dependsOn] for dependency in step.dependencies or ()]
+        depend = wait_for(after, is_last=step is job.steps[-1])
         try:
-            ids[step.name] = submit(step, run, folder / step.name, after, options=words[end + 1 :])
+            ids[step.name] = submit(step, run, folder / step.name, depend, options=words[end + 1 :])
         except (OSError, subprocess.CalledProcessError) as error:  # sbatch has said why, if it was there
-            parser.exit(1, f"{step.name} was not submitted: {error}\n")
+            parser.exit(1, f"{step.name} was not submitted: {error}\n{cancel(ids)}")
         print(step.name, ids[step.name], flush=True)
     return 0
 

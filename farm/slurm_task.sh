@@ -12,7 +12,8 @@ tries=5
 task=$1/$SLURM_ARRAY_TASK_ID
 shift
 log=$task.${SLURM_RESTART_COUNT:-0}.log # one for each try
-"$@" --tasks "file://$task.json" >"$log" 2>&1 && exit 0
+echo "on ${SLURMD_NODENAME:-no node}" >"$log"
+"$@" --tasks "file://$task.json" >>"$log" 2>&1 && exit 0
 
 # `openjd run` ends with 1, whatever its task ended with.
 code=$(sed -n 's/.* exited with code: \(-\{0,1\}[0-9]*\) .*/\1/p' "$log" | tail -n 1)

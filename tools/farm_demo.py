@@ -2,8 +2,8 @@
 """Bakes three shots of two characters in two variants on a small render farm, and breaks it: `make farm-demo`.
 
 The farm is Slurm with two nodes on this machine, each a slurmd with processes and a core of its own. The job is
-farm/dynamorph.openjd.yaml, submitted by farm/slurm_submit.py. It runs on one node, on two, and on two of which one
-bake is killed and then a whole node. The bakes must come out the same, to the last bit.
+farm/dynamorph.openjd.yaml, submitted by farm/slurm_submit.py. It runs on one node, on two, and on two of which one is
+hit: a bake on it is killed, and then the node itself. The bakes must come out the same, to the last bit.
 
 What stands in the way of a farm (not root, not Debian) is printed, and counts as success; what goes wrong on it does
 not. Figures: build/farm/farm.json, and, if the machine has no other work, the table in docs/farm.md.
@@ -204,6 +204,11 @@ class Farm:
 
         return self._wait(f"a bake on {node} is in its middle", found)
 
+    def kill(self, bake: Bake, node: str):
+        """End a bake on this node with kill -9."""
+        os.kill(bake.pid, signal.SIGKILL)
+        self._wait("a killed bake has ended", lambda: bake not in self.bakes(node), seconds=10)
+
     def power_off(self, node: str):
         """End a node and all that it runs with kill -9."""
         self.processes[node].kill()
@@ -254,7 +259,7 @@ def run_job(name: str, nodes: int, faults=False) -> dict:
         "frames": max(bake["frames"][1] for bake in bakes.values()),
         "hashes": {each: bake["hash"] for each, bake in bakes.items()},
         "steps_per_second": round(statistics.median(bake["steps_per_second"] for bake in bakes.values())),
-        "faults": {fault: {"bake": each, "resumed": bakes[each]["resumed"]} for fault, each in hit.items()},
+        "faults": {fault: what_came_of(bake, bakes, tasks) for fault, bake in hit.items()},
         "blender": next(iter(collected["reports"].values()))["versions"]["blender"],
     }
     return found | ({"bad_input_tries": bad_input_tries} if faults else {})
@@ -264,14 +269,21 @@ def folder_of(run: str) -> Path:
     return WORK / run.replace(" ", "_")  # Slurm's configuration knows no spaces
 
 
-def inject_faults(farm: Farm, tasks: Path) -> dict[str, str]:
-    """Kill a bake, then a node, in the middle of a bake; returns which bakes were hit."""
-    bake = farm.mid_bake("node1", tasks)
-    os.kill(bake.pid, signal.SIGKILL)
-    hit = {"bake killed": bake_name(tasks, bake)}
-    bake = farm.mid_bake("node2", tasks)
+def inject_faults(farm: Farm, tasks: Path) -> dict[str, Bake]:
+    """Kill a bake, then its node in the middle of another, so that both have to go on elsewhere; returns the two."""
+    killed = farm.mid_bake("node2", tasks)
+    farm.kill(killed, "node2")
+    lost = farm.mid_bake("node2", tasks)
     farm.power_off("node2")
-    return hit | {"node killed": bake_name(tasks, bake)}
+    return {"bake killed": killed, "node killed": lost}
+
+
+def what_came_of(bake: Bake, bakes: dict[str, dict], tasks: Path) -> dict:
+    """Of a bake that was hit. nodes: where it was tried, one after the other, as farm/slurm_task.sh has noted."""
+    name = bake_name(tasks, bake)
+    logs = sorted((tasks / "Bake").glob(f"{bake.task}.*.log"))  # of less than ten tries
+    nodes = [log.read_text().partition("\n")[0].removeprefix("on ") for log in logs]
+    return {"bake": name, "nodes": nodes, "resumed": bakes[name]["resumed"]}
 
 
 def bake_name(tasks: Path, bake: Bake) -> str:
@@ -292,8 +304,9 @@ def try_bad_input(farm: Farm, parameters: dict, folder: Path) -> int:
     wrong = {"Output": str(folder / "output"), "Shots": SHOTS[:1], "Characters": CHARACTERS[:1], "Wedges": [NO_TARGET]}
     farm.submit(parameters | wrong, folder / "tasks")
     farm.finish()
-    if list(folder.glob("tasks/Collect/*.log")):
-        raise Failed(f"a step was run after the one that it depends on had failed: see {folder}")
+    page = folder / "output/index.json"
+    if not page.exists() or NO_TARGET not in "".join(json.loads(page.read_text())["wrong"]):
+        raise Failed(f"no page tells of the bake that failed: see {folder}")
     return sum("exited with code: 2 " in log.read_text() for log in folder.glob("tasks/Bake/*.log"))
 
 
@@ -342,7 +355,11 @@ def table(runs: list[dict]) -> list[list[str]]:
     ]
     for run in runs:
         faults = run["faults"]
-        texts = [f"{name}, went on after {each['resumed']} of {run['frames']} frames" for name, each in faults.items()]
+        texts = [
+            f"{name}: begun on {each['nodes'][0]}, resumed on {each['nodes'][-1]} after {each['resumed']} of "
+            f"{run['frames']} frames"
+            for name, each in faults.items()
+        ]
         rows.append([
             run["name"], str(run["nodes"]), str(sum(run["tasks"].values())), f"{run['seconds']:.0f} s",
             f"{run['speed_up']:.2f}", str(run["steps_per_second"]), "; ".join(texts) or "none",

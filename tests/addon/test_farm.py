@@ -28,12 +28,12 @@ const author = {
     }),
     Command: (name, parameters) => ({ name, parameters }),
 };
-const context = vm.createContext({ author });
+const context = vm.createContext({ author, formatTimestampLocal: (date) => date });
 vm.runInContext(fs.readFileSync(process.argv[1], "utf8"), context);
 const settings = JSON.parse(process.argv[2]);
 for (const setting of vm.runInContext("JOB_TYPE", context).settings)
     if (settings[setting.key] === undefined) settings[setting.key] = setting.default;
-context.compileJob({ settings, addTask: (task) => tasks.push(task) });
+context.compileJob({ settings, created: "now", addTask: (task) => tasks.push(task) });
 console.log(JSON.stringify(tasks));
 """
 
@@ -64,6 +64,7 @@ def try_task(tmp_path):
     def run(code, restarts=""):
         (tmp_path / "asked").write_text("")
         variables = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "SLURM_ARRAY_TASK_ID": "3", "SLURM_JOB_ID": "17"}
+        variables["SLURMD_NODENAME"] = "node7"
         variables |= {"SLURM_RESTART_COUNT": restarts} if restarts else {}
         done = subprocess.run(
             [FARM / "slurm_task.sh", tmp_path / "Bake", "openjd", str(code)], env=variables, check=False
@@ -75,7 +76,8 @@ def try_task(tmp_path):
 
 def test_a_task_that_is_done_is_done(try_task, tmp_path):
     assert try_task(0) == (0, "")
-    assert f"--tasks file://{tmp_path}/Bake/3.json" in (tmp_path / "Bake/3.0.log").read_text()
+    log = (tmp_path / "Bake/3.0.log").read_text()
+    assert log.startswith("on node7\n") and f"--tasks file://{tmp_path}/Bake/3.json" in log
 
 
 @pytest.mark.parametrize("code", [2, 3])
@@ -96,7 +98,19 @@ def test_but_not_for_ever(try_task):
 
 # Open Job Description -------------------------------------------------------------------------------------------------
 
+COUNTS = 'echo "$@" >>"$0.asked"; wc -l <"$0.asked"'  # sbatch: notes what is asked, and counts
+
 needs_openjd = pytest.mark.skipif(not OPENJD.exists(), reason="needs openjd-cli: tools/setup.sh farm")
+
+
+def submit(folder, *options):
+    """Submit six bakes to the sbatch in a folder."""
+    shots, wedges = 'Shots=["walk","run"]', 'Wedges=["","Neutral.stiffness=3e4","Neutral.poisson=0.3"]'
+    return subprocess.run(
+        [OPENJD / "python", FARM / "slurm_submit.py", FARM / "dynamorph.openjd.yaml", "--folder", folder / "slurm",
+         "-p", shots, "-p", wedges, "-p", f"Folder={folder}", *options],
+        env=os.environ | {"PATH": f"{folder}:{os.environ['PATH']}"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
 
 
 @needs_openjd
@@ -109,19 +123,16 @@ def test_the_template_keeps_to_the_specification():
 
 @needs_openjd
 def test_each_step_is_an_array_that_waits_for_the_one_before(tmp_path):
-    sbatch = 'echo "$@" >>"$0.asked"; wc -l <"$0.asked"'
-    program(tmp_path, "sbatch", sbatch)
-    shots, wedges = 'Shots=["walk","run"]', 'Wedges=["","Neutral.stiffness=3e4","Neutral.poisson=0.3"]'
-    submitted = subprocess.run(
-        [OPENJD / "python", FARM / "slurm_submit.py", FARM / "dynamorph.openjd.yaml", "--folder", tmp_path / "slurm",
-         "-p", shots, "-p", wedges, "-p", f"Folder={tmp_path}", "--", "--partition=farm"],
-        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    program(tmp_path, "sbatch", COUNTS)
+    submitted = submit(tmp_path, "--", "--partition=farm")
+    assert submitted.returncode == 0, submitted.stderr
     assert submitted.stdout.split() == ["Check", "1", "Build", "2", "Bake", "3", "Collect", "4"]
     asked = (tmp_path / "sbatch.asked").read_text().splitlines()
     assert [line.split("--array=")[1].split()[0] for line in asked] == ["0-1", "0-0", "0-5", "0-0"]
     assert "--dependency" not in asked[0]
-    assert all(f"--dependency=afterok:{i} " in asked[i] and "--partition=farm" in asked[i] for i in (1, 2, 3))
+    assert all(f"--output={tmp_path}/slurm/" in line and "--partition=farm" in line for line in asked)
+    assert all(f"--dependency=afterok:{i} --kill-on-invalid-dep=yes " in asked[i] for i in (1, 2))
+    assert "--dependency=afterany:3 " in asked[3] and "--kill" not in asked[3]  # its page tells of failures
     tasks = [json.loads((tmp_path / f"slurm/Bake/{i}.json").read_text()) for i in range(6)]
     assert [[task["Shot"], task["Wedge"][:9]] for (task,) in tasks[:4]] == [
         ["walk", ""], ["walk", "Neutral.s"], ["walk", "Neutral.p"], ["run", ""],
@@ -129,24 +140,69 @@ def test_each_step_is_an_array_that_waits_for_the_one_before(tmp_path):
 
 
 @needs_openjd
-def test_the_template_says_what_the_command_line_knows(addon, tmp_path):
-    """Its tasks run a Python that only records how it was called."""
+def test_what_was_submitted_is_cancelled_when_a_later_step_is_refused(tmp_path):
+    program(tmp_path, "sbatch", f'[[ "$*" != *--array=0-5* ]] || exit 1; {COUNTS}')
+    program(tmp_path, "scancel", 'echo "$@" >"$0.asked"')
+    submitted = submit(tmp_path)
+    assert submitted.returncode == 1
+    assert "Bake was not submitted" in submitted.stderr and "cancelled: Check 1, Build 2" in submitted.stderr
+    assert (tmp_path / "scancel.asked").read_text() == "1 2\n"
+
+
+@pytest.fixture
+def run_template(tmp_path):
+    """Runs all steps with a Python that only records how it is called; returns what the command line makes of it."""
     python = program(tmp_path, "python", f'printf "%s\\n" "$@" "" >>"{tmp_path}/called"')
-    parameters = {
-        "Python": str(python), "Folder": str(tmp_path), "Output": str(tmp_path / "out"), "Share": str(tmp_path),
-        "Shots": ["walk"], "Characters": ["Arm", "Left Leg"], "Wedges": ["", "Neutral.stiffness=3e4"],
-    }  # fmt: skip
-    subprocess.run(
-        [OPENJD / "openjd", "run", FARM / "dynamorph.openjd.yaml", "--step", "Collect", "--run-dependencies",
-         "-p", json.dumps(parameters)], stdout=subprocess.DEVNULL, check=True,
-    )  # fmt: skip
-    calls = [call.split("\n") for call in (tmp_path / "called").read_text().rstrip("\n").split("\n\n")]
-    assert all(call[:2] == ["-m", "dynamic_morph_targets"] for call in calls)
-    found = [understood(call[2:], opens_file=True) for call in calls]
-    assert [call[2] for call in calls] == ["check"] * 2 + ["build"] * 2 + ["bake"] * 4 + ["collect"]
-    assert found[-1].expect == len({args.report for args in found[4:8]}) == 4
+
+    def run(**parameters):
+        folders = {"Folder": str(tmp_path), "Output": str(tmp_path / "out"), "Share": str(tmp_path)}
+        (tmp_path / "called").unlink(missing_ok=True)
+        subprocess.run(
+            [OPENJD / "openjd", "run", FARM / "dynamorph.openjd.yaml", "--step", "Collect", "--run-dependencies",
+             "-p", json.dumps({"Python": str(python), "Shots": ["walk"]} | folders | parameters)],
+            stdout=subprocess.DEVNULL, check=True,
+        )  # fmt: skip
+        calls = [call.split("\n") for call in (tmp_path / "called").read_text().rstrip("\n").split("\n\n")]
+        assert all(call[:2] == ["-m", "dynamic_morph_targets"] for call in calls)
+        return [(call[2], understood(call[2:], opens_file=True)) for call in calls]
+
+    return run
+
+
+@needs_openjd
+def test_the_template_says_what_the_command_line_knows(addon, run_template, tmp_path):
+    calls = run_template(Characters=["Arm", "Left Leg"], Wedges=["", "Neutral.stiffness=3e4"])
+    assert [command for command, _ in calls] == ["check"] * 2 + ["build"] * 2 + ["bake"] * 4 + ["collect"]
+    found = [args for _, args in calls]
+    assert all(args.object == [name] for args, name in zip(found[:4], ["Arm", "Left Leg"] * 2, strict=True))
     assert [args.changes for args in found[4:8]] == [[], ["Neutral.stiffness=3e4"]] * 2
     assert found[7].output == tmp_path / "out/walk Left Leg Neutral.stiffness=3e4.blend"
+    reports = [args.report for args in found[:8]]
+    assert len(set(reports)) == 8
+    # Those of bakes, and no others, are where the last step looks for them.
+    assert found[8].expect == 4 and [report.parent == found[8].folder for report in reports] == [False] * 4 + [True] * 4
+
+
+@needs_openjd
+def test_no_name_is_all_characters_in_one_task(addon, run_template, tmp_path):
+    calls = run_template(Characters=[""])
+    assert [command for command, _ in calls] == ["check", "build", "bake", "collect"]
+    assert all(args.all and args.object is None for _, args in calls[:3])
+    assert calls[2][1].output == tmp_path / "out/walk.blend" and calls[3][1].expect == 1
+
+
+@needs_openjd
+def test_the_template_knows_every_sink(addon, run_template, tmp_path):
+    template = (FARM / "dynamorph.openjd.yaml").read_text()
+    known = next(line for line in template.splitlines() if "allowedValues" in line)
+    files = {format.lower(): of.suffix for format, of in part("exports").FORMATS.items()}
+    files |= {cache.lower(): f".{cache.lower()}" for cache in part("clips").CACHES}
+    sinks = {sink.lower() for sink in part("cli").sink_names()} | set(files)
+    assert set(known.split("[")[1].split("]")[0].split(", ")) == sinks | {'""'}
+    for sink in sinks:
+        _, bake = run_template(Characters=["Arm"], Sink=sink, Options=["--keys", "8"])[2]
+        assert (bake.sink, bake.keys) == (sink, 8)
+        assert bake.sink_file == (f"{tmp_path}/out/walk {{object}}{files[sink]}" if sink in files else None)
 
 
 # Flamenco -------------------------------------------------------------------------------------------------------------
@@ -170,6 +226,12 @@ def compiled():
     return run
 
 
+def flamenco_asks(task):
+    """What the command line makes of a task."""
+    arguments = task["commands"][0]["parameters"]["args"]
+    return understood(arguments[arguments.index("dynamorph") + 1 :], opens_file=False)
+
+
 def test_flamenco_bakes_each_character_and_wedge(compiled):
     tasks = compiled(characters="Arm, Leg", wedges="Neutral.stiffness=1e4, Neutral.stiffness=3e4")
     bakes = [name for name in tasks if name.startswith("bake ")]
@@ -189,5 +251,22 @@ def test_flamenco_says_what_the_command_line_knows(addon, compiled):
         arguments = command["parameters"]["args"]
         blender = arguments[: arguments.index("-c")]
         assert blender == ["-b"] + ["/shots/walk.flamenco.blend"] * (task["name"] != "collect")
-        args = understood(arguments[arguments.index("dynamorph") + 1 :], opens_file=False)
+        args = flamenco_asks(task)
         assert getattr(args, "changes", []) == []
+        assert getattr(args, "object", ["Arm"]) == ["Arm"]
+
+
+def test_flamenco_collects_the_reports_of_the_job_alone(addon, compiled):
+    tasks = compiled(characters="Arm, Leg", wedges="Neutral.stiffness=1e4, Neutral.stiffness=3e4")
+    collect = flamenco_asks(tasks["collect"])
+    reports = {flamenco_asks(task).report for name, task in tasks.items() if name.startswith("bake ")}
+    assert collect.expect == len(reports) == 4
+    assert {report.parent for report in reports} == {collect.folder} == {Path("/out/walk now")}
+
+
+def test_flamenco_bakes_to_files(addon, compiled):
+    bake = flamenco_asks(compiled(sink="alembic", options="--frames 1  20")["bake walk"])
+    assert bake.all and bake.frames == [1, 20]
+    assert (bake.sink, bake.sink_file) == ("alembic", "/out/walk {object}.abc")
+    bake = flamenco_asks(compiled(characters="Arm", sink="modes")["bake walk Arm"])
+    assert (bake.sink, bake.sink_file) == ("modes", None)

@@ -334,7 +334,11 @@ def show_farm(found: dict) -> str:
     for run in found["runs"]:
         faults = run["faults"]
         survived = sum(fault["survived"] for fault in faults.values())
-        at = [f"{name}, resumed after {fault['resumed']} of {run['frames']} frames" for name, fault in faults.items()]
+        at = [
+            f"{name}: begun on {fault['nodes'][0]}, resumed on {fault['nodes'][-1]} after {fault['resumed']} of "
+            f"{run['frames']} frames"
+            for name, fault in faults.items()
+        ]
         rows.append(
             (run["name"], str(run["nodes"]), str(sum(run["tasks"].values())), str(run["tasks"].get("Bake", 0)),
              f"{run['seconds']:.0f} s" if quiet else "-", f"{run['speed_up']:.2f}" if quiet else "-",
