@@ -118,7 +118,7 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
         modes=modes.reshape(-1, *bake.modes.shape[1:]),
         details=np.zeros((0, *bake.modes.shape[1:])),
         node_modes=None,
-        mode_names=(),
+        key_names=(),
     )
 
 
@@ -182,17 +182,16 @@ def targets_alone(bake: Bake) -> Bake:
     nothing = np.zeros((len(bake.frames), 0))
     if not bake.weights.shape[1]:
         still = with_fewer_keys(replace(bake, coordinates=bake.dry))
-        names = tuple(f"Shape {k + 1:02d}" for k in range(len(still.modes)))
         details, weights = still.modes, still.dry
+        names = tuple(f"Dynamorph Shape {k + 1:02d}" for k in range(len(details)))
     else:
         onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.dry, rcond=None)
-        details = np.tensordot(onto_modes, bake.modes, 1) + bake.details
-        weights, names = bake.weights, bake.target_names
+        details, weights = np.tensordot(onto_modes, bake.modes, 1) + bake.details, bake.weights
+        names = tuple(f"Dynamorph Target {name}" for name in bake.target_names)
     modes = np.zeros((0, *bake.modes.shape[1:]))
     return replace(
-        bake, coordinates=nothing, dry=nothing, weights=weights, modes=modes, details=details, target_names=names,
-        mode_names=(),
-    )  # fmt: skip
+        bake, coordinates=nothing, dry=nothing, weights=weights, modes=modes, details=details, key_names=names
+    )
 
 
 def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
@@ -220,7 +219,7 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
         details=np.zeros((0, *bake.modes.shape[1:])),
         target_names=bake.target_names,
         dry=dry,
-        mode_names=(*names, *(f"Dynamorph Target {shapes.target_names[j]}" for j in used)),
+        key_names=(*names, *(shapes.key_names[j] for j in used)),
     )
 
 

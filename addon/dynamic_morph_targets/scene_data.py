@@ -520,7 +520,8 @@ class Bake:
     frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
     details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). dry (F, r): the coordinates
     of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind space, for
-    what else moves with the flesh. mode_names (r,): of the shape keys that they become; empty: numbered.
+    what else moves with the flesh. key_names (r + J,): of the shape keys that modes and details become; empty:
+    numbered, and by the targets.
     """
 
     frames: np.ndarray
@@ -531,7 +532,7 @@ class Bake:
     target_names: tuple[str, ...]
     dry: np.ndarray
     node_modes: np.ndarray | None = None
-    mode_names: tuple[str, ...] = ()
+    key_names: tuple[str, ...] = ()
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""

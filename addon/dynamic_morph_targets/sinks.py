@@ -261,7 +261,7 @@ def read_back(obj, samples: int = 1) -> Bake:
         details=np.zeros((0, *basis.shape)),
         target_names=tuple(target.name for target in obj.dynamorph.targets),
         dry=np.array([values(dry.get(path)) for path in paths]).T,
-        mode_names=tuple(block.name for block in blocks),
+        key_names=tuple(block.name for block in blocks),
     )
 
 
@@ -323,7 +323,9 @@ def _scaled_keys(bake: Bake, basis: np.ndarray) -> list[_Key]:
 
     Blender clamps an animated value to its slider, so the largest coordinate becomes 1 and the shape takes the factor.
     """
-    keys = []
+    keys, count = [], len(bake.modes)
+    numbered = [f"Dynamorph Mode {k + 1:02d}" for k in range(count)]
+    names = bake.key_names or (*numbered, *(f"Dynamorph Detail {name}" for name in bake.target_names))
     negligible = NEGLIGIBLE * np.ptp(basis, axis=0).max()
 
     def points(displacement):
@@ -333,14 +335,13 @@ def _scaled_keys(bake: Bake, basis: np.ndarray) -> list[_Key]:
         motion, shapes = bake.coordinates[:, k], bake.dry[:, k]
         largest = max(np.abs(motion).max(), np.abs(shapes).max()) or 1.0
         needed = np.abs(mode).max() * np.abs(shapes).max() > negligible
-        name = bake.mode_names[k] if bake.mode_names else f"Dynamorph Mode {k + 1:02d}"
         without = shapes / largest if needed else None
-        keys.append(_Key(_fit(name), points(largest * mode), -1.0, motion / largest, without))
+        keys.append(_Key(_fit(names[k]), points(largest * mode), -1.0, motion / largest, without))
     for j, detail in enumerate(bake.details):
         weights = bake.weights[:, j]
         largest = np.abs(weights).max()
         if np.abs(detail).max() * largest > negligible:
-            name = _fit(f"Dynamorph Detail {bake.target_names[j]}")
+            name = _fit(names[count + j])
             values = weights / largest  # with the motion too: the strips may be moved apart
             lowest = -1.0 if weights.min() < 0.0 else 0.0
             keys.append(_Key(name, points(largest * detail), lowest, values if len(bake.modes) else None, values))

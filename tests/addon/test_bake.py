@@ -637,6 +637,7 @@ def test_a_range_is_baked_into_other_sinks(shot, soft_arm, tmp_path, sink):
     strip.influence = 1.0
     soft_arm.dynamorph.output.sink = sink
     rebaked(soft_arm, 8, 15, folder=tmp_path)
+    assert soft_arm.data.shape_keys.key_blocks["flexed"].mute
     assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
     setattr(*part("sinks").influence(soft_arm), 0.0)
     part("sinks").show_influence(soft_arm)
