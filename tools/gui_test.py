@@ -29,7 +29,7 @@ BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the guide
 PICTURES = ROOT / "docs/images/guide"
 CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part does without, and says so
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
-SCREEN = (1600, 1000)
+SCREEN = (1600, 1100)
 MIRROR = "http://deb.debian.org/debian"
 PACKAGES = (
     "blender xvfb xauth imagemagick libgl1-mesa-dri "
