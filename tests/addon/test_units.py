@@ -114,7 +114,7 @@ def reframe(held, frame: Matrix):
 def _scale_travel(rig, factor: float):
     """Bones travel in the armature's own units."""
     data = rig.animation_data
-    for curve in part("extract")._curves(data.action, data.action_slot):
+    for curve in part("checks").curves(data.action, data.action_slot):
         if curve.data_path.endswith("location"):
             for key in curve.keyframe_points:
                 for point in (key.co, key.handle_left, key.handle_right):
