@@ -33,11 +33,9 @@ TABS = 30  # pixels: the tabs beside a sidebar
 END = 500  # no buttons for so many pixels: there are none below
 NEAR = 300  # pixels: no section is higher
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
-DOUBLE_CLICK = 0.5  # seconds, more than Blender's default
 
 result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
 actions = 0  # clicks, keys and entries so far, as an artist counts them
-clicked = 0.0  # when
 
 
 def window():
@@ -100,14 +98,10 @@ def drag(path):
 
 
 def click(position):
-    """A click for itself: with one at the same place just before it would be a double click."""
-    global actions, clicked
+    global actions
     actions += 1
     yield from move(position)
-    if time.monotonic() - clicked < DOUBLE_CLICK:
-        yield DOUBLE_CLICK
     yield from tap("LEFTMOUSE", position)
-    clicked = time.monotonic()
 
 
 # Eyes ----------------------------------------------------------------------------------------------------------------
