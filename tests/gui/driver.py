@@ -236,7 +236,7 @@ class Region:
     def near(self, wanted: str):
         """Look where the button was last, then as far from there as the one before it was, then below and above."""
         x, y = self.seen(wanted)
-        for offset in sorted(range(-200, 201, ROW), key=lambda offset: (offset != 0, abs(offset - self.shift))):
+        for offset in sorted({0, *range(-200, 201, ROW)}, key=lambda offset: (offset != 0, abs(offset - self.shift))):
             if is_button((yield from self.look((x, y + offset))), wanted):
                 self.shift = offset or self.shift
                 return True
