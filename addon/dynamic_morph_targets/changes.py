@@ -51,7 +51,7 @@ def outdated(obj) -> list[str]:
     except SceneError as error:
         return [str(error)]
     then = _parsed(record.inputs)
-    if settings.simulation.keep_outside:  # the range is that of the next patch
+    if settings.simulation.is_patch:  # the range is that of the next patch
         now["simulation"] |= {name: then["simulation"][name] for name in ("start", "end")}
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:

@@ -21,8 +21,12 @@ from .scene_data import Bake, OutputSettings
 CHUNK = 64  # frames whose surfaces are made at once: bounds memory
 ALIGNMENT = 64  # of the arrays in a clip, so that a program may use them where they are
 NOISE = 1e-5  # of the farthest that a shape moves a vertex: less is what is lost by keys of float32
-MOST_KEYS = 2000  # of single frames: Blender plays no more, and they would fill the memory
+MOST_KEYS = 2000  # of single frames: with their curves they would fill the memory
 PADDING_FIELD = 0xD935  # of a ZIP entry's extra fields, as zipalign writes it
+
+
+class ClipError(ValueError):
+    """A bake cannot become that. The message says what to do."""
 
 
 def surfaces(bake: Bake, vertices: np.ndarray, chunk: int = CHUNK) -> Iterator[np.ndarray]:
@@ -67,12 +71,12 @@ def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
 
 def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Bake, float]:
     """The bake as the shape keys that `output` asks for, and how far the surface is off at most, metres; to_bind as for
-    `reach`. A point cache has keys only for what shows without it. Raises ValueError when there would be too many.
+    `reach`. A point cache has keys only for what shows without it. Raises ClipError when there would be too many.
     """
     if output.sink == "FRAMES":
         kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.every)
         if len(kept) > MOST_KEYS:
-            raise ValueError(
+            raise ClipError(
                 f"{len(kept)} shape keys are too many, {MOST_KEYS} are the most: raise Frame Step or Tolerance, or "
                 "choose a point cache"
             )

@@ -348,7 +348,7 @@ class Job:
         self.settings = settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
         chosen = obj.dynamorph.simulation
-        if self.bake and chosen.keep_outside and (self.frames or not chosen.use_scene_range):
+        if self.bake and (chosen.is_patch or (chosen.keep_outside and self.frames)):
             self._read_kept(obj)
         self._whole = whole or settings.loop or fits
         if self.share and self.bake and not (self._whole or self.before or self.character.probed):
@@ -648,10 +648,13 @@ class Job:
         with self._stage("simulate"):
             self.result, self.report = self.shot.bake()
             self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
+        for name in ("coordinates", "weights", "modes", "details", "dry"):
+            if not all(np.isfinite(getattr(bake, name)).all() for bake in (self.result, *self.carried)):
+                raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
         self.message = "Making keys"
-        if self.before:
-            self._splice()
         with self._stage("make keys"):
+            if self.before:
+                self._splice()
             self._make_keys()
         self.warnings += self.report["warnings"]
         first, last = self.model.summary.get("fitted", (self.settings.start, self.settings.end))
@@ -662,9 +665,6 @@ class Job:
                 f"{self.report['inverted']} of {len(self.model.tets)} tetrahedra turn inside out at worst: raise "
                 "Stiffness or Cage Nodes, or smooth the sculpt"
             )
-        for name in ("coordinates", "weights", "modes", "details", "dry"):
-            if not all(np.isfinite(getattr(bake, name)).all() for bake in (self.result, *self.carried)):
-                raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
 
     def _to_metres(self) -> list[np.ndarray]:
         """Local to metric space (3, 3) of the body and of what follows it."""
@@ -688,8 +688,8 @@ class Job:
         ):
             try:
                 keys, error = clips.as_keys(bake, self.output, to_metres)
-            except ValueError as error:
-                raise SceneError(f"'{name}': {error}") from error
+            except clips.ClipError as refusal:
+                raise SceneError(f"'{name}': {refusal}") from refusal
             off, cache = max(off, error), None
             if self.output.sink in clips.CACHES:
                 content = clips.digest(bake, points, self.settings.fps)

@@ -563,6 +563,11 @@ class DynamorphSimulation(PropertyGroup):
         override=OVERRIDE,
     )  # fmt: skip
 
+    @property
+    def is_patch(self) -> bool:
+        """Whether the range is to go into the last bake."""
+        return self.keep_outside and not self.use_scene_range
+
     def steps_per_frame(self, fps: float) -> int:
         return self.substeps or max(1, math.ceil(120.0 / fps - 1e-6))
 

@@ -442,6 +442,8 @@ def _accelerate(loop: _Loop) -> bool:
         ended = loop(began)
         if loop.is_closed:
             return True
+        if not np.isfinite(loop.off).all():
+            return False
         best = min((np.linalg.norm(off) for _, off in passes), default=np.inf)
         if not np.linalg.norm(loop.off) < 10.0 * best:  # far from linear: what was learned does not help
             passes.clear()

@@ -11,6 +11,7 @@ there may be a point cache: a Mesh Cache modifier before all others, whose influ
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -461,7 +462,9 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
         obj.modifiers.move(len(obj.modifiers) - 1, 0)  # it has the surface that the others deform
     render, samples = bpy.context.scene.render, clips.samples_per_frame(bake)
     modifier.cache_format = file.suffix[1:].upper()
-    modifier.filepath = bpy.path.relpath(str(file)) if bpy.data.filepath else str(file)
+    modifier.filepath = str(file)
+    with suppress(ValueError):  # on another drive
+        modifier.filepath = bpy.path.relpath(str(file)) if bpy.data.filepath else str(file)
     modifier.frame_start = bake.frames[0] * samples  # the modifier scales first
     modifier.frame_scale = samples * render.frame_map_new / render.frame_map_old
     modifier.show_in_editmode = False

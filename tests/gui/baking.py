@@ -55,7 +55,8 @@ def other_keys():
         yield from job_done()
         assert np.abs(shown_at(limb.FLEXED + 1) - whole).max() < 1e-3
     assert len(settings().bake.keys) == 8
-    output.keys = 0
+    yield from sidebar.enter("output.keys", "0")
+    yield from bake_again()
 
 
 @step("Out of date", picture=sidebar)
