@@ -83,4 +83,4 @@ if ! compgen -G '.venv/3.*/bin/python' >/dev/null; then
   echo "setup: Dynamorph needs Python ${supported[0]} or ${supported[1]}" >&2
   exit 1
 fi
-[[ ${1:-} != farm ]] || make_openjd_environment
+make_openjd_environment

@@ -251,6 +251,18 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         size=16, default=IDENTITY, override=OVERRIDE,
     )  # fmt: skip
 
+    frequency: FloatProperty(
+        name="Frequency",
+        description="Natural frequency in hertz that the next build gives the stiffness of this target. 0: the "
+        "stiffness in pascals counts as it is",
+        default=0.0, min=0.0, max=1000.0, override=OVERRIDE,
+    )  # fmt: skip
+    by_hand: BoolProperty(
+        name="Set by Hand",
+        description="Whether the artist has set the bounce or the stiffness, which no build or rehearsal then changes",
+        override=OVERRIDE,
+    )  # fmt: skip
+
     # What artists call it. Computed from the properties above and from what the last build measured.
     bounce: FloatProperty(
         name="Bounce (Hz)",
@@ -454,6 +466,21 @@ class DynamorphModel(PropertyGroup):
         "hangs at, so that they move by themselves",
         default=ModelSettings.separate, override=OVERRIDE,
     )  # fmt: skip
+    hold: EnumProperty(
+        name="Hold",
+        description="What holds the soft tissue against the skeleton",
+        items=(
+            ("BONES", "Bones", "What is near a bone is fixed to it; see Bone Pinning", 0),
+            ("THICKNESS", "Thickness", "The core of the body and its thin parts are held, wherever its bones are", 1),
+        ),
+        default=ModelSettings.hold, override=OVERRIDE,
+    )  # fmt: skip
+    one_cage: BoolProperty(
+        name="One Cage",
+        description="Simulate the meshes that are With Body together with this one, in a cage around all of them, so "
+        "that their seams stay closed",
+        default=ModelSettings.one_cage, override=OVERRIDE,
+    )  # fmt: skip
     vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
     cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
@@ -530,6 +557,26 @@ class DynamorphSimulation(PropertyGroup):
         description="Factor on the scene's Wind and Force fields, whose strength is newtons on a square metre of skin",
         default=1.0, min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
+    amount: FloatProperty(
+        name="Amount",
+        description="How much of the motion shows, in Live and in the next bake: 0 none, 1 as simulated",
+        default=1.0, min=0.0, max=4.0, soft_max=2.0, subtype="FACTOR", override=OVERRIDE, update=_shown_changed,
+    )  # fmt: skip
+    max_displacement: FloatProperty(
+        name="Max Displacement",
+        description="How far the skin may move away from the animation, as a part of the body's size. The first bake "
+        "of a shot rehearses it and raises Bounce until this holds. 0: no limit",
+        default=0.0, min=0.0, max=1.0, soft_max=0.2, precision=3, subtype="FACTOR", override=OVERRIDE,
+    )  # fmt: skip
+    max_thickness: FloatProperty(
+        name="Of Thickness",
+        description="How far the skin may move away from the animation, as a part of how thick the body is there. "
+        "0: no limit",
+        default=0.0, min=0.0, max=10.0, soft_max=1.0, precision=2, subtype="FACTOR", override=OVERRIDE,
+    )  # fmt: skip
+    rehearsed: StringProperty(
+        name="Rehearsed", description="What the rehearsal of the shot has set, for the artist", override=OVERRIDE
+    )
     begin: EnumProperty(
         name="Begin",
         description="What the flesh does before the first frame",
@@ -622,6 +669,7 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
+    verdict: StringProperty(name="Verdict", description="How believable the last bake looks, as JSON")
     content_id: StringProperty(name="Bake Id", description="Hash of all that the bake was made from")
     digest: StringProperty(name="Result Id", description="Hash of what was simulated")
 

@@ -318,7 +318,13 @@ def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
 FREE_SETTINGS = {"blending"}
 ENGINE = 1  # of what is computed: raised when the same scene gives another model or another motion than before
 # Settings that came later, at the value that builds what was built before: a model from then stays up to date.
-LATER_SETTINGS = {"cage_thickness": 0.0, "cage_grading": 0.0, "separate": True}
+LATER_SETTINGS = {
+    "cage_thickness": 0.0,
+    "cage_grading": 0.0,
+    "separate": True,
+    "hold": "BONES",
+    "one_cage": False,
+}
 
 
 @dataclass(frozen=True)
@@ -336,6 +342,8 @@ class ModelSettings:
     cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
+    hold: str = "BONES"  # what holds the body: pins near the bones, or THICKNESS, a continuous hold of core and thin parts
+    one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
 
 
 class OwnCage(NamedTuple):
@@ -356,6 +364,8 @@ class Character:
     deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
     transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
     with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
+    rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
+    with the hold by thickness the cage is held there.
     """
 
     name: str
@@ -372,10 +382,13 @@ class Character:
     probed: bool = False
     cage: OwnCage | None = None
     pieces: np.ndarray = None
+    rigidity: np.ndarray = None
 
     def __post_init__(self):
         if self.pieces is None:
             object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
+        if self.rigidity is None:
+            object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
 
     @property
     def targets(self) -> list[Target]:

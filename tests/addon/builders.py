@@ -78,10 +78,21 @@ def make_soft(obj, keys=("flexed",)):
     scene = bpy.context.scene
     activate(obj)
     bpy.ops.dynamorph.add_soft_skin()
+    with_pins(obj)
     scene.frame_set(20)
     for key in keys:
         bpy.ops.dynamorph.add_target(key=key)
     scene.frame_set(1)
+    return obj
+
+
+def with_pins(obj):
+    """The settings that files from before the hold by thickness have: most tests check what those do."""
+    settings = obj.dynamorph
+    settings.model.hold, settings.model.one_cage = "BONES", False
+    settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
+    for target in settings.targets:
+        target.set_material(part("scene_data").Material())
     return obj
 
 

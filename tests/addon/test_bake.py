@@ -6,7 +6,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from builders import activate, evaluated_points, part, rig_of
+from builders import activate, evaluated_points, fingerprint, part, rig_of
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -402,16 +402,17 @@ def test_a_loop_closes(shot, travel):
 
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
     """What flesh that is too soft for accelerated passes falls back to."""
-    simulate, rig, settings = part("simulate"), cyclic(shot), replace(shot.settings, end=12, loop=True)
+    simulate, loops = part("simulate"), part("loops")
+    rig, settings = cyclic(shot), replace(shot.settings, end=12, loop=True)
     found, steps = [], []
-    monkeypatch.setattr(simulate, "PLAIN", 1)  # more would find it
-    step = simulate._newton_step
-    monkeypatch.setattr(simulate, "_newton_step", lambda *args: steps.append(1) or step(*args))
+    monkeypatch.setattr(loops, "PLAIN", 1)  # more would find it
+    step = loops._newton_step
+    monkeypatch.setattr(loops, "_newton_step", lambda *args: steps.append(1) or step(*args))
     for passes in (40, 0):
-        monkeypatch.setattr(simulate, "ACCELERATED", passes)
+        monkeypatch.setattr(loops, "ACCELERATED", passes)
         player = simulate.Player(shot.model, shot.character, settings)
-        frames, gap = simulate.cycle(player, rig)
-        assert gap <= 1e-6 * size(shot) and player.passes < simulate.PASSES
+        frames, gap = part("loops").cycle(player, rig)
+        assert gap <= 1e-6 * size(shot) and player.passes < part("loops").PASSES
         found.append(np.array([frame.coordinates for frame in frames]))
     assert steps
     assert found[1] == pytest.approx(found[0], abs=1e-4 * np.abs(found[0]).max())
@@ -427,9 +428,9 @@ def test_a_loop_closes_in_velocity_too(shot):
     settings = replace(shot.settings, end=12, loop=True)
 
     player = simulate.Player(shot.model, character, settings)
-    frames, gap = simulate.cycle(player, rig)
+    frames, gap = part("loops").cycle(player, rig)
     assert gap <= 1e-6 * size(shot)
-    assert player.passes < simulate.PASSES
+    assert player.passes < part("loops").PASSES
     substeps = settings.substeps  # the player has gone on by a frame: it plays the same cycle again
     following = list(player.play(rig[1 + substeps :], settings.frames[2:]))
     again = np.array([frame.coordinates for frame in following])
@@ -463,7 +464,7 @@ class Map:
 def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
     """Where passes alone would need thousands."""
     loop = Map(0.999)
-    assert part("simulate")._accelerate(loop)
+    assert part("loops")._accelerate(loop)
     assert loop.passes <= 9
 
 
@@ -471,7 +472,7 @@ def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
 def test_newtons_method_finds_fixed_points(factor):
     """That passes alone hardly come nearer to, or leave; or one that they meet at once."""
     loop = Map(factor)
-    part("simulate")._newton(loop)
+    part("loops")._newton(loop)
     assert loop.is_closed
     assert loop.passes < 60
 
@@ -642,6 +643,42 @@ def test_a_range_is_baked_into_other_sinks(shot, soft_arm, tmp_path, sink):
     setattr(*part("sinks").influence(soft_arm), 0.0)
     part("sinks").show_influence(soft_arm)
     assert np.abs(shown_at(soft_arm, range(1, 21)) - still).max() < 1e-5
+
+
+def test_numbers_that_are_none_are_refused_before_keys_are_made(shot, soft_arm, tmp_path, monkeypatch):
+    """And before a file of a point cache is written."""
+    simulate, jobs = part("simulate"), part("jobs")
+    whole = simulate.Shot.bake
+
+    def spoiled(self):
+        bake, report = whole(self)
+        bake.coordinates[3, 0] = np.nan
+        return bake, report
+
+    monkeypatch.setattr(simulate.Shot, "bake", spoiled)
+    before = fingerprint(soft_arm)
+    for sink in ("MODES", "FRAMES", "PC2"):
+        soft_arm.dynamorph.output.sink, soft_arm.dynamorph.output.keys = sink, 4
+        with pytest.raises(jobs.SelfCheckError, match="'Arm': the engine's coordinates are not numbers"):
+            jobs.run(jobs.Job(soft_arm, goal="BAKE", folder=tmp_path))
+    assert fingerprint(soft_arm) == before
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_loop_that_comes_to_no_numbers_ends(bad):
+    loop = Map(0.9)
+    loop.shift[2] = bad
+    assert not part("loops")._accelerate(loop)
+    part("loops")._newton(loop)
+    assert loop.passes < 20
+
+
+def test_too_many_keys_are_refused_by_name(shot, soft_arm, monkeypatch):
+    monkeypatch.setattr(part("clips"), "MOST_KEYS", 10)
+    soft_arm.dynamorph.output.sink = "FRAMES"
+    with pytest.raises(ValueError, match="'Arm': 20 shape keys are too many, 10 are the most: raise Frame Step"):
+        part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
 
 
 def test_what_the_other_frames_were_made_from_is_said(shot, soft_arm):

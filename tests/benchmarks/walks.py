@@ -13,7 +13,7 @@ import numpy as np
 import plots
 from builders import evaluated_points
 from contact_sheet import Row, compose, quiet, render, save
-from dynamic_morph_targets import jobs, simulate
+from dynamic_morph_targets import jobs, loops, simulate
 from mathutils import Matrix, Vector
 from PIL import Image
 
@@ -235,7 +235,7 @@ def draw_motion(job, without: np.ndarray, cycles: np.ndarray):
 def draw_passes(job, gaps: list[float]):
     """How the gap closes pass by pass."""
     watched = Watched(job.model, job.character, job.settings)
-    simulate.cycle(watched, job.rig)
+    loops.cycle(watched, job.rig)
     closing = [max(pair) for pair in zip(watched.gaps[::2], watched.gaps[1::2], strict=True)]
     curves = {
         "with Loop": (range(1, len(closing) + 1), closing),
@@ -246,7 +246,7 @@ def draw_passes(job, gaps: list[float]):
     plots.draw(panel, "Gap where the cycle begins again", curves, "passes", "body sizes", marker="o", ms=3)
     for line, colour in zip(panel.lines, (LOOP, OPEN), strict=True):
         line.set_color(colour)
-    panel.axhline(simulate.CLOSED, color=FAINT, linewidth=0.8, linestyle="--")
+    panel.axhline(loops.CLOSED, color=FAINT, linewidth=0.8, linestyle="--")
     panel.set_yscale("log")
     panel.legend(fontsize=8)
     plots.save(drawing, IMAGES / "passes.svg")
