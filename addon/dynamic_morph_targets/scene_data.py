@@ -324,6 +324,7 @@ LATER_SETTINGS = {
     "separate": True,
     "hold": "BONES",
     "one_cage": False,
+    "hold_head": False,
 }
 
 
@@ -344,6 +345,7 @@ class ModelSettings:
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
     hold: str = "BONES"  # what holds the body: pins near the bones, or THICKNESS, a continuous hold of core and thin parts
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
+    hold_head: bool = False  # the skin of the head is held like something rigid; with one_cage
 
 
 class OwnCage(NamedTuple):
@@ -366,6 +368,9 @@ class Character:
     with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
     rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
     with the hold by thickness the cage is held there.
+
+    With one_cage the arrays cover the vertices of several meshes: first those of the soft skin's own mesh (`own`), then
+    those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
     """
 
     name: str
@@ -383,12 +388,21 @@ class Character:
     cage: OwnCage | None = None
     pieces: np.ndarray = None
     rigidity: np.ndarray = None
+    coincident: np.ndarray = None
+    parts: tuple[Follower, ...] = ()
 
     def __post_init__(self):
         if self.pieces is None:
             object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
         if self.rigidity is None:
             object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
+        if self.coincident is None:
+            object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
+
+    @property
+    def own(self) -> slice:
+        """Which of the vertices are those of the soft skin's own mesh."""
+        return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
 
     @property
     def targets(self) -> list[Target]:
@@ -435,8 +449,9 @@ class Follower:
     """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
 
     session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
-    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own;
-    skin: the points of the character's surface nearest to the vertices.
+    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own.
+    What moves it is either `skin`, the points of the character's surface nearest to the vertices, or the character's
+    cage, of whose vertices it is the `members`.
     """
 
     name: str
@@ -444,7 +459,8 @@ class Follower:
     points: np.ndarray
     vertices: np.ndarray
     from_body: np.ndarray
-    skin: SurfaceMap
+    skin: SurfaceMap | None = None
+    members: slice | None = None
 
 
 @dataclass(frozen=True)
