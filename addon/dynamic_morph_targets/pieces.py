@@ -20,6 +20,7 @@ LARGE = 0.02  # of the body's area: larger loose parts are a piece each
 RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rigidly
 ACCESSORY = 0.05  # of the soft skin of a character's largest mesh: one with less is not what is meant to be soft
 FEW_BONES = 3  # that are named in a reason
+FEWEST_BONES = 3  # that carry the parts of a character that is wholly hard
 
 
 # What a character has ----------------------------------------------------------------------------------------------
@@ -192,6 +193,7 @@ def _find_in_body(obj) -> list[str]:
         if refusal and other not in listed:
             choice = "OWN_CAGE" if other.dynamorph.targets else "RIGID"
             added.append(_add(obj, other, "", choice, refusal))
+    _leave_something_soft(found)
     for each, touches in zip(found, _touching(found), strict=True):
         whole = each.obj != obj and each.hard.all() and len(set(each.bones.tolist())) == 1
         if each.obj != obj and each.obj not in listed:
@@ -224,6 +226,16 @@ def _look_at(obj, other, rig, world: np.ndarray, to_bind: np.ndarray) -> _Found:
     labels = loose_parts(local, triangles)
     points = extract.carried(local, to_body) @ to_bind.T
     return _Found(other, labels, points, triangles, weights, *rigid.rigid_parts(labels, weights))
+
+
+def _leave_something_soft(found: list[_Found]):
+    """Where all is rigid, but on a bone or two, the largest part is a body after all: a jelly, say."""
+    bones = {bone for each in found for bone in each.bones.tolist()}
+    if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
+        return
+    areas = [np.bincount(each.labels, rigid.vertex_areas(each.points, each.triangles)) for each in found]
+    largest = max(range(len(found)), key=lambda k: areas[k].max())
+    found[largest].hard[areas[largest].argmax()] = False
 
 
 def _all_together(found: list[_Found]) -> tuple:
