@@ -82,6 +82,10 @@ def model_inputs(obj) -> dict:
     if settings.stiffness_group:
         groups["stiffness_factor"] = settings.stiffness_factor
     groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
+    if settings.model.one_cage:
+        groups["attachments"] = [
+            [piece.choice, piece.group] for piece in settings.pieces if piece.object and piece.object.users_scene
+        ]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
     targets = {name: {"mute": target.mute, "region": target.region} for name, target in named_targets(obj)}
     scene = {"unit_scale": extract.unit_scale(), "engine": ENGINE}

@@ -358,26 +358,42 @@ def _cage_chosen(model, _context):
         watch.look_soon()
 
 
+def _choice_made(piece, _context):
+    if piece.reason:
+        piece.reason = ""
+
+
 class DynamorphPiece(PropertyGroup):
-    """Eyes, teeth, clothes: another mesh object, or a part of this mesh. `name` is what it was called when found."""
+    """Eyes, teeth, clothes: another mesh object, or a part of this mesh or of that one. `name` is what it was called
+    when found.
+    """
 
     object: PointerProperty(
         name="Object", description="Another mesh on the same armature; none for a part of this mesh",
         type=bpy.types.Object, poll=_is_other_mesh, override=OVERRIDE,
     )  # fmt: skip
     group: StringProperty(
-        name="Vertex Group", description="Of a part of this mesh: its vertices have a weight of a half or more",
+        name="Vertex Group", description="Of a part of the mesh: its vertices have a weight of a half or more",
         override=OVERRIDE,
     )  # fmt: skip
     choice: EnumProperty(
-        name="Moves",
-        description="What moves the piece",
+        name="Attached By",
+        description="What moves the attachment",
         items=(
-            ("WITH_BODY", "With Body", "The flesh that it is in, or nearest to, carries it along"),
-            ("OWN_CAGE", "Own Cage", "It is simulated by itself, in a cage of its own"),
-            ("RIGID", "Rigid", "Its bones alone"),
+            ("WITH_BODY", "With Body", "The soft tissue that it is in, or nearest to, carries it along", 0),
+            ("OWN_CAGE", "Own Cage", "It is simulated by itself, in a cage of its own", 1),
+            ("RIGID", "Rigid", "Its bones alone", 2),
+            (
+                "HELD", "Held",
+                "It is as hard as bone, in one cage with the soft skin that it touches, so that their seam stays closed",
+                3,
+            ),
         ),
-        default="WITH_BODY", override=OVERRIDE,
+        default="WITH_BODY", override=OVERRIDE, update=_choice_made,
+    )  # fmt: skip
+    reason: StringProperty(
+        name="Reason", description="Why the attachment was listed so. It is empty where the artist has chosen",
+        override=OVERRIDE,
     )  # fmt: skip
 
 
@@ -481,6 +497,13 @@ class DynamorphModel(PropertyGroup):
         "that their seams stay closed",
         default=ModelSettings.one_cage, override=OVERRIDE,
     )  # fmt: skip
+    hold_head: BoolProperty(
+        name="Hold Head",
+        description="Hold the skin of the head as if it were bone, less and less along the neck. What is painted in the "
+        "Soft group stays soft",
+        default=ModelSettings.hold_head, override=OVERRIDE,
+    )  # fmt: skip
+    head: StringProperty(name="Head", description="Bone of the head that was found when the attachments were")
     vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
     cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
@@ -928,12 +951,18 @@ def soft_skins(objects):
 
 def parts_in(obj) -> list:
     """The pieces of a soft skin that are parts of its own mesh."""
-    return [piece for piece in obj.dynamorph.pieces if piece.group]
+    return parts_of(obj, None)
+
+
+def parts_of(obj, mesh) -> list:
+    """The pieces of a soft skin that are parts of another mesh object; None: of its own."""
+    return [piece for piece in obj.dynamorph.pieces if piece.group and piece.object == mesh]
 
 
 def clothes_in(obj) -> list:
     """The other meshes that the flesh of a soft skin is to carry along, without those that are deleted."""
-    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "WITH_BODY"]
+    choices = {"WITH_BODY", "HELD"} if obj.dynamorph.model.one_cage else {"WITH_BODY"}
+    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice in choices]
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 
 
@@ -957,13 +986,19 @@ def followers(obj) -> list:
 def mesh_in(context):
     """The mesh object that buttons and panels are about, or None: the active one, of an armature the soft skin on it.
 
-    Of several soft skins on one armature, a selected one.
+    Of several soft skins on one armature, a selected one; without any, the largest mesh.
     """
     obj = context.object
     if obj is not None and obj.type == "ARMATURE":
         skins = [skin for skin in soft_skins(context.view_layer.objects) if rig_of(skin) == obj]
-        return min(skins, key=lambda skin: not skin.select_get(), default=None)
+        return min(skins, key=lambda skin: not skin.select_get(), default=None) or _largest_on(obj, context)
     return obj if obj is not None and obj.type == "MESH" else None
+
+
+def _largest_on(rig, context):
+    """The mesh with the most vertices that an armature object skins, or None."""
+    skinned = [obj for obj in context.view_layer.objects if obj.type == "MESH" and rig_of(obj) == rig]
+    return max(skinned, key=lambda obj: len(obj.data.vertices), default=None)
 
 
 @persistent

@@ -327,6 +327,7 @@ LATER_SETTINGS = {
     "separate": True,
     "hold": "BONES",
     "one_cage": False,
+    "hold_head": False,
 }
 
 
@@ -345,10 +346,9 @@ class ModelSettings:
     cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
-    hold: str = (
-        "BONES"  # what holds the body: pins near the bones, or THICKNESS, a continuous hold of core and thin parts
-    )
+    hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
+    hold_head: bool = False  # the skin of the head is held like something rigid; with one_cage
 
 
 class OwnCage(NamedTuple):
@@ -372,6 +372,9 @@ class Character:
     rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
     with the hold by thickness the cage is held there. painted: whether the artist painted `softness`, which then says
     alone what is held but for the core.
+
+    With one_cage the arrays cover the vertices of several meshes: first those of the soft skin's own mesh (`own`), then
+    those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
     """
 
     name: str
@@ -390,12 +393,21 @@ class Character:
     pieces: np.ndarray = None
     rigidity: np.ndarray = None
     painted: bool = False
+    coincident: np.ndarray = None
+    parts: tuple[Follower, ...] = ()
 
     def __post_init__(self):
         if self.pieces is None:
             object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
         if self.rigidity is None:
             object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
+        if self.coincident is None:
+            object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
+
+    @property
+    def own(self) -> slice:
+        """Which of the vertices are those of the soft skin's own mesh."""
+        return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
 
     @property
     def targets(self) -> list[Target]:
@@ -451,8 +463,9 @@ class Follower:
     """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
 
     session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
-    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own;
-    skin: the points of the character's surface nearest to the vertices.
+    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own.
+    What moves it is either `skin`, the points of the character's surface nearest to the vertices, or the character's
+    cage, of whose vertices it is the `members`.
     """
 
     name: str
@@ -460,7 +473,8 @@ class Follower:
     points: np.ndarray
     vertices: np.ndarray
     from_body: np.ndarray
-    skin: SurfaceMap
+    skin: SurfaceMap | None = None
+    members: slice | None = None
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def blended_shape(obj, local: np.ndarray) -> np.ndarray:
     _, simulate = jobs.engine()
     character = extract.character(obj)
     weights = simulate.pose_space(character).weights(local[None])[0]
-    return np.tensordot(weights, [target.shape for target in character.targets], 1)
+    return np.tensordot(weights, [target.shape[character.own] for target in character.targets], 1)
 
 
 # Targets -----------------------------------------------------------------------------------------------------------
