@@ -57,7 +57,7 @@ def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray
         found = rigid.heads(own.skeleton, whole.weights, bind, whole.triangles)
         head = rigid.head_rigidity(own.skeleton, whole.weights, bind, whole.triangles, found)
         rigidity = np.maximum(rigidity, np.where(painted & (softness > 0.0), 0.0, head))
-    if own.settings.hold == "BONES":
+    if own.settings.hold == "BONES" or own.painted:  # then nothing asks how rigid the skin is
         softness = softness * (1.0 - rigidity)
     joint_bones = dict.fromkeys(
         bone for each in (obj, *(mesh.obj for mesh in meshes)) for bone in checks.deforming_bones(each, rig)

@@ -128,7 +128,7 @@ def body_for(obj):
     armature is not. Of an armature object the mesh with the most soft skin. Raises SceneError.
     """
     rig = obj if obj.type == "ARMATURE" else rig_of(obj) or _hangs_on(obj)
-    if rig is None:
+    if rig is None or obj.mode == "EDIT":
         return obj
     areas = {other: _soft_area(other, rig) for other in checks.meshes_on(rig) if _may_be_soft(other, rig)}
     largest = max(areas, key=areas.get, default=obj)
@@ -146,7 +146,8 @@ def _hangs_on(obj):
 
 def _may_be_soft(other, rig) -> bool:
     skinned = any(modifier.object == rig for modifier in checks.armature_modifiers(other))
-    return skinned and bool(other.data.polygons) and not (other.library or other.override_library)
+    mine = not (other.library or other.override_library)
+    return skinned and mine and other.mode != "EDIT" and bool(other.data.polygons)
 
 
 def _soft_area(other, rig) -> float:
