@@ -33,7 +33,9 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
     def apply(self, obj):
         chosen = _body_meant(obj)
         if chosen != obj:
-            self.report({"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature")
+            self.report(
+                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
+            )
         obj = chosen
         if obj.dynamorph.targets:
             raise SceneError(f"'{obj.name}' has a soft skin already")
