@@ -305,13 +305,17 @@ def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
 WELD = 1e-6  # of a mesh's diagonal: points nearer than this are one, as imported meshes are split at every seam
 
 
+def welded(points: np.ndarray) -> np.ndarray:
+    """Numbers (V,), from 0, of the places of points (V, 3), which those of a split seam share."""
+    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
+    return np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)[1].ravel()
+
+
 def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Numbers (V,), from 0, of the parts of points (V, 3) that edges or faces (m, k) and seams connect."""
-    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
-    _, welded = np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)
-    welded = welded.ravel()
-    part = connected_parts(welded[elements], welded.max() + 1)
-    return np.unique(part[welded], return_inverse=True)[1].ravel()
+    place = welded(points)
+    part = connected_parts(place[elements], place.max() + 1)
+    return np.unique(part[place], return_inverse=True)[1].ravel()
 
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
@@ -342,7 +346,7 @@ class ModelSettings:
     cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
-    hold: str = "BONES"  # what holds the body: pins near the bones, or THICKNESS, a continuous hold of core and thin parts
+    hold: str = "BONES"  # what holds the body: pins near bones, or THICKNESS, a continuous hold of core and thin parts
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
 
 
