@@ -243,6 +243,8 @@ def draw_targets(layout, obj):
     header.label(text="Targets")
     if body:
         draw_target_list(body, settings)
+        for hint in checks.hints(obj):
+            draw_message(body, hint, icon="INFO")
         if settings.active_target:
             draw_target(body, obj, settings.active_target)
 
@@ -278,7 +280,9 @@ def draw_target(layout, obj, target):
     column = layout.column(align=True)
     column.enabled = jobs.running is None
     if not neutral:
-        column.prop_search(target, "region", obj, "vertex_groups")
+        row = column.row(align=True)
+        row.prop_search(target, "region", obj, "vertex_groups")
+        row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
         column.prop(target, "radius")
     column.prop(target, "influence")
     draw_material(layout, target)

@@ -186,6 +186,10 @@ def _shown_changed(group, _context):
     live.refresh(group.id_data)
 
 
+def _region_chosen(target, _context):
+    target.auto_region = False  # `regions.update` sets it again for those that it chooses itself
+
+
 class DynamorphTarget(KeyReference, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
@@ -237,11 +241,26 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Region",
         description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
         "the neutral target at rest: they do not compete with those of the rest of the body",
+        override=OVERRIDE, update=_region_chosen,
+    )  # fmt: skip
+    auto_region: BoolProperty(
+        name="Automatic Region",
+        description="Whether the region is made from what is sculpted, together with the targets that share a bone "
+        "with this one. A region that you choose or paint stays as it is",
         override=OVERRIDE,
+    )  # fmt: skip
+    made_region: StringProperty(
+        name="Region As Made", description="Hash of the automatic region's weights, to tell whether they were painted",
+        options={"SKIP_SAVE"}, override=OVERRIDE,
     )  # fmt: skip
     bones: CollectionProperty(
         name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
         override=OVERRIDE_LIST,
+    )  # fmt: skip
+    auto_bones: BoolProperty(
+        name="Automatic Bones",
+        description="Whether Finish Sculpting chooses the bones, by what is sculpted. Bones that you choose stay",
+        override=OVERRIDE,
     )  # fmt: skip
     pose: CollectionProperty(
         name="Pose", description="The captured pose of every bone", type=DynamorphBonePose, override=OVERRIDE_LIST
@@ -317,10 +336,18 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     def bone_names(self) -> tuple[str, ...]:
         return tuple(bone.name for bone in self.bones)
 
-    def set_bones(self, names):
+    def set_bones(self, names, automatic=False):
+        """automatic: nobody chose them by hand."""
+        self.auto_bones = automatic
         self.bones.clear()
         for name in names:
             self.bones.add().name = name
+
+    def set_region(self, group: str, automatic: bool):
+        """automatic: `regions.update` keeps the vertex group up to date."""
+        if self.region != group:
+            self.region = group
+        self.auto_region = automatic
 
     def set_pose(self, skeleton: Skeleton, local: np.ndarray, rig_world: np.ndarray):
         """Store a pose: local (B, 4, 4) as `Skeleton.local_transforms` gives it, rig_world (4, 4)."""
@@ -709,6 +736,12 @@ class DynamorphSculpt(PropertyGroup):
     was_posing: BoolProperty(name="Was Posing", description="Whether the armature was in Pose Mode before")
     in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
     on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
+    key: PointerProperty(name="Key", description="The shape key that is sculpted", type=DynamorphKey)
+    is_new: BoolProperty(name="New", description="Whether it began with what the other targets show in its pose")
+    shown: PointerProperty(
+        name="Shown", description="The target's shape key that is turned on to be looked at before there is a model",
+        type=DynamorphKey,
+    )  # fmt: skip
 
 
 class DynamorphSettings(PropertyGroup):
@@ -836,8 +869,9 @@ def reconcile(obj):
         _follow_keys(blocks, settings.bake.muted)
         _follow_baked_keys(blocks, settings.bake)
         _follow_keys(blocks, settings.live.muted)
-        if settings.live.key.name:
-            _follow_keys(blocks, [settings.live.key])
+        for reference in (settings.live.key, settings.sculpt.key, settings.sculpt.shown):
+            if reference.name:
+                _follow_keys(blocks, [reference])
     _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
@@ -895,11 +929,14 @@ def _follow_groups(obj):
     settings.groups = "\n".join(now)
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
-    users = [(settings, "soft_group"), (settings, "stiffness_group"), *((each, "region") for each in settings.targets)]
+    users = [(settings, "soft_group"), (settings, "stiffness_group")]
     users += [(piece, "group") for piece in settings.pieces]
     for user, name in users:
         if getattr(user, name) in renamed:
             setattr(user, name, renamed[getattr(user, name)])
+    for target in settings.targets:
+        if target.region in renamed:
+            target.set_region(renamed[target.region], target.auto_region)
 
 
 def _follow_bones(skeleton: Skeleton, target):
