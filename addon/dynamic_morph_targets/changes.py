@@ -20,6 +20,8 @@ from .extract import SceneError
 from .properties import KEY_REFERENCE, clothes_in, followers, named_targets, parts_in, plain
 from .scene_data import ENGINE, FREE_SETTINGS, SimulationSettings
 
+UNUSED = ("rig_world", "frequency", "by_hand")  # of a target, by a bake as they are: the stiffness says what they do
+
 
 def look_at_animation(obj):
     """Look at the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
@@ -97,7 +99,7 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):
-        own = plain(target, skip=(*KEY_REFERENCE, "rig_world"))
+        own = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
         seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
         inputs["targets"][name] = own | {"bones": target.bone_names(), "pose": seen}
     return json.loads(json.dumps(inputs))

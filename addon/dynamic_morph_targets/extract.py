@@ -792,4 +792,5 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         chosen.begin,
         chosen.loop,
         gains if set(gains) != {1.0} else (),
+        chosen.amount,
     )

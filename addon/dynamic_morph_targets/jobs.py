@@ -22,7 +22,20 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, clips, extract, live_key, materials, model_file, preferences, probe, properties, share, sinks
+from . import (
+    changes,
+    clips,
+    comparison,
+    extract,
+    live_key,
+    materials,
+    model_file,
+    preferences,
+    probe,
+    properties,
+    share,
+    sinks,
+)
 from .extract import SceneError
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
@@ -259,14 +272,15 @@ class Job:
 
     goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE". frames: (start, end), substeps: override the
     object's settings. folder: where large models go. rebuild: build even when the model is up to date. share: where
-    built models and unfinished bakes are kept for other processes.
+    built models and unfinished bakes are kept for other processes. rehearse: rehearse the shot first,
+    though that was done before.
 
     A long shot is read and simulated in stretches, one after the other.
     """
 
     def __init__(
         self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, rebuild=False,
-        share: share.Share | None = None,
+        share: share.Share | None = None, rehearse=False,
     ):  # fmt: skip
         self.session_uid = obj.session_uid
         self.name = obj.name
@@ -278,6 +292,7 @@ class Job:
         self.folder = folder
         self.rebuild = rebuild
         self.share = share
+        self.rehearse = rehearse
         self.fraction = 0.0
         self.message = ""
         self.cancelled = False
@@ -526,6 +541,8 @@ class Job:
         pieces = [find(follower.session_uid) for follower in self.followers]
         for piece in pieces:
             sinks.check(piece, needs_keys=False)  # before anything is written
+        if comparison.is_plain(obj):
+            comparison.show(obj, False)
         live_key.remove(obj)
         for piece in properties.followers(obj):
             if piece not in pieces:

@@ -79,9 +79,12 @@ class Flesh:
 
     def moved(self, values: np.ndarray) -> float:
         """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
+        return float(np.linalg.norm(self.motion(values) @ self.character.to_bind.T, axis=1).max())
+
+    def motion(self, values: np.ndarray) -> np.ndarray:
+        """How far the points (V, 3) are from there, local space."""
         motion = values[: self.modes] - self.player.dry(values[self.modes :])
-        displacement = _blended(motion, self.skin.shapes[: self.modes]).reshape(-1, 3)
-        return float(np.linalg.norm(displacement @ self.character.to_bind.T, axis=1).max())
+        return _blended(motion, self.skin.shapes[: self.modes]).reshape(-1, 3)
 
 
 class Surface:
@@ -189,6 +192,13 @@ class Session:
             )
         return values
 
+    def motion(self) -> np.ndarray | None:
+        """How far the points (V, 3) are, at the frame that shows, from where the targets' shapes would have them: local
+        space. None before the first frame.
+        """
+        frame = self._frames.get(self.now)
+        return frame and self.flesh.motion(self.flesh.values(frame))
+
     def rig_changed(self):
         """The rig moves otherwise from here on."""
         self.rig.forget()
@@ -291,7 +301,7 @@ def _sampling(obj) -> tuple:
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:
     """What a step depends on."""
-    return replace(settings, start=0, end=0, gains=())
+    return replace(settings, start=0, end=0, gains=(), amount=1.0)
 
 
 def _gains(obj, count: int) -> np.ndarray:

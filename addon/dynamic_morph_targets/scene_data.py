@@ -342,7 +342,7 @@ class ModelSettings:
     cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
-    hold: str = "BONES"  # what holds the body: pins near the bones, or THICKNESS, a continuous hold of core and thin parts
+    hold: str = "BONES"  # what holds the body: pins near the bones, or THICKNESS: its core and its thin parts
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
 
 
@@ -454,7 +454,8 @@ class SimulationSettings:
     samples: states a frame that are kept, of which `substeps` is a multiple.
     begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
     preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
-    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them; amount: on all
+    of it.
     """
 
     start: int = 1
@@ -469,6 +470,7 @@ class SimulationSettings:
     begin: str = "SETTLE"
     loop: bool = False
     gains: tuple[float, ...] = ()
+    amount: float = 1.0
 
     def __post_init__(self):
         if self.substeps % self.samples:
