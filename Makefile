@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness bakes farm-demo fuzz stubs format lint wheel \
+.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness believable believable-docs bakes farm-demo fuzz stubs format lint wheel \
 	extension clean
 
 # Evaluated when a recipe runs, after `setup`.
@@ -55,6 +55,17 @@ bench-docs: build
 # docs/robustness.md with its picture, from the characters of ../shared; takes about a minute.
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
+
+# docs/believable.md with its pictures, from every character of ../shared after one click; takes about 5 minutes.
+# only="Cow Fox" measures those again, at_once=1 one character at a time, which its seconds are best for.
+only ?=
+at_once ?= $(jobs)
+believable: build
+	@$(python) tests/benchmarks/believable.py --only "$(only)" --jobs $(at_once)
+
+# docs/believable.md from what was measured before.
+believable-docs: build
+	@$(python) tests/benchmarks/believable.py --page
 
 # docs/bakes.md with its pictures, from the characters of ../shared; takes a few minutes. sections="loops kills"
 # measures those alone.
