@@ -342,9 +342,7 @@ class ModelSettings:
     cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
-    hold: str = (
-        "BONES"  # what holds the body: pins near the bones, or THICKNESS, a continuous hold of core and thin parts
-    )
+    hold: str = "BONES"  # what holds the body: pins near the bones, or THICKNESS, a continuous hold of core and thin parts
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
 
 
