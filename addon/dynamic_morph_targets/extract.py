@@ -86,6 +86,7 @@ def character(obj, without_targets=False) -> Character:
         probed=bool(checks.beyond_bones(obj)),
         pieces=_pieces(obj, groups),
         cage=_own_cage(obj, modifier.object, to_bind),
+        painted=bool(obj.dynamorph.soft_group),
     )
 
 
@@ -239,7 +240,10 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
         raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
-    return Target(target.name, shape, target.bone_names(), local, rig_world, material, target.radius, target.influence)
+    return Target(
+        target.name, shape, target.bone_names(), local, rig_world, material, target.radius, target.influence,
+        target.frequency, target.by_hand,
+    )  # fmt: skip
 
 
 def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:

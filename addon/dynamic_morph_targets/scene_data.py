@@ -241,7 +241,8 @@ class Target:
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
     angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the flesh's
-    motion shows in its pose, 0 to 1.
+    motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where the material says it;
+    by_hand: whether the artist has set it, so that no rehearsal changes it and it does not follow the neutral target.
     """
 
     name: str
@@ -252,6 +253,8 @@ class Target:
     material: Material
     radius: float = 0.0
     influence: float = 1.0
+    frequency: float = 0.0
+    by_hand: bool = False
 
 
 @dataclass(frozen=True)
@@ -365,7 +368,8 @@ class Character:
     transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
     with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
     rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
-    with the hold by thickness the cage is held there.
+    with the hold by thickness the cage is held there. painted: whether the artist painted `softness`, which then says
+    alone what is held but for the core.
     """
 
     name: str
@@ -383,6 +387,7 @@ class Character:
     cage: OwnCage | None = None
     pieces: np.ndarray = None
     rigidity: np.ndarray = None
+    painted: bool = False
 
     def __post_init__(self):
         if self.pieces is None:
@@ -398,6 +403,15 @@ class Character:
     def with_settings(self, **changes) -> Character:
         """The same character, built otherwise."""
         return replace(self, settings=replace(self.settings, **changes))
+
+    def with_materials(self, change) -> Character:
+        """The same character with materials change(index, target) -> Material, index into `targets`."""
+        sets, index = [], 0
+        for target_set in self.target_sets:
+            numbered = enumerate(target_set.targets, index)
+            sets.append(replace(target_set, targets=tuple(replace(t, material=change(i, t)) for i, t in numbered)))
+            index += len(target_set.targets)
+        return replace(self, target_sets=tuple(sets))
 
     def by_method(self) -> Character:
         """The character that its method simulates: with the neutral target alone, or with the neutral's material."""
