@@ -140,7 +140,7 @@ STAGES = {  # as jobs and builds call them
     "build: modes": "modes",
     "build: polynomials": "polynomials",
     "measure": "measure",
-    "rehearse": "rehearse",
+    "judge": "judge",
     "simulate": "simulate",
     "write keys": "write keys",
     "click to baked": "click to baked",
