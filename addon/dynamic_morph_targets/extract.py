@@ -68,12 +68,11 @@ def character(obj, without_targets=False) -> Character:
     target_sets = _target_sets(obj, skeleton, groups)
     for target_set in target_sets:
         _refuse(checks.poses(obj.name, target_set.targets, skeleton))
-    basis = obj.data.shape_keys.reference_key
     world, rig_world = worlds_at_start(obj, modifier.object)
     to_bind, bones = stretch(world), checks.deforming_bones(obj, modifier.object)
     own = Character(
         name=obj.name,
-        vertices=key_points(basis).astype(np.float64),
+        vertices=rest_points(obj),
         triangles=mesh_triangles(obj.data),
         to_bind=to_bind,
         weights=_skin_weights(obj, modifier, skeleton, groups),
@@ -813,4 +812,5 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         chosen.begin,
         chosen.loop,
         gains if set(gains) != {1.0} else (),
+        chosen.amount,
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 
 import bpy
@@ -155,7 +156,8 @@ def _get_bounce(target) -> float:
 
 def _set_bounce(target, frequency: float):
     if target.is_measured:
-        target.stiffness = materials.stiffness_for(target.bounce_reference, target.material(), frequency)
+        target.set_material(materials.with_bounce(target.bounce_reference, target.material(), frequency))
+        target.frequency, target.by_hand = frequency, True
 
 
 def _get_settle(target) -> float:
@@ -180,10 +182,34 @@ def _set_weight(target, weight: float):
         target.density = weight / target.volume
 
 
+_computed = False  # whether a stiffness that is written now follows from something else
+
+
+@contextmanager
+def as_computed():
+    """What is written to a stiffness meanwhile does not count as set by hand."""
+    global _computed
+    before, _computed = _computed, True
+    try:
+        yield
+    finally:
+        _computed = before
+
+
+def _stiffness_set(target, _context):
+    """update: the artist, or a script, wants the stiffness in pascals as it is."""
+    if not _computed:
+        target.frequency, target.by_hand = 0.0, True
+
+
 def _shown_changed(group, _context):
     from . import live  # which looks at what is authored here
 
     live.refresh(group.id_data)
+
+
+def _region_chosen(target, _context):
+    target.auto_region = False  # `regions.update` sets it again for those that it chooses itself
 
 
 class DynamorphTarget(KeyReference, PropertyGroup):
@@ -197,7 +223,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Stiffness",
         description="Young's modulus at this target, in pascal: fat about 3e3, relaxed muscle 2e4, flexed muscle 2e5",
         default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
-        override=OVERRIDE,
+        override=OVERRIDE, update=_stiffness_set,
     )  # fmt: skip
     poisson: FloatProperty(
         name="Poisson's Ratio",
@@ -237,11 +263,26 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Region",
         description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
         "the neutral target at rest: they do not compete with those of the rest of the body",
+        override=OVERRIDE, update=_region_chosen,
+    )  # fmt: skip
+    auto_region: BoolProperty(
+        name="Automatic Region",
+        description="Whether the region is made from what is sculpted, together with the targets that share a bone "
+        "with this one. A region that you choose or paint stays as it is",
         override=OVERRIDE,
+    )  # fmt: skip
+    made_region: StringProperty(
+        name="Region As Made", description="Hash of the automatic region's weights, to tell whether they were painted",
+        options={"SKIP_SAVE"}, override=OVERRIDE,
     )  # fmt: skip
     bones: CollectionProperty(
         name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
         override=OVERRIDE_LIST,
+    )  # fmt: skip
+    auto_bones: BoolProperty(
+        name="Automatic Bones",
+        description="Whether Finish Sculpting chooses the bones, by what is sculpted. Bones that you choose stay",
+        override=OVERRIDE,
     )  # fmt: skip
     pose: CollectionProperty(
         name="Pose", description="The captured pose of every bone", type=DynamorphBonePose, override=OVERRIDE_LIST
@@ -266,8 +307,8 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     # What artists call it. Computed from the properties above and from what the last build measured.
     bounce: FloatProperty(
         name="Bounce (Hz)",
-        description="How often a second the flesh swings after a push, in this pose. Sets the stiffness; heavy damping "
-        "limits it",
+        description="Natural frequency: how often a second the soft tissue swings after a push, in this pose. Sets the "
+        "stiffness, and both dampings so that it settles as soon as before",
         min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, options={"SKIP_SAVE"},
         get=_get_bounce, set=_set_bounce,
     )  # fmt: skip
@@ -310,17 +351,42 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     def material(self) -> Material:
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
 
-    def set_material(self, material: Material):
-        for name, value in asdict(material).items():
-            setattr(self, name, value)
+    def set_material(self, material: Material, by_hand=False):
+        """Its stiffness then counts as it is. by_hand: no rehearsal changes it either."""
+        with as_computed():
+            for name, value in asdict(material).items():
+                setattr(self, name, value)
+        self.frequency, self.by_hand = 0.0, by_hand
+
+    def set_computed_stiffness(self, stiffness: float):
+        """Young's modulus in pascals that follows from the frequency: it does not count as set by hand."""
+        with as_computed():
+            self.stiffness = stiffness
+
+    def set_frequency(self, frequency: float, damping: tuple[float, float]):
+        """Let it swing so often a second, with this mass and stiffness damping: at once if it is measured, else from
+        the next build on. It does not count as set by hand.
+        """
+        self.mass_damping, self.stiffness_damping = damping
+        self.frequency, self.by_hand = frequency, False
+        if self.is_measured:
+            self.set_computed_stiffness(materials.stiffness_for(self.bounce_reference, self.material(), frequency))
 
     def bone_names(self) -> tuple[str, ...]:
         return tuple(bone.name for bone in self.bones)
 
-    def set_bones(self, names):
+    def set_bones(self, names, automatic=False):
+        """automatic: nobody chose them by hand."""
+        self.auto_bones = automatic
         self.bones.clear()
         for name in names:
             self.bones.add().name = name
+
+    def set_region(self, group: str, automatic: bool):
+        """automatic: `regions.update` keeps the vertex group up to date."""
+        if self.region != group:
+            self.region = group
+        self.auto_region = automatic
 
     def set_pose(self, skeleton: Skeleton, local: np.ndarray, rig_world: np.ndarray):
         """Store a pose: local (B, 4, 4) as `Skeleton.local_transforms` gives it, rig_world (4, 4)."""
@@ -693,6 +759,10 @@ class DynamorphBake(PropertyGroup):
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
     verdict: StringProperty(name="Verdict", description="How believable the last bake looks, as JSON")
+    was_rendered: BoolProperty(
+        name="Was Rendered", description="Whether renders showed the point cache before plain skinning was shown",
+        default=True,
+    )  # fmt: skip
     content_id: StringProperty(name="Bake Id", description="Hash of all that the bake was made from")
     digest: StringProperty(name="Result Id", description="Hash of what was simulated")
 
@@ -709,6 +779,12 @@ class DynamorphSculpt(PropertyGroup):
     was_posing: BoolProperty(name="Was Posing", description="Whether the armature was in Pose Mode before")
     in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
     on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
+    key: PointerProperty(name="Key", description="The shape key that is sculpted", type=DynamorphKey)
+    is_new: BoolProperty(name="New", description="Whether it began with what the other targets show in its pose")
+    shown: PointerProperty(
+        name="Shown", description="The target's shape key that is turned on to be looked at before there is a model",
+        type=DynamorphKey,
+    )  # fmt: skip
 
 
 class DynamorphSettings(PropertyGroup):
@@ -778,6 +854,17 @@ class DynamorphSettings(PropertyGroup):
         return self.pieces[self.active_piece_index] if self.active_piece_index < len(self.pieces) else None
 
 
+def _paint_surface(which: str, other: str):
+    """The update of a toggle that colors the surface: only one of the two does, and viewports draw anew."""
+
+    def update(display, _context):
+        if getattr(display, which) and getattr(display, other):
+            setattr(display, other, False)
+        events.redraw(events.VIEWS)
+
+    return update
+
+
 def _show_influence(display, _context):
     from . import influence  # which reads what is authored here
 
@@ -792,6 +879,15 @@ class DynamorphDisplay(PropertyGroup):
     influence: BoolProperty(
         name="Influence", description="Draw each target's weight over the frames, shading those far from every target",
         update=_show_influence,
+    )  # fmt: skip
+    heat: BoolProperty(
+        name="Heat Map",
+        description="Color the skin by how far it moves away from the animation, as a part of Max Displacement",
+        update=_paint_surface("heat", "hold"),
+    )  # fmt: skip
+    hold: BoolProperty(
+        name="Show Hold", description="Color the skin by how firmly the skeleton holds it, as the model was built",
+        update=_paint_surface("hold", "heat"),
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
@@ -816,9 +912,10 @@ def plain(group, skip=()) -> dict:
 
 def assign(group, values: dict):
     """The inverse of `plain`. Writes only what differs; names that the group does not have are skipped."""
-    for name, value in values.items():
-        if name in group.bl_rna.properties and plain(group).get(name) != value:
-            setattr(group, name, value)
+    with as_computed():  # whether a stiffness was set by hand is one of the values
+        for name, value in values.items():
+            if name in group.bl_rna.properties and plain(group).get(name) != value:
+                setattr(group, name, value)
 
 
 # Following renames -------------------------------------------------------------------------------------------------
@@ -836,8 +933,9 @@ def reconcile(obj):
         _follow_keys(blocks, settings.bake.muted)
         _follow_baked_keys(blocks, settings.bake)
         _follow_keys(blocks, settings.live.muted)
-        if settings.live.key.name:
-            _follow_keys(blocks, [settings.live.key])
+        for reference in (settings.live.key, settings.sculpt.key, settings.sculpt.shown):
+            if reference.name:
+                _follow_keys(blocks, [reference])
     _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
@@ -895,11 +993,14 @@ def _follow_groups(obj):
     settings.groups = "\n".join(now)
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
-    users = [(settings, "soft_group"), (settings, "stiffness_group"), *((each, "region") for each in settings.targets)]
+    users = [(settings, "soft_group"), (settings, "stiffness_group")]
     users += [(piece, "group") for piece in settings.pieces]
     for user, name in users:
         if getattr(user, name) in renamed:
             setattr(user, name, renamed[getattr(user, name)])
+    for target in settings.targets:
+        if target.region in renamed:
+            target.set_region(renamed[target.region], target.auto_region)
 
 
 def _follow_bones(skeleton: Skeleton, target):

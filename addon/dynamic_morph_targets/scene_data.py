@@ -308,13 +308,17 @@ def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
 WELD = 1e-6  # of a mesh's diagonal: points nearer than this are one, as imported meshes are split at every seam
 
 
+def welded(points: np.ndarray) -> np.ndarray:
+    """Numbers (V,), from 0, of the places of points (V, 3), which those of a split seam share."""
+    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
+    return np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)[1].ravel()
+
+
 def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Numbers (V,), from 0, of the parts of points (V, 3) that edges or faces (m, k) and seams connect."""
-    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
-    _, welded = np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)
-    welded = welded.ravel()
-    part = connected_parts(welded[elements], welded.max() + 1)
-    return np.unique(part[welded], return_inverse=True)[1].ravel()
+    place = welded(points)
+    part = connected_parts(place[elements], place.max() + 1)
+    return np.unique(part[place], return_inverse=True)[1].ravel()
 
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
@@ -484,7 +488,8 @@ class SimulationSettings:
     samples: states a frame that are kept, of which `substeps` is a multiple.
     begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
     preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
-    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them; amount: on all
+    of it.
     """
 
     start: int = 1
@@ -499,6 +504,7 @@ class SimulationSettings:
     begin: str = "SETTLE"
     loop: bool = False
     gains: tuple[float, ...] = ()
+    amount: float = 1.0
 
     def __post_init__(self):
         if self.substeps % self.samples:

@@ -137,7 +137,8 @@ def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
         assign(target, lacking.without_lost_groups(_simple(entry), ["region"]))
         if not neutral:
             target.refer_to(blocks, blocks.find(target.name))
-        target.set_bones(lacking.present("bones", entry.get("bones", []), rig.data.bones))
+        bones = lacking.present("bones", entry.get("bones", []), rig.data.bones)
+        target.set_bones(bones, target.auto_bones)
         _apply_pose(target, rig, entry.get("pose", {}), lacking)
     settings.active_target_index = min(settings.active_target_index, len(settings.targets) - 1)
 
