@@ -73,6 +73,8 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
 
     def apply(self, obj):
         found = _verdict(obj)
+        if found.frame is None:
+            raise SceneError(f"'{obj.name}': its verdict names no frame: bake again")
         if obj.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Edit Mode has a selection of its own
         mesh = obj.data

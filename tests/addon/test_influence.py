@@ -451,11 +451,13 @@ def test_bounce_is_the_flesh_s_own(built_arm):
     content = built_arm.dynamorph.model.content_id
     for target in built_arm.dynamorph.targets:
         assert target.bounce == pytest.approx(bounce(built_arm, target).frequency, rel=1e-5)
-        damping = (target.mass_damping, target.stiffness_damping)
+        settle, proportion = target.settle, target.mass_damping / target.stiffness_damping
         target.bounce = 4.0
         assert bounce(built_arm, target).frequency == pytest.approx(4.0, rel=1e-3)
         assert target.bounce == pytest.approx(4.0, rel=1e-4)
-        assert (target.mass_damping, target.stiffness_damping) == damping
+        assert target.settle == pytest.approx(settle, rel=1e-4)
+        assert target.mass_damping / target.stiffness_damping == pytest.approx(proportion, rel=1e-5)
+        assert target.by_hand and target.frequency == 4.0
     assert built_arm.dynamorph.model.content_id == content and not built_arm.dynamorph.model.stale
 
 
@@ -472,16 +474,14 @@ def test_settle_is_in_frames_of_the_scene(scene, built_arm):
 
 def test_what_damping_forbids(built_arm):
     target = built_arm.dynamorph.targets[1]
-    target.mass_damping, target.stiffness_damping = 0.0, 0.02
-    target.bounce = 500.0  # 1 / (2 pi beta) is the most
-    assert target.bounce == pytest.approx(1 / (2 * pi * 0.02), rel=1e-3)
     target.settle = 0.2
     critical = bounce(built_arm, target)
     assert critical.frequency < 0.1 and target.settle > 0.2
     target.mass_damping, target.stiffness_damping = 200.0, 0.02  # it creeps at any stiffness
-    stiffness = target.stiffness
-    target.bounce = 3.0
-    assert target.bounce == 0.0 and target.stiffness == stiffness
+    settle = target.settle
+    assert target.bounce == 0.0
+    target.bounce = 3.0  # it need not any more, and settles as late
+    assert target.bounce == pytest.approx(3.0, rel=1e-3) and target.settle == pytest.approx(settle, rel=1e-3)
     target.mass_damping = target.stiffness_damping = 0.0
     assert target.settle == pytest.approx(1e5)
     target.settle = 20.0
