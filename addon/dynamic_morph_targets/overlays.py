@@ -15,6 +15,7 @@ import blf
 import bpy
 import gpu
 import numpy as np
+from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Matrix
 
 from . import extract, heat, influence, jobs, properties
@@ -141,17 +142,17 @@ def _draw_cage():
 # The surface -------------------------------------------------------------------------------------------------------
 
 
-def painted(context, obj) -> tuple[np.ndarray, str, str, str] | None:
-    """What the surface is colored by, if it is: values (V,), and the legend's title, and words for 0 and for 1.
+def painted(context, obj) -> tuple[dict[int, np.ndarray], str, str, str] | None:
+    """What surfaces are colored by, if they are: values (V,) by session_uid; the legend's title, words for 0 and 1.
 
     Raises what is in the way.
     """
     display = context.window_manager.dynamorph
     if display.heat:
         limit = f"{heat.limit_of(obj):.1%}"
-        return heat.displacement_of(obj), "Displacement", "0", f"{limit} of size"
+        return heat.displacements(obj), iface_("Displacement"), "0", iface_("{limit} of size").format(limit=limit)
     if display.hold:
-        return heat.hold_of(obj), "Hold", "soft", "held"
+        return heat.holds(obj), iface_("Hold"), iface_("soft"), iface_("held")
     return None
 
 
@@ -179,14 +180,17 @@ def _draw_surface():
     shown = painted(context, obj)
     if shown is None:
         return
-    points = shown_points(obj, context.view_layer.depsgraph)
-    batch = _colored(points, heat.colors(shown[0]), triangles(obj))
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    nearer = NEARER * max(obj.dimensions)
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.depth_mask_set(True)
     with gpu.matrix.push_pop():
-        gpu.matrix.load_matrix(Matrix.Translation((0.0, 0.0, NEARER * size)) @ gpu.matrix.get_model_view_matrix())
-        batch.draw(gpu.shader.from_builtin("SMOOTH_COLOR"))
+        gpu.matrix.load_matrix(Matrix.Translation((0.0, 0.0, nearer)) @ gpu.matrix.get_model_view_matrix())
+        for uid, values in shown[0].items():
+            mesh = jobs.find(uid)
+            if mesh.visible_in_viewport_get(context.space_data) and len(values) == len(mesh.data.vertices):
+                points = shown_points(mesh, context.view_layer.depsgraph)
+                batch = _colored(points, heat.colors(values), triangles(mesh))
+                batch.draw(gpu.shader.from_builtin("SMOOTH_COLOR"))
     gpu.state.depth_mask_set(False)
     gpu.state.depth_test_set("NONE")
 
@@ -456,3 +460,4 @@ def forget():
     """Free what is kept on the graphics card, and cages."""
     for cache in (_cage, _order, _cage_batches, _graph_batches):
         cache.cache_clear()
+    heat.forget()

@@ -12,7 +12,7 @@ import numpy as np
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from . import checks, extract, feel_operators, heat, jobs, properties, sinks, targets
+from . import checks, extract, feel_operators, heat, jobs, pieces, properties, sinks, targets
 from .extract import SceneError
 from .feel import FEELS
 from .operators import JobOperator, SoftSkinOperator, StartsJob
@@ -36,6 +36,7 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         return obstacle
 
     def apply(self, obj):
+        obj = self._chosen(obj)
         if obj.dynamorph.targets:
             raise SceneError(f"'{obj.name}' has a soft skin already")
         in_the_way = extract.first_look(obj)
@@ -46,12 +47,35 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         target = obj.dynamorph.targets.add()
         target.name = properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
-        obj.dynamorph.model.hold, obj.dynamorph.model.one_cage = "THICKNESS", True  # unlike in files from before
+        obj.dynamorph.model.hold = "THICKNESS"  # unlike in files from before
         feel_operators.give_feel(obj, FEELS["NATURAL"])
+        in_the_way += self._find_attachments(obj)
         drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, text)
+
+    def _chosen(self, obj):
+        """The mesh that is meant: the body's, if a helmet or the armature is active."""
+        active = bpy.context.object
+        chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
+        if chosen != obj:
+            self.report(
+                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
+            )
+        if active.type != "ARMATURE" and chosen != active and active.mode == "OBJECT":
+            bpy.context.view_layer.objects.active = chosen
+        return chosen
+
+    def _find_attachments(self, obj) -> list[str]:
+        """List what belongs to the body, in one cage with it. Returns what is wrong with that."""
+        obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
+        try:
+            pieces.find(obj)
+            extract.character(obj, without_targets=True)
+        except SceneError as error:
+            return [str(error)]
+        return []
 
 
 # Fixes of checks.Problem -------------------------------------------------------------------------------------------
@@ -290,7 +314,7 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
         """
         with suppress(*jobs.expected_errors()):
             if self.which == "SOFT" and obj.dynamorph.model.hold == "THICKNESS":
-                return 1.0 - heat.hold_of(obj)
+                return 1.0 - heat.holds(obj)[obj.session_uid]
         return np.full(len(obj.data.vertices), PAINTED[self.which].start)
 
     def _leave(self, obj):
@@ -339,7 +363,8 @@ class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
     def apply(self, obj):
         sinks.check_not_edited(obj)
         _owned(obj.data)
-        group = _write_group(obj, obj.dynamorph.soft_group or PAINTED["SOFT"].name, 1.0 - heat.hold_of(obj))
+        softness = 1.0 - heat.holds(obj)[obj.session_uid]
+        group = _write_group(obj, obj.dynamorph.soft_group or PAINTED["SOFT"].name, softness)
         obj.dynamorph.soft_group = group.name
         obj.vertex_groups.active_index = group.index
         jobs.show_stale(obj)

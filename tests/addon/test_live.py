@@ -328,13 +328,19 @@ def test_a_gain_that_is_no_number_is_not_shown(playing):
 def test_amount_shows_at_once_and_as_in_the_bake(playing):
     play(playing, range(1, 10))
     whole, frames = surface(playing), dict(session(playing)._frames)
-    heat = part("heat").displacement_of(playing)
+
+    def moved():
+        return part("heat").displacements(playing)[playing.session_uid]
+
+    heat = moved()
     assert heat.max() > 0.05
     for amount in (0.5, 0.0, 2.0):
         playing.dynamorph.simulation.amount = amount
         assert session(playing)._frames == frames  # nothing is simulated for it
         assert apart(surface(playing), baked(playing)[8]) < 1e-6
-        np.testing.assert_allclose(part("heat").displacement_of(playing), amount * heat, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(
+            part("heat").displacements(playing)[playing.session_uid], amount * heat, rtol=1e-4, atol=1e-6
+        )
     playing.dynamorph.simulation.amount = 1.0
     assert apart(surface(playing), whole) < 1e-9
 
