@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness believable believable-docs bakes farm-demo fuzz stubs format lint wheel \
+.PHONY: setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs bakes farm-demo fuzz stubs format lint wheel \
 	extension clean
 
 # Evaluated when a recipe runs, after `setup`.
@@ -40,6 +40,11 @@ docs: build
 # docs/results.md with its pictures; takes about 20 minutes.
 figures: build
 	@$(python) sample_blends/figures.py
+
+# The table of presets in docs/materials.md.
+materials: build
+	@PYTHONPATH=addon $(python) -m dynamic_morph_targets.materials docs/materials.md
+	@$(python) tools/measured.py docs/materials.md
 
 # What the engine and the pipeline take, against their goals; takes about 5 minutes.
 bench: build

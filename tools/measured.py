@@ -30,7 +30,7 @@ PAGES = {
                 "tools/farm_demo.py"),
     "materials.md": ("addon/dynamic_morph_targets/materials.py",),
 }  # fmt: skip
-WRITTEN = ("architecture.md", "file_format.md", "theory.md", "user_guide.md")  # by hand
+WRITTEN = ("architecture.md", "decisions/", "file_format.md", "theory.md", "user_guide.md")  # by hand
 
 
 def measured_at(page: str) -> str:
@@ -60,15 +60,16 @@ def commits(page: Path) -> list[tuple[str, bool]]:
 
 def aged(page: Path) -> str:
     """What has changed of a page's sources since it was measured, in one line; empty if nothing has."""
-    reasons = []
+    reasons, last = [], ""
     for commit, changes in dict.fromkeys(commits(page)):
         if changes:
-            reasons.append(f"was measured at {commit} with changes that no commit has")
+            reasons.append(f"measured at {commit} with changes that no commit has")
         if not git("cat-file", "-t", commit):
-            reasons.append(f"was measured at {commit}, which is not in this history")
+            reasons.append(f"measured at {commit}, which is not in this history")
         elif since := git("log", "--oneline", "--no-merges", f"{commit}..HEAD", "--", *PAGES[page.name]).splitlines():
-            reasons.append(f"is {len(since)} commits of its sources older, the last being {since[0]}")
-    return f"docs/{page.name} {'; '.join(reasons)}" if reasons else ""
+            reasons.append(f"commits to its sources since {commit}: {len(since)}")
+            last = f" (last: {since[0]})"
+    return f"docs/{page.name}: {'; '.join(reasons)}{last}" if reasons else ""
 
 
 def git(*words: str) -> str:

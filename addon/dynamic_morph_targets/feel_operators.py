@@ -19,11 +19,18 @@ MOST_NODES = 200_000
 
 
 def give_feel(obj, feel: Feel):
-    """Let the neutral target feel so, and every other target that was not set by hand; and limit the motion."""
+    """Let the neutral target feel so, with every other target that was not set by hand as much stiffer than it as it
+    was; and limit the motion.
+    """
     settings = obj.dynamorph
-    for target in settings.targets:
-        if target == settings.targets[0] or not target.by_hand:
-            target.set_frequency(feel.frequency, feel.damping)
+    neutral, *others = settings.targets
+    before = neutral.stiffness
+    neutral.set_frequency(feel.frequency, feel.damping)
+    for target in others:
+        if not target.by_hand:
+            target.mass_damping, target.stiffness_damping = feel.damping
+            target.frequency = feel.frequency
+            target.set_computed_stiffness(target.stiffness * neutral.stiffness / before)
     simulation = settings.simulation
     simulation.max_displacement, simulation.max_thickness = feel.max_displacement, feel.max_thickness
     simulation.rehearsed = ""

@@ -568,7 +568,9 @@ class Job:
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
-        record.verdict = json.dumps(self.verdict.as_dict(self.limits))
+        found = self.verdict.as_dict(self.limits)
+        own = self.character.own
+        record.verdict = json.dumps(found | {"vertices": [v for v in found["vertices"] if v < own.stop]})
         if self.rehearsed:
             obj.dynamorph.simulation.rehearsed = self.rehearsed
         record.content_id = self.content_id()

@@ -88,12 +88,12 @@ class Flesh:
 
     def moved(self, values: np.ndarray) -> float:
         """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
-        found, to_bind = [0.0], self.character.to_bind
-        in_cage = zip(self.followers, self.character.parts, strict=False)
+        to_bind, in_cage = self.character.to_bind, zip(self.followers, self.character.parts, strict=False)
         others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in in_cage)
-        for surface, to_metres in ((self.skin, to_bind), *others):
-            found.append(float(np.linalg.norm(self.motion(values, surface) @ to_metres.T, axis=1).max()))
-        return max(found)
+        return max(
+            float(np.linalg.norm(self.motion(values, surface) @ to_metres.T, axis=1).max(initial=0.0))
+            for surface, to_metres in ((self.skin, to_bind), *others)
+        )
 
     def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:
         """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""

@@ -11,7 +11,8 @@ import numpy as np
 ASSETS = Path(__file__).parents[3] / "shared" / "assets"
 BY = "[CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)"
 CREDITS = {  # for whoever pictures them, as their licences ask
-    "CesiumMan_notexture.glb": f"*Cesium Man*, © 2017 Cesium, {BY}; its textures, which carry a trademark, are removed.",
+    "CesiumMan_notexture.glb": f"*Cesium Man*, © 2017 Cesium, {BY}; its textures, which carry a trademark, are "
+    "removed.",
     "Fox.glb": f"*Fox*: mesh by PixelMannen, CC0; rig and animation by @tomkranis, {BY}; conversion to glTF by "
     f"@AsoboStudio and @scurest, {BY}.",
     "KayKit_": "*KayKit* characters by Kay Lousberg (kaylousberg.com), CC0.",

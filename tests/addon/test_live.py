@@ -338,9 +338,7 @@ def test_amount_shows_at_once_and_as_in_the_bake(playing):
         playing.dynamorph.simulation.amount = amount
         assert session(playing)._frames == frames  # nothing is simulated for it
         assert apart(surface(playing), baked(playing)[8]) < 1e-6
-        np.testing.assert_allclose(
-            part("heat").displacements(playing)[playing.session_uid], amount * heat, rtol=1e-4, atol=1e-6
-        )
+        np.testing.assert_allclose(moved(), amount * heat, rtol=1e-4, atol=1e-6)
     playing.dynamorph.simulation.amount = 1.0
     assert apart(surface(playing), whole) < 1e-9
 

@@ -43,7 +43,7 @@ HARD = ("Leela", "Mech_Rae", "RobotExpressive")  # nothing of them is soft
 NOTHING_SOFT = "nothing soft"  # is in what the add-on says of them
 GOAL = (5000, 5.0)  # vertices, and seconds from the click to the baked clip
 NONE = "-"
-COLUMNS = ("bones alone", "baked", "displacement: blue 1 % of size, green 3 %, yellow 5 %, red 10 %")
+COLUMNS = ("bones alone", "baked", "blue 1 % of size, green 3 %, yellow 5 %, red 10 %")
 
 PAGE_TEXT = """# Believable from the first click
 
@@ -63,12 +63,12 @@ saved .blend is measured from Blender's evaluated meshes, in every frame.
 {limits}
 *Size*: diagonal of the box around the character at rest. Figures of a frame are of its worst one. *Displacement*: how
 far the skin is from where the bones alone have it, before they move it. *Over thickness*: 99th percentile of the
-displacement divided by the local thickness. *Stretch*: length of edges, compared with plain skinning. *Flipped*: share of
-the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin parts*: how much the
+displacement divided by the local thickness. *Stretch*: length of edges, compared with plain skinning. *Flipped*: share
+of the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin parts*: how much the
 thinnest fifth of the surface moves, compared with the thickest. *Seam*: gap between meshes that touch at rest. *Alive*:
 motion of the liveliest tenth of the surface, and the share of it that moves at least a tenth as much; asked where the
-clip shakes the character by {shaken:g} of its size. Wholly hard characters ({hard}) are to be refused with "nothing soft
-found".
+clip shakes the character by {shaken:g} of its size. Wholly hard characters ({hard}) are to be
+refused with "nothing soft found".
 
 ## Characters
 
@@ -140,7 +140,7 @@ STAGES = {  # as jobs and builds call them
     "build: modes": "modes",
     "build: polynomials": "polynomials",
     "measure": "measure",
-    "rehearse": "rehearse",
+    "judge": "judge",
     "simulate": "simulate",
     "write keys": "write keys",
     "click to baked": "click to baked",
@@ -236,12 +236,12 @@ def line(found: dict) -> str:
     if not is_baked(found):
         return f"{found['name']}: {wrong}: {found.get('refused', found.get('error'))}"
     figures = " | ".join(f"{limit.title} {shown(limit, found)}" for limit in LIMITS if limit.value(found) is not None)
-    return f"{found['name']}: {wrong} | {found['clip']} | {figures} | {found['seconds']['click to baked']:.1f} s"
+    return f"{found['name']}: {wrong} | {clip(found)} | {figures} | {found['seconds']['click to baked']:.1f} s"
 
 
 def closing(told: list[dict]) -> str:
     passed = sum(not failures(found) for found in told)
-    misses = {key: 0 for key in ("error", "refused", "hard", *(limit.key for limit in LIMITS))}
+    misses = dict.fromkeys(("error", "refused", "hard", *(limit.key for limit in LIMITS)), 0)
     for found in told:
         for key in failures(found):
             misses[key] += 1
@@ -303,11 +303,20 @@ def limits_table(baked: list[dict]) -> str:
 def characters_table(baked: list[dict]) -> str:
     rows = []
     for found in baked:
-        cells = [bold(shown(limit, found), not limit.holds(found)) for limit in LIMITS]
         measured, (first, last) = found["measured"], found["frames"]
-        rows.append((found["name"].replace("_", " "), f"{measured['vertices']:,}", str(measured["meshes"]),
-                     f"{found['clip'].rpartition('|')[2]}, {last - first + 1}", f"{measured['shaken']:.3f}", *cells))  # fmt: skip
+        about = (f"{measured['vertices']:,}", str(measured["meshes"]), f"{clip(found)}, {last - first + 1}",
+                 f"{measured['shaken']:.3f}")  # fmt: skip
+        cells = (bold(shown(limit, found), not limit.holds(found)) for limit in LIMITS)
+        rows.append((title(found), *about, *cells))
     return grid(("", "vertices", "meshes", "clip, frames", "shaken", *(limit.title for limit in LIMITS)), rows)
+
+
+def title(found: dict) -> str:
+    return found["name"].replace("_", " ")
+
+
+def clip(found: dict) -> str:
+    return found["clip"].rpartition("|")[2]
 
 
 def bold(text: str, wrong: bool) -> str:
@@ -320,7 +329,7 @@ def others(unbaked: list[dict]) -> str:
     for found in unbaked:
         recognised = ": recognised as wholly hard" if not failures(found) else ", **not baked**"
         said = " ".join(found.get("refused", found.get("error", "")).split())
-        lines.append(f"- {found['name'].replace('_', ' ')}{recognised}. “{said}”\n")
+        lines.append(f"- {title(found)}{recognised}. “{said}”\n")
     return "".join([*lines, "\n"]) if lines else ""
 
 
@@ -330,7 +339,7 @@ def seconds_table(baked: list[dict]) -> str:
     for found in sorted(baked, key=lambda found: found["measured"]["vertices"]):
         seconds = [f"{found['seconds'][stage]:.2f}" if stage in found["seconds"] else NONE for stage in stages]
         slow = found["measured"]["vertices"] <= GOAL[0] and found["seconds"]["click to baked"] > GOAL[1]
-        rows.append((found["name"].replace("_", " "), f"{found['measured']['vertices']:,}",
+        rows.append((title(found), f"{found['measured']['vertices']:,}",
                      str(found["measured"]["frames"]), *seconds[:-1], bold(seconds[-1], slow)))  # fmt: skip
     return grid(("", "vertices", "frames", *(STAGES[stage] for stage in stages)), rows)
 
@@ -356,8 +365,10 @@ def draw(told: list[dict], path: Path, small: bool) -> None:
         images = [Image.open(CACHE / found["name"] / f"{name}.png") for name in ("plain", "baked", "heat")]
         wrong = [limit for limit in LIMITS if limit.key in failures(found)]
         about = ", ".join(f"{limit.title} {shown(limit, found)}" for limit in wrong) or "passes"
-        notes = (f"{found['clip']}, frame {found['worst_frame']}", "", f"at most {found['measured']['disp_max']:.1%}")
-        rows.append(Row(found["name"].replace("_", " "), about, images, notes))
+        if "hard" in failures(found):
+            about = "is wholly hard and not recognised"
+        notes = (f"{clip(found)}, frame {found['worst_frame']}", "", f"at most {found['measured']['disp_max']:.1%}")
+        rows.append(Row(title(found), about, images, notes))
     if rows:
         save(compose("One click", "At the frame of the largest displacement", COLUMNS, rows), path, small)
 

@@ -80,6 +80,7 @@ def measure(asset: Path, folder: Path, found: dict) -> None:
     if run.returncode:
         raise RuntimeError(f"{TOOL.name}: {run.stderr.strip() or run.stdout[-500:]}")
     found["measured"] = json.loads(run.stdout.strip().splitlines()[-1])
+    found["plain_stretch_lo"] = plain_stretch()
     found["worst_frame"] = photograph(rig, folder)
 
 
@@ -251,6 +252,33 @@ def hop_and_twist(rig, size: float) -> None:
         rig.matrix_world = turned
         rig.keyframe_insert("location", frame=frame)
         rig.keyframe_insert(rotation.get(rig.rotation_mode, "rotation_euler"), frame=frame)
+
+
+def plain_stretch() -> float:
+    """The tool's stretch_lo of a bake that moves nothing: plain skinning alone may make an edge vanish at a joint."""
+    scene, worst = bpy.context.scene, np.inf
+    soft = [obj for obj in scene.objects if baked_keys(obj)]
+    show(plain=True)
+    for frame in range(scene.frame_start, scene.frame_end + 1):
+        scene.frame_set(frame)
+        worst = min(worst, *(shrunk(obj) for obj in soft))
+    show(plain=False)
+    return float(worst)
+
+
+def shrunk(obj) -> float:
+    """0.1th percentile of edge length now / max(the same, half of it at rest), by the edges' length."""
+    edges = np.empty(2 * len(obj.data.edges), np.int32)
+    obj.data.edges.foreach_get("vertices", edges)
+    first, second = edges.reshape(-1, 2).T
+    before, now = rest(obj), world_points(obj)
+    before = np.linalg.norm(before[first] - before[second], axis=1)
+    now = np.linalg.norm(now[first] - now[second], axis=1)
+    counts = before > 1e-4 * np.linalg.norm(np.ptp(rest(obj), axis=0))
+    ratio = (now / np.maximum(now, 0.5 * before + 1e-30))[counts]
+    order = np.argsort(ratio)
+    shares = np.cumsum(before[counts][order])
+    return float(ratio[order][min(np.searchsorted(shares, 1e-3 * shares[-1]), len(order) - 1)])
 
 
 # Pictures -------------------------------------------------------------------------------------------------------------

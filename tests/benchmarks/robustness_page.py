@@ -14,7 +14,7 @@ from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_robustness_")  # before bpy is imported
 ROOT = Path(__file__).resolve().parents[2]
-sys.path += [str(ROOT / folder) for folder in ("tests", "tests/addon", "tests/engine", "sample_blends")]
+sys.path += [str(ROOT / folder) for folder in ("tests", "tests/addon", "tests/engine", "sample_blends", "tools")]
 
 import bpy  # noqa: E402
 import characters  # noqa: E402
@@ -26,6 +26,7 @@ from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
 from dynamic_morph_targets import extract, jobs  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from mathutils import Vector  # noqa: E402
+from measured import measured_at  # noqa: E402
 from performance_page import grid  # noqa: E402
 from portrait import aim  # noqa: E402
 
@@ -52,7 +53,7 @@ written by hand. `tests/addon/test_characters.py` asserts for each character, in
 finite and bounded, that Blender shows what the engine computed, and that *Free Bake* restores the object.
 `tests/engine/test_defects.py` spoils clean bodies in {kinds} ways and their mixtures; `make fuzz` tries more of them.
 
-Blender {blender}, {machine}.
+{commit}. Blender {blender}, {machine}.
 
 ## Characters
 
@@ -60,6 +61,8 @@ The largest skinned mesh of each file as it is opened or imported, made a soft s
 substeps a frame. Where a file has shape keys some are targets; the others are simulated with a single material.
 
 ![Each character at a frame of its bake]({picture})
+
+{attribution}
 
 ### Meshes
 
@@ -123,12 +126,14 @@ def write_page() -> None:
     draw(pictures)
     tally = mesh_surfaces()
     page = PAGE_TEXT.format(
+        commit=measured_at(PAGE.name),
         kinds=len(test_defects.DEFECTS),
         blender=bpy.app.version_string,
         machine=f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
         nodes=characters.NODES,
         substeps=characters.SUBSTEPS,
         picture=PICTURE,
+        attribution=characters.attribution(shot.file for shot in characters.SHOTS.values()),
         defects=grid(("", "vertices", "faces", *DEFECTS), defects),
         cages=grid(("", "nodes", "tetrahedra", "smallest dihedral angle", "under 5°", "inside", "glued",
                     "held loose parts"), cages),
