@@ -58,6 +58,8 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
     def _chosen(self, obj):
         """The mesh that is meant: the body's, if a helmet or the armature is active."""
         active = bpy.context.object
+        if obj.mode == "EDIT":  # its points cannot be read
+            return obj
         chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
         if chosen != obj:
             self.report(

@@ -38,10 +38,13 @@ def felt(target):
 def test_a_preset_shows_without_a_build(built_arm, key):
     feel = part("feel").FEELS[key]
     built, content = built_arm.dynamorph.model.built, built_arm.dynamorph.model.content_id
+    neutral, flexed = built_arm.dynamorph.targets
+    flexed.set_computed_stiffness(3.0 * neutral.stiffness)
     assert OPS.apply_feel(feel=key) == {"FINISHED"}
-    for target in built_arm.dynamorph.targets:
-        assert felt(target) == pytest.approx((feel.frequency, feel.damping_ratio), rel=1e-4)
-        assert target.bounce == pytest.approx(feel.frequency, rel=1e-4)
+    assert felt(neutral) == pytest.approx((feel.frequency, feel.damping_ratio), rel=1e-4)
+    assert neutral.bounce == pytest.approx(feel.frequency, rel=1e-4)
+    assert flexed.stiffness == pytest.approx(3.0 * neutral.stiffness)  # it stays as much stiffer
+    for target in (neutral, flexed):
         assert target.frequency == pytest.approx(feel.frequency) and not target.by_hand
     simulation = built_arm.dynamorph.simulation
     assert simulation.max_displacement == pytest.approx(feel.max_displacement)
