@@ -49,7 +49,7 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
         obj.dynamorph.model.hold = "THICKNESS"  # unlike in files from before
         feel_operators.give_feel(obj, FEELS["NATURAL"])
-        in_the_way += self._find_attachments(obj)
+        in_the_way += [text for text in self._find_attachments(obj) if text not in in_the_way]
         drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
