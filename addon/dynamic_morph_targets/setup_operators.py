@@ -307,7 +307,7 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
         if getattr(settings, field) != group.name:
             setattr(settings, field, group.name)
         obj.vertex_groups.active_index = group.index
-        if not known or np.ptp(weights) < 1e-3:
+        if len(weights) and (not known or np.ptp(weights) < 1e-3):
             _set_brush(weights)
 
     def _start(self, obj) -> np.ndarray:
