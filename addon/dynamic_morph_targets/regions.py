@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a sculpt says about its target: the bones that place it, and the region that it is limited to.
 
-*Bones.* A joint bends what is sculpted if it carries some of the skin there and not the rest. With c the part of the
-sculpt's region that a bone and all below it carry, that is 4 c (1 - c), times the bone's turn. A bone further up carries
-all of it along, c = 1, and does not matter.
+*Bones.* A joint bends a piece of skin if it carries some of it and not the rest. With c the part that a bone and all
+below it carry, that is 4 c (1 - c), times the turn of the bone. A bone further up carries all of it along, c = 1, and
+does not matter. What counts is how joints bend the sculpt's region, of those that bend the sculpt itself or skin it.
 
 *Regions.* A vertex group that is 1 where the sculpt moves the skin and a little further, and falls smoothly to 0 over
 about the radius of what is sculpted, along the skin. Targets that share a bone compete for the same poses, so they have
@@ -26,9 +26,9 @@ GROWN = 0.25  # of the sculpt's radius: how far beyond it the region is still 1
 RINGS = 3.0  # edges of the mesh over which a region fades at least
 WIDEST = 0.08  # of the body's size: over which it fades at most
 
-BENT = 0.02  # 4 c (1 - c) of a joint that bends nothing to speak of
+BENDS = 0.05  # 4 c (1 - c) of a sculpt: a joint with less does not bend it
+SKINS = 0.1  # of a sculpt: a bone with less does not skin it
 LESS = 0.25  # of what the joint that bends most does: joints that do less do not place the target
-SKINS = 0.1  # of a region: a bone with less of it does not skin it
 
 
 # Bones -------------------------------------------------------------------------------------------------------------
@@ -42,28 +42,37 @@ def driver_bones(obj, skeleton: Skeleton, neutral: np.ndarray, local: np.ndarray
     names = extract.bones_turned(obj, skeleton, neutral, local)
     if len(names) < 2 or not shape.any():
         return names
-    weights = region(*_surface(obj), shape)
-    skin = weights @ extract.skin_weights(obj)[:, :-1] / weights.sum()
-    carried = skin.copy()
-    for bone in reversed(range(len(skin))):  # children come after their parents
-        if skeleton.parents[bone] >= 0:
-            carried[skeleton.parents[bone]] += carried[bone]
-    bends = 4.0 * carried * (1.0 - carried)
-    counts = np.where(bends >= BENT, bends * turned(neutral, local), 0.0)
+    skin = extract.skin_weights(obj)[:, :-1]
+    skins, bends = _of_skin(skeleton, skin, _is_sculpted(shape))
+    _, bends_around = _of_skin(skeleton, skin, region(*_surface(obj), shape))
+    counts = bends_around * turned(neutral, local) * ((bends >= BENDS) | (skins >= SKINS))
     candidates = [skeleton.names.index(name) for name in names]
     most = counts[candidates].max()
-    if most == 0.0:
-        return _nearest(skeleton, candidates, skin)
+    if most <= 0.0:
+        return _nearest(skeleton, candidates, skins)
     return [skeleton.names[bone] for bone in candidates if counts[bone] >= LESS * most]
 
 
-def _nearest(skeleton: Skeleton, candidates: list[int], skin: np.ndarray) -> list[str]:
+def _of_skin(skeleton: Skeleton, skin: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The part of some skin that each bone (B,) skins, and how much its joint bends it, 4 c (1 - c).
+
+    skin (V, B): weights; where (V,): how much each vertex counts.
+    """
+    skins = where @ skin / where.sum()
+    carried = skins.copy()
+    for bone in reversed(range(len(skins))):  # children come after their parents
+        if skeleton.parents[bone] >= 0:
+            carried[skeleton.parents[bone]] += carried[bone]
+    return skins, (4.0 * carried * (1.0 - carried)).clip(0.0)
+
+
+def _nearest(skeleton: Skeleton, candidates: list[int], skins: np.ndarray) -> list[str]:
     """Of the candidates the joints nearest, in the hierarchy, to the bones that skin a sculpt.
 
-    skin (B,): the part that each bone skins. The joints of such a bone are its own and those of its children.
+    skins (B,): the part that each bone skins. The joints of such a bone are its own and those of its children.
     """
     parents = skeleton.parents
-    reached = {bone for bone in range(len(parents)) if skin[bone] >= SKINS * skin.sum()}
+    reached = {bone for bone in range(len(parents)) if skins[bone] >= SKINS}
     reached |= {bone for bone in range(len(parents)) if parents[bone] in reached}
     while reached:
         found = [bone for bone in candidates if bone in reached]
@@ -200,8 +209,7 @@ def region(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> np.n
 
     points (V, 3), triangles (T, 3): the surface at rest; shape (V, 3): displacements, not all zero.
     """
-    moved = np.linalg.norm(shape, axis=1)
-    sculpted = moved > SUPPORT * moved.max()
+    sculpted = _is_sculpted(shape)
     corners = points[triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     area = (areas * sculpted[triangles].mean(axis=1)).sum()
@@ -214,6 +222,12 @@ def region(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> np.n
     away = _along(points, edges, lengths, sculpted, (1.0 + GROWN) * radius)
     fade = np.clip(away / radius - GROWN, 0.0, 1.0)
     return 1.0 - fade * fade * (3.0 - 2.0 * fade)
+
+
+def _is_sculpted(shape: np.ndarray) -> np.ndarray:
+    """Which vertices (V,) a shape (V, 3) moves."""
+    moved = np.linalg.norm(shape, axis=1)
+    return moved > SUPPORT * moved.max()
 
 
 def _along(points, edges, lengths, start: np.ndarray, farthest: float) -> np.ndarray:
