@@ -16,7 +16,7 @@ import hashlib
 
 import numpy as np
 
-from . import extract
+from . import checks, extract
 from .properties import reconcile
 from .scene_data import Skeleton, turned, welded
 
@@ -37,10 +37,10 @@ LESS = 0.25  # of what the joint that bends most does: joints that do less do no
 def driver_bones(obj, skeleton: Skeleton, neutral: np.ndarray, local: np.ndarray, shape: np.ndarray) -> list[str]:
     """Names of the bones, turned from one pose (B, 4, 4) to another, that place a target with the shape (V, 3).
 
-    Of a shape that is zero they are all that are turned. Raises SceneError.
+    Of a shape that moves nothing they are all that are turned. Raises SceneError.
     """
     names = extract.bones_turned(obj, skeleton, neutral, local)
-    if len(names) < 2 or not shape.any():
+    if len(names) < 2 or not _moves(shape):
         return names
     skin = extract.skin_weights(obj)[:, :-1]
     skins, bends = _of_skin(skeleton, skin, _is_sculpted(shape))
@@ -106,7 +106,8 @@ def update(obj, left=()):
     automatic = _not_painted(obj, automatic, groups)
     before = {target.region for target in automatic} | {*left}
     chosen = [target for target in settings.targets[1:] if not target.auto_region]
-    free = {target.region for target in automatic} - {target.region for target in chosen} - {""}
+    made = {target.region for target in automatic if target.made_region or target.region.startswith(PREFIX)}
+    free = made - {target.region for target in chosen}
     for together in _sharing_bones(automatic):
         bones = _bones(together)
         company = next((target for target in chosen if bones & _bones([target])), None)
@@ -156,9 +157,10 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
 
     free: names of automatic groups from before, which serve again; the one that does is taken out.
     """
-    shapes = [extract.target_shape(obj, target.name, groups) for target in together if _has_key(obj, target)]
+    keys = checks.keys_of(obj)
+    shapes = [extract.target_shape(obj, target.name, groups) for target in together if target.name in keys]
     surface = _surface(obj)
-    regions = [region(*surface, shape) for shape in shapes if shape.any()]
+    regions = [region(*surface, shape) for shape in shapes if _moves(shape)]
     if not regions:
         return "", ""
     weights = np.max(regions, axis=0)
@@ -167,10 +169,6 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
     group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=PREFIX + together[0].name)
     write_group(obj, group, weights)
     return group.name, _digest(weights)
-
-
-def _has_key(obj, target) -> bool:
-    return obj.data.shape_keys is not None and target.name in obj.data.shape_keys.key_blocks
 
 
 def _remove(obj, names):
@@ -210,18 +208,27 @@ def region(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> np.n
     points (V, 3), triangles (T, 3): the surface at rest; shape (V, 3): displacements, not all zero.
     """
     sculpted = _is_sculpted(shape)
+    places = welded(points)  # imported meshes are split at every seam
+    at_place = np.zeros((places.max() + 1, 3))
+    at_place[places] = points
     corners = points[triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     area = (areas * sculpted[triangles].mean(axis=1)).sum()
     size = np.linalg.norm(np.ptp(points, axis=0))
-    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    of_sculpt = sculpted[edges].any(axis=1)
-    rings = RINGS * np.median(lengths[of_sculpt]) if of_sculpt.any() else 0.0
+    edges, across = _links(places[triangles])
+    start = np.zeros(len(at_place), bool)
+    start[places[sculpted]] = True
+    near = edges[start[edges].any(axis=1)]
+    rings = RINGS * np.median(_lengths(at_place, near)) if len(near) else 0.0
     radius = max(min(np.sqrt(area / np.pi), WIDEST * size), rings, 1e-6 * size, 1e-30)
-    away = _along(points, edges, lengths, sculpted, (1.0 + GROWN) * radius)
+    away = _along(at_place, np.concatenate([edges, across]), start, (1.0 + GROWN) * radius)[places]
     fade = np.clip(away / radius - GROWN, 0.0, 1.0)
     return 1.0 - fade * fade * (3.0 - 2.0 * fade)
+
+
+def _moves(shape: np.ndarray) -> bool:
+    """Whether a shape moves anything; one with coordinates that are not numbers is refused when it is built."""
+    return bool(shape.any() and np.isfinite(shape).all())
 
 
 def _is_sculpted(shape: np.ndarray) -> np.ndarray:
@@ -230,20 +237,31 @@ def _is_sculpted(shape: np.ndarray) -> np.ndarray:
     return moved > SUPPORT * moved.max()
 
 
-def _along(points, edges, lengths, start: np.ndarray, farthest: float) -> np.ndarray:
-    """How far along edges each vertex (V,) is from the nearest of `start` (V,); inf beyond `farthest`.
+def _links(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The edges (E, 2) of triangles (T, 3), and the pairs (P, 2) of corners that lie opposite across one.
 
-    What lies at one place is joined: imported meshes are split at every seam.
+    Along edges alone a way across quads would be longer against their diagonals than along them.
     """
-    joined = welded(points)
-    ends = joined[edges]
-    away = np.full(joined.max() + 1, np.inf)
-    away[joined[start]] = 0.0
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    opposite = triangles[:, [2, 0, 1]].ravel()
+    edges, which = np.unique(sides, axis=0, return_inverse=True)
+    order = np.argsort(which.ravel(), kind="stable")
+    same = np.diff(which.ravel()[order]) == 0
+    return edges, np.stack([opposite[order[:-1]][same], opposite[order[1:]][same]], axis=1)
+
+
+def _lengths(points: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+
+
+def _along(points: np.ndarray, links: np.ndarray, start: np.ndarray, farthest: float) -> np.ndarray:
+    """How far along links (L, 2) each point (P,) is from the nearest of `start` (P,); inf beyond `farthest`."""
+    lengths, away = _lengths(points, links), np.where(start, 0.0, np.inf)
     while True:
         further = away.copy()
         for begin, end in ((0, 1), (1, 0)):
-            np.minimum.at(further, ends[:, end], away[ends[:, begin]] + lengths)
+            np.minimum.at(further, links[:, end], away[links[:, begin]] + lengths)
         further[further > farthest] = np.inf
         if np.array_equal(further, away):
-            return away[joined]
+            return away
         away = further
