@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures bench bench-docs robustness bakes farm-demo fuzz stubs format lint wheel \
+.PHONY: setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs bakes farm-demo fuzz stubs format lint wheel \
 	extension clean
 
 # Evaluated when a recipe runs, after `setup`.
@@ -41,6 +41,11 @@ docs: build
 figures: build
 	@$(python) sample_blends/figures.py
 
+# The table of presets in docs/materials.md.
+materials: build
+	@PYTHONPATH=addon $(python) -m dynamic_morph_targets.materials docs/materials.md
+	@$(python) tools/measured.py docs/materials.md
+
 # What the engine and the pipeline take, against their goals; takes about 5 minutes.
 bench: build
 	@tools/setup.sh bench
@@ -55,6 +60,17 @@ bench-docs: build
 # docs/robustness.md with its picture, from the characters of ../shared; takes about a minute.
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
+
+# docs/believable.md with its pictures, from every character of ../shared after one click; takes about 5 minutes.
+# only="Cow Fox" measures those again, at_once=1 one character at a time, which its seconds are best for.
+only ?=
+at_once ?= $(jobs)
+believable: build
+	@$(python) tests/benchmarks/believable.py --only "$(only)" --jobs $(at_once)
+
+# docs/believable.md from what was measured before.
+believable-docs: build
+	@$(python) tests/benchmarks/believable.py --page
 
 # docs/bakes.md with its pictures, from the characters of ../shared; takes a few minutes. sections="loops kills"
 # measures those alone.

@@ -5,11 +5,16 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from claims import BENDING, FLEXED, IN_THE_TUCK, PLAIN, STRAIGHT, TUCKED, UPRIGHT
 from subjects import SUBJECTS
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tools"))
+
+from measured import measured_at
 
 IMAGES = "images/results"
 TABLE_COLUMNS = {"linear full": "Lin.", "linear reduced": "Red. Lin.", "StVK full": "StVK", "StVK reduced": "Red. StVK"}
@@ -30,12 +35,15 @@ the reference in percent of its RMS displacement, and the largest in percent of 
 from the neutral shape; *dynamic* is from the targets' blended shapes, and is the stricter measure. *Fitted*
 modes are chosen from a rehearsal of the shot. *At best* is the bound that no modes of that number can pass which hold
 the targets' shapes: the rest of the full motion's singular values.
+
+{commit}.
 """
 
 
 def write(folder: Path, machine: str, found: dict, pictures: dict[str, str]) -> None:
     """results.md and results.json in `folder`. found: scene -> part -> numbers; pictures: figure -> file name."""
-    page = [OPENING]
+    commit = measured_at("results.md")
+    page = [OPENING.format(commit=commit)]
     page += section("Table 5.1", table(machine, tables)) if (tables := parts(found, "table")) else []
     if "5.1" in pictures:
         page.append(picture("5.1", pictures))
@@ -49,7 +57,7 @@ def write(folder: Path, machine: str, found: dict, pictures: dict[str, str]) -> 
     page += section("Reduced against full, linear against StVK", accuracy(a)) if (a := parts(found, "accuracy")) else []
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "results.md").write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
-    stored = {"machine": machine, "scenes": found}
+    stored = {"machine": machine, "commit": commit, "scenes": found}
     (folder / "results.json").write_text(as_json(stored), encoding="utf-8")
 
 

@@ -23,6 +23,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from measured import measured_at
+
 ROOT = Path(__file__).resolve().parents[1]
 WORK = ROOT / "build/farm"
 OPENJD = ROOT / "build/openjd/bin"
@@ -325,6 +327,7 @@ def judge(runs: list[dict]) -> dict:
     speeds = [run["steps_per_second"] for run in runs]
     return {
         "quiet": min(speeds) > QUIET * max(speeds),
+        "commit": measured_at(PAGE.name),
         "versions": {
             "Slurm": run_here("slurmd", "-V").split()[-1],
             "openjd-cli": run_here(OPENJD / "openjd", "--version").split()[-1],
@@ -384,7 +387,7 @@ def write_page(rows: list[list[str]], found: dict):
     lines = [f"| {' | '.join(row)} |" for row in (rows[0], ["---"] * len(rows[0]), *rows[1:])]
     tasks = ", ".join(f"{count} {step}" for step, count in found["runs"][0]["tasks"].items())
     programs = ", ".join(f"{name} {version}" for name, version in found["versions"].items())
-    lines += ["", f"Tasks of a run: {tasks}. With {programs}."]
+    lines += ["", f"Tasks of a run: {tasks}. With {programs}.", f"{found['commit']}."]
     PAGE.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")
 
 

@@ -26,9 +26,10 @@ FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
 # Of the tetrahedra.
 MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
-    "cage object", "pin radius", "pieces", "engine",
+    "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
 )  # fmt: skip
-CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group")  # of them and of what is held
+# Of them and of what is held.
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
 CAGE_SHARE = 0.35  # of the time of a build
 
 
@@ -36,7 +37,8 @@ CAGE_SHARE = 0.35  # of the time of a build
 class Model:
     """A built soft skin: n nodes, m tets, V surface vertices, J targets, S sets, B bones, r modes. Bind space, metres.
 
-    nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', shares (m, S), pinned (n,),
+    nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', shares (m, S), pinned (n,), held (m,)
+    1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly from 0 to 1, thickness (V,) metres: of a hold by thickness, else empty;
     node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), details (J, V, 3)
     local space; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and
     table_mu (J, ...) of a reduced model (dynamorph.ReducedTables), empty of a full one. Static morph targets have no
@@ -49,6 +51,9 @@ class Model:
     stiffness: np.ndarray
     shares: np.ndarray
     pinned: np.ndarray
+    held: np.ndarray
+    hold: np.ndarray
+    thickness: np.ndarray
     node_weights: np.ndarray
     embedding_nodes: np.ndarray
     embedding_weights: np.ndarray
@@ -82,6 +87,7 @@ class Model:
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
         """The inverse of `to_arrays`. Raises ValueError when something is missing."""
+        arrays = dict.fromkeys(("held", "hold", "thickness"), np.zeros(0)) | arrays  # older ones have none
         try:
             return cls(
                 **{name: arrays[name] for name in cls.array_names()},
@@ -105,7 +111,8 @@ class Model:
     def soft_body(self, probed: bool = False) -> dynamorph.SoftBody:
         """probed: every free node has a transform of its own."""
         mesh, weights = dynamorph.TetMesh(self.nodes, self.tets), None if probed else self.node_weights
-        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, weights)
+        held = self.held if len(self.held) else None
+        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, weights, held)
 
     def at_nodes(self, values: np.ndarray) -> np.ndarray:
         """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; overshoots slightly."""
@@ -290,6 +297,7 @@ def _model(character: Character, authored: dict[str, str], **known) -> Model:
 def _with_flesh(character: Character, authored, mesh, stages: Stages) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with all they inherit from it; the targets' shapes are still to come."""
     flesh = volume.volume(character, mesh, stages)
+    held = flesh.hold
     model = _model(
         character,
         authored,
@@ -299,6 +307,9 @@ def _with_flesh(character: Character, authored, mesh, stages: Stages) -> tuple[M
         stiffness=flesh.stiffness,
         shares=flesh.shares,
         pinned=flesh.pinned,
+        held=held.held if held else np.zeros(0),
+        hold=held.phi if held else np.zeros(0),
+        thickness=held.thickness if held else np.zeros(0),
         node_weights=flesh.node_weights,
         embedding_nodes=flesh.embedding.nodes,
         embedding_weights=flesh.embedding.weights,
@@ -379,6 +390,8 @@ def dependencies(character: Character) -> dict[str, str]:
         parts["Stiffness vertex group"] = (character.stiffness,)
     if character.pieces.any():
         parts["pieces"] = (character.pieces,)
+    if settings.hold != "BONES":
+        parts["what is rigid"] = (character.rigidity, np.array([character.painted]))
     for j, target in enumerate(character.targets):
         parts[f"shape {j}"] = (target.shape,)
     if character.cage:

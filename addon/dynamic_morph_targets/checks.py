@@ -198,6 +198,21 @@ def shared_mesh(obj) -> Iterator[Problem]:
         )
 
 
+def nothing_soft(obj) -> str:
+    """Says that a character is rigid everywhere."""
+    return f"'{obj.name}': nothing soft found: paint Softness"
+
+
+def meshes_on(rig) -> list:
+    """The mesh objects of the scene that an armature moves: those it skins, and those that hang on it or its bones."""
+    hanging = set(rig.children_recursive)
+    return [
+        other
+        for other in bpy.context.scene.objects
+        if other.type == "MESH" and (other in hanging or any(m.object == rig for m in armature_modifiers(other)))
+    ]
+
+
 def follower(obj, piece) -> Iterator[Problem]:
     """What keeps the mesh object `piece` from moving with the flesh of the soft skin `obj`."""
     body, armature = obj.name, rig_of(obj)

@@ -22,16 +22,23 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import changes, clips, extract, live_key, materials, model_file, preferences, probe, properties, share, sinks
+from . import (
+    changes, clips, comparison, extract, judge, live_key, materials, model_file, preferences, probe, properties, share,
+    sinks,
+)  # fmt: skip
 from .extract import SceneError
+from .scene_data import Bake
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
 CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
+STIFFER = 0.75  # power of the excess by which frequencies are raised: displacements fall with their square
 FADE = 5  # frames in which a part that is baked again goes over into the rest
 STRETCH = 1000  # frames of a shot that are read and simulated at once: bounds memory
 SHORT_STRETCH = 100  # where each node is read, or where they are kept for other processes, which go on from there
+
+ROUNDS = 3  # of a rehearsal at most
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
@@ -262,11 +269,14 @@ class Job:
     built models and unfinished bakes are kept for other processes.
 
     A long shot is read and simulated in stretches, one after the other.
+
+    The first bake of a whole shot is a rehearsal too: while the skin moves further than the limits allow, the tissue is
+    made stiffer and the shot begins anew; what that comes to is stored with the targets. rehearse: do so again.
     """
 
     def __init__(
         self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, rebuild=False,
-        share: share.Share | None = None,
+        share: share.Share | None = None, rehearse=False,
     ):  # fmt: skip
         self.session_uid = obj.session_uid
         self.name = obj.name
@@ -278,6 +288,11 @@ class Job:
         self.folder = folder
         self.rebuild = rebuild
         self.share = share
+        self.limits = judge.Limits()
+        self.verdict: judge.Verdict | None = None
+        self.rehearsed = ""  # what the rehearsal has set, in a sentence
+        self._rehearse = rehearse
+        self._rounds = 0  # that are left of it
         self.fraction = 0.0
         self.message = ""
         self.cancelled = False
@@ -298,10 +313,11 @@ class Job:
         self.before: list = []  # the bakes that these are to become parts of
         self.result = None
         self.followers: list = []  # other meshes that the flesh carries along
-        self.carried: list = []  # their bakes
+        self.carried: list = []  # the bakes of those that are not in the cage: they are in `result`
         self.cache_files: dict[str, Path] = {}  # where point caches go, by mesh, if not where they go by default
         self.written: list[tuple] = []  # what they become: shape keys, and the file of a point cache or None
         self.size = 0  # of that, in bytes
+        self._stretches = 0  # of the shot that were simulated
         self._read_from = 0.0  # of the whole, the part done before the rig is read
         self._error: BaseException | None = None
         self.thread = self._thread(self._compute)
@@ -348,6 +364,7 @@ class Job:
         self.settings = settings = extract.simulation_settings(obj, bpy.context.scene, self.frames, self.substeps)
         self.inputs = changes.bake_inputs(obj, settings) | {"animation": extract.animation(obj)}
         chosen = obj.dynamorph.simulation
+        self._read_limits(chosen)
         if self.bake and (chosen.is_patch or (chosen.keep_outside and self.frames)):
             self._read_kept(obj)
         self._whole = whole or settings.loop or fits
@@ -359,11 +376,28 @@ class Job:
             self._first = extract.sample_rig(obj, settings.first, settings.first, 1)
         self._next_stretch(obj)
 
+    def _read_limits(self, chosen):
+        """How far the skin may move, and whether this bake finds out what keeps it there; chosen: the settings.
+
+        Not what others have to agree with: a part of a shot, a worker of a farm, what the artist has set by hand.
+        """
+        self.limits = judge.Limits(chosen.max_displacement, chosen.max_thickness)
+        model, neutral = self.character.settings, self.character.targets[0]
+        limited = self.limits != judge.Limits() and model.solver == "REDUCED" and model.method != "STATIC"
+        whole = self.bake and not (self.frames or self.share or chosen.is_patch)
+        adjustable = neutral.frequency > 0.0 and not neutral.by_hand
+        if limited and whole and adjustable and (self._rehearse or not chosen.rehearsed):
+            self._rounds = ROUNDS
+            self.rehearsed = f"Bounce of {neutral.frequency:.3g} Hz keeps the skin within Max Displacement"
+
     def _read_kept(self, obj):
         """The bake that the frames go into, if there is one, and the way up to them. Raises SceneError, SinkError."""
         if not obj.dynamorph.bake.exists:
             return
         self.before = [sinks.read_back(find(uid), self.settings.samples) for uid in self._meshes()]
+        if self.character.parts:
+            to_body = [np.eye(3), *(np.linalg.inv(follower.from_body) for follower in self.followers)]
+            self.before = [clips.united(self.before, to_body)]
         settings, (first, last) = self.settings, self.before[0].frames[[0, -1]].astype(int).tolist()
         if settings.start > last + 1 or settings.end < first - 1:
             raise SceneError(
@@ -406,7 +440,8 @@ class Job:
 
     def go_on(self) -> bool:
         """Whether there is another stretch to be read and simulated, after one is."""
-        if not self.shot or self.shot.is_complete:
+        begins_anew = self._stretches > 0 and self.shot is None
+        if not begins_anew and (not self.shot or self.shot.is_complete):
             return False
         self._next_stretch(find(self.session_uid))
         return True
@@ -489,7 +524,16 @@ class Job:
 
     def _meshes(self) -> dict[int, np.ndarray]:
         """The vertices of all objects that results are for, by session_uid."""
-        return {self.session_uid: self.character.vertices, **{f.session_uid: f.vertices for f in self.followers}}
+        own = self.character.vertices[self.character.own]
+        return {self.session_uid: own, **{f.session_uid: f.vertices for f in self.followers}}
+
+    def of_meshes(self, bake: Bake) -> list[Bake]:
+        """A bake of the whole body as one of each mesh, if they are in one cage; else it is of one mesh already."""
+        if not self.character.parts:
+            return [bake]
+        _, simulate = engine()
+        followers = (simulate.follow(self.model, bake, follower) for follower in self.followers)
+        return [simulate.part_of(bake, self.character.own), *followers]
 
     def must_wait(self) -> bool:
         """Whether a bake cannot be written yet: the artist went on in Edit Mode, which has a mesh of its own."""
@@ -504,6 +548,7 @@ class Job:
         obj = self.target()
         with self._stage("store model"):
             self._store_model(obj)
+            self._store_materials(obj)
         if not self.bake:
             return
         with self._stage("write keys"):
@@ -512,6 +557,11 @@ class Job:
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
+        found = self.verdict.as_dict(self.limits)
+        own = self.character.own
+        record.verdict = json.dumps(found | {"vertices": [v for v in found["vertices"] if v < own.stop]})
+        if self.rehearsed:
+            obj.dynamorph.simulation.rehearsed = self.rehearsed
         record.content_id = self.content_id()
         record.digest = clips.digest(self.result)
         changes.look_at_animation(obj)
@@ -526,6 +576,8 @@ class Job:
         pieces = [find(follower.session_uid) for follower in self.followers]
         for piece in pieces:
             sinks.check(piece, needs_keys=False)  # before anything is written
+        if comparison.is_plain(obj):
+            comparison.show(obj, False)
         live_key.remove(obj)
         for piece in properties.followers(obj):
             if piece not in pieces:
@@ -573,7 +625,7 @@ class Job:
             size = f"{len(packed) / 2**20:.1f}\u00a0MB, {self.seconds['build']:.1f}\u00a0s"
             record.summary = "" if self.only_cage else f"{self.model_summary()}, {size}"
             record.cage = self.cage_summary()
-            record.vertices = len(self.character.vertices)
+            record.vertices = self.character.own.stop
             record.warnings = "\n".join(self.model.summary["warnings"])
         elif PACKED not in obj and self.folder not in (None, _blend_folder()):
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
@@ -583,6 +635,17 @@ class Job:
             obj.dynamorph.live.checks = ""
             fit_modes(obj, self.model.summary["modes"])
             self._store_references(obj)
+
+    def _store_materials(self, obj):
+        """What a build or a rehearsal has made of the targets' frequencies."""
+        for target in obj.dynamorph.targets:
+            index = index_in(self.character, obj, target)
+            if index is None or not self.character.targets[0].frequency:
+                continue
+            with properties.as_computed():
+                for name, value in materials.stored(self.character.targets[index]).items():
+                    if getattr(target, name) != value:
+                        setattr(target, name, value)
 
     def _store_references(self, obj):
         measured = self.character.by_method().targets
@@ -615,6 +678,21 @@ class Job:
             self._build(simulate)
         if not self.bake or self.cancelled:
             return
+        while True:
+            self._play(simulate)
+            if not self.shot.is_complete:
+                return
+            self._judge()
+            if not self._stiffen():
+                break
+            if self._stretches > 1:  # of the rig the last is left: it is read again
+                self.rig, self._stretches, self.shot = None, 1, None
+                return
+            self._stretches, self.shot = 0, None
+        self._finish(simulate)
+
+    def _play(self, simulate):
+        """The shot, on to the end of the rig that was read."""
         with self._stage("simulate"):
             if self.shot is None:
                 begin = self.fraction if self.reasons else 0.2
@@ -622,10 +700,38 @@ class Job:
                 if self.resumed:
                     self.shot.resume(self.resumed, self._first)
             self.shot.play(self.rig)
+            self._stretches += 1
         if self.kept and len(self.rig):  # else nothing was left to do
             self.share.keep(self.kept, self.shot, self.rig.pose[-1])
-        if self.shot.is_complete:
-            self._finish(simulate)
+
+    def _judge(self):
+        with self._stage("simulate"):
+            self.result, self.report = self.shot.bake()
+        with self._stage("judge"):
+            self.verdict = judge.judge(self.model, self.character, self.result)
+        self.report["inverted_volume"] = self.verdict.inverted
+
+    def _stiffen(self) -> bool:
+        """Make the tissue stiffer if it moves too far in a rehearsal; False when it is to stay as it is."""
+        excess = self.verdict.excess(self.limits)
+        if not self._rounds or excess <= judge.SLACK or not np.isfinite(excess):
+            return False
+        self._rounds -= 1
+        before = self._first_frequency = getattr(self, "_first_frequency", self.character.targets[0].frequency)
+        self._adopt(materials.stiffened(self.character, excess**STIFFER))
+        now = self.character.targets[0].frequency
+        self.rehearsed = f"Bounce raised from {before:.3g} to {now:.3g} Hz: the skin stays within Max Displacement"
+        return True
+
+    def _adopt(self, character):
+        """Go on with other materials, which are stored when the job is written."""
+        self.character = character
+        neutrals = np.cumsum([0, *(len(each.targets) for each in character.target_sets)])
+        for index, target in enumerate(character.targets):
+            name = "" if index == 0 else target.name
+            known = self.inputs.get("targets", {}).get(name)
+            if known is not None and (index == 0 or index not in neutrals):
+                known |= {key: value for key, value in materials.stored(target).items() if key in known}
 
     def _build(self, simulate):
         built = 0.95 if self.character.settings.fit_to_shot else 0.7
@@ -641,13 +747,13 @@ class Job:
                 self.references.append(reference)
                 if self.cancelled:
                     return
+        self._adopt(materials.calibrated(self.character, self.references))
         self.fraction = built
         self.warnings += self.model.summary["warnings"]
 
     def _finish(self, simulate):
-        with self._stage("simulate"):
-            self.result, self.report = self.shot.bake()
-            self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
+        outside = [] if self.character.parts else self.followers
+        self.carried = [simulate.follow(self.model, self.result, follower) for follower in outside]
         for name in ("coordinates", "weights", "modes", "details", "dry"):
             if not all(np.isfinite(getattr(bake, name)).all() for bake in (self.result, *self.carried)):
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
@@ -660,16 +766,16 @@ class Job:
         first, last = self.model.summary.get("fitted", (self.settings.start, self.settings.end))
         if self.settings.start < first or self.settings.end > last:
             self.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
-        if self.report["inverted"]:
-            self.warnings.append(
-                f"{self.report['inverted']} of {len(self.model.tets)} tetrahedra turn inside out at worst: raise "
-                "Stiffness or Cage Nodes, or smooth the sculpt"
-            )
+        found = self.verdict.as_dict(self.limits)
+        if self.rehearsed:
+            self.warnings.append(self.rehearsed)
+        if not found["ok"]:
+            self.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint Softness")
 
     def _to_metres(self) -> list[np.ndarray]:
-        """Local to metric space (3, 3) of the body and of what follows it."""
-        to_bind = self.character.to_bind
-        return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in self.followers)]
+        """Local to metric space (3, 3) of the body, and of what follows it outside of its cage."""
+        to_bind, outside = self.character.to_bind, self.followers[: len(self.carried)]
+        return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in outside)]
 
     def _splice(self):
         """Make the results parts of the bakes that there were."""
@@ -681,16 +787,18 @@ class Job:
     def _make_keys(self):
         """What the results become, apart from Blender: shape keys, and the files of point caches."""
         names = self.name, *(follower.name for follower in self.followers)
-        points_of = self.character.vertices, *(follower.points for follower in self.followers)
-        off = 0.0
-        for name, points, bake, to_metres in zip(
-            names, points_of, (self.result, *self.carried), self._to_metres(), strict=True
-        ):
+        points_of = self.character.vertices[self.character.own], *(follower.points for follower in self.followers)
+        off, all_keys, bakes = 0.0, [], []
+        for name, whole, to_metres in zip(names, (self.result, *self.carried), self._to_metres(), strict=False):
             try:
-                keys, error = clips.as_keys(bake, self.output, to_metres)
+                keys, error = clips.as_keys(whole, self.output, to_metres)
             except clips.ClipError as refusal:
                 raise SceneError(f"'{name}': {refusal}") from refusal
-            off, cache = max(off, error), None
+            off = max(off, error)
+            all_keys += self.of_meshes(keys)
+            bakes += self.of_meshes(whole)
+        for name, points, bake, keys in zip(names, points_of, bakes, all_keys, strict=True):
+            cache = None
             if self.output.sink in clips.CACHES:
                 content = clips.digest(bake, points, self.settings.fps)
                 default = sinks.cache_path(self.caches, name, content, self.output.sink)

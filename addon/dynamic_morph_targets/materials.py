@@ -32,6 +32,8 @@ REST = 0.05  # of the amplitude: an oscillation has settled when this much is le
 POISSON = 0.4  # real flesh is nearly incompressible, 0.5; linear tetrahedra lock above 0.4
 TABLE_BEGIN, TABLE_END = "<!-- presets -->", "<!-- end of presets -->"
 MODES = 8  # that are looked at, to find the one that shows
+SEARCHED = 24  # that are looked at where thin parts, which swing first, may be many
+EFFECTIVE = 0.02  # of the mass that a mode must move to be one of the body
 IDLE = 0.02  # of the highest of them: slower modes turn the flesh about a straight bone, which hardly holds it
 SOFTEST, STIFFEST = 1.0, 1e9  # Pa, between which a stiffness is sought
 REFERENCE = 2 * pi * 5.0  # rad/s, at which the presets have the damping that was measured: flesh bounces at about 5 Hz
@@ -516,6 +518,78 @@ def references(model, character: Character) -> Iterator[tuple[float, float]]:
             yield omega / (2 * pi) / sqrt(material.stiffness / material.density), float((volumes * share).sum())
 
 
+def calibrated(character: Character, found: list[tuple[float, float]]) -> Character:
+    """The character with the stiffness that its targets' frequencies ask for; found: its `references`.
+
+    Targets that the artist has not set by hand follow the neutral one, as much stiffer than it as they were.
+    """
+    neutral = character.targets[0]
+    before, after = neutral.material.stiffness, _stiffness_of(neutral, found[0][0])
+    neutrals = {indices[0] for indices in _indices(character)}
+
+    def material(index: int, target) -> Material:
+        stiffness = target.material.stiffness
+        if index in neutrals:
+            stiffness = after
+        elif target.by_hand and len(found) == len(character.targets):
+            stiffness = _stiffness_of(target, found[index][0])
+        elif target.frequency:
+            stiffness *= after / before
+        return replace(target.material, stiffness=as_stored(stiffness))
+
+    return character.with_materials(material)
+
+
+def as_stored(value: float) -> float:
+    """A number as Blender keeps it, in single precision: what is simulated is what a file says."""
+    return float(np.float32(value))
+
+
+def stored(target) -> dict[str, float]:
+    """What a build or a rehearsal may change of a target, by the names of its properties."""
+    material = target.material
+    return {
+        "stiffness": material.stiffness,
+        "mass_damping": material.mass_damping,
+        "stiffness_damping": material.stiffness_damping,
+        "frequency": target.frequency,
+    }
+
+
+def _stiffness_of(target, reference: float) -> float:
+    if not (target.frequency and reference):
+        return target.material.stiffness
+    return stiffness_for(reference, target.material, target.frequency)
+
+
+def stiffened(character: Character, factor: float) -> Character:
+    """The character with its frequency `factor` times as high at all targets that are not set by hand; the damping
+    ratio stays."""
+
+    def material(_index: int, target) -> Material:
+        old = target.material
+        if target.by_hand or not target.frequency:
+            return old
+        return replace(
+            old,
+            stiffness=as_stored(old.stiffness * factor**2),
+            mass_damping=as_stored(old.mass_damping * factor),
+            stiffness_damping=as_stored(old.stiffness_damping / factor),
+        )
+
+    sets = tuple(
+        replace(
+            target_set,
+            targets=tuple(
+                target if target.by_hand else replace(target, frequency=as_stored(target.frequency * factor))
+                for target in target_set.targets
+            ),
+        )
+        for target_set in character.with_materials(material).target_sets
+    )
+    return replace(character, target_sets=sets)
+
+
 def swing(reference: float, material: Material) -> Oscillation:
     """How flesh with a reference of `references` swings when it is of this material."""
     return _damped(_omega(reference, material), material)
@@ -535,6 +609,18 @@ def stiffness_for(reference: float, material: Material, frequency: float) -> flo
         wanted = min(wanted, (half / beta) ** 2)
     x = 2 * wanted / (half + sqrt(max(half**2 - beta**2 * wanted, 0.0)))
     return material.density * x / (2 * pi * reference) ** 2
+
+
+def with_bounce(reference: float, material: Material, frequency: float) -> Material:
+    """The material with which such flesh swings `frequency` times a second, and settles as soon as now.
+
+    The dampings keep their proportion.
+    """
+    now = swing(reference, material)
+    undamped = (2 * pi * frequency) ** 2 + now.decay**2
+    stiffer = replace(material, stiffness=material.density * undamped / (2 * pi * reference) ** 2)
+    alpha, beta = damping_for(reference, stiffer, now.settle)
+    return replace(stiffer, mass_damping=alpha, stiffness_damping=beta)
 
 
 def damping_for(reference: float, material: Material, settle: float) -> tuple[float, float]:
@@ -618,6 +704,8 @@ def _natural_frequency(model, engine, target: int, patch: np.ndarray) -> float:
     engine: of the unreduced model. A mode phi of unit mass moves by |phi|^2 / omega^2 for a unit force: modes are
     compared by that, over the patch.
     """
+    if model.settings.hold == "THICKNESS":
+        return _body_frequency(model, engine, target, patch)
     omega, shapes = engine.linear_modes(target, min(MODES, engine.dofs - 1))
     at_nodes = np.zeros((len(model.nodes), 3, len(omega)))
     at_nodes[engine.body.free_nodes] = shapes.reshape(-1, 3, len(omega))
@@ -625,6 +713,23 @@ def _natural_frequency(model, engine, target: int, patch: np.ndarray) -> float:
     swings = omega > IDLE * omega[-1]
     answer = np.einsum("v,vck->k", patch, on_surface[:, :, swings] ** 2) / omega[swings] ** 2
     return float(omega[swings][answer.argmax()])
+
+
+def _body_frequency(model, engine, target: int, patch: np.ndarray) -> float:
+    """The same of a body that is held by thickness: the lowest mode with at least EFFECTIVE of the effective mass.
+
+    With the patch (V,) moving as one along an axis, s its pattern on the nodes, a mode phi of unit mass has the
+    effective mass (phi^T M s)^2 of s^T M s. Where no mode has as much, the one that has most.
+    """
+    omega, shapes = engine.linear_modes(target, min(SEARCHED, engine.dofs - 1))
+    free = engine.body.free_nodes
+    moved = model.at_nodes((patch / patch.max())[:, None])[free, 0].clip(0.0, 1.0)
+    mass = engine.body.volumes.sum(axis=1)
+    density = 1.0 / np.einsum("n,nck,nck->k", mass, *(2 * [shapes.reshape(len(free), 3, -1)]))  # it is one per mode
+    along = np.einsum("n,nck->ck", mass * moved, shapes.reshape(len(free), 3, -1))
+    share = (along**2 * density).max(axis=0) / (mass * moved**2).sum()
+    body = np.flatnonzero(share >= EFFECTIVE)
+    return float(omega[body[0] if len(body) else share.argmax()])
 
 
 if __name__ == "__main__":

@@ -241,7 +241,8 @@ class Target:
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
     angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the flesh's
-    motion shows in its pose, 0 to 1.
+    motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where the material says it;
+    by_hand: whether the artist has set it, so that no rehearsal changes it and it does not follow the neutral target.
     """
 
     name: str
@@ -252,6 +253,8 @@ class Target:
     material: Material
     radius: float = 0.0
     influence: float = 1.0
+    frequency: float = 0.0
+    by_hand: bool = False
 
 
 @dataclass(frozen=True)
@@ -328,6 +331,7 @@ LATER_SETTINGS = {
     "separate": True,
     "hold": "BONES",
     "one_cage": False,
+    "hold_head": False,
 }
 
 
@@ -346,8 +350,9 @@ class ModelSettings:
     cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
-    hold: str = "BONES"  # what holds the body: pins near bones, or THICKNESS, a continuous hold of core and thin parts
+    hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
+    hold_head: bool = False  # the skin of the head is held like something rigid; with one_cage
 
 
 class OwnCage(NamedTuple):
@@ -369,7 +374,11 @@ class Character:
     transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
     with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
     rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
-    with the hold by thickness the cage is held there.
+    with the hold by thickness the cage is held there. painted: whether the artist painted `softness`, which then says
+    alone what is held but for the core.
+
+    With one_cage the arrays cover the vertices of several meshes: first those of the soft skin's own mesh (`own`), then
+    those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
     """
 
     name: str
@@ -387,12 +396,22 @@ class Character:
     cage: OwnCage | None = None
     pieces: np.ndarray = None
     rigidity: np.ndarray = None
+    painted: bool = False
+    coincident: np.ndarray = None
+    parts: tuple[Follower, ...] = ()
 
     def __post_init__(self):
         if self.pieces is None:
             object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
         if self.rigidity is None:
             object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
+        if self.coincident is None:
+            object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
+
+    @property
+    def own(self) -> slice:
+        """Which of the vertices are those of the soft skin's own mesh."""
+        return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
 
     @property
     def targets(self) -> list[Target]:
@@ -402,6 +421,15 @@ class Character:
     def with_settings(self, **changes) -> Character:
         """The same character, built otherwise."""
         return replace(self, settings=replace(self.settings, **changes))
+
+    def with_materials(self, change) -> Character:
+        """The same character with materials change(index, target) -> Material, index into `targets`."""
+        sets, index = [], 0
+        for target_set in self.target_sets:
+            numbered = enumerate(target_set.targets, index)
+            sets.append(replace(target_set, targets=tuple(replace(t, material=change(i, t)) for i, t in numbered)))
+            index += len(target_set.targets)
+        return replace(self, target_sets=tuple(sets))
 
     def by_method(self) -> Character:
         """The character that its method simulates: with the neutral target alone, or with the neutral's material."""
@@ -439,8 +467,9 @@ class Follower:
     """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
 
     session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
-    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own;
-    skin: the points of the character's surface nearest to the vertices.
+    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own.
+    What moves it is either `skin`, the points of the character's surface nearest to the vertices, or the character's
+    cage, of whose vertices it is the `members`.
     """
 
     name: str
@@ -448,7 +477,8 @@ class Follower:
     points: np.ndarray
     vertices: np.ndarray
     from_body: np.ndarray
-    skin: SurfaceMap
+    skin: SurfaceMap | None = None
+    members: slice | None = None
 
 
 @dataclass(frozen=True)
@@ -458,7 +488,8 @@ class SimulationSettings:
     samples: states a frame that are kept, of which `substeps` is a multiple.
     begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
     preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
-    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them; amount: on all
+    of it.
     """
 
     start: int = 1
@@ -473,6 +504,7 @@ class SimulationSettings:
     begin: str = "SETTLE"
     loop: bool = False
     gains: tuple[float, ...] = ()
+    amount: float = 1.0
 
     def __post_init__(self):
         if self.substeps % self.samples:

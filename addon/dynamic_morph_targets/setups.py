@@ -150,11 +150,15 @@ def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
         if entry.get("object"):
             there = lacking.present("objects", [entry["object"]], meshes)
         else:
-            there = lacking.present("vertex groups", [entry["group"]], obj.vertex_groups)
+            there = [obj.name]
+        if there and entry.get("group"):
+            owner = meshes[entry["object"]] if entry.get("object") else obj
+            there = lacking.present("vertex groups", [entry["group"]], owner.vertex_groups)
         if there:
             piece = obj.dynamorph.pieces.add()
             assign(piece, _simple(entry))
             piece.object = meshes[entry["object"]] if entry.get("object") else None
+            piece.reason = entry.get("reason", "")  # which `choice` takes away
 
 
 def _simple(entry: dict) -> dict:

@@ -229,7 +229,9 @@ class Player:
         return weights @ self._shapes
 
     def shown(self, frame: Frame) -> np.ndarray:
-        """The frame's coordinates with the modes' gains and the targets' influence on the motion about their shapes."""
+        """The frame's coordinates, where the amount, the modes' gains and the targets' influence scale the motion about
+        the targets' shapes.
+        """
         return self.as_shown(frame.coordinates, frame.weights)
 
     def as_shown(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -248,7 +250,7 @@ class Player:
         return dry + sum(share[..., None] * part for share, part in zip(np.moveaxis(shares, -1, 0), parts, strict=True))
 
     def _with_gains(self, coordinates: np.ndarray, dry: np.ndarray) -> np.ndarray:
-        return coordinates + (self.gains - 1.0) * (coordinates - dry)
+        return coordinates + (self.settings.amount * self.gains - 1.0) * (coordinates - dry)
 
     def _in_regions(self, motion: np.ndarray) -> list[np.ndarray]:
         """Each set's part of a motion (..., dofs); they sum to it."""
@@ -500,8 +502,16 @@ def bake(
 
 def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
     """The same shot of what the flesh carries along, in the follower's own local space."""
+    if follower.members:
+        return part_of(bake, follower.members, follower.from_body)
     modes, details = carried(model, bake.node_modes, follower)
     return replace(bake, modes=modes, details=details)
+
+
+def part_of(bake: Bake, members: slice, from_body: np.ndarray | None = None) -> Bake:
+    """The same shot of some of its vertices; from_body (3, 3): of a displacement into the space that they are in."""
+    turn = np.eye(3) if from_body is None else from_body
+    return replace(bake, modes=bake.modes[:, members] @ turn.T, details=bake.details[:, members] @ turn.T)
 
 
 def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.ndarray, np.ndarray]:

@@ -81,7 +81,7 @@ def _blend(character: Character, local: np.ndarray) -> np.ndarray:
     if not character.target_sets:
         return np.zeros_like(character.vertices)
     weights = simulate.pose_space(character).weights(local[None])[0]
-    return np.tensordot(weights, [target.shape for target in character.targets], 1)
+    return np.tensordot(weights, [target.shape[character.own] for target in character.targets], 1)
 
 
 # Targets -----------------------------------------------------------------------------------------------------------

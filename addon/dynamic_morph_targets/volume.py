@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import dynamorph
 import numpy as np
 
+from .hold import Hold, hold
 from .scene_data import Character, connected_parts
 
 Progress = Callable[[float, str], bool]
@@ -25,8 +26,9 @@ FEWEST_NODES = 50  # of a piece's own cage
 class Volume:
     """The flesh before the targets: n nodes, m tets, S target sets, B bones. Bind space, metres.
 
-    embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) painted factor; shares (m, S);
-    pinned (n,) bool; node_weights (n, B + 1); summary: what is to be told of it.
+    embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor, painted and by thickness;
+    shares (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness, or None; summary: what is to be told
+    of it.
     """
 
     mesh: dynamorph.TetMesh
@@ -36,6 +38,7 @@ class Volume:
     shares: np.ndarray
     pinned: np.ndarray
     node_weights: np.ndarray
+    hold: Hold | None
     summary: dict
 
 
@@ -44,7 +47,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
 
     Raises dynamorph.Error with advice when the skin cannot be filled or nothing holds it.
     """
-    surface = character.vertices @ character.to_bind.T
+    surface = (character.vertices @ character.to_bind.T)[character.coincident]
     cages = _cages(character, surface)
     with stages("Meshing", 0.30) as report:
         defects = dynamorph.closed_surface(surface, character.triangles)[2]
@@ -57,10 +60,16 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
             _filled(*each, surface, turn) for each, turn in _in_turn(zip(cages.values(), meshes, strict=True), report)
         ]
         mesh, embedding = _together(character.pieces, list(cages), filled)
-        stiffness, weights, softness, shares = _inherited(character, mesh, embedding)
+        embedding = _alike(embedding, character.coincident)
+        stiffness, weights, softness, rigidity, shares = _inherited(character, mesh, embedding)
         fill = np.concatenate([cage.fill for cage in filled])
-        pinned = np.concatenate([cage.pinned for cage in filled]) | (softness < HELD)
-        adrift = _adrift(mesh, pinned)
+        held, pinned, adrift = None, np.zeros(len(mesh.nodes), bool), []
+        if character.settings.hold == "BONES":
+            pinned = np.concatenate([cage.pinned for cage in filled]) | (softness < HELD)
+            adrift = _adrift(mesh, pinned)
+        else:
+            held = _held(character, mesh, surface, softness, rigidity, fill)
+            stiffness = stiffness * held.stiffness
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
             f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint "
@@ -73,6 +82,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         "nodes": len(mesh.nodes),
         "tets": len(mesh.tets),
         "pinned": int(pinned.sum()),
+        "held": float(held.phi.mean()) if held else float(pinned.mean()),
         "defects": defects,
         "quality": dynamorph.tet_quality(mesh),
         "glued": glued,
@@ -81,7 +91,13 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         + _glued_warnings(character, glued)
         + [_adrift_warning(character, embedding, nodes) for nodes in adrift],
     }
-    return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, summary)
+    return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, held, summary)
+
+
+def _held(character: Character, mesh, surface: np.ndarray, softness, rigidity, fill: np.ndarray) -> Hold:
+    soft = (character.pieces[character.triangles] >= 0).all(axis=1)
+    thickness = dynamorph.Thickness(surface, character.triangles[soft])
+    return hold(mesh, thickness, surface, rigidity, softness if character.painted else None, fill)
 
 
 # Cages: of the body, and of pieces that have their own ---------------------------------------------------------------
@@ -138,7 +154,9 @@ class _Filled:
 def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report) -> _Filled:
     mesh, embedding, glued = _parted(cage, mesh, surface)
     fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
-    return _Filled(mesh, embedding, fill, _pinned(cage, mesh, surface), glued, _outside(cage, embedding))
+    by_bones = cage.settings.hold == "BONES"
+    pinned = _pinned(cage, mesh, surface) if by_bones else np.zeros(len(mesh.nodes), bool)
+    return _Filled(mesh, embedding, fill, pinned, glued, _outside(cage, embedding))
 
 
 def _together(pieces: np.ndarray, numbers: list[int], cages: list[_Filled]) -> tuple:
@@ -158,10 +176,18 @@ def _together(pieces: np.ndarray, numbers: list[int], cages: list[_Filled]) -> t
     return mesh, dynamorph.Embedding(nodes, weights)
 
 
+def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.Embedding:
+    """The embedding with that of the first vertex for all at the same place, which a cut would tear apart."""
+    if np.array_equal(coincident, np.arange(len(coincident))):
+        return embedding
+    return dynamorph.Embedding(embedding.nodes[coincident], embedding.weights[coincident])
+
+
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
     settings, cage = character.settings, character.cage
     extent = np.ptp(surface[np.unique(character.triangles)], axis=0)
     grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(extent)))
+    bones = np.round(character.bone_segments / grid) * grid
     try:
         _, _, mesh = dynamorph.mesh_body(
             np.round(surface / grid) * grid,
@@ -171,7 +197,7 @@ def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.
             thickness=settings.cage_thickness,
             grading=settings.cage_grading,
             moved=moved(character),
-            bones=np.round(character.bone_segments / grid) * grid,
+            bones=bones if settings.hold == "BONES" else None,
             held=settings.pin_radius,
             progress=report,
         )
@@ -254,17 +280,21 @@ def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes:
 
 
 def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> tuple:
-    """What the skin passes on: stiffness (m,) and shares (m, S) of the tets, weights (n, B + 1) and softness (n,)."""
+    """What the skin passes on: stiffness (m,) of the tets, weights (n, B + 1), softness and rigidity (n,), and shares
+    (m, S) of the tets.
+    """
     # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and no further than painted.
     painted = np.log(character.stiffness)
     shares = [target_set.share for target_set in character.target_sets]
-    values = np.column_stack([painted, character.weights, character.softness, *shares])
+    values = np.column_stack([painted, character.weights, character.softness, character.rigidity, *shares])
     at_nodes = dynamorph.extend_to_nodes(mesh, embedding, values)
     stiffness = np.exp(at_nodes[:, 0].clip(painted.min(), painted.max()))[mesh.tets].mean(axis=1)
-    weights, softness, shares = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([character.weights.shape[1], 1]), axis=1)
+    bones = character.weights.shape[1]
+    weights, softness, rigidity, shares = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1, 1]), axis=1)
     shares = shares[mesh.tets].mean(axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
-    return stiffness, weights, softness[:, 0], shares / shares.sum(axis=1, keepdims=True)
+    shares /= shares.sum(axis=1, keepdims=True)
+    return stiffness, weights, softness[:, 0].clip(max=1.0), rigidity[:, 0].clip(max=1.0), shares
 
 
 def _pinned(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> np.ndarray:

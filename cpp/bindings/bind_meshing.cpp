@@ -5,6 +5,7 @@
 #include "dynamorph/closed_surface.hpp"
 #include "dynamorph/parting.hpp"
 #include "dynamorph/tetrahedralize.hpp"
+#include "dynamorph/thickness.hpp"
 
 namespace py = pybind11;
 using namespace py::literals;
@@ -188,6 +189,33 @@ all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (
 the mesh's space.)");
 }
 
+void bind_thickness(py::module_& m) {
+  py::class_<Thickness>(m, "Thickness",
+                        R"(How thick a body is: the radius of the largest ball in it that covers a point.
+
+Wide in a belly, narrow in a finger; continuous. Skin that lies inside other skin does not count.)")
+      .def(py::init([](const FloatArray& vertices, const IntArray& faces, const py::object& progress) {
+             const Points v = points(vertices, "vertices");
+             const Triangles f = triangles(faces);
+             const ProgressFn report = with_gil(progress);
+             return without_gil([&] { return std::make_unique<Thickness>(v, f, report); });
+           }),
+           "vertices"_a, "triangles"_a, "progress"_a = py::none(), R"(Of any triangle soup, which is closed first.
+
+vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Raises Error as
+`closed_surface`.)")
+      .def(
+          "at",
+          [](const Thickness& self, const FloatArray& array) {
+            const Points p = points(array, "points");
+            const Thickness::Measures found = without_gil([&] { return self.at(p); });
+            return std::make_pair(found.thickness, found.depth);
+          },
+          "points"_a, R"((thickness (k,), depth (k,)) at points (k, 3); metres.
+
+Depth is the distance to the skin, 0 outside of the body; a point there has the thickness of the skin nearest to it.)");
+}
+
 void bind_parting(py::module_& m) {
   py::class_<Parting>(m, "Parting", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
 
@@ -219,4 +247,5 @@ void bind_meshing(py::module_& m) {
   bind_meshers(m);
   bind_body_in_mesh(m);
   bind_parting(m);
+  bind_thickness(m);
 }

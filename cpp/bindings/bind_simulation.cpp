@@ -389,15 +389,18 @@ void bind_models(py::module_& m) {
 
   py::class_<SoftBody, std::shared_ptr<SoftBody>>(m, "SoftBody", "What all models of one character share.")
       .def(py::init([](const TetMesh& mesh, const VectorXd& fill, const VectorXd& stiffness, const MatrixXd& shares,
-                       const std::vector<bool>& pinned, const std::optional<MatrixXd>& weights) {
+                       const std::vector<bool>& pinned, const std::optional<MatrixXd>& weights,
+                       const std::optional<VectorXd>& hold) {
              return std::make_shared<SoftBody>(mesh, fill, stiffness, shares, pinned,
-                                               weights.value_or(MatrixXd(mesh.nodes.rows(), 0)));
+                                               weights.value_or(MatrixXd(mesh.nodes.rows(), 0)),
+                                               hold.value_or(VectorXd()));
            }),
-           "mesh"_a, "fill"_a, "stiffness"_a, "shares"_a, "pinned"_a, "weights"_a,
+           "mesh"_a, "fill"_a, "stiffness"_a, "shares"_a, "pinned"_a, "weights"_a, "hold"_a = py::none(),
            "fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's "
            "part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None "
            "where "
-           "a transform of every free node is known instead: such a body has as many bones.")
+           "a transform of every free node is known instead: such a body has as many bones. hold (m), 1/m^2, or None: "
+           "each target adds mu / 2 times the integral of hold |u - d|^2 to its energy.")
       .def_readonly("size", &SoftBody::size, "Bounding-box diagonal, metres.")
       .def_readonly("free_nodes", &SoftBody::free_nodes)
       .def_readonly("volumes", &SoftBody::volumes, "Lumped volume of the free nodes by target set, m^3.")

@@ -20,7 +20,7 @@ void check_size(const char* name, Eigen::Index actual, Eigen::Index expected) {
 }  // namespace
 
 SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, MatrixXd shares_,
-                   const std::vector<bool>& pinned, const Eigen::Ref<const MatrixXd>& weights)
+                   const std::vector<bool>& pinned, const Eigen::Ref<const MatrixXd>& weights, const VectorXd& hold)
     : mesh(std::move(mesh_)), fill(std::move(fill_)), shares(std::move(shares_)) {
   const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
   check_size("fill", fill.size(), m);
@@ -34,6 +34,9 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
     throw std::invalid_argument("shares: every row must be >= 0 and sum to one");
   if (!stiffness.allFinite() || !fill.allFinite())
     throw std::invalid_argument("fill, stiffness: must be finite for every tetrahedron");
+  if (hold.size() > 0) check_size("hold", hold.size(), m);
+  if (!hold.allFinite() || (hold.array() < 0).any())
+    throw std::invalid_argument("hold: must be finite and not negative for every tetrahedron");
   stiffness_scale = fill.cwiseProduct(stiffness);
   free_of_node.assign(n, -1);
   for (int i = 0; i < n; ++i)
@@ -55,11 +58,16 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
     skin = normalized(free_weights);
   }
   rest = restrict_to_free(flat(mesh.nodes));
-  volumes.resize(f, sets());
-  for (int s = 0; s < sets(); ++s) {
-    const VectorXd all = lumped_volumes(mesh, fill.cwiseProduct(shares.col(s)));
-    for (Eigen::Index i = 0; i < f; ++i) volumes(i, s) = all(free_nodes[i]);
-  }
+  const auto lumped = [&](const VectorXd& density) {
+    MatrixXd out(f, sets());
+    for (int s = 0; s < sets(); ++s) {
+      const VectorXd all = lumped_volumes(mesh, density.cwiseProduct(shares.col(s)));
+      for (Eigen::Index i = 0; i < f; ++i) out(i, s) = all(free_nodes[i]);
+    }
+    return out;
+  };
+  volumes = lumped(fill);
+  if ((hold.array() > 0).any()) holds = lumped(stiffness_scale.cwiseProduct(hold));
   volume = volumes.sum();
   centre.setZero();
   for (Eigen::Index i = 0; i < f; ++i) centre += volumes.row(i).sum() / volume * rest.segment<3>(3 * i);
@@ -102,6 +110,7 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
   if (targets_.empty()) throw std::invalid_argument("targets: at least one is needed");
   VectorXd force;
   Matrix K = zero();
+  for (Eigen::Index i = 0; i < dofs(); ++i) diagonal_.push_back(&K.coeffRef(i, i) - K.valuePtr());
   for (const MorphTarget& target : targets_) {
     if (target.set < 0 || target.set >= body_->sets())
       throw std::invalid_argument("targets: '" + target.name + "' is in set " + std::to_string(target.set) +
@@ -123,6 +132,8 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
     // The linear law's stiffness is StVK's at the rest shape.
     const Law law = law_ == Law::linear ? Law::stvk : law_;
     assembly_.linearize(law, {{1, target.lame, &elements_.back()}}, VectorXd::Zero(d.size()), force, K);
+    for (Eigen::Index i = 0; body_->holds.size() > 0 && i < dofs(); ++i)
+      K.valuePtr()[diagonal_[i]] += target.lame.mu * body_->holds(i / 3, target.set);
     rest_stiffness_.push_back(values(K));
     rest_pull_.push_back(K * d);
     if (blending_ == Blending::forces) elements_.back() = assembly_.pack(shapes_.back(), true);
@@ -161,7 +172,7 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
     for (Eigen::Index j = 0; j < w.size(); ++j)
       if (w(j) != 0) out.displacement += w(j) * rest_displacements_[j];
   }
-  if (!linear) return;
+  if (!linear) return blend_hold(w, out);
   out.energy = 0;
   if (even) {
     multiply_symmetric(out.stiffness, out.displacement, out.force);
@@ -189,14 +200,50 @@ VectorXd FullModel::given(const Blend& blend, const VectorXd& q) const {
   return blending_ == Blending::even ? VectorXd(q - blend.displacement) : q;
 }
 
+void FullModel::blend_hold(const VectorXd& w, Blend& out) const {
+  if (body_->holds.size() == 0) return;
+  out.hold.setZero(dofs());
+  out.hold_shapes.setZero(blending_ == Blending::even ? 0 : dofs());
+  out.hold_energy = 0;
+  for (Eigen::Index j = 0; j < w.size(); ++j) {
+    if (w(j) == 0) continue;
+    const VectorXd nodes = w(j) * targets_[j].lame.mu * body_->holds.col(targets_[j].set);
+    const VectorXd own = nodes.replicate(1, 3).transpose().reshaped();
+    out.hold += own;
+    if (blending_ == Blending::even) continue;  // about each target's own shape, which is where x is zero
+    out.hold_shapes += own.cwiseProduct(rest_displacements_[j]);
+    out.hold_energy += 0.5 * own.dot(rest_displacements_[j].cwiseAbs2());
+  }
+}
+
+double FullModel::hold_energy(const Blend& blend, const VectorXd& x, VectorXd& pull) const {
+  pull = blend.hold.cwiseProduct(x);
+  const double energy = 0.5 * x.dot(pull);
+  if (blending_ == Blending::even) return energy;
+  pull -= blend.hold_shapes;
+  return energy - x.dot(blend.hold_shapes) + blend.hold_energy;
+}
+
 double FullModel::energy(const Blend& blend, const VectorXd& q) const {
   if (law_ == Law::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
-  return assembly_.energy(law_, parts(blend), given(blend, q));
+  const VectorXd x = given(blend, q);
+  VectorXd pull;
+  const double held = body_->holds.size() > 0 ? hold_energy(blend, x, pull) : 0;
+  return assembly_.energy(law_, parts(blend), x) + held;
 }
 
 double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const {
   if (stiffness.nonZeros() != assembly_.pattern().nonZeros()) stiffness = assembly_.pattern();
-  if (law_ != Law::linear) return assembly_.linearize(law_, parts(blend), given(blend, q), force, stiffness);
+  if (law_ != Law::linear) {
+    const VectorXd x = given(blend, q);
+    const double energy = assembly_.linearize(law_, parts(blend), x, force, stiffness);
+    if (body_->holds.size() == 0) return energy;
+    VectorXd pull;
+    const double held = hold_energy(blend, x, pull);
+    force += pull;
+    for (Eigen::Index i = 0; i < dofs(); ++i) stiffness.valuePtr()[diagonal_[i]] += blend.hold(i);
+    return energy + held;
+  }
   values(stiffness) = values(blend.stiffness);
   multiply_symmetric(blend.stiffness, q, force);
   force += blend.force;
@@ -246,6 +293,7 @@ MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const M
   neutral.lame = {1, 1};
   auto whole = std::make_shared<SoftBody>(body);
   whole->shares.setOnes(body.mesh.tets.rows(), 1);
+  whole->holds.resize(0, 0);  // what is held is held in the target's shape, which is sought
   const FullModel model(whole, {neutral}, Law::linear, Blending::forces);
   SparseMatrix A = model.rest_stiffness(0);
   const double pull = 1e4 * A.diagonal().mean();

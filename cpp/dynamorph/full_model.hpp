@@ -40,8 +40,9 @@ struct SoftBody {
   /// fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of
   /// a tet, rows sum to one; pinned (n); weights (n, B), any positive scale. With weights (n, 0) the skinning is not
   /// known: every free node is a bone of its own, and what is called bones' transforms is one for each of them.
+  /// hold (m), 1/m^2: how firmly each tet is held in its target's shape, see `holds`; none without it.
   SoftBody(TetMesh mesh, VectorXd fill, const VectorXd& stiffness, MatrixXd shares, const std::vector<bool>& pinned,
-           const Eigen::Ref<const MatrixXd>& weights);
+           const Eigen::Ref<const MatrixXd>& weights, const VectorXd& hold = {});
 
   TetMesh mesh;
   VectorXd fill;
@@ -53,9 +54,13 @@ struct SoftBody {
   SkinWeights skin;               ///< (free nodes, B)
   VectorXd rest;                  ///< X of the free nodes (3 free)
   MatrixXd volumes;               ///< (free nodes, S) lumped, m^3
-  double size;                    ///< bounding-box diagonal, m
-  double volume;                  ///< of the free nodes, m^3
-  Vector3d centre;                ///< of that volume, m
+  /// The hold (free nodes, S), metres: target j of set s adds mu_j / 2 sum_i holds(i, s) |u_i - d_j,i|^2 to its energy,
+  /// the lumped integral of hold |u - d_j|^2 over the body. In proportion to mu_j and about its own shape, so that it
+  /// is one more term of the table for mu = 1 and all targets stay exact. Empty when nothing is held so.
+  MatrixXd holds;
+  double size;      ///< bounding-box diagonal, m
+  double volume;    ///< of the free nodes, m^3
+  Vector3d centre;  ///< of that volume, m
   /// Of each bone's flesh: sum of volume times weight times p p^T, p = (X - centre, 1).
   std::vector<Eigen::Matrix4d> moments;
 
@@ -83,9 +88,12 @@ class FullModel {
   struct Blend {
     VectorXd weights;
     SetDensities mass;
-    Matrix damping;         ///< sum_j w_j beta_j K_j
-    VectorXd displacement;  ///< d(q) of even blending (3 free), else empty
-    Matrix stiffness;       ///< linear law only: f = stiffness q + force, E = energy + ...
+    Matrix damping;          ///< sum_j w_j beta_j K_j
+    VectorXd displacement;   ///< d(q) of even blending (3 free), else empty
+    VectorXd hold;           ///< sum_j w_j mu_j holds (3 free); empty when nothing is held so
+    VectorXd hold_shapes;    ///< of forces blending: the same times d_j
+    double hold_energy = 0;  ///< of forces blending, at u = 0
+    Matrix stiffness;        ///< linear law only: f = stiffness q + force, E = energy + ...
     VectorXd force;
     double energy = 0;
   };
@@ -126,6 +134,9 @@ class FullModel {
   /// The targets that count, and the displacements they are given.
   std::vector<Assembly::Part> parts(const Blend& blend) const;
   VectorXd given(const Blend& blend, const VectorXd& q) const;
+  void blend_hold(const VectorXd& w, Blend& out) const;
+  /// Energy of the hold at displacements x as `given`; pull: its force.
+  double hold_energy(const Blend& blend, const VectorXd& x, VectorXd& pull) const;
 
   std::shared_ptr<const SoftBody> body_;
   std::vector<MorphTarget> targets_;
@@ -137,6 +148,7 @@ class FullModel {
   std::vector<VectorXd> rest_displacements_;  ///< d_j over the free nodes
   std::vector<VectorXd> rest_stiffness_;      ///< values of each K_j
   std::vector<VectorXd> rest_pull_;           ///< K_j d_j
+  std::vector<Eigen::Index> diagonal_;        ///< where the pattern stores (i, i)
 };
 
 /// Node displacements (3n, k) that follow the columns of `surfaces` (3V, k) where the mesh embeds them and are elastic

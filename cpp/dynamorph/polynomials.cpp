@@ -111,6 +111,21 @@ class TargetSums {
 
 }  // namespace
 
+namespace {
+
+/// The hold's U^T H U, which is quadratic about the target's shape as K0 is.
+void add_hold(const SoftBody& body, int set, const RowMajor& U, VectorXd& table) {
+  MatrixXd held = MatrixXd::Zero(U.cols(), U.cols());
+  for (Index i = 0; i < body.holds.rows(); ++i) {
+    const auto rows = U.middleRows<3>(3 * i);
+    held.noalias() += body.holds(i, set) * rows.transpose() * rows;
+  }
+  Index at = 0;
+  for_pairs(U.cols(), [&](Index k, Index l) { table(at++) += held(k, l); });
+}
+
+}  // namespace
+
 bool mode_gradients(const SoftBody& body, const Element& element, Index e, const RowMajor& modes, RowMajor& G) {
   G.setZero(9, modes.cols());
   bool moves = false;
@@ -165,6 +180,7 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
       if (mode_gradients(body, element, e, modes, G)) sums.add(element.volume, G);
     }
     sums.tables(tables.lambda[j], tables.mu[j]);
+    if (body.holds.size() > 0) add_hold(body, model.targets()[j].set, modes, tables.mu[j]);
   });
   report(progress, 1);
   return tables;

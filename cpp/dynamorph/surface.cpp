@@ -63,13 +63,17 @@ Surface::Dipole Surface::dipole(const Bvh::Node& node) const {
   return d;
 }
 
-double Surface::distance(const Vector3d& p) const {
+Vector3d Surface::nearest(const Vector3d& p) const {
   double best = std::numeric_limits<double>::infinity();
+  Vector3d nearest = Vector3d::Constant(best);
   bvh_.nearest(p, best, [&](int t) {
     const Vector3d closest = closest_on_triangle(p, corner(t, 0), corner(t, 1), corner(t, 2));
-    best = std::min(best, (closest - p).squaredNorm());
+    const double distance = (closest - p).squaredNorm();
+    if (distance >= best) return;
+    best = distance;
+    nearest = closest;
   });
-  return std::sqrt(best);
+  return nearest;
 }
 
 double Surface::winding_number(int index, const Vector3d& p) const {

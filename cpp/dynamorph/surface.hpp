@@ -25,7 +25,9 @@ class Surface {
   /// Bounds of the vertices that have triangles.
   Eigen::AlignedBox3d box() const { return bvh_.nodes.empty() ? Eigen::AlignedBox3d() : bvh_.nodes[0].box; }
   /// Metres, unsigned; infinite without triangles.
-  double distance(const Vector3d& p) const;
+  double distance(const Vector3d& p) const { return (nearest(p) - p).norm(); }
+  /// The point of the surface nearest to p; infinite without triangles.
+  Vector3d nearest(const Vector3d& p) const;
   /// About 1 inside a closed mesh of outward triangles, about 0 outside; between for open ones.
   double winding_number(const Vector3d& p) const { return bvh_.nodes.empty() ? 0 : winding_number(0, p); }
   /// Also for a mesh that is inside out.

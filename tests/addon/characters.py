@@ -9,6 +9,19 @@ import bpy
 import numpy as np
 
 ASSETS = Path(__file__).parents[3] / "shared" / "assets"
+BY = "[CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)"
+CREDITS = {  # for whoever pictures them, as their licences ask
+    "CesiumMan_notexture.glb": f"*Cesium Man*, © 2017 Cesium, {BY}; its textures, which carry a trademark, are "
+    "removed.",
+    "Fox.glb": f"*Fox*: mesh by PixelMannen, CC0; rig and animation by @tomkranis, {BY}; conversion to glTF by "
+    f"@AsoboStudio and @scurest, {BY}.",
+    "KayKit_": "*KayKit* characters by Kay Lousberg (kaylousberg.com), CC0.",
+    "mh_": "Bodies derived from the MakeHuman project (makehumancommunity.org), CC0. Some of their clips use data "
+    "obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.",
+    "RobotExpressive.glb": "*RobotExpressive* by Tomás Laulhé (Quaternius) with modifications by Don McCurdy, CC0.",
+}
+OTHERS = "All others by Quaternius (quaternius.com), CC0, or by this project."
+CHANGED = "The pictures show them as simulated and rendered here."
 NODES, SUBSTEPS = 800, 2  # of the cage, and a frame: enough to see what goes wrong, and quick
 
 
@@ -49,7 +62,7 @@ SHOTS = {
 
 def open_shot(shot: Shot):
     """The character's largest skinned mesh as a soft skin that plays the shot's clip; the scene has its frames."""
-    open_file(shot)
+    open_file(shot.path)
     scene, body = bpy.context.scene, largest_skinned()
     scene.frame_start, scene.frame_end = shot.frames
     bpy.context.view_layer.objects.active = body
@@ -72,19 +85,32 @@ def open_shot(shot: Shot):
     return body
 
 
-def open_file(shot: Shot):
+def open_file(path: Path):
     """The file as it is."""
-    if shot.path.suffix == ".glb":
+    if path.suffix == ".glb":
         bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
-        bpy.ops.import_scene.gltf(filepath=str(shot.path))
+        bpy.ops.import_scene.gltf(filepath=str(path))
     else:
-        bpy.ops.wm.open_mainfile(filepath=str(shot.path))
+        bpy.ops.wm.open_mainfile(filepath=str(path))
 
 
 def largest_skinned():
     """The mesh object with an Armature modifier that has the most vertices."""
-    skinned = [obj for obj in bpy.context.scene.objects if obj.type == "MESH" and "Armature" in obj.modifiers]
+    skinned = [obj for obj in bpy.context.scene.objects if obj.type == "MESH" and armature_of(obj)]
     return max(skinned, key=lambda obj: len(obj.data.vertices))
+
+
+def armature_of(obj):
+    """The armature object that skins a mesh object, or None."""
+    rigs = [modifier.object for modifier in obj.modifiers if modifier.type == "ARMATURE" and modifier.object]
+    return rigs[0] if rigs else None
+
+
+def attribution(files) -> str:
+    """Who made these files, as a list in Markdown; files: their names."""
+    names = list(files)
+    lines = [text for begin, text in CREDITS.items() if any(name.startswith(begin) for name in names)]
+    return "\n".join(f"- {text}" for text in (*lines, OTHERS, CHANGED))
 
 
 def play(rig, action):

@@ -19,6 +19,10 @@ from performance_page import grid
 from run import machine
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "tools"))
+
+from measured import measured_at  # noqa: E402
+
 PAGE = ROOT / "docs" / "bakes.md"
 FIGURES = PAGE.with_suffix(".json")
 FARM = ROOT / "build" / "farm" / "farm.json"
@@ -33,6 +37,8 @@ PAGE_TEXT = """# Bakes
 What becomes of a bake: in every form that it can take, over a cycle, over many frames, killed, at other frame rates and
 on a farm. `make bakes` measures and writes this page, its pictures and [bakes.json](bakes.json); nothing on it is
 written by hand. What is not measured anew stays as it was: `make bakes sections="loops kills"` measures those two.
+
+{commits}
 
 *Body sizes*: of the diagonal of the box around the body at rest.
 
@@ -51,13 +57,24 @@ def main() -> int:
     figures = json.loads(FIGURES.read_text(encoding="utf-8")) if FIGURES.exists() else {}
     for section in chosen:
         last = figures.get(section, {})
-        figures[section] = last | SECTIONS[section].measure(section, last)
+        if found := SECTIONS[section].measure(section, last):
+            figures[section] = last | found
+            figures.setdefault("commits", {})[section] = found.get("commit", measured_at(PAGE.name))
         FIGURES.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
         print(f"bakes: {section} measured", flush=True)
     parts = [section.show(figures[name]) for name, section in SECTIONS.items() if figures.get(name)]
-    PAGE.write_text(PAGE_TEXT + "\n".join(parts).rstrip() + "\n", encoding="utf-8")
+    opening = PAGE_TEXT.format(commits=by_commit(figures["commits"]))
+    PAGE.write_text(opening + "\n".join(parts).rstrip() + "\n", encoding="utf-8")
     print(f"written to {PAGE.relative_to(ROOT)}")
     return 0
+
+
+def by_commit(commits: dict[str, str]) -> str:
+    """Which sections were measured when; commits: by section."""
+    sections: dict[str, list[str]] = {}
+    for section, commit in commits.items():
+        sections.setdefault(commit, []).append(section.replace("_", " "))
+    return "\n".join(f"{commit}: {', '.join(names)}." for commit, names in sections.items())
 
 
 # Measuring ------------------------------------------------------------------------------------------------------------

@@ -41,7 +41,7 @@ The solid has {dofs:,.0f} degrees of freedom, 4 bones and materials of 100 to 30
 same kind on a solid of as many degrees of freedom, one thread. What runs on one core counts processor time; of
 repeated runs the fastest counts.
 
-Machine: {machine}.
+{commit}. Machine: {machine}.
 """
 
 PEAKS = """## The machine
@@ -87,7 +87,9 @@ def main() -> int:
         sys.exit("bench-docs: run make bench first")
     measured = json.loads(REPORT.read_text())
     engine, pipeline = measured["engine"], measured["pipeline"]
-    page = [OPENING.format(dofs=engine["full_step/linear"]["dofs"], machine=measured["machine"])]
+    page = [
+        OPENING.format(dofs=engine["full_step/linear"]["dofs"], machine=measured["machine"], commit=measured["commit"])
+    ]
     page += [grid(table.HEAD, table.rows(measured)), PEAKS, peaks(engine)]
     page += [COST, costs(engine), STEP, parts(engine), f"![Growth with modes and targets]({IMAGES}/step.svg)\n"]
     page += [RIG.format(nodes=growth_with_nodes(engine)), f"![Growth with bones and nodes]({IMAGES}/rig.svg)\n"]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_robustness_")  # before bpy is imported
 ROOT = Path(__file__).resolve().parents[2]
-sys.path += [str(ROOT / folder) for folder in ("tests", "tests/addon", "tests/engine", "sample_blends")]
+sys.path += [str(ROOT / folder) for folder in ("tests", "tests/addon", "tests/engine", "sample_blends", "tools")]
 
 import bpy  # noqa: E402
 import characters  # noqa: E402
@@ -26,13 +26,14 @@ from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
 from dynamic_morph_targets import extract, jobs  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from mathutils import Vector  # noqa: E402
+from measured import measured_at  # noqa: E402
 from performance_page import grid  # noqa: E402
+from portrait import aim  # noqa: E402
 
 PAGE = ROOT / "docs" / "robustness.md"
 PICTURE = "images/robustness.png"
 MESHES = characters.ASSETS.parent / "meshes"
 CELL, ACROSS = (390, 300), 3  # pixels of a picture, pictures in a row
-FROM = Vector((0.65, -1.0, 0.3)).normalized()  # where the camera stands
 SURFACE_NODES = 600
 ABSENT = "-"
 DEFECTS = {
@@ -52,7 +53,7 @@ written by hand. `tests/addon/test_characters.py` asserts for each character, in
 finite and bounded, that Blender shows what the engine computed, and that *Free Bake* restores the object.
 `tests/engine/test_defects.py` spoils clean bodies in {kinds} ways and their mixtures; `make fuzz` tries more of them.
 
-Blender {blender}, {machine}.
+{commit}. Blender {blender}, {machine}.
 
 ## Characters
 
@@ -60,6 +61,8 @@ The largest skinned mesh of each file as it is opened or imported, made a soft s
 substeps a frame. Where a file has shape keys some are targets; the others are simulated with a single material.
 
 ![Each character at a frame of its bake]({picture})
+
+{attribution}
 
 ### Meshes
 
@@ -123,12 +126,14 @@ def write_page() -> None:
     draw(pictures)
     tally = mesh_surfaces()
     page = PAGE_TEXT.format(
+        commit=measured_at(PAGE.name),
         kinds=len(test_defects.DEFECTS),
         blender=bpy.app.version_string,
         machine=f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
         nodes=characters.NODES,
         substeps=characters.SUBSTEPS,
         picture=PICTURE,
+        attribution=characters.attribution(shot.file for shot in characters.SHOTS.values()),
         defects=grid(("", "vertices", "faces", *DEFECTS), defects),
         cages=grid(("", "nodes", "tetrahedra", "smallest dihedral angle", "under 5°", "inside", "glued",
                     "held loose parts"), cages),
@@ -206,19 +211,7 @@ def picture(baked: characters.Baked):
     shown = [obj for obj in scene.objects if obj.type == "MESH" and obj.parent and obj.visible_get()]
     for obj in scene.objects:
         obj.hide_render = obj not in shown and obj.type != "LIGHT"
-    turn = FROM.to_track_quat("Z", "Y").to_matrix().to_4x4()
-    seen = np.array([turn.transposed() @ obj.matrix_world @ Vector(c) for obj in shown for c in obj.bound_box])
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    width, height, depth = high - low
-    camera = bpy.data.objects.new("Picture", bpy.data.cameras.new("Picture"))
-    scene.collection.objects.link(camera)
-    camera.data.type, camera.data.clip_end = "ORTHO", 4.0 * depth
-    camera.data.ortho_scale = 1.1 * max(width, height * CELL[0] / CELL[1])  # across the picture
-    camera.matrix_world = turn
-    camera.location = turn @ Vector((*(0.5 * (low + high))[:2], high[2] + depth))
-    scene.camera = camera
-    scene.world = scene.world or bpy.data.worlds.new("World")
-    scene.world.color = (0.25, 0.28, 0.32)
+    aim(np.array([obj.matrix_world @ Vector(corner) for obj in shown for corner in obj.bound_box]), CELL)
     return render([scene.frame_current], CELL, "BLENDER_WORKBENCH")[0]
 
 
@@ -255,7 +248,7 @@ def surfaces() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """(name, vertices (V, 3), triangles (T, 3)) of all there are, metres."""
     for shot in characters.SHOTS.values():
         with quiet():
-            characters.open_file(shot)
+            characters.open_file(shot.path)
         for obj in bpy.context.scene.objects:
             if obj.type == "MESH" and obj.data.polygons:
                 points = np.array([obj.matrix_world @ vertex.co for vertex in obj.data.vertices], float)

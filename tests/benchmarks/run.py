@@ -19,6 +19,10 @@ import numpy as np
 import table
 
 ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "tools"))
+
+from measured import measured_at  # noqa: E402
+
 REPORT = ROOT / "build" / "reports" / "bench.json"
 ENGINE = ROOT / "build" / "cmake" / "engine_benchmarks"
 SOLID = ROOT.parent / "shared" / "meshes" / "shoulder.npz"
@@ -27,7 +31,12 @@ COUNTERS = ("per_second", "bytes", "coefficients", "iterations", "dofs", "bones"
 
 
 def main() -> int:
-    measured = {"machine": machine(), "engine": measure_engine(), "pipeline": measure_pipeline()}
+    measured = {
+        "machine": machine(),
+        "commit": measured_at("performance.md"),
+        "engine": measure_engine(),
+        "pipeline": measure_pipeline(),
+    }
     REPORT.parent.mkdir(parents=True, exist_ok=True)
     REPORT.write_text(json.dumps(measured, indent=1))
     print(table.as_text(measured))

@@ -7,7 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -93,6 +93,25 @@ class Parting:
     def glued(self) -> numpy.typing.NDArray[numpy.bool]:
         """
         Which tetrahedra are glued, bool (m,).
+        """
+class Thickness:
+    """
+    How thick a body is: the radius of the largest ball in it that covers a point.
+    
+    Wide in a belly, narrow in a finger; continuous. Skin that lies inside other skin does not count.
+    """
+    def __init__(self, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], progress: typing.Any = None) -> None:
+        """
+        Of any triangle soup, which is closed first.
+        
+        vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Raises Error as
+        `closed_surface`.
+        """
+    def at(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
+        """
+        (thickness (k,), depth (k,)) at points (k, 3); metres.
+        
+        Depth is the distance to the skin, 0 outside of the body; a point there has the thickness of the skin nearest to it.
         """
 class Kernel:
     """
@@ -319,9 +338,9 @@ class SoftBody:
     """
     What all models of one character share.
     """
-    def __init__(self, mesh: TetMesh, fill: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], shares: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], pinned: collections.abc.Sequence[bool], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None) -> None:
+    def __init__(self, mesh: TetMesh, fill: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], shares: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], pinned: collections.abc.Sequence[bool], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None, hold: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> None:
         """
-        fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None where a transform of every free node is known instead: such a body has as many bones.
+        fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None where a transform of every free node is known instead: such a body has as many bones. hold (m), 1/m^2, or None: each target adds mu / 2 times the integral of hold |u - d|^2 to its energy.
         """
     def extend_shapes(self, embedding: Embedding, surfaces: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> numpy.typing.NDArray[numpy.float64]:
         """

@@ -1,0 +1,382 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One character, one click, for believable.py: bakes it, measures the saved file and takes its pictures.
+
+    python tests/benchmarks/believable_bake.py ASSET FOLDER
+
+FOLDER gets figures.json, and plain.png, baked.png and heat.png if there was a bake.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+
+os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_believable_")  # before bpy is imported
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests/addon", "sample_blends", "tools")]
+
+import bpy  # noqa: E402
+import characters  # noqa: E402
+import dynamic_morph_targets  # noqa: E402
+import numpy as np  # noqa: E402
+from contact_sheet import quiet, render  # noqa: E402
+from dynamic_morph_targets import jobs, live_operators  # noqa: E402
+from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from mathutils import Matrix  # noqa: E402
+from portrait import aim  # noqa: E402
+
+TOOL = characters.ASSETS.parent / "tools" / "believable.py"
+FRAMES = 48  # of a clip at most
+TRIED = 600  # vertices whose motion says which clip is the liveliest
+HARDLY = 0.005  # body sizes: a clip that shakes it less is replaced by a hop and a twist
+NATURAL = 2.0 * np.pi * 3.5  # rad/s: what `shaken` refers to
+HOPS = 1.0  # seconds they take; then comes the twist
+CELL = (390, 260)
+MARK = "Dynamorph"  # with which the names of baked shape keys begin
+COLORS = {0.0: (0.45, 0.47, 0.5), 0.01: (0.16, 0.42, 0.72), 0.03: (0.2, 0.65, 0.3), 0.05: (0.95, 0.8, 0.15),
+          0.1: (0.85, 0.1, 0.05), 0.2: (0.6, 0.0, 0.6)}  # fmt: skip  # of |displacement| / size
+
+
+def main() -> int:
+    asset, folder = Path(sys.argv[1]), Path(sys.argv[2])
+    folder.mkdir(parents=True, exist_ok=True)
+    found = {"file": asset.name, "blender": bpy.app.version_string}
+    dynamic_morph_targets.register()
+    try:
+        measure(asset, folder, found)
+    except Exception as error:
+        traceback.print_exc()
+        found["error"] = f"{type(error).__name__}: {error}".strip()
+    (folder / "figures.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def measure(asset: Path, folder: Path, found: dict) -> None:
+    """found: is filled as far as it comes. Raises what opening and baking raise."""
+    began = time.perf_counter()
+    with quiet():
+        characters.open_file(asset)
+    found["seconds"] = {"open": time.perf_counter() - began}
+    body = characters.largest_skinned()
+    rig = characters.armature_of(body)
+    found |= {"body": body.name, "vertices": sum(len(each.data.vertices) for each in skinned(rig))}
+    found |= choose_clip(rig)
+    done = click(body, found)
+    if done is None:
+        return
+    found |= of_job(done)
+    found["seconds"] |= of_stages(done)
+    with tempfile.TemporaryDirectory(prefix="dynamorph_believable_") as place:
+        baked = Path(place) / f"{asset.stem}.blend"
+        with quiet():
+            bpy.ops.wm.save_as_mainfile(filepath=str(baked), check_existing=False)
+        run = subprocess.run([sys.executable, TOOL, baked], capture_output=True, text=True, check=False)
+    if run.returncode:
+        raise RuntimeError(f"{TOOL.name}: {run.stderr.strip() or run.stdout[-500:]}")
+    found["measured"] = json.loads(run.stdout.strip().splitlines()[-1])
+    found["plain_stretch_lo"] = plain_stretch()
+    found["worst_frame"] = photograph(rig, folder)
+
+
+def skinned(rig) -> list:
+    """The meshes that this armature skins."""
+    meshes = (obj for obj in bpy.context.scene.objects if obj.type == "MESH" and obj.data.polygons)
+    return [obj for obj in meshes if characters.armature_of(obj) == rig]
+
+
+# The click ------------------------------------------------------------------------------------------------------------
+
+
+def click(body, found: dict) -> jobs.Job | None:
+    """Add Soft Skin and Bake; the job, or None if one of them refused, and then `found` says why."""
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.context.view_layer.objects.active = body
+    body.select_set(True)
+    batches, run_all = [], jobs.run_all
+
+    def recorded(batch, tick=None):
+        batches.append(batch)
+        run_all(batch, tick)
+
+    jobs.run_all = recorded
+    began = time.perf_counter()
+    try:
+        bpy.ops.dynamorph.add_soft_skin()
+        found["seconds"]["add"] = time.perf_counter() - began
+        bpy.ops.dynamorph.bake()
+    except RuntimeError as error:
+        found["refused"] = str(error).removeprefix("Error: ").strip()
+    finally:
+        jobs.run_all = run_all
+        found["seconds"]["click to baked"] = time.perf_counter() - began
+    return None if "refused" in found else batches[-1].jobs[-1]
+
+
+def of_job(job: jobs.Job) -> dict:
+    """What the bake says of itself."""
+    tets = len(job.model.tets)
+    return {
+        "nodes": len(job.model.nodes),
+        "tets": tets,
+        "modes": job.model.summary["modes"],
+        "inverted_tets": job.report["inverted"],
+        "inverted": job.report.get("inverted_volume", job.report["inverted"] / max(tets, 1)),
+        "warnings": job.warnings,
+        "summary": job.summary(),
+    }
+
+
+def of_stages(job: jobs.Job) -> dict[str, float]:
+    """Seconds by stage of the job and, as "build: ...", of what a build consists of."""
+    built = {f"build: {stage}": seconds for stage, seconds in job.model.summary["seconds"].items()}
+    return job.seconds | built
+
+
+# The clip -------------------------------------------------------------------------------------------------------------
+
+
+def choose_clip(rig) -> dict:
+    """Let the rig play the liveliest of the file's clips, or hop and twist where none moves it much."""
+    areas = [surface(obj) for obj in skinned(rig)]
+    whole, random = sum(each.sum() for each in areas), np.random.default_rng(0)
+    meshes = [
+        Sampled(obj, rig, random.choice(len(area), int(TRIED * area.sum() / whole) + 1, p=area / area.sum()))
+        for obj, area in zip(skinned(rig), areas, strict=True)
+    ]
+    size = size_of(meshes)
+    scene = bpy.context.scene
+    tried = {}
+    if rig.animation_data:
+        for track in rig.animation_data.nla_tracks:
+            track.mute = True
+        for action in bpy.data.actions:
+            rig.animation_data.action = action
+            if rig.animation_data.action_suitable_slots:
+                rig.animation_data.action_slot = rig.animation_data.action_suitable_slots[0]
+                tried[action.name] = liveliest(meshes, size, *(round(frame) for frame in action.frame_range))
+    name = max(tried, key=lambda name: tried[name][0], default=None)
+    lively, first, last = tried[name] if name else (0.0, 1, FRAMES)
+    own = lively < HARDLY
+    if own:
+        first, last = 1, FRAMES
+        hop_and_twist(rig, size)
+        name, (lively, *_) = "hop and twist", liveliest(meshes, size, first, last)
+    else:
+        characters.play(rig, bpy.data.actions[name])
+    scene.frame_start, scene.frame_end = first, last
+    scene.frame_set(first)
+    return {"clip": name, "own": own, "frames": [first, last], "fps": scene.render.fps, "lively": lively}
+
+
+def surface(obj) -> np.ndarray:
+    """Of each face, world units squared."""
+    areas = np.empty(len(obj.data.polygons), np.float32)
+    obj.data.polygons.foreach_get("area", areas)
+    return areas.astype(float) * obj.matrix_world.median_scale**2 + 1e-30
+
+
+class Sampled:
+    """A vertex of each of some faces of a skinned mesh, with its weights."""
+
+    def __init__(self, obj, rig, faces):
+        self.obj, self.rig = obj, rig
+        names = {group.index: group.name for group in obj.vertex_groups}
+        self.bones = [bone.name for bone in rig.data.bones if bone.use_deform]
+        row = {name: k for k, name in enumerate(self.bones)}
+        self.points = np.ones((len(faces), 4))
+        self.weights = np.zeros((len(faces), len(self.bones)))
+        for k, face in enumerate(faces):
+            vertex = obj.data.vertices[obj.data.polygons[int(face)].vertices[0]]
+            self.points[k, :3] = vertex.co
+            for group in vertex.groups:
+                if names[group.group] in row:
+                    self.weights[k, row[names[group.group]]] += group.weight
+        self.weights /= np.maximum(self.weights.sum(1, keepdims=True), 1e-9)
+        self.unposed = np.array([np.linalg.inv(rig.data.bones[name].matrix_local) for name in self.bones])
+
+    def posed(self) -> np.ndarray:
+        """Where bones alone have them now (V, 3), world."""
+        rig = np.array(self.rig.matrix_world)
+        matrices = np.array([self.rig.pose.bones[name].matrix for name in self.bones]) @ self.unposed
+        skinning = np.einsum("vb,bij->vij", self.weights, matrices)
+        local = self.points @ np.array(self.obj.matrix_world).T @ np.linalg.inv(rig).T
+        return (np.einsum("vij,vj->vi", skinning, local) @ rig.T)[:, :3]
+
+
+def size_of(meshes: list[Sampled]) -> float:
+    """Diagonal of the box around them at rest, world."""
+    corners = [np.array([each.obj.matrix_world @ vertex.co for vertex in each.obj.data.vertices]) for each in meshes]
+    return float(np.linalg.norm(np.ptp(np.concatenate(corners), axis=0)))
+
+
+def liveliest(meshes: list[Sampled], size: float, first: int, last: int) -> tuple[float, int, int]:
+    """RMS acceleration over NATURAL², body sizes, in the liveliest part of these frames; its first and last frame."""
+    scene = bpy.context.scene
+    paths = []
+    for frame in range(first, last + 1):
+        scene.frame_set(frame)
+        paths.append(np.concatenate([each.posed() for each in meshes]))
+    if len(paths) < 3:
+        return 0.0, first, last
+    squares = (np.diff(paths, 2, axis=0) ** 2).sum(2).mean(1)
+    window = min(FRAMES - 2, len(squares))
+    sums = np.convolve(squares, np.ones(window), "valid")
+    begin = int(sums.argmax())
+    lively = np.sqrt(max(sums[begin], 0.0) / window) * scene.render.fps**2 / NATURAL**2 / size
+    return float(lively), first + begin, first + begin + window + 1
+
+
+def hop_and_twist(rig, size: float) -> None:
+    """Keyframes on the rig, in its rest pose: two hops and a turn about the vertical,
+    as far and as fast as in the add-on's shake tests."""
+    scene = bpy.context.scene
+    rig.animation_data_clear()
+    for bone in rig.pose.bones:
+        bone.matrix_basis = Matrix()
+    bpy.context.view_layer.update()
+    seconds = np.arange(FRAMES) / (scene.render.fps / scene.render.fps_base)
+    heights, _ = live_operators.shake("HOP", seconds)
+    _, angles = live_operators.shake("TWIST", seconds - HOPS)
+    world = rig.matrix_world.copy()
+    rotation = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
+    for frame, (height, angle) in enumerate(zip(heights, angles, strict=True), 1):
+        turned = Matrix.Rotation(angle, 4, "Z") @ world
+        turned.translation = world.translation
+        turned.translation.z += size * height
+        rig.matrix_world = turned
+        rig.keyframe_insert("location", frame=frame)
+        rig.keyframe_insert(rotation.get(rig.rotation_mode, "rotation_euler"), frame=frame)
+
+
+def plain_stretch() -> float:
+    """The tool's stretch_lo of a bake that moves nothing: plain skinning alone may make an edge vanish at a joint."""
+    scene, worst = bpy.context.scene, np.inf
+    soft = [obj for obj in scene.objects if baked_keys(obj)]
+    show(plain=True)
+    for frame in range(scene.frame_start, scene.frame_end + 1):
+        scene.frame_set(frame)
+        worst = min(worst, *(shrunk(obj) for obj in soft))
+    show(plain=False)
+    return float(worst)
+
+
+def shrunk(obj) -> float:
+    """0.1th percentile of edge length now / max(the same, half of it at rest), by the edges' length."""
+    edges = np.empty(2 * len(obj.data.edges), np.int32)
+    obj.data.edges.foreach_get("vertices", edges)
+    first, second = edges.reshape(-1, 2).T
+    before, now = rest(obj), world_points(obj)
+    before = np.linalg.norm(before[first] - before[second], axis=1)
+    now = np.linalg.norm(now[first] - now[second], axis=1)
+    counts = before > 1e-4 * np.linalg.norm(np.ptp(rest(obj), axis=0))
+    ratio = (now / np.maximum(now, 0.5 * before + 1e-30))[counts]
+    order = np.argsort(ratio)
+    shares = np.cumsum(before[counts][order])
+    return float(ratio[order][min(np.searchsorted(shares, 1e-3 * shares[-1]), len(order) - 1)])
+
+
+# Pictures -------------------------------------------------------------------------------------------------------------
+
+
+def photograph(rig, folder: Path) -> int:
+    """plain.png, baked.png and heat.png at the frame of the largest displacement, which is returned."""
+    scene = bpy.context.scene
+    frames = range(scene.frame_start, scene.frame_end + 1)
+    soft = {obj: displacements(obj, frames) for obj in scene.objects if baked_keys(obj)}
+    farthest = np.max([lengths.max(axis=1) for lengths in soft.values()], axis=0)
+    worst = int(farthest.argmax())
+    scene.frame_set(frames[worst])
+    shown = [obj for obj in scene.objects if obj.type == "MESH" and obj.visible_get() and belongs(obj, rig)]
+    for obj in scene.objects:
+        obj.hide_render = obj not in shown and obj.type != "LIGHT"
+    size = float(np.linalg.norm(np.ptp(np.concatenate([rest(obj) for obj in soft]), axis=0)))
+    for obj in shown:
+        lengths = soft[obj][worst] if obj in soft else np.zeros(len(obj.data.vertices))
+        paint(obj.data, lengths / size)
+    show(plain=True)
+    seen = [world_points(obj) for obj in shown]
+    show(plain=False)
+    seen += [world_points(obj) for obj in shown]
+    aim(np.concatenate(seen), CELL)
+    shading = scene.display.shading
+    shading.show_cavity = True
+    scene.view_settings.view_transform = "Standard"
+    for name, color in (("plain", "MATERIAL"), ("baked", "MATERIAL"), ("heat", "VERTEX")):
+        show(plain=name == "plain")
+        shading.color_type = color
+        render([frames[worst]], CELL, "BLENDER_WORKBENCH")[0].save(folder / f"{name}.png")
+    return frames[worst]
+
+
+def baked_keys(obj) -> list:
+    keys = obj.data.shape_keys if obj.type == "MESH" else None
+    return [key for key in keys.key_blocks if key.name.startswith(MARK)] if keys else []
+
+
+def belongs(obj, rig) -> bool:
+    """Whether the rig moves this object: by skinning, or as a parent."""
+    if obj.type == "MESH" and characters.armature_of(obj) == rig:
+        return True
+    while obj and obj != rig:
+        obj = obj.parent
+    return obj == rig
+
+
+def displacements(obj, frames) -> np.ndarray:
+    """How far the baked keys move each vertex (F, V) before the bones do, world units."""
+    keys = baked_keys(obj)
+    shapes = np.array([positions(key.data) - positions(key.relative_key.data) for key in keys])
+    shapes = shapes @ np.array(obj.matrix_world.to_3x3()).T
+    lengths = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        values = np.array([key.value for key in keys])
+        lengths.append(np.linalg.norm(np.tensordot(values, shapes, 1), axis=1))
+    return np.array(lengths)
+
+
+def positions(points) -> np.ndarray:
+    """(V, 3), local."""
+    found = np.empty(3 * len(points), np.float32)
+    points.foreach_get("co", found)
+    return found.reshape(-1, 3).astype(float)
+
+
+def rest(obj) -> np.ndarray:
+    return positions(obj.data.shape_keys.reference_key.data) @ np.array(obj.matrix_world.to_3x3()).T
+
+
+def world_points(obj) -> np.ndarray:
+    """As Blender shows it now."""
+    shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    world = np.array(shown.matrix_world)
+    return positions(shown.data.vertices) @ world[:3, :3].T + world[:3, 3]
+
+
+def show(plain: bool) -> None:
+    """The characters as baked, or as the bones alone move them."""
+    for obj in bpy.context.scene.objects:
+        for key in baked_keys(obj):
+            key.mute = plain
+    bpy.context.view_layer.update()
+
+
+def paint(mesh, lengths: np.ndarray) -> None:
+    """Colors of displacements (V,) in body sizes, as the color attribute that Workbench shows."""
+    stops = np.array(list(COLORS))
+    colors = np.ones((len(lengths), 4), np.float32)
+    for channel in range(3):
+        colors[:, channel] = np.interp(lengths, stops, [color[channel] for color in COLORS.values()])
+    attribute = mesh.color_attributes.new("Dynamorph Heat", "FLOAT_COLOR", "POINT")
+    attribute.data.foreach_set("color", colors.ravel())
+    mesh.color_attributes.active_color = attribute
+
+
+if __name__ == "__main__":
+    leave(main())

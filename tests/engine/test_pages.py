@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every page of docs/ that is generated names the commit it was measured at, and those that have aged are listed."""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "tools"))
+
+import measured  # noqa: E402
+
+PAGES = [name for name in measured.PAGES if (measured.DOCS / name).exists()]
+
+
+def test_pages_are_known():
+    """A new page is generated, and then in measured.PAGES, or written by hand, and then in measured.WRITTEN."""
+    found = {page.relative_to(measured.DOCS).as_posix() for page in measured.DOCS.rglob("*.md")}
+    unknown = {name for name in found if name not in measured.PAGES and not name.startswith(measured.WRITTEN)}
+    assert not unknown
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_generated_pages_name_a_commit(name):
+    assert measured.commits(measured.DOCS / name)
+
+
+@pytest.mark.filterwarnings("default::UserWarning")
+def test_aged_pages_are_listed():
+    if not measured.has_history():
+        pytest.skip("needs the history of the project")
+    aged = [text for name in PAGES if (text := measured.aged(measured.DOCS / name))]
+    if aged:
+        warnings.warn("pages to be measured again:\n" + "\n".join(aged), UserWarning, stacklevel=1)
+
+
+# The list itself ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A project with one source and one page; a function that commits what is there."""
+    monkeypatch.setattr(measured, "ROOT", tmp_path)
+    monkeypatch.setattr(measured, "DOCS", tmp_path / "docs")
+    monkeypatch.setattr(measured, "PAGES", {"page.md": ("source", ":!source/panel.py")})
+    (tmp_path / "source").mkdir()
+    (tmp_path / "docs").mkdir()
+
+    def commit():
+        identity = ["-c", "user.name=Test", "-c", "user.email=test@example.org", "-c", "commit.gpgsign=false"]
+        for words in (["add", "-A"], [*identity, "commit", "-qm", "Change"]):
+            subprocess.run(["git", *words], cwd=tmp_path, check=True, capture_output=True)
+
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True, capture_output=True)
+    (tmp_path / "source" / "engine.py").write_text("1\n")
+    commit()
+    return tmp_path, commit
+
+
+def test_page_ages_with_its_sources(project):
+    folder, commit = project
+    page = folder / "docs" / "page.md"
+    page.write_text(f"# Page\n\n{measured.measured_at('page.md')}.\n")
+    commit()
+    assert measured.has_history()
+    assert measured.aged(page) == ""
+    (folder / "source" / "panel.py").write_text("1\n")  # which it does not depend on
+    commit()
+    assert measured.aged(page) == ""
+    (folder / "source" / "engine.py").write_text("2\n")
+    assert measured.measured_at("page.md").endswith(" + changes")
+    commit()
+    assert measured.aged(page).startswith("docs/page.md: commits to its sources since")
+    measured.stamp(page)
+    commit()
+    assert measured.aged(page) == ""
+
+
+def test_page_of_another_history_is_listed(project):
+    folder, _ = project
+    page = folder / "docs" / "page.md"
+    page.write_text("Measured at commit `0123456` (2026-01-01) + changes.\n")
+    assert "not in this history" in measured.aged(page)
+    assert "with changes" in measured.aged(page)
+
+
+def test_without_history_nothing_is_claimed(tmp_path, monkeypatch):
+    monkeypatch.setattr(measured, "ROOT", tmp_path)
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert not measured.has_history()
+    assert measured.measured_at("results.md") == ""
+
+
+def test_page_without_a_line_is_refused(tmp_path):
+    page = tmp_path / "results.md"
+    page.write_text("# Results\n")
+    with pytest.raises(ValueError, match="names a commit"):
+        measured.stamp(page)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which commit a generated page of docs/ was measured at, and which pages have aged since.
+
+python tools/measured.py                  lists the pages that are out of date
+python tools/measured.py docs/PAGE.md     writes the present commit into a page that has such a line
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+LINE = re.compile(r"Measured at commit `?([0-9a-f]{7,40})`? \((\d{4}-\d\d-\d\d)\)( \+ changes)?")
+
+INTERFACE = ("panels", "overlays", "preferences", "events", "watch", "presets", "cli", "*_operators")
+ENGINE = ("cpp/dynamorph", "cpp/bindings")
+ADDON = ("addon/dynamic_morph_targets", *(f":!addon/dynamic_morph_targets/{name}.py" for name in INTERFACE))
+# What each generated page is made from, as git's path specifications.
+PAGES = {
+    "results.md": (*ENGINE, *ADDON, "sample_blends"),
+    "performance.md": (*ENGINE, *ADDON, "tests/benchmarks/engine.cpp", "tests/benchmarks/test_pipeline.py"),
+    "robustness.md": (*ENGINE, *ADDON, "tests/benchmarks/robustness_page.py", "tests/addon/characters.py"),
+    "bakes.md": (*ENGINE, *ADDON, "tests/benchmarks/bakes.py", "tests/benchmarks/walks.py"),
+    "believable.md": (*ENGINE, *ADDON, "tests/benchmarks/believable_bake.py", "tests/benchmarks/convergence.py"),
+    "farm.md": ("addon/dynamic_morph_targets/cli.py", "addon/dynamic_morph_targets/share.py", "farm",
+                "tools/farm_demo.py"),
+    "materials.md": ("addon/dynamic_morph_targets/materials.py",),
+}  # fmt: skip
+WRITTEN = ("architecture.md", "decisions/", "file_format.md", "theory.md", "user_guide.md")  # by hand
+
+
+def measured_at(page: str) -> str:
+    """The line for a page of PAGES that is being written: the commit, and whether its sources have changes beside.
+
+    Without git's history an empty text."""
+    head = git("log", "-1", "--format=%h (%cs)", "--abbrev=7")
+    if not head:
+        return ""
+    changed = git("status", "--porcelain", "--", *PAGES[page])
+    commit, date = head.split()
+    return f"Measured at commit `{commit}` {date}" + (" + changes" if changed else "")
+
+
+def stamp(page: Path) -> None:
+    """Write the present commit into the line that the page has. Raises ValueError without one."""
+    text, count = LINE.subn(measured_at(page.name), page.read_text(encoding="utf-8"))
+    if not count:
+        raise ValueError(f"{page.name}: there is no line that names a commit")
+    page.write_text(text, encoding="utf-8")
+
+
+def commits(page: Path) -> list[tuple[str, bool]]:
+    """The commits that a page names, and whether there were changes beside."""
+    return [(found[1], bool(found[3])) for found in LINE.finditer(page.read_text(encoding="utf-8"))]
+
+
+def aged(page: Path) -> str:
+    """What has changed of a page's sources since it was measured, in one line; empty if nothing has."""
+    reasons, last = [], ""
+    for commit, changes in dict.fromkeys(commits(page)):
+        if changes:
+            reasons.append(f"measured at {commit} with changes that no commit has")
+        if not git("cat-file", "-t", commit):
+            reasons.append(f"measured at {commit}, which is not in this history")
+        elif since := git("log", "--oneline", "--no-merges", f"{commit}..HEAD", "--", *PAGES[page.name]).splitlines():
+            reasons.append(f"commits to its sources since {commit}: {len(since)}")
+            last = f" (last: {since[0]})"
+    return f"docs/{page.name}: {'; '.join(reasons)}{last}" if reasons else ""
+
+
+def git(*words: str) -> str:
+    """What git prints; empty where it fails, as in an archive of the sources."""
+    try:
+        run = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    except OSError:
+        return ""
+    return "" if run.returncode else run.stdout.strip()
+
+
+def has_history() -> bool:
+    """Whether this is a git checkout with all its commits."""
+    inside = git("rev-parse", "--show-toplevel")
+    return bool(inside) and Path(inside) == ROOT and git("rev-parse", "--is-shallow-repository") == "false"
+
+
+def main() -> int:
+    if len(sys.argv) > 1:
+        stamp(Path(sys.argv[1]))
+        return 0
+    for name in PAGES:
+        if (DOCS / name).exists() and (text := aged(DOCS / name)):
+            print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
