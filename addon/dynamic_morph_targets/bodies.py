@@ -57,7 +57,8 @@ def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray
         found = rigid.heads(own.skeleton, whole.weights, bind, whole.triangles)
         head = rigid.head_rigidity(own.skeleton, whole.weights, bind, whole.triangles, found)
         rigidity = np.maximum(rigidity, np.where(painted & (softness > 0.0), 0.0, head))
-    if own.settings.hold == "BONES":
+    softness, rigidity = softness[same], _most(rigidity, same)
+    if own.settings.hold == "BONES" or own.painted:  # then nothing asks how rigid the skin is
         softness = softness * (1.0 - rigidity)
     joint_bones = dict.fromkeys(
         bone for each in (obj, *(mesh.obj for mesh in meshes)) for bone in checks.deforming_bones(each, rig)
@@ -74,13 +75,13 @@ def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray
         vertices=whole.vertices,
         triangles=whole.triangles,
         weights=whole.weights,
-        softness=softness[same],
+        softness=softness,
         stiffness=stiffness[same],
         bone_segments=extract.bone_segments(list(joint_bones), inverse(world) @ rig_world, own.to_bind),
         target_sets=whole.target_sets(same),
         probed=own.probed or any(checks.beyond_bones(mesh.obj) for mesh in meshes),
         pieces=pieces,
-        rigidity=_most(rigidity, same),
+        rigidity=rigidity,
         coincident=same,
         parts=tuple(parts),
     )
