@@ -20,6 +20,10 @@ from .extract import SceneError
 from .properties import KEY_REFERENCE, clothes_in, followers, named_targets, parts_in, plain
 from .scene_data import ENGINE, FREE_SETTINGS, SimulationSettings
 
+SCULPT = "sculpt"  # in the records of targets: what tells a renamed one from another
+# Of targets: how the add-on goes on with them, on which no result depends.
+KEPT_BY_ADDON = ("auto_region", "auto_bones")
+
 
 def look_at_animation(obj):
     """Look at the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
@@ -82,8 +86,15 @@ def model_inputs(obj) -> dict:
     if settings.stiffness_group:
         groups["stiffness_factor"] = settings.stiffness_factor
     groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
+    if settings.model.one_cage:
+        groups["attachments"] = [
+            [piece.choice, piece.group] for piece in settings.pieces if piece.object and piece.object.users_scene
+        ]
     model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
-    targets = {name: {"mute": target.mute, "region": target.region} for name, target in named_targets(obj)}
+    targets = {
+        name: {"mute": target.mute, "region": target.region, SCULPT: target.key_hash if name else ""}
+        for name, target in named_targets(obj)
+    }
     scene = {"unit_scale": extract.unit_scale(), "engine": ENGINE}
     return {"targets": targets, "model": model, "groups": groups, "scene": scene}
 
@@ -97,9 +108,9 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):
-        own = plain(target, skip=(*KEY_REFERENCE, "rig_world"))
+        own = plain(target, skip=(*KEY_REFERENCE, "rig_world", *KEPT_BY_ADDON))
         seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
-        inputs["targets"][name] = own | {"bones": target.bone_names(), "pose": seen}
+        inputs["targets"][name] |= own | {"bones": target.bone_names(), "pose": seen}
     return json.loads(json.dumps(inputs))
 
 
@@ -117,14 +128,18 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
 
 def _target_changes(obj, then: dict, now: dict) -> list[str]:
     lost, new = [name for name in then if name not in now], [name for name in now if name not in then]
-    renamed = list(zip(new, lost, strict=False))
-    then = {**then, **{name: then[old] for name, old in renamed}}
-    found = [f'target "{name}" is new' for name in new[len(renamed) :]]
-    found += [f'target "{name}" is gone' for name in lost[len(renamed) :]]
+    for name in list(new):  # renamed, if it is sculpted alike; older records do not say how it was
+        old = next((old for old in lost if then[old].get(SCULPT) in (None, now[name][SCULPT])), None)
+        if old is not None:
+            then = {**then, name: then[old]}
+            new.remove(name)
+            lost.remove(old)
+    found = [f'target "{name}" is new' for name in new] + [f'target "{name}" is gone' for name in lost]
     for name, target in named_targets(obj):
         before, after = then.get(name, {}), now[name]
         if not (before.get("mute") and after["mute"]):
-            changed = [_title(target, field) for field in after if before.get(field, after[field]) != after[field]]
+            told = [field for field in after if field != SCULPT]  # of the mesh `jobs.show_stale` tells
+            changed = [_title(target, field) for field in told if before.get(field, after[field]) != after[field]]
             found += [f'{title.lower()} of "{target.name}" changed' for title in changed]
     return found
 

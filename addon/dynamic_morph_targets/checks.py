@@ -63,13 +63,28 @@ def problems(obj) -> Iterator[Problem]:
 
 
 def next_steps(obj) -> Iterator[Problem]:
-    """What a soft skin needs besides before it can be built."""
-    if len(active_targets(obj)) >= 2 or obj.dynamorph.model.method == "SINGLE":
+    """What a soft skin needs besides before it can be built. The neutral target alone is enough, but not for Static."""
+    if len(active_targets(obj)) >= 2 or obj.dynamorph.model.method != "STATIC":
         return
     if len(obj.dynamorph.targets) > 1:
-        yield Problem(f"'{obj.name}': all targets are muted: unmute one, or choose the Method Single")
+        yield Problem(
+            f"'{obj.name}': all targets are muted, so nothing moves with the Method Static: unmute one, or choose the "
+            "Method Dynamic"
+        )
     else:
-        yield Problem(f"'{obj.name}' has no targets: select a shape key, pose the armature and press Add Target")
+        yield Problem(
+            f"'{obj.name}' has no targets, so nothing moves with the Method Static: add a target, or choose the Method "
+            "Dynamic"
+        )
+
+
+def hints(obj) -> Iterator[str]:
+    """What a soft skin could have besides, for who looks at its targets."""
+    if len(obj.dynamorph.targets) == 1:
+        yield (
+            "The body is soft without targets. A target changes its shape and stiffness in a pose: pose the armature, "
+            "and press New from Pose"
+        )
 
 
 def notes(obj) -> Iterator[Problem]:
@@ -181,6 +196,21 @@ def shared_mesh(obj) -> Iterator[Problem]:
             "make it single-user (Object > Relations > Make Single User > Object & Data)",
             "SINGLE_USER",
         )
+
+
+def nothing_soft(obj) -> str:
+    """Says that a character is rigid everywhere."""
+    return f"'{obj.name}': nothing soft found: paint Softness"
+
+
+def meshes_on(rig) -> list:
+    """The mesh objects of the scene that an armature moves: those it skins, and those that hang on it or its bones."""
+    hanging = set(rig.children_recursive)
+    return [
+        other
+        for other in bpy.context.scene.objects
+        if other.type == "MESH" and (other in hanging or any(m.object == rig for m in armature_modifiers(other)))
+    ]
 
 
 def follower(obj, piece) -> Iterator[Problem]:
@@ -300,7 +330,7 @@ def _keys(obj):
     keys = obj.data.shape_keys
     targets = active_targets(obj)
     if keys is None:
-        if targets:  # else Add Soft Skin makes the Basis
+        if len(targets) > 1:  # a bake, like Add Soft Skin, makes the Basis that it needs
             yield Problem(f"'{obj.name}' has no shape keys: add a Basis and one key a target", "ADD_BASIS")
         return
     if not keys.use_relative:
@@ -323,6 +353,8 @@ def _keys(obj):
 def shapes(obj) -> Iterator[Problem]:
     """Coordinates that are not numbers, in the Basis and the targets' keys."""
     keys = obj.data.shape_keys
+    if keys is None:  # there is only the mesh
+        return
     for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in active_targets(obj)[1:])):
         bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
         if len(bad):

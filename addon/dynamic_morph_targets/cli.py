@@ -25,6 +25,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from . import changes, checks, clips, collect, exports, extract, jobs, materials, model_file, properties, share, sinks
 from .scene_data import VARIANTS, Material, ModelSettings
@@ -465,8 +466,11 @@ def run_fit(args):
             raise InputError(f"'{obj.name}' has no target named '{args.target}'")
         if args.patch and args.patch not in obj.vertex_groups:
             raise InputError(f"'{obj.name}' has no vertex group named '{args.patch}'")
-        patch = extract.group_weights(obj, [args.patch])[:, 0] if args.patch else None
         subject = jobs.fit_input(obj, target)
+        patch = None
+        if args.patch:
+            patch = np.zeros(len(subject[1].vertices))
+            patch[subject[1].own] = extract.group_weights(obj, [args.patch])[:, 0]
         if args.oscillation:
             fitted = materials.fit_oscillation(*subject, seen.frequency, seen.decay, patch)
         else:

@@ -126,6 +126,23 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
     )
 
 
+def united(bakes: list[Bake], to_body: list[np.ndarray]) -> Bake:
+    """One bake of the meshes of a body, which have the same frames, mesh after mesh; to_body (3, 3) each: of
+    displacements in a mesh's local space. Keys of one name are one, whose values are the same wherever it is.
+    """
+    names = list(dict.fromkeys(name for bake in bakes for name in bake.key_names))
+    counts = [bake.modes.shape[1] for bake in bakes]
+    modes, rows = np.zeros((len(names), sum(counts), 3)), np.zeros((2, len(bakes[0].frames), len(names)))
+    for bake, turn, end in zip(bakes, to_body, np.cumsum(counts), strict=True):
+        places = [names.index(name) for name in bake.key_names]
+        modes[places, end - bake.modes.shape[1] : end] = bake.modes @ turn.T
+        rows[:, :, places] = bake.coordinates, bake.dry
+    details = np.zeros((0, sum(counts), 3))
+    return replace(
+        bakes[0], coordinates=rows[0], dry=rows[1], modes=modes, details=details, key_names=tuple(names)
+    )
+
+
 def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[Bake, float]:
     """A bake whose frames between the first and the last of `patch` are those of the patch, and by how much the two are
     apart at most where they meet, metres. The patch fades in and out within `fade` frames, a quarter of it at most,

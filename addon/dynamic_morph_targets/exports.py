@@ -94,8 +94,10 @@ class ActionsExport(jobs.Batch):
     def _write_clips(self):
         obj, job = self.jobs[0].target(), self.jobs[0]
         pieces = [jobs.find(follower.session_uid) for follower in job.followers]
-        bakes = [actions.joined(each) for each in zip(*([job.result, *job.carried] for job in self.jobs), strict=True)]
+        wholes = [actions.joined(each) for each in zip(*([job.result, *job.carried] for job in self.jobs), strict=True)]
         budget = obj.dynamorph.output.keys
+        wholes = [clips.with_fewer_keys(bake, budget) if budget else bake for bake in wholes]
+        bakes = [bake for whole in wholes for bake in job.of_meshes(whole)]
         with ExitStack() as stack:
             stack.enter_context(_as_it_was(obj))
             stack.enter_context(actions.laid_out(rig_of(obj), self.clips))
@@ -105,7 +107,7 @@ class ActionsExport(jobs.Batch):
                 live_key.remove(copy)
                 if copy.data.shape_keys:
                     actions.lay_out(copy.data.shape_keys, self.clips)
-                sinks.write_keys(copy, clips.with_fewer_keys(bake, budget) if budget else bake, skin)
+                sinks.write_keys(copy, bake, skin)
             _write(copies[0], self.key, self.path, (self.clips[0].first, self.clips[-1].last), self.clips)
 
 

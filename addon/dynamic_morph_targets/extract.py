@@ -68,26 +68,30 @@ def character(obj, without_targets=False) -> Character:
     target_sets = _target_sets(obj, skeleton, groups)
     for target_set in target_sets:
         _refuse(checks.poses(obj.name, target_set.targets, skeleton))
-    basis = obj.data.shape_keys.reference_key
-    world, rig_world = _worlds_at_start(obj, modifier.object)
-    to_bind = _stretch(world)
-    return Character(
+    world, rig_world = worlds_at_start(obj, modifier.object)
+    to_bind, bones = stretch(world), checks.deforming_bones(obj, modifier.object)
+    own = Character(
         name=obj.name,
-        vertices=key_points(basis).astype(np.float64),
+        vertices=rest_points(obj),
         triangles=mesh_triangles(obj.data),
         to_bind=to_bind,
         weights=_skin_weights(obj, modifier, skeleton, groups),
-        softness=_softness(obj, groups),
-        stiffness=_stiffness(obj, groups),
-        bone_segments=_bone_segments(obj, modifier.object, inverse(world) @ rig_world, to_bind),
+        softness=softness(obj, groups),
+        stiffness=stiffness(obj, groups),
+        bone_segments=bone_segments(bones, inverse(world) @ rig_world, to_bind),
         skeleton=skeleton,
         target_sets=target_sets,
         settings=model_settings(obj),
         probed=bool(checks.beyond_bones(obj)),
-        pieces=_pieces(obj, groups),
+        pieces=pieces_of(parts_in(obj), obj, groups),
         cage=_own_cage(obj, modifier.object, to_bind),
         painted=bool(obj.dynamorph.soft_group),
     )
+    if not own.settings.one_cage:
+        return own
+    from . import bodies  # which reads the other meshes by what is here
+
+    return bodies.joined(obj, own, groups, world, rig_world)
 
 
 def model_settings(obj) -> ModelSettings:
@@ -98,11 +102,13 @@ def model_settings(obj) -> ModelSettings:
 
 def followers(obj, character: Character) -> list[Follower]:
     """The other meshes that the flesh of `obj` carries along; character: what was read of it. Raises SceneError."""
+    if character.settings.one_cage:
+        return list(character.parts)
     pieces = clothes_in(obj)
     if not pieces:
         return []
     rig = armature_modifier(obj).object
-    body_world, _ = _worlds_at_start(obj, rig)
+    body_world, _ = worlds_at_start(obj, rig)
     skin = character.vertices @ character.to_bind.T
     of_body = (character.pieces[character.triangles] == 0).all(axis=1)
     if not of_body.any():
@@ -110,7 +116,7 @@ def followers(obj, character: Character) -> list[Follower]:
     found = []
     for piece in pieces:
         _refuse(checks.follower(obj, piece))
-        to_body = inverse(body_world) @ _worlds_at_start(piece, rig)[0]
+        to_body = inverse(body_world) @ worlds_at_start(piece, rig)[0]
         points = rest_points(piece)
         vertices = (points @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
         found.append(
@@ -133,7 +139,7 @@ def far_followers(character: Character, found: list[Follower]) -> list[str]:
         f"'{follower.name}' is up to {follower.skin.distances.max():.2g} m from the skin of '{character.name}': if it "
         "moves oddly, choose Own Cage or Rigid for it"
         for follower in found
-        if follower.skin.distances.max() > far
+        if follower.skin and follower.skin.distances.max() > far
     ]
 
 
@@ -179,7 +185,7 @@ def first_look(obj) -> list[str]:
     """All that is in the way of simulating `obj`, or not likely to be meant, before it is a soft skin."""
     found = [*checks.problems(obj), *checks.notes(obj)]
     try:
-        to_bind = _stretch(_worlds_at_start(obj, rig_of(obj))[0])
+        to_bind = stretch(worlds_at_start(obj, rig_of(obj))[0])
         left = _left_behind(obj, VertexGroups(obj))
     except SceneError as error:
         return [*(problem.text for problem in found), str(error)]
@@ -288,10 +294,14 @@ class VertexGroups:
         return weights
 
 
-def skin_weights(obj) -> np.ndarray:
-    """Skin weights (V, B + 1) of any mesh with an Armature modifier, as `Character.weights`. Raises SceneError."""
+def skin_weights(obj, rig=None, groups: VertexGroups | None = None) -> np.ndarray:
+    """Skin weights (V, B + 1) of any mesh with an Armature modifier, as `Character.weights`. Raises SceneError.
+
+    rig: the armature object that is meant, if `obj` may have several; groups: those of `obj`, for who has read them.
+    """
     modifier = armature_modifier(obj)
-    return _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), VertexGroups(obj))
+    modifier = next((each for each in checks.armature_modifiers(obj) if each.object == rig), modifier)
+    return _skin_weights(obj, modifier, rest_skeleton(modifier.object.data), groups or VertexGroups(obj))
 
 
 def _skin_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:
@@ -314,12 +324,12 @@ def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
     return groups.weights([group])[:, 0].clip(0.0, 1.0)
 
 
-def _softness(obj, groups: VertexGroups) -> np.ndarray:
+def softness(obj, groups: VertexGroups) -> np.ndarray:
     group = obj.dynamorph.soft_group
     return _painted(obj, groups, "Soft", group) if group else np.ones(len(obj.data.vertices))
 
 
-def _stiffness(obj, groups: VertexGroups) -> np.ndarray:
+def stiffness(obj, groups: VertexGroups) -> np.ndarray:
     settings = obj.dynamorph
     if not settings.stiffness_group:
         return np.ones(len(obj.data.vertices))
@@ -328,33 +338,39 @@ def _stiffness(obj, groups: VertexGroups) -> np.ndarray:
     return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 
-def _pieces(obj, groups: VertexGroups) -> np.ndarray:
+def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
     """Which piece each vertex belongs to, as `Character.pieces` says. Where groups overlap the first one counts.
 
-    Raises SceneError.
+    parts: the pieces that are parts of the object `mesh`, of which `groups` are; first: number of the first cage of
+    its own. Raises SceneError.
     """
-    parts = parts_in(obj)
-    gone = next((part for part in parts if part.group not in obj.vertex_groups), None)
+    gone = next((part for part in parts if part.group not in mesh.vertex_groups), None)
     if gone:
-        raise SceneError(f"'{obj.name}': the vertex group '{gone.group}' of a piece is gone: remove the piece")
-    pieces, free = np.zeros(len(obj.data.vertices), np.int32), np.ones(len(obj.data.vertices), bool)
-    cages = itertools.count(1)
-    for part, weights in zip(parts, groups.weights([part.group for part in parts]).T, strict=True):
-        members = free & (weights >= MEMBER)
+        raise SceneError(f"'{mesh.name}': the vertex group '{gone.group}' of a piece is gone: remove the piece")
+    pieces, cages = np.zeros(len(mesh.data.vertices), np.int32), itertools.count(first)
+    for part, members in members_of(parts, groups):
         if part.choice != "WITH_BODY" and members.any():
-            pieces[members] = -1 if part.choice == "RIGID" else next(cages)
-        free &= ~members
+            pieces[members] = next(cages) if part.choice == "OWN_CAGE" else -1
     return pieces
 
 
-def _bone_segments(obj, rig, to_local, to_bind) -> np.ndarray:
-    """Heads and tails (D, 2, 3) of the deforming bones at rest, bind space."""
-    bones = checks.deforming_bones(obj, rig)
+def members_of(parts, groups: VertexGroups):
+    """Each of the parts of a mesh with its vertices (V,) bool, without those of the parts before it."""
+    taken = None
+    for part, weights in zip(parts, groups.weights([part.group for part in parts]).T, strict=True):
+        members = weights >= MEMBER
+        members = members if taken is None else members & ~taken
+        yield part, members
+        taken = members if taken is None else taken | members
+
+
+def bone_segments(bones, to_local, to_bind) -> np.ndarray:
+    """Heads and tails (D, 2, 3) of bones at rest, bind space."""
     ends = np.array([(*bone.head_local, *bone.tail_local) for bone in bones]).reshape(-1, 2, 3)
-    return _carried(ends, to_local) @ to_bind.T + 0.0
+    return carried(ends, to_local) @ to_bind.T + 0.0
 
 
-def _carried(points: np.ndarray, to_local: np.ndarray) -> np.ndarray:
+def carried(points: np.ndarray, to_local: np.ndarray) -> np.ndarray:
     """Points (..., 3) of another object in local space. Rounded like the stretch: the last digits of this transform
     (4, 4) change when both objects are moved.
     """
@@ -388,7 +404,7 @@ def _own_cage(obj, rig, to_bind) -> OwnCage | None:
         evaluated.to_mesh_clear()
     if not len(triangles):
         raise SceneError(f"Cage Object '{cage.name}' has no faces: choose a closed mesh")
-    return OwnCage(cage.name, _carried(points.astype(np.float64), to_local) @ to_bind.T, triangles)
+    return OwnCage(cage.name, carried(points.astype(np.float64), to_local) @ to_bind.T, triangles)
 
 
 @contextmanager
@@ -420,7 +436,7 @@ def _in_metres(worlds: np.ndarray, unit: float) -> np.ndarray:
     return worlds * np.array([unit, unit, unit, 1.0])[:, None]
 
 
-def _worlds_at_start(obj, rig) -> list[np.ndarray]:
+def worlds_at_start(obj, rig) -> list[np.ndarray]:
     """World transforms of both, metres, when the scene starts: a model that depended on the current frame would age by
     playing. Raises SceneError.
     """
@@ -441,7 +457,7 @@ def _not_a_number(name: str, frame: int) -> str:
     return f"'{name}' has a transform that is not a number at frame {frame}: check its drivers and constraints"
 
 
-def _stretch(world) -> np.ndarray:
+def stretch(world) -> np.ndarray:
     """An object's scale without its rotation: the symmetric factor of the world transform's polar decomposition."""
     values, vectors = np.linalg.eigh(world[:3, :3].T @ world[:3, :3])
     stretch = (vectors * np.sqrt(values)) @ vectors.T

@@ -26,6 +26,7 @@ from . import (
     changes, clips, extract, judge, live_key, materials, model_file, preferences, probe, properties, share, sinks,
 )  # fmt: skip
 from .extract import SceneError
+from .scene_data import Bake
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
 CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
@@ -311,7 +312,7 @@ class Job:
         self.before: list = []  # the bakes that these are to become parts of
         self.result = None
         self.followers: list = []  # other meshes that the flesh carries along
-        self.carried: list = []  # their bakes
+        self.carried: list = []  # the bakes of those that are not in the cage: they are in `result`
         self.cache_files: dict[str, Path] = {}  # where point caches go, by mesh, if not where they go by default
         self.written: list[tuple] = []  # what they become: shape keys, and the file of a point cache or None
         self.size = 0  # of that, in bytes
@@ -393,6 +394,9 @@ class Job:
         if not obj.dynamorph.bake.exists:
             return
         self.before = [sinks.read_back(find(uid), self.settings.samples) for uid in self._meshes()]
+        if self.character.parts:
+            to_body = [np.eye(3), *(np.linalg.inv(follower.from_body) for follower in self.followers)]
+            self.before = [clips.united(self.before, to_body)]
         settings, (first, last) = self.settings, self.before[0].frames[[0, -1]].astype(int).tolist()
         if settings.start > last + 1 or settings.end < first - 1:
             raise SceneError(
@@ -519,7 +523,16 @@ class Job:
 
     def _meshes(self) -> dict[int, np.ndarray]:
         """The vertices of all objects that results are for, by session_uid."""
-        return {self.session_uid: self.character.vertices, **{f.session_uid: f.vertices for f in self.followers}}
+        own = self.character.vertices[self.character.own]
+        return {self.session_uid: own, **{f.session_uid: f.vertices for f in self.followers}}
+
+    def of_meshes(self, bake: Bake) -> list[Bake]:
+        """A bake of the whole body as one of each mesh, if they are in one cage; else it is of one mesh already."""
+        if not self.character.parts:
+            return [bake]
+        _, simulate = engine()
+        followers = (simulate.follow(self.model, bake, follower) for follower in self.followers)
+        return [simulate.part_of(bake, self.character.own), *followers]
 
     def must_wait(self) -> bool:
         """Whether a bake cannot be written yet: the artist went on in Edit Mode, which has a mesh of its own."""
@@ -607,7 +620,7 @@ class Job:
             size = f"{len(packed) / 2**20:.1f}\u00a0MB, {self.seconds['build']:.1f}\u00a0s"
             record.summary = "" if self.only_cage else f"{self.model_summary()}, {size}"
             record.cage = self.cage_summary()
-            record.vertices = len(self.character.vertices)
+            record.vertices = self.character.own.stop
             record.warnings = "\n".join(self.model.summary["warnings"])
         elif PACKED not in obj and self.folder not in (None, _blend_folder()):
             store_model(obj, stored_model(obj), self.folder)  # the .blend moves, its model moves along
@@ -733,7 +746,8 @@ class Job:
         self.warnings += self.model.summary["warnings"]
 
     def _finish(self, simulate):
-        self.carried = [simulate.follow(self.model, self.result, follower) for follower in self.followers]
+        outside = [] if self.character.parts else self.followers
+        self.carried = [simulate.follow(self.model, self.result, follower) for follower in outside]
         for name in ("coordinates", "weights", "modes", "details", "dry"):
             if not all(np.isfinite(getattr(bake, name)).all() for bake in (self.result, *self.carried)):
                 raise SelfCheckError(f"'{self.name}': the engine's {name} are not numbers: nothing was written")
@@ -753,9 +767,9 @@ class Job:
             self.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint Softness")
 
     def _to_metres(self) -> list[np.ndarray]:
-        """Local to metric space (3, 3) of the body and of what follows it."""
-        to_bind = self.character.to_bind
-        return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in self.followers)]
+        """Local to metric space (3, 3) of the body, and of what follows it outside of its cage."""
+        to_bind, outside = self.character.to_bind, self.followers[: len(self.carried)]
+        return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in outside)]
 
     def _splice(self):
         """Make the results parts of the bakes that there were."""
@@ -767,16 +781,18 @@ class Job:
     def _make_keys(self):
         """What the results become, apart from Blender: shape keys, and the files of point caches."""
         names = self.name, *(follower.name for follower in self.followers)
-        points_of = self.character.vertices, *(follower.points for follower in self.followers)
-        off = 0.0
-        for name, points, bake, to_metres in zip(
-            names, points_of, (self.result, *self.carried), self._to_metres(), strict=True
-        ):
+        points_of = self.character.vertices[self.character.own], *(follower.points for follower in self.followers)
+        off, all_keys, bakes = 0.0, [], []
+        for name, whole, to_metres in zip(names, (self.result, *self.carried), self._to_metres(), strict=False):
             try:
-                keys, error = clips.as_keys(bake, self.output, to_metres)
+                keys, error = clips.as_keys(whole, self.output, to_metres)
             except clips.ClipError as refusal:
                 raise SceneError(f"'{name}': {refusal}") from refusal
-            off, cache = max(off, error), None
+            off = max(off, error)
+            all_keys += self.of_meshes(keys)
+            bakes += self.of_meshes(whole)
+        for name, points, bake, keys in zip(names, points_of, bakes, all_keys, strict=True):
+            cache = None
             if self.output.sink in clips.CACHES:
                 content = clips.digest(bake, points, self.settings.fps)
                 default = sinks.cache_path(self.caches, name, content, self.output.sink)

@@ -50,12 +50,21 @@ class Flesh:
         modes = self.model.surface(nodes) if nodes.size else np.zeros((0, *self.character.vertices.shape))
         self.modes = len(modes)
         self.target_names = [target.name for target in self.character.by_method().targets]
-        self.skin = Surface(obj, self.character.vertices, modes, self.model.details)
+        own, details = self.character.own, self.model.details
+        self.skin = Surface(obj, self.character.vertices[own], modes[:, own], details[:, own])
         self.followers = []
         for follower in extract.followers(obj, self.character):
-            piece = jobs.find(follower.session_uid)
-            shapes = simulate.carried(self.model, nodes, follower)
-            self.followers.append(Surface(piece, extract.rest_points(piece), *shapes))
+            if follower.members:
+                shapes = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
+            else:
+                shapes = simulate.carried(self.model, nodes, follower)
+            self.followers.append(Surface(jobs.find(follower.session_uid), follower.points, *shapes))
+
+    @property
+    def vertices(self) -> dict[int, int]:
+        """How many the meshes have that share the cage, by session_uid."""
+        parts = {part.session_uid: len(part.points) for part in self.character.parts}
+        return {self.skin.session_uid: self.character.own.stop} | parts
 
     def values(self, frame) -> np.ndarray:
         """What `points` asks for: (r + J,) coordinates as shown, and target weights."""
@@ -80,8 +89,13 @@ class Flesh:
     def moved(self, values: np.ndarray) -> float:
         """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
         motion = values[: self.modes] - self.player.dry(values[self.modes :])
-        displacement = _blended(motion, self.skin.shapes[: self.modes]).reshape(-1, 3)
-        return float(np.linalg.norm(displacement @ self.character.to_bind.T, axis=1).max())
+        found, to_bind = [0.0], self.character.to_bind
+        in_cage = zip(self.followers, self.character.parts, strict=False)
+        others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in in_cage)
+        for surface, to_metres in ((self.skin, to_bind), *others):
+            displacement = _blended(motion, surface.shapes[: self.modes]).reshape(-1, 3)
+            found.append(float(np.linalg.norm(displacement @ to_metres.T, axis=1).max()))
+        return max(found)
 
 
 class Surface:
@@ -199,11 +213,12 @@ class Session:
         age = changes.model_age(obj)
         if age:
             raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
-        if len(obj.data.vertices) != len(self.flesh.character.vertices):
-            raise SceneError(
-                f"The mesh has {len(obj.data.vertices)} vertices, its model {len(self.flesh.character.vertices)}: "
-                "press Build Model"
-            )
+        for uid, count in self.flesh.vertices.items():
+            mesh = jobs.find(uid).data
+            if len(mesh.vertices) != count:
+                raise SceneError(
+                    f"Mesh '{mesh.name}' has {len(mesh.vertices)} vertices, its model {count}: press Build Model"
+                )
         placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
         player = self.flesh.player
         changed = (placing, materials) != (self._placing, self._material)

@@ -67,6 +67,8 @@ class DYNAMORPH_UL_pieces(UIList):
         row = layout.row(align=True)
         row.enabled = jobs.running is None
         name = item.group or (item.object.name if item.object else item.name)
+        if item.group and item.object:
+            name = f"{item.object.name}: {name.removeprefix(pieces.PREFIX)}"
         icon = "GROUP_VERTEX" if item.group else "OBJECT_DATA"
         row.label(
             text=name.removeprefix(pieces.PREFIX),
@@ -180,7 +182,8 @@ def draw_pieces(layout, obj):
     settings = obj.dynamorph
     header, body = layout.panel("dynamorph_pieces", default_closed=True)
     count = len(settings.pieces)
-    header.label(text=iface_("Pieces ({count})").format(count=count) if count else iface_("Pieces"), translate=False)
+    title = iface_("Attachments ({count})").format(count=count) if count else iface_("Attachments")
+    header.label(text=title, translate=False)
     if not body:
         return
     row = body.row()
@@ -191,6 +194,8 @@ def draw_pieces(layout, obj):
     column.operator("dynamorph.select_piece", text="", icon="RESTRICT_SELECT_OFF")
     if settings.active_piece:
         draw_piece(body, obj, settings.active_piece)
+    if settings.model.one_cage:
+        draw_head(body, settings.model)
     body.operator("dynamorph.find_pieces", icon="VIEWZOOM")
     alone = list(pieces.left_alone(obj))
     for text in alone[:FEW_NOTES]:
@@ -199,13 +204,26 @@ def draw_pieces(layout, obj):
         draw_message(body, iface_("And {count} more like them").format(count=len(alone) - FEW_NOTES), icon="BLANK1")
 
 
+def draw_head(layout, model):
+    """Whether the skin of the head is held, and which bone that is."""
+    row = layout.row()
+    row.enabled = jobs.running is None
+    row.prop(model, "hold_head")
+    if model.hold_head and model.head:
+        draw_message(layout, iface_("Held as the head: {bones}").format(bones=model.head), icon="INFO")
+    elif model.hold_head:
+        layout.label(text="No head was found", icon="INFO")
+
+
 def draw_piece(layout, obj, piece):
     column = layout.column(align=True)
     column.enabled = jobs.running is None
-    if not piece.group:
+    if not piece.group or piece.object:
         column.prop(piece, "object")
-    if not piece.object:
-        column.prop_search(piece, "group", obj, "vertex_groups")
+    if not piece.object or piece.group:
+        column.prop_search(piece, "group", piece.object or obj, "vertex_groups")
+    if piece.reason:
+        draw_message(layout, piece.reason, icon="INFO")
     if pieces.problem(obj, piece):
         draw_message(layout, pieces.problem(obj, piece))
     elif piece.object and piece.choice == "OWN_CAGE" and not piece.object.dynamorph.targets:
@@ -225,6 +243,8 @@ def draw_targets(layout, obj):
     header.label(text="Targets")
     if body:
         draw_target_list(body, settings)
+        for hint in checks.hints(obj):
+            draw_message(body, hint, icon="INFO")
         if settings.active_target:
             draw_target(body, obj, settings.active_target)
 
@@ -260,7 +280,9 @@ def draw_target(layout, obj, target):
     column = layout.column(align=True)
     column.enabled = jobs.running is None
     if not neutral:
-        column.prop_search(target, "region", obj, "vertex_groups")
+        row = column.row(align=True)
+        row.prop_search(target, "region", obj, "vertex_groups")
+        row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
         column.prop(target, "radius")
     column.prop(target, "influence")
     draw_material(layout, target)
@@ -544,6 +566,7 @@ class DYNAMORPH_PT_object_data(SoftSkinPanel, Panel):
 
 CLASSES = (
     DYNAMORPH_UL_targets,
+    DYNAMORPH_UL_pieces,
     DYNAMORPH_UL_modes,
     DYNAMORPH_MT_targets,
     DYNAMORPH_PT_sidebar,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pieces of a character: finds other meshes on its armature and loose parts of its mesh, and says what is wrong."""
+"""The attachments of a character: finds other meshes on its armature and loose parts, and says what is wrong."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from . import checks, extract
-from .properties import parts_in, rig_of
-from .scene_data import loose_parts
+from . import checks, extract, rigid, sinks
+from .properties import parts_in, parts_of, rig_of
+from .scene_data import inverse, loose_parts
 
 PREFIX = "Dynamorph Piece "  # of the vertex groups that are made for loose parts
 FEW = 8  # so many loose parts are a piece each
 LARGE = 0.02  # of the body's area: larger loose parts are a piece each
 RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rigidly
+ACCESSORY = 0.05  # of the soft skin of a character's largest mesh: one with less is not what is meant to be soft
+FEW_BONES = 3  # that are named in a reason
 
 
 # What a character has ----------------------------------------------------------------------------------------------
@@ -25,6 +27,8 @@ RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rig
 
 def find(obj) -> list[str]:
     """Add the pieces of the soft skin `obj` that are not in its list yet; returns their names. Raises SceneError."""
+    if obj.dynamorph.model.one_cage:
+        return _find_in_body(obj)
     objects, parts = [(other, _choice(other)) for other in _siblings(obj)], _parts(obj)
     return [_add_object(obj, *found) for found in objects] + [_add_part(obj, part) for part in parts]
 
@@ -32,9 +36,10 @@ def find(obj) -> list[str]:
 def remove(obj, index: int):
     """Take a piece out of the list, with the vertex group that was made for it."""
     piece = obj.dynamorph.pieces[index]
-    group = obj.vertex_groups.get(piece.group)
+    owner = piece.object or obj
+    group = owner.vertex_groups.get(piece.group)
     if group and group.name.startswith(PREFIX):
-        obj.vertex_groups.remove(group)
+        owner.vertex_groups.remove(group)
     obj.dynamorph.pieces.remove(index)
     obj.dynamorph.active_piece_index = max(min(index, len(obj.dynamorph.pieces) - 1), 0)
 
@@ -46,12 +51,14 @@ def members(obj, group: str) -> np.ndarray:
 
 def problem(obj, piece) -> str:
     """What is wrong with one of the pieces of `obj`, or ''. Reads no mesh: fit for drawing."""
-    if piece.group:
-        gone = piece.group not in obj.vertex_groups
-        return f"The vertex group '{piece.group}' is gone: choose another, or remove the piece" if gone else ""
-    if not piece.object or not piece.object.users_scene:
+    if not (piece.object or piece.group):
         return f"'{piece.name}' is gone: remove the piece" if piece.name else "Choose an object or a vertex group"
-    if piece.choice == "WITH_BODY" and rig_of(obj):
+    if piece.object and not piece.object.users_scene:
+        return f"'{piece.name}' is gone: remove the piece"
+    if piece.group:
+        gone = piece.group not in (piece.object or obj).vertex_groups
+        return f"The vertex group '{piece.group}' is gone: choose another, or remove the piece" if gone else ""
+    if piece.choice in {"WITH_BODY", "HELD"} and rig_of(obj):
         return next((each.text for each in checks.follower(obj, piece.object)), "")
     return ""
 
@@ -60,6 +67,7 @@ def left_alone(obj) -> Iterator[str]:
     """The meshes of a character that no skin moves, a sentence each."""
     rig = rig_of(obj)
     children = dict.fromkeys([*(rig.children_recursive if rig else ()), *obj.children_recursive])
+    children = [other for other in children if other.users_scene]
     for other in children:
         if other.type != "MESH" or other == obj or checks.armature_modifiers(other):
             continue
@@ -111,6 +119,185 @@ def _add_part(obj, part: Part) -> str:
     return group.name
 
 
+# Of a body in one cage -----------------------------------------------------------------------------------------------
+
+
+def body_for(obj):
+    """The mesh that is meant when `obj` is to become a soft skin: itself, unless it is rigid and another one on its
+    armature is not. Of an armature object the mesh with the most soft skin. Raises SceneError.
+    """
+    rig = obj if obj.type == "ARMATURE" else rig_of(obj) or _hangs_on(obj)
+    if rig is None:
+        return obj
+    areas = {other: _soft_area(other, rig) for other in checks.meshes_on(rig) if _may_be_soft(other, rig)}
+    largest = max(areas, key=areas.get, default=obj)
+    accessory = areas.get(obj, 0.0) <= ACCESSORY * areas.get(largest, 0.0)
+    return largest if obj.type == "ARMATURE" or accessory else obj
+
+
+def _hangs_on(obj):
+    """The armature object that `obj` is parented to, by itself or by what it is parented to."""
+    above = obj.parent
+    while above and above.type != "ARMATURE":
+        above = above.parent
+    return above
+
+
+def _may_be_soft(other, rig) -> bool:
+    skinned = any(modifier.object == rig for modifier in checks.armature_modifiers(other))
+    return skinned and bool(other.data.polygons) and not (other.library or other.override_library)
+
+
+def _soft_area(other, rig) -> float:
+    """Of the skin of a mesh that no single bone carries, in Blender units."""
+    try:
+        points, triangles = extract.rest_points(other), extract.mesh_triangles(other.data)
+        labels = loose_parts(points, triangles)
+        hard, _ = rigid.rigid_parts(labels, extract.skin_weights(other, rig))
+    except extract.SceneError:
+        return 0.0
+    areas = rigid.vertex_areas(points @ np.array(other.matrix_world)[:3, :3].T, triangles)
+    return float(areas[~hard[labels]].sum())
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A mesh of the body as it is looked at. labels (P,): of its loose parts; points (P, 3): in the body's bind space;
+    bones (parts,): that carry most of each part.
+    """
+
+    obj: object
+    labels: np.ndarray
+    points: np.ndarray
+    triangles: np.ndarray
+    weights: np.ndarray
+    hard: np.ndarray
+    bones: np.ndarray
+
+
+def _find_in_body(obj) -> list[str]:
+    """As `find`, for a soft skin with One Cage: every other mesh and every rigid part, each with a reason."""
+    extract.check_mesh(obj)
+    rig = extract.armature_modifier(obj).object
+    world, _ = extract.worlds_at_start(obj, rig)
+    to_bind, names = extract.stretch(world), extract.rest_skeleton(rig.data).names
+    listed = {piece.object: piece.choice for piece in obj.dynamorph.pieces if piece.object and not piece.group}
+    found, added = [_look_at(obj, obj, rig, world, to_bind)], []
+    for other in [*_siblings(obj), *(each for each, choice in listed.items() if choice in {"WITH_BODY", "HELD"})]:
+        try:
+            refusal = _refusal(obj, other)
+            found += [] if refusal else [_look_at(obj, other, rig, world, to_bind)]
+        except extract.SceneError as error:
+            refusal = str(error)
+        if refusal and other not in listed:
+            choice = "OWN_CAGE" if other.dynamorph.targets else "RIGID"
+            added.append(_add(obj, other, "", choice, refusal))
+    for each, touches in zip(found, _touching(found), strict=True):
+        whole = each.obj != obj and each.hard.all() and len(set(each.bones.tolist())) == 1
+        if each.obj != obj and each.obj not in listed:
+            added.append(_add_mesh(obj, each, whole, touches, names))
+        if not whole:
+            added += _add_parts(obj, each, touches, names)
+    skinned = _all_together(found)
+    obj.dynamorph.model.head = ", ".join(names[bone] for bone in rigid.heads(extract.rest_skeleton(rig.data), *skinned))
+    return added
+
+
+def _refusal(obj, other) -> str:
+    """Why a mesh cannot belong to the body of `obj`, or ''."""
+    if other.dynamorph.targets:
+        return "It is a soft skin of its own"
+    for problem in (*checks.follower(obj, other), *checks.mesh(other)):
+        return problem.text
+    try:
+        sinks.check(other, needs_keys=False)
+    except sinks.SinkError as error:
+        return str(error)
+    return ""
+
+
+def _look_at(obj, other, rig, world: np.ndarray, to_bind: np.ndarray) -> _Found:
+    """world (4, 4), to_bind (3, 3): of `obj`. Raises SceneError."""
+    to_body = np.eye(4) if other == obj else inverse(world) @ extract.worlds_at_start(other, rig)[0]
+    local, weights = extract.rest_points(other), extract.skin_weights(other, rig)
+    triangles = extract.mesh_triangles(other.data)
+    labels = loose_parts(local, triangles)
+    points = extract.carried(local, to_body) @ to_bind.T
+    return _Found(other, labels, points, triangles, weights, *rigid.rigid_parts(labels, weights))
+
+
+def _all_together(found: list[_Found]) -> tuple:
+    """Weights, points and triangles of all meshes, as `rigid.heads` asks for them."""
+    starts = np.cumsum([0, *(len(each.points) for each in found)])
+    triangles = [each.triangles + start for each, start in zip(found, starts, strict=False)]
+    together = [np.concatenate([getattr(each, name) for each in found]) for name in ("weights", "points")]
+    return *together, np.concatenate(triangles)
+
+
+def _touching(found: list[_Found]) -> list[np.ndarray]:
+    """For each mesh, which (parts,) of its rigid parts share points with soft skin."""
+    points = np.concatenate([each.points for each in found])
+    size = np.linalg.norm(np.ptp(points, axis=0))
+    first = rigid.coincident(points, rigid.COINCIDE * size)
+    counts = [len(each.hard) for each in found]
+    starts = np.cumsum([0, *counts])[:-1]
+    labels = np.concatenate([each.labels + start for each, start in zip(found, starts, strict=True)])
+    hard = np.concatenate([each.hard for each in found])
+    return np.split(rigid.joined_to_soft(labels, hard, first), starts[1:])
+
+
+def _add_mesh(obj, each: _Found, whole: bool, touches: np.ndarray, names) -> str:
+    """whole: one bone carries all of it."""
+    if not whole:
+        return _add(obj, each.obj, "", "WITH_BODY", "It is skinned by the same armature")
+    bone = [*names, "none"][each.bones[0]]
+    if touches.any():
+        return _add(obj, each.obj, "", "HELD", f"Bone '{bone}' alone moves it, and it shares points with soft skin")
+    return _add(obj, each.obj, "", "RIGID", f"Bone '{bone}' alone moves it")
+
+
+def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
+    """The rigid loose parts of a mesh as pieces: those of a material on a bone together, of more than a few the small
+    ones of a material.
+    """
+    mesh, labels, owner = each.obj.data, each.labels, None if each.obj == obj else each.obj
+    slots = np.zeros(len(each.triangles), np.int32)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    areas = np.zeros((len(each.hard), max(len(mesh.materials), 1)))
+    of_triangles = rigid.triangle_areas(each.points, each.triangles)
+    np.add.at(areas, (labels[each.triangles[:, 0]], slots.clip(0, areas.shape[1] - 1)), of_triangles)
+    known = [piece.group for piece in parts_of(obj, owner) if piece.group in each.obj.vertex_groups]
+    taken = (extract.group_weights(each.obj, known) >= extract.MEMBER).any(axis=1)
+    covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
+    added = []
+    for held in (False, True):
+        chosen = np.flatnonzero(each.hard & (touches == held) & ~covered)
+        alike = np.column_stack([areas[chosen].argmax(axis=1), each.bones[chosen]])
+        kinds, kind = np.unique(alike, axis=0, return_inverse=True)
+        of_kinds = np.zeros((len(kinds), areas.shape[1]))
+        np.add.at(of_kinds, kind.ravel(), areas[chosen])
+        for together in grouped(of_kinds, np.zeros(len(kinds), bool), body=False):
+            group = chosen[np.isin(kind.ravel(), together)]
+            material = mesh.materials[areas[group].sum(axis=0).argmax()] if mesh.materials else None
+            made = each.obj.vertex_groups.new(name=PREFIX + (material.name if material else "Part"))
+            made.add(np.flatnonzero(np.isin(labels, group)).tolist(), 1.0, "REPLACE")
+            bones = dict.fromkeys([*names, "none"][bone] for bone in each.bones[group])
+            listed = ", ".join(f"'{bone}'" for bone in list(bones)[:FEW_BONES]) + " ..." * (len(bones) > FEW_BONES)
+            parts = "This loose part follows" if len(group) == 1 else f"These {len(group)} loose parts follow"
+            reason = f"{parts} {'bone' if len(bones) == 1 else 'one bone each:'} {listed}"
+            reason += ", and shares points with soft skin" * held
+            added.append(_add(obj, owner, made.name, "HELD" if held else "RIGID", reason))
+    return added
+
+
+def _add(obj, other, group: str, choice: str, reason: str) -> str:
+    piece = obj.dynamorph.pieces.add()
+    piece.object, piece.group, piece.name = other, group, group or other.name
+    piece.choice = choice
+    piece.reason = reason  # after the choice, which takes it away when the artist makes it
+    return piece.name
+
+
 # Loose parts of the mesh -------------------------------------------------------------------------------------------
 
 
@@ -140,7 +327,7 @@ def _parts(obj) -> list[Part]:
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     slots = slots.clip(0, areas.shape[1] - 1)  # there may be fewer materials than the faces say
     np.add.at(areas, (labels[triangles[:, 0]], slots), np.linalg.norm(across, axis=1) / 2.0)
-    rigid = rigid_parts(labels, extract.skin_weights(obj))
+    follows_one = rigid_parts(labels, extract.skin_weights(obj))
     known = [piece.group for piece in parts_in(obj)]
     taken = (extract.group_weights(obj, known) >= extract.MEMBER).any(axis=1)
     covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
@@ -150,22 +337,22 @@ def _parts(obj) -> list[Part]:
         material = mesh.materials[areas[group].sum(axis=0).argmax()] if mesh.materials else None
         same = areas[group].sum(axis=0).argmax() == areas[body].argmax()
         name = "Part" if len(group) == 1 else "Small Parts"
-        out.append(Part(material.name if material and not same else name, np.isin(labels, group), rigid[group].all()))
+        out.append(Part(material.name if material and not same else name, np.isin(labels, group), follows_one[group].all()))
     return out
 
 
-def grouped(areas: np.ndarray, skip: np.ndarray) -> list[np.ndarray]:
-    """Which loose parts are one piece: lists of part numbers, without the body, which is the largest.
+def grouped(areas: np.ndarray, skip: np.ndarray, body=True) -> list[np.ndarray]:
+    """Which loose parts are one piece: lists of part numbers; body: without the largest, which is the body.
 
     areas (P, M): of P loose parts by material slot; skip (P,) bool: parts that are left out. Where there are more than
     a few, small ones of the same material are together.
     """
     whole = areas.sum(axis=1)
-    order = np.argsort(-whole, kind="stable")
-    body, others = order[0], [p for p in order[1:] if whole[p] > 0.0 and not skip[p]]
+    order = np.argsort(-whole, kind="stable")  # the body first
+    others = [p for p in order[int(body) :] if whole[p] > 0.0 and not skip[p]]
     if len(others) <= FEW:
         return [np.array([p]) for p in others]
-    large = [p for p in others[:FEW] if whole[p] > LARGE * whole[body]]
+    large = [p for p in others[:FEW] if whole[p] > LARGE * whole[order[0]]]
     small: dict[int, list] = {}
     for p in others[len(large) :]:
         small.setdefault(int(areas[p].argmax()), []).append(p)

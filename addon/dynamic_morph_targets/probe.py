@@ -31,7 +31,8 @@ class Probe:
     def __init__(self, obj, model, character: Character):
         self.rest = model.nodes[model.free]
         self.reach = REACH * float(np.linalg.norm(np.ptp(model.nodes, axis=0)))
-        self._names, weights, masks, of_modifiers = _skin_groups(obj)
+        meshes = [next(o for o in bpy.data.objects if o.session_uid == part.session_uid) for part in character.parts]
+        self._names, weights, masks, of_modifiers = _skin_groups(obj, meshes)
         at_nodes = model.at_nodes(np.hstack([weights, masks]))[model.free].clip(0.0, 1.0)
         weights, masks = np.split(at_nodes, [weights.shape[1]], axis=1)
         totals = weights @ of_modifiers.T
@@ -110,24 +111,38 @@ class Probe:
             )
 
 
-def _skin_groups(obj) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
+def _skin_groups(obj, others) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
     """What the K Armature modifiers of `obj` read: names of G vertex groups, their weights (V, G), of which Blender
     sees the ratios, the part (V, K) that each modifier has in the result, and which groups are its bones' (K, G).
+
+    others: objects of which the character has the vertices besides; what skins those counts as what skins `obj`.
     """
-    modifiers, groups = checks.armature_modifiers(obj), VertexGroups(obj)
-    bones = [[bone.name for bone in checks.deforming_bones(obj, modifier.object)] for modifier in modifiers]
+    meshes, modifiers = (obj, *others), checks.armature_modifiers(obj)
+    bones = [
+        [bone.name for mesh in meshes for bone in checks.deforming_bones(mesh, modifier.object)]
+        for modifier in modifiers
+    ]
     names = list(dict.fromkeys(name for of_modifier in bones for name in of_modifier))
     of_modifiers = np.array([[name in of_modifier for name in names] for of_modifier in bones])
+    found = [_weights_and_masks(mesh, names, of_modifiers) for mesh in meshes]
+    weights, masks = (np.concatenate(each) for each in zip(*found, strict=True))
+    return names, weights, masks, of_modifiers
+
+
+def _weights_and_masks(obj, names: list[str], of_modifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of one mesh, as `_skin_groups`. A modifier that it lacks has no part in it."""
+    groups = VertexGroups(obj)
     weights = groups.weights(names)
-    masks = np.ones((len(weights), len(modifiers)))
-    for mask, modifier, own in zip(masks.T, modifiers, of_modifiers, strict=True):
+    masks = np.zeros((len(weights), len(of_modifiers)))
+    for mask, modifier, own in zip(masks.T, checks.armature_modifiers(obj), of_modifiers, strict=False):
+        mask[:] = 1.0
         if modifier.vertex_group in obj.vertex_groups:
             painted = groups.weights([modifier.vertex_group])[:, 0]
             mask[:] = 1.0 - painted if modifier.invert_vertex_group else painted
         if not modifier.use_multi_modifier:  # one that is goes back to before the first, also where it has no weights
             mask *= weights @ own > NO_WEIGHT
     totals = weights.sum(axis=1, keepdims=True)
-    return names, weights / np.where(totals > NO_WEIGHT, totals, np.inf), masks, of_modifiers
+    return weights / np.where(totals > NO_WEIGHT, totals, np.inf), masks
 
 
 def _weighted(points: np.ndarray, weights: np.ndarray) -> bmesh.types.BMesh:

@@ -186,6 +186,10 @@ def _shown_changed(group, _context):
     live.refresh(group.id_data)
 
 
+def _region_chosen(target, _context):
+    target.auto_region = False  # `regions.update` sets it again for those that it chooses itself
+
+
 class DynamorphTarget(KeyReference, PropertyGroup):
     """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
 
@@ -237,11 +241,26 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Region",
         description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
         "the neutral target at rest: they do not compete with those of the rest of the body",
+        override=OVERRIDE, update=_region_chosen,
+    )  # fmt: skip
+    auto_region: BoolProperty(
+        name="Automatic Region",
+        description="Whether the region is made from what is sculpted, together with the targets that share a bone "
+        "with this one. A region that you choose or paint stays as it is",
         override=OVERRIDE,
+    )  # fmt: skip
+    made_region: StringProperty(
+        name="Region As Made", description="Hash of the automatic region's weights, to tell whether they were painted",
+        options={"SKIP_SAVE"}, override=OVERRIDE,
     )  # fmt: skip
     bones: CollectionProperty(
         name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
         override=OVERRIDE_LIST,
+    )  # fmt: skip
+    auto_bones: BoolProperty(
+        name="Automatic Bones",
+        description="Whether Finish Sculpting chooses the bones, by what is sculpted. Bones that you choose stay",
+        override=OVERRIDE,
     )  # fmt: skip
     pose: CollectionProperty(
         name="Pose", description="The captured pose of every bone", type=DynamorphBonePose, override=OVERRIDE_LIST
@@ -317,10 +336,18 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     def bone_names(self) -> tuple[str, ...]:
         return tuple(bone.name for bone in self.bones)
 
-    def set_bones(self, names):
+    def set_bones(self, names, automatic=False):
+        """automatic: nobody chose them by hand."""
+        self.auto_bones = automatic
         self.bones.clear()
         for name in names:
             self.bones.add().name = name
+
+    def set_region(self, group: str, automatic: bool):
+        """automatic: `regions.update` keeps the vertex group up to date."""
+        if self.region != group:
+            self.region = group
+        self.auto_region = automatic
 
     def set_pose(self, skeleton: Skeleton, local: np.ndarray, rig_world: np.ndarray):
         """Store a pose: local (B, 4, 4) as `Skeleton.local_transforms` gives it, rig_world (4, 4)."""
@@ -358,26 +385,42 @@ def _cage_chosen(model, _context):
         watch.look_soon()
 
 
+def _choice_made(piece, _context):
+    if piece.reason:
+        piece.reason = ""
+
+
 class DynamorphPiece(PropertyGroup):
-    """Eyes, teeth, clothes: another mesh object, or a part of this mesh. `name` is what it was called when found."""
+    """Eyes, teeth, clothes: another mesh object, or a part of this mesh or of that one. `name` is what it was called
+    when found.
+    """
 
     object: PointerProperty(
         name="Object", description="Another mesh on the same armature; none for a part of this mesh",
         type=bpy.types.Object, poll=_is_other_mesh, override=OVERRIDE,
     )  # fmt: skip
     group: StringProperty(
-        name="Vertex Group", description="Of a part of this mesh: its vertices have a weight of a half or more",
+        name="Vertex Group", description="Of a part of the mesh: its vertices have a weight of a half or more",
         override=OVERRIDE,
     )  # fmt: skip
     choice: EnumProperty(
-        name="Moves",
-        description="What moves the piece",
+        name="Attached By",
+        description="What moves the attachment",
         items=(
-            ("WITH_BODY", "With Body", "The flesh that it is in, or nearest to, carries it along"),
-            ("OWN_CAGE", "Own Cage", "It is simulated by itself, in a cage of its own"),
-            ("RIGID", "Rigid", "Its bones alone"),
+            ("WITH_BODY", "With Body", "The soft tissue that it is in, or nearest to, carries it along", 0),
+            ("OWN_CAGE", "Own Cage", "It is simulated by itself, in a cage of its own", 1),
+            ("RIGID", "Rigid", "Its bones alone", 2),
+            (
+                "HELD", "Held",
+                "It is as hard as bone, in one cage with the soft skin that it touches, so that their seam stays closed",
+                3,
+            ),
         ),
-        default="WITH_BODY", override=OVERRIDE,
+        default="WITH_BODY", override=OVERRIDE, update=_choice_made,
+    )  # fmt: skip
+    reason: StringProperty(
+        name="Reason", description="Why the attachment was listed so. It is empty where the artist has chosen",
+        override=OVERRIDE,
     )  # fmt: skip
 
 
@@ -481,6 +524,13 @@ class DynamorphModel(PropertyGroup):
         "that their seams stay closed",
         default=ModelSettings.one_cage, override=OVERRIDE,
     )  # fmt: skip
+    hold_head: BoolProperty(
+        name="Hold Head",
+        description="Hold the skin of the head as if it were bone, less and less along the neck. What is painted in the "
+        "Soft group stays soft",
+        default=ModelSettings.hold_head, override=OVERRIDE,
+    )  # fmt: skip
+    head: StringProperty(name="Head", description="Bone of the head that was found when the attachments were")
     vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
     cage: StringProperty(name="Cage", description="What the cage of the model is made of")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
@@ -686,6 +736,12 @@ class DynamorphSculpt(PropertyGroup):
     was_posing: BoolProperty(name="Was Posing", description="Whether the armature was in Pose Mode before")
     in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
     on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
+    key: PointerProperty(name="Key", description="The shape key that is sculpted", type=DynamorphKey)
+    is_new: BoolProperty(name="New", description="Whether it began with what the other targets show in its pose")
+    shown: PointerProperty(
+        name="Shown", description="The target's shape key that is turned on to be looked at before there is a model",
+        type=DynamorphKey,
+    )  # fmt: skip
 
 
 class DynamorphSettings(PropertyGroup):
@@ -813,8 +869,9 @@ def reconcile(obj):
         _follow_keys(blocks, settings.bake.muted)
         _follow_baked_keys(blocks, settings.bake)
         _follow_keys(blocks, settings.live.muted)
-        if settings.live.key.name:
-            _follow_keys(blocks, [settings.live.key])
+        for reference in (settings.live.key, settings.sculpt.key, settings.sculpt.shown):
+            if reference.name:
+                _follow_keys(blocks, [reference])
     _follow_groups(obj)
     rig = rig_of(obj)
     if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
@@ -872,11 +929,14 @@ def _follow_groups(obj):
     settings.groups = "\n".join(now)
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
-    users = [(settings, "soft_group"), (settings, "stiffness_group"), *((each, "region") for each in settings.targets)]
+    users = [(settings, "soft_group"), (settings, "stiffness_group")]
     users += [(piece, "group") for piece in settings.pieces]
     for user, name in users:
         if getattr(user, name) in renamed:
             setattr(user, name, renamed[getattr(user, name)])
+    for target in settings.targets:
+        if target.region in renamed:
+            target.set_region(renamed[target.region], target.auto_region)
 
 
 def _follow_bones(skeleton: Skeleton, target):
@@ -928,12 +988,18 @@ def soft_skins(objects):
 
 def parts_in(obj) -> list:
     """The pieces of a soft skin that are parts of its own mesh."""
-    return [piece for piece in obj.dynamorph.pieces if piece.group]
+    return parts_of(obj, None)
+
+
+def parts_of(obj, mesh) -> list:
+    """The pieces of a soft skin that are parts of another mesh object; None: of its own."""
+    return [piece for piece in obj.dynamorph.pieces if piece.group and piece.object == mesh]
 
 
 def clothes_in(obj) -> list:
     """The other meshes that the flesh of a soft skin is to carry along, without those that are deleted."""
-    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "WITH_BODY"]
+    choices = {"WITH_BODY", "HELD"} if obj.dynamorph.model.one_cage else {"WITH_BODY"}
+    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice in choices]
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 
 
@@ -957,13 +1023,19 @@ def followers(obj) -> list:
 def mesh_in(context):
     """The mesh object that buttons and panels are about, or None: the active one, of an armature the soft skin on it.
 
-    Of several soft skins on one armature, a selected one.
+    Of several soft skins on one armature, a selected one; without any, the largest mesh.
     """
     obj = context.object
     if obj is not None and obj.type == "ARMATURE":
         skins = [skin for skin in soft_skins(context.view_layer.objects) if rig_of(skin) == obj]
-        return min(skins, key=lambda skin: not skin.select_get(), default=None)
+        return min(skins, key=lambda skin: not skin.select_get(), default=None) or _largest_on(obj, context)
     return obj if obj is not None and obj.type == "MESH" else None
+
+
+def _largest_on(rig, context):
+    """The mesh with the most vertices that an armature object skins, or None."""
+    skinned = [obj for obj in context.view_layer.objects if obj.type == "MESH" and rig_of(obj) == rig]
+    return max(skinned, key=lambda obj: len(obj.data.vertices), default=None)
 
 
 @persistent

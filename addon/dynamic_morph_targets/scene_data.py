@@ -308,13 +308,17 @@ def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
 WELD = 1e-6  # of a mesh's diagonal: points nearer than this are one, as imported meshes are split at every seam
 
 
+def welded(points: np.ndarray) -> np.ndarray:
+    """Numbers (V,), from 0, of the places of points (V, 3), which those of a split seam share."""
+    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
+    return np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)[1].ravel()
+
+
 def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
     """Numbers (V,), from 0, of the parts of points (V, 3) that edges or faces (m, k) and seams connect."""
-    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
-    _, welded = np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)
-    welded = welded.ravel()
-    part = connected_parts(welded[elements], welded.max() + 1)
-    return np.unique(part[welded], return_inverse=True)[1].ravel()
+    place = welded(points)
+    part = connected_parts(place[elements], place.max() + 1)
+    return np.unique(part[place], return_inverse=True)[1].ravel()
 
 
 # Settings that a built model does not depend on: they are applied when it is simulated.
@@ -327,6 +331,7 @@ LATER_SETTINGS = {
     "separate": True,
     "hold": "BONES",
     "one_cage": False,
+    "hold_head": False,
 }
 
 
@@ -345,8 +350,9 @@ class ModelSettings:
     cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
     pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
-    hold: str = "BONES"  # what holds the body: pins near the bones, or THICKNESS, a continuous hold of core and thin parts
+    hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
+    hold_head: bool = False  # the skin of the head is held like something rigid; with one_cage
 
 
 class OwnCage(NamedTuple):
@@ -370,6 +376,9 @@ class Character:
     rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
     with the hold by thickness the cage is held there. painted: whether the artist painted `softness`, which then says
     alone what is held but for the core.
+
+    With one_cage the arrays cover the vertices of several meshes: first those of the soft skin's own mesh (`own`), then
+    those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
     """
 
     name: str
@@ -388,12 +397,21 @@ class Character:
     pieces: np.ndarray = None
     rigidity: np.ndarray = None
     painted: bool = False
+    coincident: np.ndarray = None
+    parts: tuple[Follower, ...] = ()
 
     def __post_init__(self):
         if self.pieces is None:
             object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
         if self.rigidity is None:
             object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
+        if self.coincident is None:
+            object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
+
+    @property
+    def own(self) -> slice:
+        """Which of the vertices are those of the soft skin's own mesh."""
+        return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
 
     @property
     def targets(self) -> list[Target]:
@@ -449,8 +467,9 @@ class Follower:
     """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
 
     session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
-    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own;
-    skin: the points of the character's surface nearest to the vertices.
+    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own.
+    What moves it is either `skin`, the points of the character's surface nearest to the vertices, or the character's
+    cage, of whose vertices it is the `members`.
     """
 
     name: str
@@ -458,7 +477,8 @@ class Follower:
     points: np.ndarray
     vertices: np.ndarray
     from_body: np.ndarray
-    skin: SurfaceMap
+    skin: SurfaceMap | None = None
+    members: slice | None = None
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from . import checks, extract, jobs, properties, targets
+from . import checks, extract, jobs, pieces, properties, targets
 from .extract import SceneError
 from .operators import JobOperator, SoftSkinOperator
 
@@ -31,6 +31,7 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
         return obstacle
 
     def apply(self, obj):
+        obj = self._chosen(obj)
         if obj.dynamorph.targets:
             raise SceneError(f"'{obj.name}' has a soft skin already")
         in_the_way = extract.first_look(obj)
@@ -41,10 +42,31 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
         target = obj.dynamorph.targets.add()
         target.name = properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
+        in_the_way += self._find_attachments(obj)
         drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, text)
+
+    def _chosen(self, obj):
+        """The mesh that is meant: the body's, if a helmet or the armature is active."""
+        active = bpy.context.object
+        chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
+        if chosen != obj:
+            self.report({"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature")
+        if active.type != "ARMATURE" and chosen != active and active.mode == "OBJECT":
+            bpy.context.view_layer.objects.active = chosen
+        return chosen
+
+    def _find_attachments(self, obj) -> list[str]:
+        """List what belongs to the body, in one cage with it. Returns what is wrong with that."""
+        obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
+        try:
+            pieces.find(obj)
+            extract.character(obj, without_targets=True)
+        except SceneError as error:
+            return [str(error)]
+        return []
 
 
 # Fixes of checks.Problem -------------------------------------------------------------------------------------------

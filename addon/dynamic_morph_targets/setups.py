@@ -137,7 +137,8 @@ def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
         assign(target, lacking.without_lost_groups(_simple(entry), ["region"]))
         if not neutral:
             target.refer_to(blocks, blocks.find(target.name))
-        target.set_bones(lacking.present("bones", entry.get("bones", []), rig.data.bones))
+        bones = lacking.present("bones", entry.get("bones", []), rig.data.bones)
+        target.set_bones(bones, target.auto_bones)
         _apply_pose(target, rig, entry.get("pose", {}), lacking)
     settings.active_target_index = min(settings.active_target_index, len(settings.targets) - 1)
 
@@ -149,11 +150,15 @@ def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
         if entry.get("object"):
             there = lacking.present("objects", [entry["object"]], meshes)
         else:
-            there = lacking.present("vertex groups", [entry["group"]], obj.vertex_groups)
+            there = [obj.name]
+        if there and entry.get("group"):
+            owner = meshes[entry["object"]] if entry.get("object") else obj
+            there = lacking.present("vertex groups", [entry["group"]], owner.vertex_groups)
         if there:
             piece = obj.dynamorph.pieces.add()
             assign(piece, _simple(entry))
             piece.object = meshes[entry["object"]] if entry.get("object") else None
+            piece.reason = entry.get("reason", "")  # which `choice` takes away
 
 
 def _simple(entry: dict) -> dict:

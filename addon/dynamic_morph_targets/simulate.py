@@ -500,8 +500,16 @@ def bake(
 
 def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
     """The same shot of what the flesh carries along, in the follower's own local space."""
+    if follower.members:
+        return part_of(bake, follower.members, follower.from_body)
     modes, details = carried(model, bake.node_modes, follower)
     return replace(bake, modes=modes, details=details)
+
+
+def part_of(bake: Bake, members: slice, from_body: np.ndarray | None = None) -> Bake:
+    """The same shot of some of its vertices; from_body (3, 3): of a displacement into the space that they are in."""
+    turn = np.eye(3) if from_body is None else from_body
+    return replace(bake, modes=bake.modes[:, members] @ turn.T, details=bake.details[:, members] @ turn.T)
 
 
 def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.ndarray, np.ndarray]:

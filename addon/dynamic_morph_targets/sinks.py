@@ -43,12 +43,12 @@ class SinkError(ValueError):
 def check(obj, needs_keys=True):
     """Refuse, before any work, data to which a bake cannot be written. Raises SinkError.
 
-    needs_keys: there must be a Basis already.
+    needs_keys: there must be a Basis already, unless the neutral target is alone: then it is made.
     """
     if obj.type != "MESH":
         raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
     keys = obj.data.shape_keys
-    if keys is None and needs_keys:
+    if keys is None and needs_keys and len(obj.dynamorph.targets) != 1:
         raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
     check_local(obj, obj.data, *filter(None, [keys]))
     for problem in checks.shared_mesh(obj):
@@ -532,6 +532,7 @@ def mute_targets(obj, muted, simulated, skin=None):
 
     muted: the list that remembers them; skin: as for `write_keys`.
     """
+    show_target(obj, "")
     blocks = obj.data.shape_keys.key_blocks
     for target in (skin or obj).dynamorph.targets[1:]:
         index = blocks.find(target.name)
@@ -550,3 +551,19 @@ def unmute_targets(obj, muted):
         if key.name in blocks:
             blocks[key.name].mute = key.was_muted
     muted.clear()
+
+
+def show_target(obj, name: str):
+    """Turn on the shape key of one target, "" for none, and off the one that was on, unless the artist has set it.
+
+    It shows the sculpt as long as there is neither a bake nor Live, and stays as it is where something else moves it.
+    """
+    shown, blocks = obj.dynamorph.sculpt.shown, checks.keys_of(obj)
+    before, block = blocks.get(shown.name), blocks.get(name)
+    if before and before.value == min(1.0, before.slider_max):
+        before.value = 0.0
+    shown.name = ""
+    moves = obj.dynamorph.bake.exists or obj.dynamorph.live.key.name or name in checks.moving_keys(obj)
+    if block and not moves:
+        block.value = 1.0
+        shown.refer_to(blocks, blocks.find(name))

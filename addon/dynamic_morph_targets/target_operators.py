@@ -9,7 +9,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy.types import Operator
 
-from . import checks, extract, jobs, live, materials, properties, sinks, suggest, targets
+from . import checks, extract, jobs, live, materials, properties, regions, sinks, suggest, targets
 from .extract import SceneError
 from .operators import SoftSkinOperator, guarded, listed
 from .properties import key_points, rest_skeleton
@@ -84,6 +84,7 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
             raise SceneError(f"'{block.name}' belongs to the bake: select another shape key")
         pose = extract.current_pose(obj)
         capture(self, obj, targets.add(obj, block), pose)
+        regions.update(obj)
 
 
 class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
@@ -105,6 +106,7 @@ class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
             target.set_pose(*suggestion.pose)
             target.set_bones(suggestion.bones)
             added.append(target.name)
+        regions.update(obj)
         told = [rpt_("Targets added: {names}").format(names=", ".join(added))] * bool(added)
         told += [rpt_("Keys skipped: {names}").format(names=", ".join(skipped))] * bool(skipped)
         if not added:
@@ -122,8 +124,13 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
     def apply(self, obj):
         settings = obj.dynamorph
         if settings.active_target_index > 0:
+            target = settings.active_target
+            if target.name == settings.sculpt.shown.name:
+                sinks.show_target(obj, "")
+            left = [target.region] * target.auto_region
             settings.targets.remove(settings.active_target_index)
             settings.active_target_index -= 1
+            regions.update(obj, left)
             return
         remove_soft_skin(obj)
 
@@ -132,7 +139,10 @@ def remove_soft_skin(obj):
     """Its targets, model and bake; shape keys and settings stay. Raises SinkError."""
     live.turn_off(obj)
     sinks.free(obj)
+    sinks.show_target(obj, "")
+    left = {target.region for target in obj.dynamorph.targets if target.auto_region}
     obj.dynamorph.targets.clear()
+    regions.update(obj, left)
     jobs.forget_model(obj)
 
 
@@ -172,7 +182,8 @@ class DYNAMORPH_OT_duplicate_target(TargetOperator, Operator):
         source = obj.dynamorph.targets[index]
         targets.copy_settings(source, target)
         target.set_pose(skeleton, source.local(skeleton), np.array(source.rig_world))
-        target.set_bones(source.bone_names())
+        target.set_bones(source.bone_names(), source.auto_bones)
+        regions.update(obj)
         text = rpt_("'{name}' has the pose of '{source}': pose the armature and press Capture Pose")
         self.report({"WARNING"}, text.format(name=target.name, source=source.name))
 
@@ -194,7 +205,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         skeleton = rest_skeleton(extract.armature_modifier(obj).object.data)
         local = targets.mirrored_pose(skeleton, source.local(skeleton))
         bones = self._bones(source, skeleton, local)
-        region = self._region(obj, source)
+        region = "" if source.auto_region else self._region(obj, source)
         block = self._key(obj)
         existing = [i for i, target in enumerate(settings.targets) if i and target.name == block.name]
         if existing:
@@ -203,9 +214,11 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
             targets.add(obj, block, after=index)
         source, target = settings.targets[index], settings.active_target
         targets.copy_settings(source, target)
-        target.region = region
+        target.set_region(region, source.auto_region)
+        target.made_region = ""
         target.set_pose(skeleton, local, targets.mirrored_world(source.rig_world))
-        target.set_bones(bones)
+        target.set_bones(bones, source.auto_bones)
+        regions.update(obj)
 
     def _bones(self, source, skeleton, mirrored) -> list[str]:
         """The target's bones on the other side. Raises SceneError where there is no other side."""
@@ -283,16 +296,18 @@ class DYNAMORPH_OT_capture_pose(TargetOperator, Operator):
 
     def apply(self, obj):
         capture(self, obj, obj.dynamorph.active_target, extract.current_pose(obj))
+        regions.update(obj)
 
 
 def capture(operator, obj, target, pose):
-    """Store a pose as `extract.current_pose` gives it; the bones turned away from the neutral pose place the target."""
+    """Store a pose as `extract.current_pose` gives it; of the bones turned away from the neutral pose those that bend
+    what the target sculpts place it.
+    """
     skeleton, local, rig_world = pose
-    neutral = obj.dynamorph.targets[0]
     target.set_pose(skeleton, local, rig_world)
-    if target == neutral:
+    if target == obj.dynamorph.targets[0]:
         return
-    target.set_bones(extract.bones_turned(obj, skeleton, neutral.local(skeleton), local))
+    targets.choose_bones(obj, target, skeleton, extract.target_shape(obj, target.name))
     if not target.bones:
         text = rpt_("'{name}': no bone is turned away from the neutral pose. Pose it, then Capture Pose")
         operator.report({"WARNING"}, text.format(name=target.name))
@@ -317,6 +332,8 @@ def go_to_pose(operator, obj):
     if elsewhere:
         text = rpt_("Constraints or drivers hold bones off: {bones}")
         operator.report({"WARNING"}, text.format(bones=listed(elsewhere)))
+    index = obj.dynamorph.active_target_index
+    sinks.show_target(obj, obj.dynamorph.active_target.name if index else "")
 
 
 class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
@@ -335,6 +352,7 @@ class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
             raise SceneError(f"Select in Pose Mode the bones of '{rig.name}' that '{target.name}' depends on")
         kept = target.bone_names() if self.extend else ()
         target.set_bones(dict.fromkeys((*kept, *chosen)))
+        regions.update(obj)
 
 
 class DYNAMORPH_OT_remove_bone(TargetOperator, Operator):
@@ -348,6 +366,25 @@ class DYNAMORPH_OT_remove_bone(TargetOperator, Operator):
     def apply(self, obj):
         target = obj.dynamorph.active_target
         target.set_bones([bone for bone in target.bone_names() if bone != self.bone])
+        regions.update(obj)
+
+
+class DYNAMORPH_OT_region_from_sculpt(TargetOperator, Operator):
+    """Make the region of the selected target from what is sculpted, together with the targets that share its bones"""
+
+    bl_idname = "dynamorph.region_from_sculpt"
+    bl_label = "Region from Sculpt"
+
+    def apply(self, obj):
+        target = obj.dynamorph.active_target
+        sculpted_key(obj)
+        extract.check_mesh(obj)
+        target.set_region("", automatic=True)
+        target.made_region = ""
+        regions.update(obj)
+        if not target.region:
+            text = rpt_("'{name}' is not sculpted yet: its region is the whole body until it is")
+            self.report({"WARNING"}, text.format(name=target.name))
 
 
 # Sculpting ---------------------------------------------------------------------------------------------------------
@@ -385,9 +422,12 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
     def apply(self, obj):
         pose = self._check(obj)
         shape = targets.blended_shape(obj, pose[1])
+        sinks.show_target(obj, "")
         block = targets.new_key(obj, self.key or self._default_name(obj), shape)
-        capture(self, obj, targets.add(obj, block), pose)
-        targets.begin_sculpting(obj, block, self.mode)
+        target = targets.add(obj, block)
+        target.set_pose(*pose)
+        targets.choose_bones(obj, target, pose[0], np.zeros_like(shape))  # all that are turned, until it is sculpted
+        targets.begin_sculpting(obj, block, self.mode, is_new=True)
 
     def _check(self, obj):
         """The pose as it is. Raises SceneError if there can be no new target."""
@@ -422,7 +462,7 @@ class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
-    """Leave the mode, and show all shape keys again"""
+    """Leave the mode, show all shape keys again, and choose bones and region by what was sculpted"""
 
     bl_idname = "dynamorph.finish_sculpt"
     bl_label = "Finish Sculpting"
@@ -436,6 +476,10 @@ class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
 
     def apply(self, obj):
         targets.finish_sculpting(obj)
+        try:
+            targets.learn_from_sculpt(obj)
+        except jobs.expected_errors() as error:  # the mode is left in any case
+            self.report({"WARNING"}, str(error))
 
 
 # Materials ---------------------------------------------------------------------------------------------------------
@@ -516,6 +560,7 @@ CLASSES = (
     DYNAMORPH_OT_go_to_pose,
     DYNAMORPH_OT_use_selected_bones,
     DYNAMORPH_OT_remove_bone,
+    DYNAMORPH_OT_region_from_sculpt,
     DYNAMORPH_OT_new_from_pose,
     DYNAMORPH_OT_sculpt_target,
     DYNAMORPH_OT_finish_sculpt,

@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
+
 import bpy
 import numpy as np
 from mathutils import Matrix
 from mathutils.kdtree import KDTree
 
-from . import checks, extract, jobs
+from . import checks, extract, jobs, regions
 from .extract import SceneError
-from .properties import KEY_REFERENCE, assign, key_points, plain, rig_of
-from .scene_data import Skeleton, turned
-from .sinks import ensure_basis
+from .properties import KEY_REFERENCE, assign, key_points, plain, rest_skeleton, rig_of
+from .scene_data import Character, Skeleton, turned
+from .sinks import ensure_basis, show_target
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+NOTHING = 1e-6  # of the coordinates: as much is round-off, not sculpted
 MIRROR_TOLERANCE = 1e-3  # of the mesh's size: how far from its mirror image a vertex's partner may be
 
 
@@ -69,10 +72,16 @@ def blended_shape(obj, local: np.ndarray) -> np.ndarray:
     active = [target for target in obj.dynamorph.targets[1:] if not target.mute]
     if not active or jobs.engine_problem():
         return np.zeros((len(obj.data.vertices), 3))
+    return _blend(extract.character(obj), local)
+
+
+def _blend(character: Character, local: np.ndarray) -> np.ndarray:
+    """The shape (V, 3), local space, that a character's targets have together at a pose (B, 4, 4)."""
     _, simulate = jobs.engine()
-    character = extract.character(obj)
+    if not character.target_sets:
+        return np.zeros_like(character.vertices)
     weights = simulate.pose_space(character).weights(local[None])[0]
-    return np.tensordot(weights, [target.shape for target in character.targets], 1)
+    return np.tensordot(weights, [target.shape[character.own] for target in character.targets], 1)
 
 
 # Targets -----------------------------------------------------------------------------------------------------------
@@ -88,14 +97,34 @@ def eligible(obj) -> list[str]:
 
 
 def add(obj, block, after: int | None = None):
-    """A target for a shape key, selected; at the end of the list, or after the target with that index."""
+    """A target for a shape key, selected; at the end of the list, or after the target with that index.
+
+    It is of the neutral target's material, until the artist says otherwise.
+    """
     settings, keys = obj.dynamorph, obj.data.shape_keys.key_blocks
-    settings.targets.add().refer_to(keys, keys.find(block.name))
+    target = settings.targets.add()
+    target.refer_to(keys, keys.find(block.name))
+    start_as(settings.targets[0], target)
+    target.auto_region = settings.model.hold == "THICKNESS"  # else all share the body, as they did before
     settings.active_target_index = len(settings.targets) - 1
     if after is not None:
         settings.targets.move(settings.active_target_index, after + 1)
         settings.active_target_index = after + 1
     return settings.active_target
+
+
+def start_as(source, target):
+    """Give a target the material of another, and what is still to be done about that."""
+    assign(target, {name: getattr(source, name) for name in (*asdict(source.material()), "frequency", "by_hand")})
+
+
+def choose_bones(obj, target, skeleton: Skeleton, shape: np.ndarray):
+    """Let the bones that are turned in a target's pose, and bend what the shape (V, 3) moves, place it.
+
+    Raises SceneError.
+    """
+    neutral, local = obj.dynamorph.targets[0].local(skeleton), target.local(skeleton)
+    target.set_bones(regions.driver_bones(obj, skeleton, neutral, local, shape), automatic=True)
 
 
 def copy_settings(source, target):
@@ -179,22 +208,25 @@ def selected_bones(rig) -> list[str]:
 # Sculpting ---------------------------------------------------------------------------------------------------------
 
 
-def begin_sculpting(obj, block, mode: str):
+def begin_sculpting(obj, block, mode: str, is_new=False):
     """Show the shape key alone, in the pose as it is, and enter "SCULPT" or "EDIT" mode.
 
+    is_new: the key shows what the other targets do in this pose, and the bones and the region are still to be chosen.
     Blender carries strokes back through the Armature modifier, in Edit Mode if that shows there. Raises SceneError.
     """
     check_can_sculpt(obj)
     if block.mute:
         raise SceneError(f"Shape key '{block.name}' is muted and would not show: unmute it, or free the bake")
     modifier, remembered = extract.armature_modifier(obj), obj.dynamorph.sculpt
-    remembered.active = True
+    blocks = obj.data.shape_keys.key_blocks
+    remembered.active, remembered.is_new = True, is_new
+    remembered.key.refer_to(blocks, blocks.find(block.name))
     remembered.was_posing = bpy.context.mode == "POSE"
     remembered.was_pinned = obj.show_only_shape_key
     remembered.in_editmode, remembered.on_cage = modifier.show_in_editmode, modifier.show_on_cage
     _make_active(obj)
     obj.show_only_shape_key = True
-    obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(block.name)
+    obj.active_shape_key_index = blocks.find(block.name)
     modifier.show_in_editmode = modifier.show_on_cage = True
     bpy.ops.object.mode_set(mode=mode)
 
@@ -218,6 +250,44 @@ def finish_sculpting(obj):
         _make_active(rig)
         bpy.ops.object.mode_set(mode="POSE")
     remembered.active = False
+
+
+def learn_from_sculpt(obj):
+    """Choose bones and regions by what was sculpted, unless the artist has chosen them, and show it in its pose.
+
+    What other sets of targets show there goes from a new key: they go on showing it. Raises SceneError, and what
+    `jobs.expected_errors` names.
+    """
+    remembered = obj.dynamorph.sculpt
+    name, is_new = remembered.key.name, remembered.is_new
+    remembered.key.name, remembered.is_new = "", False
+    target = next((target for target in obj.dynamorph.targets[1:] if target.name == name), None)
+    if target is None or name not in checks.keys_of(obj):
+        return
+    show_target(obj, name)
+    skeleton = rest_skeleton(extract.armature_modifier(obj).object.data)
+    local = target.local(skeleton)
+    sculpted = extract.target_shape(obj, name)
+    if is_new and not (target.mute or jobs.engine_problem()):
+        sculpted = sculpted - _blend(_with_sets(obj, name, own=True), local)
+    if target.auto_bones and np.abs(sculpted).max() > NOTHING * np.abs(key_points(checks.keys_of(obj)[name])).max():
+        choose_bones(obj, target, skeleton, sculpted)
+    regions.update(obj)
+    if is_new and target.region and not (target.mute or jobs.engine_problem()):
+        others = _blend(_with_sets(obj, name, own=False), local)
+        if others.any():
+            set_shape(checks.keys_of(obj)[name], extract.target_shape(obj, name) - others)
+            regions.update(obj)
+
+
+def _with_sets(obj, name: str, own: bool) -> Character:
+    """The character without a target; and, unless `own`, without the whole set of it."""
+    character, sets = extract.character(obj), []
+    for target_set in character.target_sets:
+        others = tuple(target for target in target_set.targets[1:] if target.name != name)
+        if own or len(others) == len(target_set.targets) - 1:
+            sets.append(replace(target_set, targets=(target_set.targets[0], *others)))
+    return replace(character, target_sets=tuple(sets))
 
 
 def _make_active(obj):

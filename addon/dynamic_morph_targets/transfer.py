@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import extract, setups, targets
+from . import extract, regions, setups, targets
 from .extract import SceneError
 from .nearest import nearest
 from .properties import rig_of
@@ -81,7 +81,7 @@ def write(obj, made: Copy, overwrite: bool):
             targets.sculpt_anew(block, shape)
     for name, weights in made.weights.items():
         if overwrite or name not in obj.vertex_groups:
-            _write_group(obj, name, weights)
+            regions.write_group(obj, obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name), weights)
     obj.data.update_tag()
 
 
@@ -109,10 +109,3 @@ def _own_groups(source) -> list[str]:
     names += [piece.group for piece in settings.pieces]
     skinned = {bone.name for bone in rig_of(source).data.bones if bone.use_deform}
     return [name for name in dict.fromkeys(names) if name in source.vertex_groups and name not in skinned]
-
-
-def _write_group(obj, name: str, weights: np.ndarray):
-    group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
-    group.remove(range(len(weights)))
-    for vertex in np.flatnonzero(weights).tolist():
-        group.add([vertex], weights[vertex], "REPLACE")

@@ -47,7 +47,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
 
     Raises dynamorph.Error with advice when the skin cannot be filled or nothing holds it.
     """
-    surface = character.vertices @ character.to_bind.T
+    surface = (character.vertices @ character.to_bind.T)[character.coincident]
     cages = _cages(character, surface)
     with stages("Meshing", 0.30) as report:
         defects = dynamorph.closed_surface(surface, character.triangles)[2]
@@ -60,6 +60,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
             _filled(*each, surface, turn) for each, turn in _in_turn(zip(cages.values(), meshes, strict=True), report)
         ]
         mesh, embedding = _together(character.pieces, list(cages), filled)
+        embedding = _alike(embedding, character.coincident)
         stiffness, weights, softness, rigidity, shares = _inherited(character, mesh, embedding)
         fill = np.concatenate([cage.fill for cage in filled])
         held, pinned, adrift = None, np.zeros(len(mesh.nodes), bool), []
@@ -173,6 +174,13 @@ def _together(pieces: np.ndarray, numbers: list[int], cages: list[_Filled]) -> t
     tets = np.concatenate([cage.mesh.tets + start for start, cage in zip(first, cages, strict=True)])
     mesh = dynamorph.TetMesh(np.concatenate([cage.mesh.nodes for cage in cages]), tets)
     return mesh, dynamorph.Embedding(nodes, weights)
+
+
+def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.Embedding:
+    """The embedding with that of the first vertex for all at the same place, which a cut would tear apart."""
+    if np.array_equal(coincident, np.arange(len(coincident))):
+        return embedding
+    return dynamorph.Embedding(embedding.nodes[coincident], embedding.weights[coincident])
 
 
 def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:

@@ -346,6 +346,12 @@ def no_keys(obj):
 
 def only_neutral(obj):
     obj.dynamorph.targets.remove(1)
+    obj.dynamorph.model.method = "STATIC"
+
+
+def only_muted(obj):
+    obj.dynamorph.targets[1].mute = True
+    obj.dynamorph.model.method = "STATIC"
 
 
 def key_removed(obj):
@@ -433,7 +439,8 @@ def zero_scale(obj):
         (no_groups, "'Arm' has no vertex group"),
         (absolute_keys, "'Arm' uses absolute shape keys: turn on Relative"),
         (no_keys, "'Arm' has no shape keys"),
-        (only_neutral, "'Arm' has no targets"),
+        (only_neutral, "'Arm' has no targets, so nothing moves with the Method Static"),
+        (only_muted, "'Arm': all targets are muted, so nothing moves with the Method Static"),
         (key_removed, "'Arm'.*'flexed' is gone"),
         (not_a_number, "'Arm'.*'flexed'.*vertices 3, 5, 8, 13, 21:"),
         (same_pose, "'flexed' and 'smile' have the same pose"),
