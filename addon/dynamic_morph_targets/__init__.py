@@ -13,6 +13,7 @@ _commands = []  # handles that Blender wants back
 def _modules():
     from . import (
         export_operators,
+        feel_operators,
         influence,
         influence_operators,
         live,
@@ -36,6 +37,7 @@ def _modules():
         properties,
         *buttons,
         live_operators,
+        feel_operators,
         export_operators,
         presets,
         influence,

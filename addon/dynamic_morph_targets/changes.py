@@ -21,8 +21,8 @@ from .properties import KEY_REFERENCE, clothes_in, followers, named_targets, par
 from .scene_data import ENGINE, FREE_SETTINGS, SimulationSettings
 
 SCULPT = "sculpt"  # in the records of targets: what tells a renamed one from another
-# Of targets: how the add-on goes on with them, on which no result depends.
-KEPT_BY_ADDON = ("auto_region", "auto_bones")
+# Of targets: what no result depends on, as the stiffness and the region say it, or how the add-on goes on with them.
+UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
 
 
 def look_at_animation(obj):
@@ -108,7 +108,7 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
     inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
     inputs["output"] = asdict(settings.output.settings())
     for name, target in named_targets(obj):
-        own = plain(target, skip=(*KEY_REFERENCE, "rig_world", *KEPT_BY_ADDON))
+        own = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
         seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
         inputs["targets"][name] |= own | {"bones": target.bone_names(), "pose": seen}
     return json.loads(json.dumps(inputs))

@@ -477,7 +477,7 @@ def run_fit(args):
             fitted = materials.fit_force_displacement(*subject, rows[:, :3], rows[:, 3:], patch)
         for name, value in asdict(fitted).items():
             print(f"{obj.name}: {target.name}: {name.replace('_', ' ')} {getattr(target, name):.4g} -> {value:.4g}")
-        target.set_material(fitted)
+        target.set_material(fitted, by_hand=True)
     save(args)
 
 

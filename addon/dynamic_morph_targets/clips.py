@@ -138,9 +138,7 @@ def united(bakes: list[Bake], to_body: list[np.ndarray]) -> Bake:
         modes[places, end - bake.modes.shape[1] : end] = bake.modes @ turn.T
         rows[:, :, places] = bake.coordinates, bake.dry
     details = np.zeros((0, sum(counts), 3))
-    return replace(
-        bakes[0], coordinates=rows[0], dry=rows[1], modes=modes, details=details, key_names=tuple(names)
-    )
+    return replace(bakes[0], coordinates=rows[0], dry=rows[1], modes=modes, details=details, key_names=tuple(names))
 
 
 def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[Bake, float]:

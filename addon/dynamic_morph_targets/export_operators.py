@@ -11,7 +11,7 @@ from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper
 
-from . import exports, panels, properties
+from . import comparison, exports, panels, properties
 from .operators import JobOperator, SoftSkinOperator, listed
 
 LINE = 60  # letters in one of the file browser's side bar
@@ -76,6 +76,13 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         name="Filter", description="Files that are shown", options={"HIDDEN"},
         default=";".join(f"*{each.suffix}" for each in exports.FORMATS.values()),
     )  # fmt: skip
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and comparison.is_plain(properties.mesh_in(context)):
+            return "Plain skinning is shown, which is what would be written: press Show Soft Skin first"
+        return obstacle
 
     def invoke(self, context, event):
         if not self.filepath:

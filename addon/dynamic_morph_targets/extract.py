@@ -812,4 +812,5 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
         chosen.begin,
         chosen.loop,
         gains if set(gains) != {1.0} else (),
+        chosen.amount,
     )

@@ -23,7 +23,8 @@ import bpy
 import numpy as np
 
 from . import (
-    changes, clips, extract, judge, live_key, materials, model_file, preferences, probe, properties, share, sinks,
+    changes, clips, comparison, extract, judge, live_key, materials, model_file, preferences, probe, properties, share,
+    sinks,
 )  # fmt: skip
 from .extract import SceneError
 from .scene_data import Bake
@@ -556,7 +557,9 @@ class Job:
         record.summary = self.summary()
         record.warnings = "\n".join(text for text in self.warnings if text not in self.model.summary["warnings"])
         record.inputs = json.dumps(self.inputs | {"content_id": obj.dynamorph.model.content_id})
-        record.verdict = json.dumps(self.verdict.as_dict(self.limits))
+        found = self.verdict.as_dict(self.limits)
+        own = self.character.own
+        record.verdict = json.dumps(found | {"vertices": [v for v in found["vertices"] if v < own.stop]})
         if self.rehearsed:
             obj.dynamorph.simulation.rehearsed = self.rehearsed
         record.content_id = self.content_id()
@@ -573,6 +576,8 @@ class Job:
         pieces = [find(follower.session_uid) for follower in self.followers]
         for piece in pieces:
             sinks.check(piece, needs_keys=False)  # before anything is written
+        if comparison.is_plain(obj):
+            comparison.show(obj, False)
         live_key.remove(obj)
         for piece in properties.followers(obj):
             if piece not in pieces:
@@ -637,9 +642,10 @@ class Job:
             index = index_in(self.character, obj, target)
             if index is None or not self.character.targets[0].frequency:
                 continue
-            for name, value in materials.stored(self.character.targets[index]).items():
-                if getattr(target, name) != value:
-                    setattr(target, name, value)
+            with properties.as_computed():
+                for name, value in materials.stored(self.character.targets[index]).items():
+                    if getattr(target, name) != value:
+                        setattr(target, name, value)
 
     def _store_references(self, obj):
         measured = self.character.by_method().targets

@@ -88,14 +88,17 @@ class Flesh:
 
     def moved(self, values: np.ndarray) -> float:
         """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
-        motion = values[: self.modes] - self.player.dry(values[self.modes :])
-        found, to_bind = [0.0], self.character.to_bind
-        in_cage = zip(self.followers, self.character.parts, strict=False)
+        to_bind, in_cage = self.character.to_bind, zip(self.followers, self.character.parts, strict=False)
         others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in in_cage)
-        for surface, to_metres in ((self.skin, to_bind), *others):
-            displacement = _blended(motion, surface.shapes[: self.modes]).reshape(-1, 3)
-            found.append(float(np.linalg.norm(displacement @ to_metres.T, axis=1).max()))
-        return max(found)
+        return max(
+            float(np.linalg.norm(self.motion(values, surface) @ to_metres.T, axis=1).max(initial=0.0))
+            for surface, to_metres in ((self.skin, to_bind), *others)
+        )
+
+    def motion(self, values: np.ndarray, surface: Surface | None = None) -> np.ndarray:
+        """How far the points (V, 3) of the skin, or of another surface, are from there, local space."""
+        motion = values[: self.modes] - self.player.dry(values[self.modes :])
+        return _blended(motion, (surface or self.skin).shapes[: self.modes]).reshape(-1, 3)
 
 
 class Surface:
@@ -203,6 +206,13 @@ class Session:
             )
         return values
 
+    def motion(self) -> np.ndarray | None:
+        """How far the points (V, 3) are, at the frame that shows, from where the targets' shapes would have them: local
+        space. None before the first frame.
+        """
+        frame = self._frames.get(self.now)
+        return frame and self.flesh.motion(self.flesh.values(frame))
+
     def rig_changed(self):
         """The rig moves otherwise from here on."""
         self.rig.forget()
@@ -306,7 +316,7 @@ def _sampling(obj) -> tuple:
 
 def _physics(settings: SimulationSettings) -> SimulationSettings:
     """What a step depends on."""
-    return replace(settings, start=0, end=0, gains=())
+    return replace(settings, start=0, end=0, gains=(), amount=1.0)
 
 
 def _gains(obj, count: int) -> np.ndarray:

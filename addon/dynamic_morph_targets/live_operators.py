@@ -15,17 +15,18 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_rpt as rpt_
-from bpy.props import EnumProperty
+from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
-from . import events, extract, jobs, live, live_key, properties
+from . import comparison, events, extract, jobs, live, live_key, properties
 from .extract import SceneError
-from .operators import SoftSkinOperator, guarded
+from .operators import JobOperator, SoftSkinOperator, guarded, press
 from .scene_data import Material, RigSamples
 from .sinks import SinkError
 
 SECONDS = 2.5  # a shake test
+FIRST_LOOK = 2.0  # seconds of the hop in which a new soft skin shows itself
 REST = 0.1  # seconds of it before it moves
 STOMP, HOP, TWIST = 0.08, 0.12, math.radians(60)  # how far: body sizes, and an angle
 SWING = 0.05  # body sizes: a mode that plays
@@ -62,6 +63,29 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
             live.turn_off(obj)
         else:
             live.turn_on(obj, bpy.context.scene)
+
+
+class DYNAMORPH_OT_first_look(JobOperator, Operator):
+    """Build a new soft skin, turn Live on and let it hop once, so that it shows how it moves; Esc stops"""
+
+    bl_idname = "dynamorph.first_look"
+    bl_label = "Build Soft Skin"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+    def modal(self, context, event):
+        result = super().modal(context, event)
+        if result == {"FINISHED"}:
+            guarded(self, self._look, context)
+        return result
+
+    def _look(self, context):
+        obj = jobs.find(self.batch.jobs[0].session_uid)
+        obstacle = live.obstacle(obj)
+        if obstacle:
+            raise SceneError(obstacle)
+        live.turn_on(obj, context.scene)
+        if properties.mesh_in(context) == obj and not context.screen.is_animation_playing:
+            press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK)
 
 
 # Previews ----------------------------------------------------------------------------------------------------------
@@ -270,6 +294,9 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
         ),
         options={"SKIP_SAVE"},
     )  # fmt: skip
+    seconds: FloatProperty(
+        name="Seconds", description="How long the test takes", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
+    )
 
     def passes(self, event) -> bool:
         """Not what may be undone: it would remember the rig where it is shaken to."""
@@ -279,7 +306,7 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
         for moved in movers(obj):
             if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
                 raise SceneError(f"'{moved.name}' rotates by Axis Angle: choose another rotation mode to twist it")
-        return self._played(flesh, *shaken(obj, flesh, self.kind))
+        return self._played(flesh, *shaken(obj, flesh, self.kind, self.seconds))
 
     @staticmethod
     def _played(flesh, samples, transforms):
@@ -307,13 +334,13 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return HOP * 4.0 * airborne * (1.0 - airborne), none
 
 
-def shaken(obj, flesh, kind: str) -> tuple[RigSamples, np.ndarray]:
+def shaken(obj, flesh, kind: str, seconds: float = SECONDS) -> tuple[RigSamples, np.ndarray]:
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
     still = extract.sample_present(obj, flesh.probe)
     rig_world = still.rig_world[0]
     settings = flesh.player.settings
-    count = 1 + round(SECONDS * settings.fps) * settings.substeps
+    count = 1 + round(seconds * settings.fps) * settings.substeps
     heights, angles = shake(kind, np.arange(count) * settings.step)
     axis = rig_world[:3, 2] / np.linalg.norm(rig_world[:3, 2])
     transforms = np.array([Matrix.Rotation(angle, 4, axis) for angle in angles])
@@ -359,6 +386,24 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
 
 
 # Comparing ---------------------------------------------------------------------------------------------------------
+
+
+class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
+    """Show the mesh as its rig alone moves it, to compare; again, or when the file is saved: show the soft skin"""
+
+    bl_idname = "dynamorph.show_plain"
+    bl_label = "Show Plain Skinning"
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not comparison.can_show(properties.mesh_in(context)):
+            return "Turn Live on or bake first: there is only plain skinning to be seen"
+        return obstacle
+
+    def apply(self, obj):
+        end_preview()
+        comparison.show(obj, not comparison.is_plain(obj))
 
 
 class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
@@ -417,6 +462,7 @@ def slot_settings(obj) -> dict:
     settings = obj.dynamorph
     return {
         "materials": {name: asdict(target.material()) for name, target in properties.named_targets(obj)},
+        "frequencies": {name: [target.frequency, target.by_hand] for name, target in properties.named_targets(obj)},
         "simulation": properties.plain(settings.simulation),
         "gains": [mode.gain for mode in settings.modes],
     }
@@ -427,6 +473,7 @@ def put_slot(obj, values: dict):
     for name, target in properties.named_targets(obj):
         if name in values["materials"]:
             target.set_material(Material(**values["materials"][name]))
+            target.frequency, target.by_hand = values.get("frequencies", {}).get(name, (0.0, False))
     properties.assign(obj.dynamorph.simulation, values["simulation"])
     for mode, gain in zip(obj.dynamorph.modes, values["gains"], strict=False):
         if mode.gain != gain:
@@ -439,11 +486,23 @@ def _before_change(*_args):
     end_preview()
 
 
-HANDLERS = dict.fromkeys(("undo_pre", "redo_pre", "load_pre", "save_pre"), _before_change)
+@persistent
+def _before_save(*_args):
+    """save_pre: a file that is opened or rendered elsewhere shows the soft skin."""
+    _before_change()
+    for obj in properties.soft_skins(bpy.data.objects):
+        if obj.library is None and comparison.is_plain(obj):
+            with suppress(SinkError):  # in Edit Mode the panel goes on saying it
+                comparison.show(obj, False)
+
+
+HANDLERS = dict.fromkeys(("undo_pre", "redo_pre", "load_pre"), _before_change) | {"save_pre": _before_save}
 CLASSES = (
     DYNAMORPH_OT_live,
+    DYNAMORPH_OT_first_look,
     DYNAMORPH_OT_shake_test,
     DYNAMORPH_OT_play_mode,
+    DYNAMORPH_OT_show_plain,
     DYNAMORPH_OT_reset_gains,
     DYNAMORPH_OT_check_targets,
     DYNAMORPH_OT_swap_slot,

@@ -611,6 +611,18 @@ def stiffness_for(reference: float, material: Material, frequency: float) -> flo
     return material.density * x / (2 * pi * reference) ** 2
 
 
+def with_bounce(reference: float, material: Material, frequency: float) -> Material:
+    """The material with which such flesh swings `frequency` times a second, and settles as soon as now.
+
+    The dampings keep their proportion.
+    """
+    now = swing(reference, material)
+    undamped = (2 * pi * frequency) ** 2 + now.decay**2
+    stiffer = replace(material, stiffness=material.density * undamped / (2 * pi * reference) ** 2)
+    alpha, beta = damping_for(reference, stiffer, now.settle)
+    return replace(stiffer, mass_damping=alpha, stiffness_damping=beta)
+
+
 def damping_for(reference: float, material: Material, settle: float) -> tuple[float, float]:
     """Mass and stiffness damping, in their present proportion, with which such flesh settles within so many seconds.
 

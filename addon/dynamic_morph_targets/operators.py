@@ -175,6 +175,29 @@ class JobOperator(SoftSkinOperator):
         return {"FINISHED"}
 
 
+class StartsJob(SoftSkinOperator):
+    """Mixin: what `apply` does is a step of its own; in a window the operator `job` goes on from there."""
+
+    job = ""
+
+    def invoke(self, context, _event):
+        result = self.execute(context)
+        if result == {"FINISHED"} and not bpy.app.background:
+            press(self, self.job)
+        return result
+
+
+def press(operator, name: str, **settings):
+    """Let another button go on where `operator` ends; what keeps that one from it is reported."""
+    module, function = name.split(".")
+    button = getattr(getattr(bpy.ops, module), function)
+    try:
+        if button.poll():
+            button("INVOKE_DEFAULT", **settings)
+    except RuntimeError as error:  # what it reported as an error
+        operator.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+
+
 class DYNAMORPH_OT_build(JobOperator, Operator):
     """Compute the model of the soft skin: its cage, modes and forces"""
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the 3D viewport draws of a soft skin: its cage, posed, and the targets' weights over the frames.
+"""What the 3D viewport draws of a soft skin: its cage, posed; its surface, colored; the targets' weights over the
+frames.
 
 Callbacks of Blender's drawing: they only look, and what cannot be shown at the moment is not drawn. Batches are kept
 for as long as what they show is the same.
@@ -14,13 +15,18 @@ import blf
 import bpy
 import gpu
 import numpy as np
+from mathutils import Matrix
 
-from . import extract, influence, jobs, properties
+from . import extract, heat, influence, jobs, properties
 from .scene_data import RigSamples
 
 HEIGHT = 120.0  # of the graph; this and the other lengths are in pixels at a resolution scale of 1
 MARGIN, PADDING, TEXT, SQUARE = 8.0, 6.0, 11.0, 8.0
 NARROW = 160.0  # than this a graph is not worth drawing
+SHADES = 32  # in the legend of the surface's colors
+GIZMOS = 90.0  # that Blender's own buttons take at the right
+LEGEND = 160.0  # wide, of what the colors of the surface mean
+NEARER = 2e-3  # of the body's size: that the colored surface is drawn before the mesh
 PINNED = 2  # of the theme's collection colours: unlike those of selected and of unselected vertices
 HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of them, so that neighbours in the list differ
 
@@ -130,6 +136,111 @@ def _draw_cage():
     _draw_lines(edges, (*theme.view_3d.bone_pose, 0.6), 1.0)
     gpu.state.depth_test_set("NONE")  # they are near the bones, inside the body
     _draw_points(pinned, (*theme.collection_color[PINNED].color, 0.9), 3.0)
+
+
+# The surface -------------------------------------------------------------------------------------------------------
+
+
+def painted(context, obj) -> tuple[np.ndarray, str, str, str] | None:
+    """What the surface is colored by, if it is: values (V,), and the legend's title, and words for 0 and for 1.
+
+    Raises what is in the way.
+    """
+    display = context.window_manager.dynamorph
+    if display.heat:
+        limit = f"{heat.limit_of(obj):.1%}"
+        return heat.displacement_of(obj), "Displacement", "0", f"{limit} of size"
+    if display.hold:
+        return heat.hold_of(obj), "Hold", "soft", "held"
+    return None
+
+
+def shown_points(obj, depsgraph) -> np.ndarray:
+    """World positions (V, 3) of the mesh's own vertices as shown; modifiers that add some put theirs after them.
+
+    Raises SceneError where modifiers take some away.
+    """
+    evaluated = obj.evaluated_get(depsgraph)
+    count = len(obj.data.vertices)
+    if len(evaluated.data.vertices) < count:
+        raise extract.SceneError(f"Modifiers take vertices of '{obj.name}' away, so it cannot be colored")
+    points = np.empty((len(evaluated.data.vertices), 3), np.float32)
+    evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
+    world = np.array(evaluated.matrix_world, np.float32)
+    return points[:count] @ world[:3, :3].T + world[:3, 3]
+
+
+def _draw_surface():
+    """POST_VIEW."""
+    context = bpy.context
+    obj = properties.mesh_in(context)
+    if not _is_shown(context, obj) or obj.mode == "EDIT":
+        return
+    shown = painted(context, obj)
+    if shown is None:
+        return
+    points = shown_points(obj, context.view_layer.depsgraph)
+    batch = _colored(points, heat.colors(shown[0]), triangles(obj))
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    gpu.state.depth_test_set("LESS_EQUAL")
+    gpu.state.depth_mask_set(True)
+    with gpu.matrix.push_pop():
+        gpu.matrix.load_matrix(Matrix.Translation((0.0, 0.0, NEARER * size)) @ gpu.matrix.get_model_view_matrix())
+        batch.draw(gpu.shader.from_builtin("SMOOTH_COLOR"))
+    gpu.state.depth_mask_set(False)
+    gpu.state.depth_test_set("NONE")
+
+
+def triangles(obj) -> np.ndarray:
+    """Of the mesh as it is, (T, 3) vertices."""
+    mesh = obj.data
+    mesh.calc_loop_triangles()
+    corners = np.empty((len(mesh.loop_triangles), 3), np.int32)
+    mesh.loop_triangles.foreach_get("vertices", corners.ravel())
+    return corners
+
+
+def _colored(points: np.ndarray, colors: np.ndarray, corners: np.ndarray):
+    """Triangles (T, 3) between points (V, 3) with RGB (V, 3)."""
+    layout = gpu.types.GPUVertFormat()
+    layout.attr_add(id="pos", comp_type="F32", len=3, fetch_mode="FLOAT")
+    layout.attr_add(id="color", comp_type="F32", len=4, fetch_mode="FLOAT")
+    vertices = gpu.types.GPUVertBuf(layout, len(points))
+    vertices.attr_fill("pos", np.ascontiguousarray(points, np.float32))
+    opaque = np.column_stack([colors, np.ones(len(colors), np.float32)])
+    vertices.attr_fill("color", np.ascontiguousarray(opaque, np.float32))
+    return gpu.types.GPUBatch(type="TRIS", buf=vertices, elem=gpu.types.GPUIndexBuf(type="TRIS", seq=corners))
+
+
+def _draw_surface_legend():
+    """POST_PIXEL."""
+    context = bpy.context
+    obj = properties.mesh_in(context)
+    first = next(region for region in context.area.regions if region.type == "WINDOW")
+    if context.region != first or not _is_shown(context, obj):
+        return
+    box = context.preferences.themes[0].user_interface.wcol_box
+    others = [region for region in context.area.regions if region.type != "WINDOW"]
+    left, _, right, top = free_rectangle(context.region, others)
+    pad, line, width = pixels(PADDING), pixels(TEXT + 4.0), pixels(LEGEND)
+    right, top = right - pixels(MARGIN) - pixels(GIZMOS), top - pixels(MARGIN)
+    try:
+        shown = painted(context, obj)
+    except jobs.expected_errors() as error:
+        _draw_text(str(error), left + pad, pixels(MARGIN), box.text)
+        return
+    if shown is None or right - width < left:
+        return
+    _, title, low, high = shown
+    x, y = right - width, top - 3 * line
+    _draw_rectangle(x - pad, y - pad, right + pad, top, (*box.inner[:3], 0.85))
+    _draw_text(title, x, top - line, box.text)
+    steps = heat.colors(np.linspace(0.0, 1.0, SHADES))
+    for k, color in enumerate(steps):
+        begin, end = x + width * k / SHADES, x + width * (k + 1) / SHADES
+        _draw_rectangle(begin, top - 1.8 * line, end, top - 1.2 * line, (*map(float, color), 1.0))
+    _draw_text(low, x, y, box.text)
+    _draw_text(high, right - _text_width(high), y, box.text)
 
 
 # The graph ---------------------------------------------------------------------------------------------------------
@@ -319,6 +430,7 @@ def _quietly(draw):
             draw()
         except Exception:  # the object, its rig or its model is going, or being edited
             gpu.state.depth_test_set("NONE")
+            gpu.state.depth_mask_set(False)
             gpu.state.blend_set("NONE")
 
     return callback
@@ -329,7 +441,8 @@ _handles = []
 
 def register():
     if not bpy.app.background:
-        for draw, moment in ((_draw_cage, "POST_VIEW"), (_draw_graph, "POST_PIXEL")):
+        in_view, on_top = (_draw_surface, _draw_cage), (_draw_graph, _draw_surface_legend)
+        for draw, moment in [(draw, "POST_VIEW") for draw in in_view] + [(draw, "POST_PIXEL") for draw in on_top]:
             _handles.append(bpy.types.SpaceView3D.draw_handler_add(_quietly(draw), (), "WINDOW", moment))
 
 

@@ -10,7 +10,21 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Menu, Panel, UIList
 
-from . import changes, checks, influence, jobs, live, live_operators, pieces, properties, setup_operators, sinks
+from . import (
+    changes,
+    checks,
+    comparison,
+    feel,
+    influence,
+    jobs,
+    live,
+    live_operators,
+    pieces,
+    properties,
+    setup_operators,
+    sinks,
+    verdict,
+)
 
 LINE = 34  # characters that fit into the sidebar at its default width
 FEW_BONES = 8  # of a target: more are folded away
@@ -103,6 +117,7 @@ def draw_soft_skin(layout, context, obj):
             layout.operator("dynamorph.free_bake", icon="X")
         layout.operator("dynamorph.add_soft_skin", icon="ADD")
         return
+    draw_feel(layout, obj)
     draw_cage(layout, context, obj)
     draw_pieces(layout, obj)
     draw_targets(layout, obj)
@@ -110,7 +125,8 @@ def draw_soft_skin(layout, context, obj):
     draw_model(layout, obj)
     draw_modes(layout, obj)
     draw_live(layout, obj)
-    draw_bake(layout, obj)
+    draw_bake(layout, context, obj)
+    draw_plain(layout, obj)
     draw_setup(layout)
 
 
@@ -140,6 +156,24 @@ def draw_problem(layout, problem, icon: str):
         button.operator("dynamorph.fix").problem = problem.fix
 
 
+def draw_feel(layout, obj):
+    """How soft the skin feels: the presets, how much of the motion shows, and how far it may go."""
+    simulation = obj.dynamorph.simulation
+    column = layout.column(align=True)
+    column.enabled = jobs.running is None
+    row = column.row(align=True)
+    chosen = feel.active(obj.dynamorph.targets[0], simulation)
+    for key, preset in feel.FEELS.items():
+        row.operator("dynamorph.apply_feel", text=preset.label, depress=key == chosen).feel = key
+    column.prop(simulation, "amount", slider=True)
+    column = layout.column(align=True)
+    column.enabled = jobs.running is None
+    column.prop(simulation, "max_displacement")
+    column.prop(simulation, "max_thickness")
+    if simulation.rehearsed:
+        draw_message(layout, simulation.rehearsed, icon="INFO")
+
+
 def draw_cage(layout, context, obj):
     settings = obj.dynamorph
     header, body = layout.panel("dynamorph_cage", default_closed=True)
@@ -154,9 +188,17 @@ def draw_cage(layout, context, obj):
     thickness.active = settings.model.cage_object is None
     thickness.prop(settings.model, "cage_thickness")
     column.prop(settings.model, "cage_grading")
-    column.prop(settings.model, "pin_radius")
+    column.prop(settings.model, "hold")
+    pinning = column.row()
+    pinning.active = settings.model.hold == "BONES"
+    pinning.prop(settings.model, "pin_radius")
     column.prop(settings.model, "separate")
+    column.prop(settings.model, "one_cage")
     draw_painted_group(column, obj, "SOFT")
+    row = column.row(align=True)
+    row.use_property_split = False
+    row.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
+    row.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
     draw_painted_group(column, obj, "STIFFNESS")
     if settings.stiffness_group:
         column.prop(settings, "stiffness_factor")
@@ -173,6 +215,10 @@ def draw_painted_group(layout, obj, which: str):
     button = row.row(align=True)
     button.ui_units_x = 2.5  # the name of the group needs the rest
     button.operator("dynamorph.paint_group", text=text).which = which
+    if text == "Done":
+        fill = layout.row()
+        fill.operator_context = "EXEC_DEFAULT"
+        fill.operator("paint.weight_set", text="Fill with Brush Weight", icon="BRUSH_DATA")
 
 
 # Pieces of the character -------------------------------------------------------------------------------------------
@@ -423,7 +469,49 @@ def draw_live(layout, obj):
     row.operator("dynamorph.copy_slot", text=f"Copy to {'A' if slot == 'B' else 'B'}", icon="COPYDOWN")
 
 
-def draw_bake(layout, obj):
+def draw_plain(layout, obj):
+    """The look at plain skinning in the place of a bake or of Live."""
+    if not properties.is_shown_on(obj):
+        return
+    plain = comparison.is_plain(obj)
+    text = "Show Soft Skin" if plain else "Show Plain Skinning"
+    layout.operator("dynamorph.show_plain", text=text, icon="HIDE_OFF" if plain else "HIDE_ON", depress=plain)
+    if plain:
+        draw_message(layout, "This is plain skinning: the soft skin is hidden until you press Show Soft Skin or save")
+
+
+REMEDIES = {
+    "REHEARSE": ("dynamorph.rehearse", "PLAY"),
+    "STIFFEN": ("dynamorph.stiffen", "FORCE_HARMONIC"),
+    "CAGE": ("dynamorph.refine_cage", "MOD_LATTICE"),
+}  # fmt: skip
+
+
+def draw_verdict(layout, context, obj):
+    """How believable the bake looks, where it looks worst, and what mends it."""
+    found = verdict.parsed(obj.dynamorph.bake.verdict)
+    if found is None:
+        return
+    draw_message(layout, found.text, icon="CHECKMARK" if found.ok else "ERROR")
+    column = layout.column(align=True)
+    for name, value in found.figures:
+        split = column.split(factor=0.55)
+        split.label(text=name)
+        split.label(text=value, translate=False)
+    row = layout.row(align=True)
+    row.use_property_split = False
+    if found.frame is not None:
+        text = iface_("Show Frame {frame}").format(frame=found.frame)
+        row.operator("dynamorph.show_worst", text=text, icon="RESTRICT_SELECT_OFF", translate=False)
+    row.prop(context.window_manager.dynamorph, "heat", icon="OVERLAY", toggle=True)
+    if found.remedy == "SOFTNESS":
+        layout.operator("dynamorph.paint_group", text="Paint Softness", icon="WPAINT_HLT").which = "SOFT"
+    elif found.remedy:
+        operator, icon = REMEDIES[found.remedy]
+        layout.operator(operator, icon=icon)
+
+
+def draw_bake(layout, context, obj):
     settings = obj.dynamorph
     simulation = settings.simulation
     header, body = layout.panel("dynamorph_simulation", default_closed=True)
@@ -451,6 +539,7 @@ def draw_bake(layout, obj):
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
             draw_warnings(layout, settings.bake.warnings)
+        draw_verdict(layout, context, obj)
         layout.operator("dynamorph.free_bake", icon="X")
     draw_export(layout)
 

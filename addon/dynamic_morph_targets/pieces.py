@@ -337,7 +337,9 @@ def _parts(obj) -> list[Part]:
         material = mesh.materials[areas[group].sum(axis=0).argmax()] if mesh.materials else None
         same = areas[group].sum(axis=0).argmax() == areas[body].argmax()
         name = "Part" if len(group) == 1 else "Small Parts"
-        out.append(Part(material.name if material and not same else name, np.isin(labels, group), follows_one[group].all()))
+        out.append(
+            Part(material.name if material and not same else name, np.isin(labels, group), follows_one[group].all())
+        )
     return out
 
 

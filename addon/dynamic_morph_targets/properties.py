@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 
 import bpy
@@ -155,7 +156,8 @@ def _get_bounce(target) -> float:
 
 def _set_bounce(target, frequency: float):
     if target.is_measured:
-        target.stiffness = materials.stiffness_for(target.bounce_reference, target.material(), frequency)
+        target.set_material(materials.with_bounce(target.bounce_reference, target.material(), frequency))
+        target.frequency, target.by_hand = frequency, True
 
 
 def _get_settle(target) -> float:
@@ -180,6 +182,26 @@ def _set_weight(target, weight: float):
         target.density = weight / target.volume
 
 
+_computed = False  # whether a stiffness that is written now follows from something else
+
+
+@contextmanager
+def as_computed():
+    """What is written to a stiffness meanwhile does not count as set by hand."""
+    global _computed
+    before, _computed = _computed, True
+    try:
+        yield
+    finally:
+        _computed = before
+
+
+def _stiffness_set(target, _context):
+    """update: the artist, or a script, wants the stiffness in pascals as it is."""
+    if not _computed:
+        target.frequency, target.by_hand = 0.0, True
+
+
 def _shown_changed(group, _context):
     from . import live  # which looks at what is authored here
 
@@ -201,7 +223,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         name="Stiffness",
         description="Young's modulus at this target, in pascal: fat about 3e3, relaxed muscle 2e4, flexed muscle 2e5",
         default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
-        override=OVERRIDE,
+        override=OVERRIDE, update=_stiffness_set,
     )  # fmt: skip
     poisson: FloatProperty(
         name="Poisson's Ratio",
@@ -285,8 +307,8 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     # What artists call it. Computed from the properties above and from what the last build measured.
     bounce: FloatProperty(
         name="Bounce (Hz)",
-        description="How often a second the flesh swings after a push, in this pose. Sets the stiffness; heavy damping "
-        "limits it",
+        description="Natural frequency: how often a second the soft tissue swings after a push, in this pose. Sets the "
+        "stiffness, and both dampings so that it settles as soon as before",
         min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, options={"SKIP_SAVE"},
         get=_get_bounce, set=_set_bounce,
     )  # fmt: skip
@@ -329,9 +351,26 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     def material(self) -> Material:
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
 
-    def set_material(self, material: Material):
-        for name, value in asdict(material).items():
-            setattr(self, name, value)
+    def set_material(self, material: Material, by_hand=False):
+        """Its stiffness then counts as it is. by_hand: no rehearsal changes it either."""
+        with as_computed():
+            for name, value in asdict(material).items():
+                setattr(self, name, value)
+        self.frequency, self.by_hand = 0.0, by_hand
+
+    def set_computed_stiffness(self, stiffness: float):
+        """Young's modulus in pascals that follows from the frequency: it does not count as set by hand."""
+        with as_computed():
+            self.stiffness = stiffness
+
+    def set_frequency(self, frequency: float, damping: tuple[float, float]):
+        """Let it swing so often a second, with this mass and stiffness damping: at once if it is measured, else from
+        the next build on. It does not count as set by hand.
+        """
+        self.mass_damping, self.stiffness_damping = damping
+        self.frequency, self.by_hand = frequency, False
+        if self.is_measured:
+            self.set_computed_stiffness(materials.stiffness_for(self.bounce_reference, self.material(), frequency))
 
     def bone_names(self) -> tuple[str, ...]:
         return tuple(bone.name for bone in self.bones)
@@ -720,6 +759,10 @@ class DynamorphBake(PropertyGroup):
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
     verdict: StringProperty(name="Verdict", description="How believable the last bake looks, as JSON")
+    was_rendered: BoolProperty(
+        name="Was Rendered", description="Whether renders showed the point cache before plain skinning was shown",
+        default=True,
+    )  # fmt: skip
     content_id: StringProperty(name="Bake Id", description="Hash of all that the bake was made from")
     digest: StringProperty(name="Result Id", description="Hash of what was simulated")
 
@@ -811,6 +854,17 @@ class DynamorphSettings(PropertyGroup):
         return self.pieces[self.active_piece_index] if self.active_piece_index < len(self.pieces) else None
 
 
+def _paint_surface(which: str, other: str):
+    """The update of a toggle that colors the surface: only one of the two does, and viewports draw anew."""
+
+    def update(display, _context):
+        if getattr(display, which) and getattr(display, other):
+            setattr(display, other, False)
+        events.redraw(events.VIEWS)
+
+    return update
+
+
 def _show_influence(display, _context):
     from . import influence  # which reads what is authored here
 
@@ -825,6 +879,15 @@ class DynamorphDisplay(PropertyGroup):
     influence: BoolProperty(
         name="Influence", description="Draw each target's weight over the frames, shading those far from every target",
         update=_show_influence,
+    )  # fmt: skip
+    heat: BoolProperty(
+        name="Heat Map",
+        description="Color the skin by how far it moves away from the animation, as a part of Max Displacement",
+        update=_paint_surface("heat", "hold"),
+    )  # fmt: skip
+    hold: BoolProperty(
+        name="Show Hold", description="Color the skin by how firmly the skeleton holds it, as the model was built",
+        update=_paint_surface("hold", "heat"),
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 
@@ -849,9 +912,10 @@ def plain(group, skip=()) -> dict:
 
 def assign(group, values: dict):
     """The inverse of `plain`. Writes only what differs; names that the group does not have are skipped."""
-    for name, value in values.items():
-        if name in group.bl_rna.properties and plain(group).get(name) != value:
-            setattr(group, name, value)
+    with as_computed():  # whether a stiffness was set by hand is one of the values
+        for name, value in values.items():
+            if name in group.bl_rna.properties and plain(group).get(name) != value:
+                setattr(group, name, value)
 
 
 # Following renames -------------------------------------------------------------------------------------------------

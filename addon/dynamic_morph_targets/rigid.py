@@ -102,7 +102,9 @@ def heads(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles
     return [bone for bone in topmost if share[bone] <= NAMED_SHARE[1]]  # of one that is nearly all head, none
 
 
-def head_rigidity(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray, found) -> np.ndarray:
+def head_rigidity(
+    skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray, found
+) -> np.ndarray:
     """How rigid (V,) the skin is because of the heads on the bones `found`: 1 on them, less along the neck, 0 beyond.
 
     Arguments as for `heads`.

@@ -488,7 +488,8 @@ class SimulationSettings:
     samples: states a frame that are kept, of which `substeps` is a multiple.
     begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
     preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
-    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them.
+    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them; amount: on all
+    of it.
     """
 
     start: int = 1
@@ -503,6 +504,7 @@ class SimulationSettings:
     begin: str = "SETTLE"
     loop: bool = False
     gains: tuple[float, ...] = ()
+    amount: float = 1.0
 
     def __post_init__(self):
         if self.substeps % self.samples:

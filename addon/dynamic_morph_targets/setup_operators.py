@@ -11,17 +11,21 @@ import numpy as np
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from . import checks, extract, jobs, pieces, properties, targets
+from . import checks, extract, feel_operators, heat, jobs, pieces, properties, sinks, targets
 from .extract import SceneError
-from .operators import JobOperator, SoftSkinOperator
+from .feel import FEELS
+from .operators import JobOperator, SoftSkinOperator, StartsJob
+
+STEPS = 1000  # of softness that are told apart in a vertex group
 
 
-class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
-    """Make the active mesh a soft skin, with a neutral target at the armature's rest pose"""
+class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
+    """Make the active mesh a soft skin, which is then built and shown in Live, with a hop of its armature; Esc stops"""
 
     bl_idname = "dynamorph.add_soft_skin"
     bl_label = "Add Soft Skin"
     needs_soft_skin = False
+    job = "dynamorph.first_look"
 
     @classmethod
     def obstacle(cls, context):
@@ -42,6 +46,8 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
         target = obj.dynamorph.targets.add()
         target.name = properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
+        obj.dynamorph.model.hold = "THICKNESS"  # unlike in files from before
+        feel_operators.give_feel(obj, FEELS["NATURAL"])
         in_the_way += self._find_attachments(obj)
         drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
@@ -53,7 +59,9 @@ class DYNAMORPH_OT_add_soft_skin(SoftSkinOperator, Operator):
         active = bpy.context.object
         chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
         if chosen != obj:
-            self.report({"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature")
+            self.report(
+                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
+            )
         if active.type != "ARMATURE" and chosen != active and active.mode == "OBJECT":
             bpy.context.view_layer.objects.active = chosen
         return chosen
@@ -288,7 +296,9 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             bpy.context.view_layer.objects.active = obj
             obj.select_set(True)
             bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)  # remembers the mesh's own mode
-        obj.vertex_groups.active_index = self._group(obj).index
+        group = self._group(obj)
+        obj.vertex_groups.active_index = group.index
+        _set_brush(extract.group_weights(obj, [group.name])[:, 0])
 
     def _group(self, obj):
         painted, settings = PAINTED[self.which], obj.dynamorph
@@ -312,10 +322,53 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             jobs.show_stale(obj)
 
 
+def _set_brush(weights: np.ndarray):
+    """Let the first stroke show: where the weights (V,) are all 1 the brush paints 0, where they are all 0 it paints 1.
+
+    The brush is left alone once something is painted.
+    """
+    if np.ptp(weights) > 1e-3 or not len(weights):
+        return
+    tools = bpy.context.scene.tool_settings
+    shared = getattr(tools.weight_paint or tools, "unified_paint_settings", None) or tools.unified_paint_settings
+    shared.weight = 1.0 - round(float(weights[0]))
+    brush = tools.weight_paint and tools.weight_paint.brush
+    if brush and brush.is_editable:
+        brush.weight = shared.weight
+
+
+class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
+    """Replace the Soft vertex group by how soft the model takes each vertex to be, to paint over it"""
+
+    bl_idname = "dynamorph.hold_to_group"
+    bl_label = "Softness from Hold"
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not properties.mesh_in(context).dynamorph.model.content_id:
+            return "Press Build Model first: it computes the hold"
+        return obstacle
+
+    def apply(self, obj):
+        sinks.check_not_edited(obj)
+        _owned(obj.data)
+        softness = 1.0 - heat.hold_of(obj)
+        name = obj.dynamorph.soft_group or PAINTED["SOFT"].name
+        group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+        steps = np.round(softness * STEPS).astype(int)
+        for step in np.unique(steps):
+            group.add(np.flatnonzero(steps == step).tolist(), step / STEPS, "REPLACE")
+        obj.dynamorph.soft_group = group.name
+        obj.vertex_groups.active_index = group.index
+        jobs.show_stale(obj)
+
+
 CLASSES = (
     DYNAMORPH_OT_add_soft_skin,
     DYNAMORPH_OT_fix,
     DYNAMORPH_OT_build_cage,
     DYNAMORPH_OT_paint_group,
+    DYNAMORPH_OT_hold_to_group,
 )
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

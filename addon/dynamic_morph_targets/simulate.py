@@ -229,7 +229,9 @@ class Player:
         return weights @ self._shapes
 
     def shown(self, frame: Frame) -> np.ndarray:
-        """The frame's coordinates with the modes' gains and the targets' influence on the motion about their shapes."""
+        """The frame's coordinates, where the amount, the modes' gains and the targets' influence scale the motion about
+        the targets' shapes.
+        """
         return self.as_shown(frame.coordinates, frame.weights)
 
     def as_shown(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -248,7 +250,7 @@ class Player:
         return dry + sum(share[..., None] * part for share, part in zip(np.moveaxis(shares, -1, 0), parts, strict=True))
 
     def _with_gains(self, coordinates: np.ndarray, dry: np.ndarray) -> np.ndarray:
-        return coordinates + (self.gains - 1.0) * (coordinates - dry)
+        return coordinates + (self.settings.amount * self.gains - 1.0) * (coordinates - dry)
 
     def _in_regions(self, motion: np.ndarray) -> list[np.ndarray]:
         """Each set's part of a motion (..., dofs); they sum to it."""

@@ -266,6 +266,11 @@ def read_back(obj, samples: int = 1) -> Bake:
     )
 
 
+def shape_curves(obj) -> dict:
+    """The curves of the bake of `obj` that play the targets' shapes alone, by path."""
+    return _curves_of(obj.data.shape_keys, obj.dynamorph.bake.action, SHAPES)
+
+
 def _curves_of(keys, action, title: str) -> dict:
     """The curves of one slot of a bake's Action, by path."""
     slot = action and next((slot for slot in action.slots if slot.name_display == title), None)

@@ -505,7 +505,7 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
         return materials.PRESETS[given.preset].source if given.is_property_set("preset") else ""
 
     def apply(self, obj):
-        obj.dynamorph.active_target.set_material(materials.PRESETS[self.preset].material)
+        obj.dynamorph.active_target.set_material(materials.PRESETS[self.preset].material, by_hand=True)
 
 
 class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
@@ -545,7 +545,8 @@ class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
 
     def apply(self, obj):
         target, decay = obj.dynamorph.active_target, materials.decay_of(self.settle)
-        target.set_material(materials.fit_oscillation(*jobs.fit_input(obj, target), self.frequency, decay))
+        fitted = materials.fit_oscillation(*jobs.fit_input(obj, target), self.frequency, decay)
+        target.set_material(fitted, by_hand=True)
 
 
 CLASSES = (

@@ -175,7 +175,7 @@ class StandIn:
         self.deaf = 0.0  # seconds before it looks whether it is
 
     class Model:
-        tets = ()
+        tets, thickness = (), np.zeros(0)
 
         def __init__(self, arrays, meta):
             self.arrays, self.meta = arrays, meta
@@ -238,7 +238,7 @@ class StandInShot:
         vertices, targets = len(character.vertices), character.targets
         bake = part("scene_data").Bake(
             settings.frames, rng.normal(size=(len(settings.frames), 3)),
-            np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.01, (3, vertices, 3)),
+            np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.001, (3, vertices, 3)),
             np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets), np.zeros((len(settings.frames), 3)),
         )  # fmt: skip
         report = {

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a soft skin feels, as three presets: how fast it swings, how soon it settles, how far it may go. No bpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isclose, pi, sqrt
+
+
+@dataclass(frozen=True)
+class Feel:
+    """frequency: swings a second after a push, Hz; damping_ratio: of critical damping; max_displacement: how far the
+    skin may move, of the body's size; max_thickness: the same, of how thick the body is there.
+    """
+
+    label: str
+    tooltip: str
+    frequency: float
+    damping_ratio: float
+    max_displacement: float
+    max_thickness: float
+
+    @property
+    def damping(self) -> tuple[float, float]:
+        """Mass and stiffness damping with which what swings at this frequency has this damping ratio."""
+        undamped = 2.0 * pi * self.frequency / sqrt(1.0 - self.damping_ratio**2)
+        return 0.0, 2.0 * self.damping_ratio / undamped
+
+
+FEELS = {
+    "SUBTLE": Feel("Subtle", "Firm: small and quick motion, for trained bodies", 5.0, 0.25, 0.025, 0.3),
+    "NATURAL": Feel("Natural", "As soft as a body looks", 3.5, 0.2, 0.05, 0.6),
+    "CARTOON": Feel("Cartoon", "Very soft: large and slow, for caricatures", 2.5, 0.12, 0.08, 0.9),
+}
+
+
+def active(neutral, simulation) -> str:
+    """Which of FEELS a soft skin has, as its neutral target and its simulation settings say; "" if none.
+
+    A rehearsal may have raised the frequency since, which is still the same feel.
+    """
+    if neutral.by_hand:
+        return ""
+    for key, feel in FEELS.items():
+        pairs = [
+            (neutral.frequency, feel.frequency),
+            (simulation.max_displacement, feel.max_displacement),
+            (simulation.max_thickness, feel.max_thickness),
+        ]
+        if all(isclose(*pair, rel_tol=1e-5) for pair in pairs[1 if simulation.rehearsed else 0 :]):
+            return key
+    return ""
