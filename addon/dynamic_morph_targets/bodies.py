@@ -135,8 +135,9 @@ class _Whole:
         return np.concatenate([values, beyond + share * (found.carry(values) - beyond)])
 
     def painted(self, use: str, group: str, values: np.ndarray, neutral: float) -> tuple[np.ndarray, np.ndarray]:
-        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted. A mesh with a
-        group of that name has its own.
+        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted.
+
+        A mesh with a group of that name has its own.
         """
         found = self._carried(values, neutral)
         painted = np.zeros(len(found), bool)
@@ -218,7 +219,7 @@ def _most(values: np.ndarray, same: np.ndarray) -> np.ndarray:
 
 
 def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
-    """Refuse a character that is rigid by what was found, unless the artist has said what is soft. Raises SceneError."""
+    """Refuse a character that is found to be rigid, unless the artist has said what is soft. Raises SceneError."""
     settings = obj.dynamorph
     if settings.soft_group or any(not piece.reason for piece in settings.pieces):
         return

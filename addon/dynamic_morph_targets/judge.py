@@ -26,7 +26,7 @@ SHOWN = 200  # vertices of the worst place
 
 @dataclass(frozen=True)
 class Limits:
-    """How far the skin may move away from the animation: of the body's size, and of its local thickness; 0: no limit."""
+    """How far the skin may move away from the animation: of the body's size, of its local thickness; 0: no limit."""
 
     displacement: float = 0.0
     thickness: float = 0.0
