@@ -70,9 +70,10 @@ def part_volumes(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray,
 
 
 def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether (P,) each part is carried as a whole, but for a few stray vertices, and the bone (P,) that does most of it.
+    """Whether (P,) each part is carried as a whole, but for a few stray vertices, and the bone (P,) that does most of
+    it: by one bone, or by the same weights everywhere.
 
-    That is by one bone, or by the same weights everywhere. labels (V,): the part's number; weights (V, B + 1): the skin's.
+    labels (V,): the part's number; weights (V, B + 1): the skin's.
     """
     count = labels.max(initial=-1) + 1
     sums = np.zeros((count, weights.shape[1]))

@@ -30,7 +30,7 @@ def tube_between(bottom: float, top: float, rings: int, closed=(True, True)):
     """A tube along z, with caps at its ends or not."""
     vertices, faces = scenes.tube(rings=rings, length=top - bottom)
     caps = [face for face, is_closed in zip(faces[-2:], closed, strict=True) if is_closed]
-    return np.asarray(vertices) + [0.0, 0.0, bottom], [*faces[:-2], *caps]
+    return np.asarray(vertices) + np.array([0.0, 0.0, bottom]), [*faces[:-2], *caps]
 
 
 def ball(centre, radius: float, around: int = 8):
@@ -44,8 +44,8 @@ def ball(centre, radius: float, around: int = 8):
 
 
 def make_figure(scene):
-    """A body whose upper half is another mesh on the same rig, with a rigid cap on it that shares points with it, and an
-    eye that touches nothing. Returns the objects by name.
+    """A body whose upper half is another mesh on the same rig, with a rigid cap on it that shares points with it, and
+    an eye that touches nothing. Returns the objects by name.
     """
     rig = make_rig(scene, "Figure Rig", bones=3)
     points, faces = tube_between(0.0, 1.0, 9, closed=(True, False))

@@ -34,6 +34,8 @@ class Layout:
         module, function = name.split(".")
         assert getattr(bpy.ops, module).__getattr__(function).get_rna_type()
         self.drawn += [name, text] if text else [name]
+        if _options.get("depress"):
+            self.drawn.append(f"pressed: {text}")
         return types.SimpleNamespace()  # takes the operator's settings
 
     def operator_menu_enum(self, name, _property, **_options):

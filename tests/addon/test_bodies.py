@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A body of several meshes is one body: one cage, closed seams, and all written, shown, removed and exported together."""
+"""A body of several meshes is one body: one cage, closed seams; all are written, shown, removed, exported together."""
 
 import bpy
 import numpy as np
