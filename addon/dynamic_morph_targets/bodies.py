@@ -135,9 +135,8 @@ class _Whole:
         return np.concatenate([values, beyond + share * (found.carry(values) - beyond)])
 
     def painted(self, use: str, group: str, values: np.ndarray, neutral: float) -> tuple[np.ndarray, np.ndarray]:
-        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted.
-
-        A mesh with a group of that name has its own.
+        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted. A mesh with
+        a group of that name has its own.
         """
         found = self._carried(values, neutral)
         painted = np.zeros(len(found), bool)
