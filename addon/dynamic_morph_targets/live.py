@@ -207,8 +207,8 @@ class Session:
         return values
 
     def motions(self) -> dict[int, np.ndarray]:
-        """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone would
-        have them: local space, by session_uid. Empty before the first frame.
+        """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone
+        would have them: local space, by session_uid. Empty before the first frame.
         """
         frame, flesh = self._frames.get(self.now), self.flesh
         if frame is None:

@@ -36,7 +36,12 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         return obstacle
 
     def apply(self, obj):
-        obj = self._chosen(obj)
+        chosen = _body_meant(obj)
+        if chosen != obj:
+            self.report(
+                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
+            )
+        obj = chosen
         if obj.dynamorph.targets:
             raise SceneError(f"'{obj.name}' has a soft skin already")
         in_the_way = extract.first_look(obj)
@@ -49,35 +54,36 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
         obj.dynamorph.model.hold = "THICKNESS"  # unlike in files from before
         feel_operators.give_feel(obj, FEELS["NATURAL"])
-        in_the_way += [text for text in self._find_attachments(obj) if text not in in_the_way]
+        in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
         drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, text)
 
-    def _chosen(self, obj):
-        """The mesh that is meant: the body's, if a helmet or the armature is active."""
-        active = bpy.context.object
-        if obj.mode == "EDIT":  # its points cannot be read
-            return obj
-        chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
-        if chosen != obj:
-            self.report(
-                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
-            )
-        if active.type != "ARMATURE" and chosen != active and active.mode == "OBJECT":
-            bpy.context.view_layer.objects.active = chosen
-        return chosen
 
-    def _find_attachments(self, obj) -> list[str]:
-        """List what belongs to the body, in one cage with it. Returns what is wrong with that."""
-        obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
-        try:
-            pieces.find(obj)
-            extract.character(obj, without_targets=True)
-        except SceneError as error:
-            return [str(error)]
+def _body_meant(obj):
+    """The mesh that is to become a soft skin, which is made active, when `obj`, a helmet say, or its armature is."""
+    active = bpy.context.object
+    if obj.mode == "EDIT":  # its points cannot be read
+        return obj
+    chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
+    if active == obj != chosen and obj.mode == "OBJECT":
+        bpy.context.view_layer.objects.active = chosen
+    return chosen
+
+
+def _find_attachments(obj) -> list[str]:
+    """List what belongs to the body of `obj`, in one cage with it. Returns what is in the way of that."""
+    obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
+    problem = next(checks.problems(obj), None)
+    if problem:  # which is told already
         return []
+    try:
+        pieces.find(obj)
+        extract.character(obj, without_targets=True)
+    except SceneError as error:
+        return [str(error)]
+    return []
 
 
 # Fixes of checks.Problem -------------------------------------------------------------------------------------------

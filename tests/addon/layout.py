@@ -48,6 +48,7 @@ class Layout:
         self.drawn.append(text)
 
     def template_list(self, kind, _id, data, name, active_data, active_name, **_options):
+        assert hasattr(bpy.types, kind), f"{kind} is not registered, so Blender draws no list"
         assert name in data.bl_rna.properties and active_name in active_data.bl_rna.properties
         for index, item in enumerate(getattr(data, name)):
             draw = getattr(part("panels"), kind).draw_item
