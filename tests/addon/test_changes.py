@@ -43,6 +43,7 @@ SETTINGS = [
     ("simulation.gravity", 0.5, "Gravity changed"),
     ("simulation.fields", 0.5, "Force Fields changed"),
     ("simulation.begin", "REST", "Begin changed"),
+    ("simulation.amount", 0.5, "Amount changed"),
     ("simulation.preroll", 9, "Pre-Roll changed"),
     ("simulation.loop", True, "Loop changed"),
 ]
