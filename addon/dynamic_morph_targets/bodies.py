@@ -57,7 +57,8 @@ def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray
         found = rigid.heads(own.skeleton, whole.weights, bind, whole.triangles)
         head = rigid.head_rigidity(own.skeleton, whole.weights, bind, whole.triangles, found)
         rigidity = np.maximum(rigidity, np.where(painted & (softness > 0.0), 0.0, head))
-    if own.settings.hold == "BONES":
+    softness, rigidity = softness[same], _most(rigidity, same)
+    if own.settings.hold == "BONES" or own.painted:  # then nothing asks how rigid the skin is
         softness = softness * (1.0 - rigidity)
     joint_bones = dict.fromkeys(
         bone for each in (obj, *(mesh.obj for mesh in meshes)) for bone in checks.deforming_bones(each, rig)
@@ -74,13 +75,13 @@ def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray
         vertices=whole.vertices,
         triangles=whole.triangles,
         weights=whole.weights,
-        softness=softness[same],
+        softness=softness,
         stiffness=stiffness[same],
         bone_segments=extract.bone_segments(list(joint_bones), inverse(world) @ rig_world, own.to_bind),
         target_sets=whole.target_sets(same),
         probed=own.probed or any(checks.beyond_bones(mesh.obj) for mesh in meshes),
         pieces=pieces,
-        rigidity=_most(rigidity, same),
+        rigidity=rigidity,
         coincident=same,
         parts=tuple(parts),
     )
@@ -134,8 +135,9 @@ class _Whole:
         return np.concatenate([values, beyond + share * (found.carry(values) - beyond)])
 
     def painted(self, use: str, group: str, values: np.ndarray, neutral: float) -> tuple[np.ndarray, np.ndarray]:
-        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted. A mesh with a
-        group of that name has its own.
+        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted.
+
+        A mesh with a group of that name has its own.
         """
         found = self._carried(values, neutral)
         painted = np.zeros(len(found), bool)
@@ -217,7 +219,7 @@ def _most(values: np.ndarray, same: np.ndarray) -> np.ndarray:
 
 
 def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
-    """Refuse a character that is rigid by what was found, unless the artist has said what is soft. Raises SceneError."""
+    """Refuse a character that is found to be rigid, unless the artist has said what is soft. Raises SceneError."""
     settings = obj.dynamorph
     if settings.soft_group or any(not piece.reason for piece in settings.pieces):
         return

@@ -12,7 +12,7 @@ from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper
 
 from . import comparison, exports, panels, properties
-from .operators import JobOperator, SoftSkinOperator, listed
+from .operators import JobOperator, SoftSkinOperator, guarded, listed
 
 LINE = 60  # letters in one of the file browser's side bar
 FORMATS = [(key, each.label, each.description) for key, each in exports.FORMATS.items() if each.is_available]
@@ -85,6 +85,15 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         return obstacle
 
     def invoke(self, context, event):
+        return guarded(self, self._ask, context, event)
+
+    def _ask(self, context, event):
+        """Open the file browser, unless there is nothing to be written. Raises ExportError."""
+        obj = properties.mesh_in(context)
+        if exports.FORMATS[self.format].skins and obj.dynamorph.model.content_id and not obj.dynamorph.bake.exists:
+            self.clips = "ACTIONS"  # which needs no bake
+        else:
+            exports.check_bake(obj, self.format)
         if not self.filepath:
             name = bpy.path.clean_name(properties.mesh_in(context).name)
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name

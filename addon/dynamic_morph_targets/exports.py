@@ -45,7 +45,7 @@ class Format:
 
 
 def export(obj, key: str, path: Path, frames: tuple[int, int], takes="SCENE", tick=None) -> list[str]:
-    """Write `obj`, with its armature and what moves with its flesh, to `path`, whole or not at all; returns warnings.
+    """Write `obj`, with its armature and all meshes on that, to `path`, whole or not at all; returns warnings.
 
     key: of FORMATS. takes: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
     then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
@@ -56,7 +56,7 @@ def export(obj, key: str, path: Path, frames: tuple[int, int], takes="SCENE", ti
         jobs.run_all(batch, tick)
         return batch.warnings
     check_place(obj, key, path)
-    _check_bake(obj, FORMATS[key])
+    check_bake(obj, key)
     _write(obj, key, path, frames)
     return []
 
@@ -108,7 +108,8 @@ class ActionsExport(jobs.Batch):
                 if copy.data.shape_keys:
                     actions.lay_out(copy.data.shape_keys, self.clips)
                 sinks.write_keys(copy, bake, skin)
-            _write(copies[0], self.key, self.path, (self.clips[0].first, self.clips[-1].last), self.clips)
+            frames = self.clips[0].first, self.clips[-1].last
+            _write(copies[0], self.key, self.path, frames, self.clips, without=(obj, *pieces))
 
 
 def check_place(obj, key: str, path: Path):
@@ -117,22 +118,23 @@ def check_place(obj, key: str, path: Path):
     if not chosen.is_available:
         raise ExportError(f"This Blender was built without {chosen.label}: choose another format")
     sinks.check_not_edited(obj)
-    hidden = next((other for other in _together(obj) if not other.visible_get()), None)
+    hidden = next((other for other in (obj, rig_of(obj), *followers(obj)) if other and not other.visible_get()), None)
     if hidden:
         raise ExportError(f"'{hidden.name}' is hidden, so Blender exports nothing of it: show it")
     if not path.parent.is_dir():
         raise ExportError(f"There is no folder '{path.parent}' to write '{path.name}' to: choose another")
 
 
-def _write(obj, key: str, path: Path, frames: tuple[int, int], takes=()):
-    """Write the character of `obj` as it shows; takes: the clips that are laid out, if each is to be an animation.
+def _write(obj, key: str, path: Path, frames: tuple[int, int], takes=(), without=()):
+    """Write the character of `obj` as it shows; takes: the clips that are laid out, if each is to be an animation;
+    without: meshes that others stand in for.
 
     Raises ExportError, OSError.
     """
     chosen = FORMATS[key]
     partial = path.with_name(f"{path.stem}.part{path.suffix}")  # exporters look at the suffix
     try:
-        with _as_it_was(obj):
+        with _as_it_was(obj, without):
             chosen.write(obj, partial, frames, takes)
         if not partial.is_file():
             raise ExportError(f"Blender's {chosen.label} exporter wrote nothing: its report says why")
@@ -143,8 +145,9 @@ def _write(obj, key: str, path: Path, frames: tuple[int, int], takes=()):
         partial.unlink(missing_ok=True)
 
 
-def _check_bake(obj, chosen: Format):
+def check_bake(obj, key: str):
     """Refuse a bake that is not there, or not in the form that the format writes. Raises ExportError."""
+    chosen = FORMATS[key]
     record = obj.dynamorph.bake
     keys = checks.baked_keys(obj).intersection(checks.keys_of(obj).keys())
     shown = sinks.cache_modifier(obj) if record.cache else keys
@@ -163,9 +166,14 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
         yield from _raw_losses(obj)
     elif FORMATS[key].skins:
         planned = _planned_keys(obj) if takes == "ACTIONS" else None
-        for mesh in (obj, *followers(obj)):
-            yield from _skinning_losses(mesh, key)
-            yield from _key_losses(mesh, key, planned)
+        moved = obj, *followers(obj)
+        for mesh in _meshes_together(obj):
+            if mesh in moved or checks.armature_modifiers(mesh):
+                yield from _skinning_losses(mesh, key)
+            yield from _key_losses(mesh, key, planned if mesh in moved else None)
+    if key != "RAW":
+        for mesh in _left_out(obj):
+            yield f"'{mesh.name}' is hidden, so Blender exports nothing of it: show it"
 
 
 def _planned_keys(obj) -> int:
@@ -175,7 +183,7 @@ def _planned_keys(obj) -> int:
 
 
 def _raw_losses(obj) -> Iterator[str]:
-    pieces = ", ".join(f"'{piece.name}'" for piece in followers(obj))
+    pieces = ", ".join(f"'{piece.name}'" for piece in _meshes_together(obj) if piece != obj)
     if pieces:
         yield f"A raw clip is of one mesh: {pieces} is left out"
     others = [name for name in checks.moving_keys(obj) if name not in checks.baked_keys(obj)]
@@ -306,15 +314,47 @@ def named(path: Path, key: str) -> Path:
 # Around the exporters ----------------------------------------------------------------------------------------------
 
 
-def _together(obj) -> list:
-    """The character: its mesh, its armature, and the meshes that its bake moves."""
-    return [other for other in (obj, rig_of(obj), *followers(obj)) if other]
+def _meshes_together(obj) -> list:
+    """The meshes of the character that Blender shows: its own, those that its bake moves, and all others that its
+    armature skins or carries.
+    """
+    return [mesh for mesh in _meshes_of(obj) if mesh.visible_get()]
+
+
+def _left_out(obj) -> list:
+    """The meshes of the character that are hidden."""
+    return [mesh for mesh in _meshes_of(obj) if not mesh.visible_get()]
+
+
+def _meshes_of(obj) -> list:
+    rig = rig_of(obj)
+    return list(dict.fromkeys((obj, *followers(obj), *(checks.meshes_on(rig) if rig else ()))))
+
+
+def _together(obj, without=()) -> list:
+    """The character: its meshes, its armature, and what they hang on; without: meshes that others stand in for."""
+    meshes = [mesh for mesh in _meshes_together(obj) if mesh not in without]
+    found, rig = dict.fromkeys((obj, *filter(None, [rig_of(obj)]), *meshes)), rig_of(obj)
+    for mesh in meshes:
+        above = mesh.parent
+        while above and above != rig and rig in _parents(above):
+            found[above] = None
+            above = above.parent
+    return list(found)
+
+
+def _parents(obj) -> list:
+    found = []
+    while obj.parent:
+        obj = obj.parent
+        found.append(obj)
+    return found
 
 
 @contextmanager
-def _as_it_was(obj):
+def _as_it_was(obj, without=()):
     """The character alone selected; afterwards selection and frames as they were."""
-    layer, scene, character = bpy.context.view_layer, bpy.context.scene, _together(obj)
+    layer, scene, character = bpy.context.view_layer, bpy.context.scene, _together(obj, without)
     selected = [other for other in layer.objects if other.select_get()]
     active, frame = layer.objects.active, (scene.frame_current, scene.frame_subframe)
     ends = scene.frame_start, scene.frame_end
@@ -364,7 +404,7 @@ def _sampled(obj, frames):
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = frames
     with ExitStack() as stack:
-        for each in (obj, *followers(obj)):
+        for each in _meshes_together(obj):
             if each.data.shape_keys and each.data.shape_keys.animation_data:  # the artist may have removed them
                 stack.enter_context(_sampled_keys(each, frames))
         yield

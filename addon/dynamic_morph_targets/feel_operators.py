@@ -80,21 +80,22 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
 
     def apply(self, obj):
         found = _verdict(obj)
+        if found.frame is None:
+            raise SceneError(f"'{obj.name}': its verdict names no frame: bake again")
         if obj.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Edit Mode has a selection of its own
         mesh = obj.data
-        if max(found.vertices, default=-1) >= len(mesh.vertices):
-            raise SceneError(f"'{obj.name}' has other vertices than when it was baked: bake again")
+        own = [vertex for vertex in found.vertices if vertex < len(mesh.vertices)]  # not those of others in its cage
         bpy.context.scene.frame_set(found.frame)
         for elements in (mesh.edges, mesh.polygons):
             elements.foreach_set("select", np.zeros(len(elements), bool))
         chosen = np.zeros(len(mesh.vertices), bool)
-        chosen[list(found.vertices)] = True
+        chosen[own] = True
         mesh.vertices.foreach_set("select", chosen)
         mesh.update()
         bpy.context.window_manager.dynamorph.heat = True
         text = rpt_("Frame {frame}: {count} vertices selected; press Tab to see them in Edit Mode")
-        self.report({"INFO"}, text.format(frame=found.frame, count=len(found.vertices)))
+        self.report({"INFO"}, text.format(frame=found.frame, count=len(own)))
 
 
 class DYNAMORPH_OT_rehearse(JobOperator, Operator):

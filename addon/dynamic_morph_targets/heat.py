@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the viewport colors the skin by: how far it moves away from the animation, and how firmly it is held.
 
-Values are one for each vertex of the mesh, 0 to 1; `overlays` draws them.
+Values are one for each vertex of a mesh, 0 to 1; `overlays` draws them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import lru_cache
 import bpy
 import numpy as np
 
-from . import jobs, live, properties, sinks
+from . import extract, jobs, live, properties, sinks
 from .extract import SceneError
 
 LIMIT = 0.05  # of the body's size, where Max Displacement is 0
@@ -32,22 +32,30 @@ def limit_of(obj) -> float:
     return obj.dynamorph.simulation.max_displacement or LIMIT
 
 
-def displacement_of(obj) -> np.ndarray:
-    """How far each vertex (V,) is, at the present frame, from where the targets' shapes alone would have it: of what it
-    may be. Raises SceneError when nothing on the mesh moves it, or a point cache does.
+def displacements(obj) -> dict[int, np.ndarray]:
+    """How far the vertices (V,) of the soft skin `obj` and of the meshes that move with it are, at the present frame,
+    from where the targets' shapes alone would have them: of what they may be; by session_uid.
+
+    Raises SceneError when nothing moves them, or a point cache does.
     """
     if properties.cache_modifier(obj):
         raise SceneError("The heat map shows bakes to shape keys and Live, not point caches")
     if live.is_on(obj):
-        motion = _live_motion(obj)
+        motions = _live_motions(obj)
     elif obj.dynamorph.bake.exists:
-        motion = _baked_motion(obj)
+        motions = {each.session_uid: _baked_motion(each) for each in (obj, *properties.followers(obj))}
     else:
         raise SceneError("The heat map shows a bake or Live: turn Live on or press Bake")
-    linear = np.array(obj.matrix_world)[:3, :3]
     rest = properties.key_points(obj.data.shape_keys.reference_key)
-    size = np.linalg.norm(np.ptp(rest @ linear.T, axis=0))
-    return np.linalg.norm(motion @ linear.T, axis=1) / (limit_of(obj) * max(size, 1e-30))
+    size = float(np.linalg.norm(np.ptp(rest @ _linear(obj).T, axis=0)))
+    allowed = limit_of(obj) * max(size, 1e-30)
+    return {
+        uid: np.linalg.norm(motion @ _linear(jobs.find(uid)).T, axis=1) / allowed for uid, motion in motions.items()
+    }
+
+
+def _linear(obj) -> np.ndarray:
+    return np.array(obj.matrix_world)[:3, :3]
 
 
 def _baked_motion(obj) -> np.ndarray:
@@ -65,34 +73,55 @@ def _baked_motion(obj) -> np.ndarray:
         curve = shapes.get(f"{block.path_from_id()}.value")
         value = block.value - (curve.evaluate(time) if curve else 0.0)
         if value:
-            motion += np.float32(value) * (_points(obj.session_uid, obj.dynamorph.bake.digest, block.name) - basis)
+            motion += np.float32(value) * (_points(obj.session_uid, reference.key_hash, block.name) - basis)
     return motion
 
 
 @lru_cache(maxsize=64)
-def _points(session_uid: int, _digest: str, name: str) -> np.ndarray:
+def _points(session_uid: int, _key_hash: str, name: str) -> np.ndarray:
     """Of a key of a bake, which is read once."""
     return properties.key_points(jobs.find(session_uid).data.shape_keys.key_blocks[name])
 
 
-def _live_motion(obj) -> np.ndarray:
-    """Of the vertices (V, 3), local space. Raises SceneError when Live does not play."""
+def _live_motions(obj) -> dict[int, np.ndarray]:
+    """Of the vertices (V, 3), local space, by session_uid. Raises SceneError when Live does not play."""
     session = live.sessions.get(obj.session_uid)
-    motion = session and session.motion()
-    if motion is None:
+    motions = session.motions() if session else {}
+    if not motions:
         raise SceneError(live.problem(obj) or "Live has not shown this frame yet")
-    return motion
+    return motions
 
 
-def hold_of(obj) -> np.ndarray:
-    """How firmly each vertex (V,) is held, by the model as it was built: 0 free to 1. Raises SceneError when the model
-    does not say, or the mesh has other vertices now.
+def holds(obj) -> dict[int, np.ndarray]:
+    """How firmly the vertices (V,) of the soft skin `obj`, and of the meshes in its cage, are held: 0 free to 1; by
+    session_uid, as the model was built. Raises SceneError when the model does not say, or the mesh has changed.
     """
-    model = jobs.load_model(obj)
-    hold = getattr(model, "hold", None)
-    if hold is None or not len(hold):
-        raise SceneError(f"'{obj.name}' has no model with a hold by thickness: set Hold to Thickness and build")
-    if len(model.embedding_nodes) != len(obj.data.vertices):
+    found = _holds(obj.session_uid, obj.dynamorph.model.content_id)
+    if isinstance(found, str):
+        raise SceneError(found)
+    if len(found[obj.session_uid]) != len(obj.data.vertices):
         raise SceneError(f"'{obj.name}' has other vertices than its model: press Build Model")
-    on_skin = np.einsum("va,va->v", model.embedding_weights, np.asarray(hold)[model.embedding_nodes])
-    return on_skin.clip(0.0, 1.0)
+    return found
+
+
+@lru_cache(maxsize=4)
+def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
+    """As `holds`, or why there are none: it is asked whenever a viewport draws."""
+    obj = jobs.find(session_uid)
+    try:
+        model = jobs.load_model(obj)
+        if model is None or not len(getattr(model, "hold", ())):
+            return f"'{obj.name}' has no model with a hold by thickness: set Hold to Thickness and build"
+        character = extract.character(obj)
+    except jobs.expected_errors() as error:
+        return str(error)
+    on_skin = np.einsum("va,va->v", model.embedding_weights, model.hold[model.embedding_nodes]).clip(0.0, 1.0)
+    if len(on_skin) != len(character.vertices):
+        return f"'{obj.name}' has other vertices than its model: press Build Model"
+    return {session_uid: on_skin[character.own]} | {part.session_uid: on_skin[part.members] for part in character.parts}
+
+
+def forget():
+    """Free what is kept of bakes and models."""
+    _points.cache_clear()
+    _holds.cache_clear()

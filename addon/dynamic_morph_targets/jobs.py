@@ -23,7 +23,18 @@ import bpy
 import numpy as np
 
 from . import (
-    changes, clips, comparison, extract, judge, live_key, materials, model_file, preferences, probe, properties, share,
+    changes,
+    clips,
+    comparison,
+    extract,
+    judge,
+    live_key,
+    materials,
+    model_file,
+    preferences,
+    probe,
+    properties,
+    share,
     sinks,
 )  # fmt: skip
 from .extract import SceneError

@@ -13,11 +13,12 @@ import numpy as np
 
 from .scene_data import Bake, Character, determinant
 
-LOOKED_AT = 240  # frames at most: those that move most
+LOOKED_AT = 32  # frames at most: those that move most
 CHECKED = 10  # of them, in which tetrahedra are looked at
 SHRUNK, STRETCHED = 0.6, 1.6  # of their length at rest: edges beyond that look torn
 TURNED = 1e-3  # share of the skin that may be turned over, and of the volume that may be turned inside out
-SLACK = 1.05  # over the limits by which nobody sees it
+SLACK = 0.97  # of the limits: what is within them when it is measured otherwise, too
+SHOWS = 1.05  # of the limits: a bake that goes beyond them by more is not as asked for
 SPLINTER = 1e-4  # of the size: shorter edges are no measure of stretch
 THINNEST = 0.02  # of the size: thinner parts count as this thick
 SHOWN = 200  # vertices of the worst place
@@ -25,7 +26,7 @@ SHOWN = 200  # vertices of the worst place
 
 @dataclass(frozen=True)
 class Limits:
-    """How far the skin may move away from the animation: of the body's size, and of its local thickness; 0: no limit."""
+    """How far the skin may move away from the animation: of the body's size, of its local thickness; 0: no limit."""
 
     displacement: float = 0.0
     thickness: float = 0.0
@@ -49,7 +50,7 @@ class Verdict:
     vertices: tuple[int, ...] = ()
 
     def excess(self, limits: Limits) -> float:
-        """By how much the motion is too large: above SLACK it shows. 0 without limits."""
+        """By how much the motion is too large: above SLACK a rehearsal goes on. 0 without limits."""
         if not (limits.displacement or limits.thickness):
             return 0.0
         ratios = [0.0]
@@ -58,9 +59,9 @@ class Verdict:
         if limits.thickness:
             ratios.append(self.over_thickness / limits.thickness)
         low, high = self.stretch
-        ratios += [(high - 1.0) / (STRETCHED - 1.0) * SLACK, (1.0 - low) / (1.0 - SHRUNK) * SLACK]
+        ratios += [(high - 1.0) / (STRETCHED - 1.0), (1.0 - low) / (1.0 - SHRUNK)]
         if max(self.flipped, self.inverted) > TURNED:
-            ratios.append(1.2)
+            ratios.append(1.5)
         return max(ratios)
 
     @property
@@ -80,14 +81,14 @@ class Verdict:
         low, high = self.stretch
         if high > STRETCHED or low < SHRUNK:
             faults.append(f"edges are between {low:.2f} and {high:.2f} times as long as they were")
-        if not faults and self.excess(limits) > SLACK:
+        if not faults and self.excess(limits) > SHOWS:
             faults.append("more than Max Displacement allows")
         return f"{moved} (frame {self.frame:g}){': ' if faults else ''}{', '.join(faults)}"
 
     def as_dict(self, limits: Limits) -> dict:
         """Fit for JSON, with what the panel says of it."""
         excess = self.excess(limits)
-        ok = not self.is_wreckage and excess <= SLACK
+        ok = not self.is_wreckage and excess <= SHOWS
         remedy = "" if ok else ("REHEARSE" if limits.displacement or limits.thickness else "STIFFEN")
         factor = max(1.15, excess**0.75) if not ok else 1.0
         return asdict(self) | {"ok": ok, "text": self.text(limits), "remedy": remedy, "factor": factor}
@@ -98,7 +99,7 @@ def judge(model, character: Character, bake: Bake) -> Verdict:
     triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
     if not len(bake.modes) or not len(triangles):
         return Verdict(frame=float(bake.frames[0]))
-    skin = _Skin(character.vertices @ character.to_bind.T, triangles, model.thickness)
+    skin = _Skin(character, triangles, model.thickness)
     motion = bake.coordinates - bake.dry
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
     reach = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
@@ -125,10 +126,11 @@ def judge(model, character: Character, bake: Bake) -> Verdict:
 
 
 class _Skin:
-    """The soft part of a character's surface. rest (V, 3) bind space; thickness (V,): radii, metres, or none."""
+    """The soft part (T, 3) of a character's surface, bind space. thickness (V,): radii, metres, or none."""
 
-    def __init__(self, rest: np.ndarray, triangles: np.ndarray, thickness: np.ndarray):
-        self.rest, self.triangles = rest, triangles
+    def __init__(self, character: Character, triangles: np.ndarray, thickness: np.ndarray):
+        self.rest = rest = character.vertices @ character.to_bind.T
+        self.triangles = triangles
         self.normals = self._normals(rest)
         areas = np.linalg.norm(self.normals, axis=1) / 2.0
         self.areas = np.bincount(triangles.ravel(), np.repeat(areas / 3.0, 3), len(rest))
@@ -138,6 +140,9 @@ class _Skin:
         lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
         kept = lengths > SPLINTER * self.size
         self.edges, self.lengths = edges[kept], lengths[kept]
+        begins = [0, *(part.members.start for part in character.parts)]
+        mesh = np.searchsorted(begins, self.edges[:, 0], side="right")
+        self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # a small one shows as well
         self.thickness = 2.0 * thickness if len(thickness) else np.zeros(0)
 
     def _normals(self, points: np.ndarray) -> np.ndarray:
@@ -150,12 +155,14 @@ class _Skin:
         used = self.areas > 0.0
         moved = self.rest + u
         ratio = np.linalg.norm(moved[self.edges[:, 0]] - moved[self.edges[:, 1]], axis=1) / self.lengths
+        stretches = [_quantiles(ratio[edges], self.lengths[edges], [0.001, 0.999]) for edges in self.meshes]
         normals = self._normals(moved)
         over = np.einsum("tc,tc->t", normals, self.normals) < 0.0
         return (
             float(distance[used].max()),
             _quantiles(distance[used], self.areas[used], [0.999])[0],
-            *_quantiles(ratio, self.lengths, [0.001, 0.999]),
+            min(low for low, _ in stretches),
+            max(high for _, high in stretches),
             float(np.linalg.norm(self.normals[over], axis=1).sum() / 2.0 / self.areas.sum()),
         )
 

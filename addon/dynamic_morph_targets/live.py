@@ -95,10 +95,10 @@ class Flesh:
             for surface, to_metres in ((self.skin, to_bind), *others)
         )
 
-    def motion(self, values: np.ndarray, surface: Surface | None = None) -> np.ndarray:
-        """How far the points (V, 3) of the skin, or of another surface, are from there, local space."""
+    def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:
+        """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""
         motion = values[: self.modes] - self.player.dry(values[self.modes :])
-        return _blended(motion, (surface or self.skin).shapes[: self.modes]).reshape(-1, 3)
+        return _blended(motion, surface.shapes[: self.modes]).reshape(-1, 3)
 
 
 class Surface:
@@ -206,12 +206,15 @@ class Session:
             )
         return values
 
-    def motion(self) -> np.ndarray | None:
-        """How far the points (V, 3) are, at the frame that shows, from where the targets' shapes would have them: local
-        space. None before the first frame.
+    def motions(self) -> dict[int, np.ndarray]:
+        """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone
+        would have them: local space, by session_uid. Empty before the first frame.
         """
-        frame = self._frames.get(self.now)
-        return frame and self.flesh.motion(self.flesh.values(frame))
+        frame, flesh = self._frames.get(self.now), self.flesh
+        if frame is None:
+            return {}
+        values = flesh.values(frame)
+        return {surface.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
 
     def rig_changed(self):
         """The rig moves otherwise from here on."""

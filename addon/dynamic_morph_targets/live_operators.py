@@ -65,12 +65,8 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
             live.turn_on(obj, bpy.context.scene)
 
 
-class DYNAMORPH_OT_first_look(JobOperator, Operator):
-    """Build a new soft skin, turn Live on and let it hop once, so that it shows how it moves; Esc stops"""
-
-    bl_idname = "dynamorph.first_look"
-    bl_label = "Build Soft Skin"
-    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+class EndsLive(JobOperator):
+    """Mixin: builds a model, and in a window turns Live on then and lets the armature hop."""
 
     def modal(self, context, event):
         result = super().modal(context, event)
@@ -86,6 +82,14 @@ class DYNAMORPH_OT_first_look(JobOperator, Operator):
         live.turn_on(obj, context.scene)
         if properties.mesh_in(context) == obj and not context.screen.is_animation_playing:
             press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK)
+
+
+class DYNAMORPH_OT_first_look(EndsLive, Operator):
+    """Build a new soft skin, turn Live on and let it hop, so that it shows how it moves; Esc stops"""
+
+    bl_idname = "dynamorph.first_look"
+    bl_label = "Build Soft Skin"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
 
 # Previews ----------------------------------------------------------------------------------------------------------

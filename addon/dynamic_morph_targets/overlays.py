@@ -15,6 +15,7 @@ import blf
 import bpy
 import gpu
 import numpy as np
+from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Matrix
 
 from . import extract, heat, influence, jobs, properties
@@ -141,17 +142,17 @@ def _draw_cage():
 # The surface -------------------------------------------------------------------------------------------------------
 
 
-def painted(context, obj) -> tuple[np.ndarray, str, str, str] | None:
-    """What the surface is colored by, if it is: values (V,), and the legend's title, and words for 0 and for 1.
+def painted(context, obj) -> tuple[dict[int, np.ndarray], str, str, str] | None:
+    """What surfaces are colored by, if they are: values (V,) by session_uid; the legend's title, words for 0 and 1.
 
     Raises what is in the way.
     """
     display = context.window_manager.dynamorph
     if display.heat:
         limit = f"{heat.limit_of(obj):.1%}"
-        return heat.displacement_of(obj), "Displacement", "0", f"{limit} of size"
+        return heat.displacements(obj), iface_("Displacement"), "0", iface_("{limit} of size").format(limit=limit)
     if display.hold:
-        return heat.hold_of(obj), "Hold", "soft", "held"
+        return heat.holds(obj), iface_("Hold"), iface_("soft"), iface_("held")
     return None
 
 
@@ -179,14 +180,21 @@ def _draw_surface():
     shown = painted(context, obj)
     if shown is None:
         return
-    points = shown_points(obj, context.view_layer.depsgraph)
-    batch = _colored(points, heat.colors(shown[0]), triangles(obj))
-    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    meshes = {jobs.find(uid): values for uid, values in shown[0].items()}
+    in_view = {mesh: values for mesh, values in meshes.items() if mesh.visible_in_viewport_get(context.space_data)}
+    _draw_surfaces(in_view, context.view_layer.depsgraph, NEARER * max(obj.dimensions))
+
+
+def _draw_surfaces(meshes: dict, depsgraph, nearer: float):
+    """Meshes with values (V,) each, colored; nearer: to the viewer, in view space, than they are."""
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.depth_mask_set(True)
     with gpu.matrix.push_pop():
-        gpu.matrix.load_matrix(Matrix.Translation((0.0, 0.0, NEARER * size)) @ gpu.matrix.get_model_view_matrix())
-        batch.draw(gpu.shader.from_builtin("SMOOTH_COLOR"))
+        gpu.matrix.load_matrix(Matrix.Translation((0.0, 0.0, nearer)) @ gpu.matrix.get_model_view_matrix())
+        for mesh, values in meshes.items():
+            if len(values) == len(mesh.data.vertices):
+                batch = _colored(shown_points(mesh, depsgraph), heat.colors(values), triangles(mesh))
+                batch.draw(gpu.shader.from_builtin("SMOOTH_COLOR"))
     gpu.state.depth_mask_set(False)
     gpu.state.depth_test_set("NONE")
 
@@ -219,28 +227,32 @@ def _draw_surface_legend():
     first = next(region for region in context.area.regions if region.type == "WINDOW")
     if context.region != first or not _is_shown(context, obj):
         return
-    box = context.preferences.themes[0].user_interface.wcol_box
     others = [region for region in context.area.regions if region.type != "WINDOW"]
-    left, _, right, top = free_rectangle(context.region, others)
-    pad, line, width = pixels(PADDING), pixels(TEXT + 4.0), pixels(LEGEND)
-    right, top = right - pixels(MARGIN) - pixels(GIZMOS), top - pixels(MARGIN)
+    left, bottom, right, top = free_rectangle(context.region, others)
     try:
         shown = painted(context, obj)
     except jobs.expected_errors() as error:
-        _draw_text(str(error), left + pad, pixels(MARGIN), box.text)
+        text = context.preferences.themes[0].user_interface.wcol_box.text
+        _draw_text(str(error), left + pixels(PADDING), bottom + pixels(MARGIN), text)
         return
-    if shown is None or right - width < left:
-        return
-    _, title, low, high = shown
-    x, y = right - width, top - 3 * line
-    _draw_rectangle(x - pad, y - pad, right + pad, top, (*box.inner[:3], 0.85))
-    _draw_text(title, x, top - line, box.text)
-    steps = heat.colors(np.linspace(0.0, 1.0, SHADES))
-    for k, color in enumerate(steps):
-        begin, end = x + width * k / SHADES, x + width * (k + 1) / SHADES
-        _draw_rectangle(begin, top - 1.8 * line, end, top - 1.2 * line, (*map(float, color), 1.0))
-    _draw_text(low, x, y, box.text)
-    _draw_text(high, right - _text_width(high), y, box.text)
+    right, top = right - pixels(GIZMOS), top - pixels(MARGIN)
+    if shown and right - pixels(LEGEND) > left:
+        _draw_scale(right, top, *shown[1:])
+
+
+def _draw_scale(right: float, top: float, title: str, low: str, high: str):
+    """What the colors of the surface mean."""
+    box = bpy.context.preferences.themes[0].user_interface.wcol_box
+    pad, line, width = pixels(PADDING), pixels(TEXT + 4.0), pixels(LEGEND)
+    left, bottom = right - width, top - 3.0 * line - 2.0 * pad
+    _draw_rectangle(left, bottom, right, top, (*box.inner[:3], 0.85))
+    left, right, top = left + pad, right - pad, top - pad
+    _draw_text(title, left, top - 0.8 * line, box.text)
+    for k, color in enumerate(heat.colors(np.linspace(0.0, 1.0, SHADES)).tolist()):
+        begin, end = (left + (right - left) * at / SHADES for at in (k, k + 1))
+        _draw_rectangle(begin, top - 1.9 * line, end, top - 1.2 * line, (*color, 1.0))
+    _draw_text(low, left, top - 2.8 * line, box.text)
+    _draw_text(high, right - _text_width(high), top - 2.8 * line, box.text)
 
 
 # The graph ---------------------------------------------------------------------------------------------------------
@@ -456,3 +468,4 @@ def forget():
     """Free what is kept on the graphics card, and cages."""
     for cache in (_cage, _order, _cage_batches, _graph_batches):
         cache.cache_clear()
+    heat.forget()

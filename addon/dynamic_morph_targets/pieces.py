@@ -20,6 +20,7 @@ LARGE = 0.02  # of the body's area: larger loose parts are a piece each
 RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rigidly
 ACCESSORY = 0.05  # of the soft skin of a character's largest mesh: one with less is not what is meant to be soft
 FEW_BONES = 3  # that are named in a reason
+FEWEST_BONES = 3  # that carry the parts of a character that is wholly hard
 
 
 # What a character has ----------------------------------------------------------------------------------------------
@@ -127,7 +128,7 @@ def body_for(obj):
     armature is not. Of an armature object the mesh with the most soft skin. Raises SceneError.
     """
     rig = obj if obj.type == "ARMATURE" else rig_of(obj) or _hangs_on(obj)
-    if rig is None:
+    if rig is None or obj.mode == "EDIT":
         return obj
     areas = {other: _soft_area(other, rig) for other in checks.meshes_on(rig) if _may_be_soft(other, rig)}
     largest = max(areas, key=areas.get, default=obj)
@@ -145,7 +146,8 @@ def _hangs_on(obj):
 
 def _may_be_soft(other, rig) -> bool:
     skinned = any(modifier.object == rig for modifier in checks.armature_modifiers(other))
-    return skinned and bool(other.data.polygons) and not (other.library or other.override_library)
+    mine = not (other.library or other.override_library)
+    return skinned and mine and other.mode != "EDIT" and bool(other.data.polygons)
 
 
 def _soft_area(other, rig) -> float:
@@ -192,6 +194,7 @@ def _find_in_body(obj) -> list[str]:
         if refusal and other not in listed:
             choice = "OWN_CAGE" if other.dynamorph.targets else "RIGID"
             added.append(_add(obj, other, "", choice, refusal))
+    _leave_something_soft(found)
     for each, touches in zip(found, _touching(found), strict=True):
         whole = each.obj != obj and each.hard.all() and len(set(each.bones.tolist())) == 1
         if each.obj != obj and each.obj not in listed:
@@ -224,6 +227,16 @@ def _look_at(obj, other, rig, world: np.ndarray, to_bind: np.ndarray) -> _Found:
     labels = loose_parts(local, triangles)
     points = extract.carried(local, to_body) @ to_bind.T
     return _Found(other, labels, points, triangles, weights, *rigid.rigid_parts(labels, weights))
+
+
+def _leave_something_soft(found: list[_Found]):
+    """Where all is rigid, but on a bone or two, the largest part is a body after all: a jelly, say."""
+    bones = {bone for each in found for bone in each.bones.tolist()}
+    if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
+        return
+    areas = [np.bincount(each.labels, rigid.vertex_areas(each.points, each.triangles)) for each in found]
+    largest = max(range(len(found)), key=lambda k: areas[k].max())
+    found[largest].hard[areas[largest].argmax()] = False
 
 
 def _all_together(found: list[_Found]) -> tuple:

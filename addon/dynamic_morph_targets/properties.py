@@ -451,7 +451,7 @@ class DynamorphPiece(PropertyGroup):
             ("RIGID", "Rigid", "Its bones alone", 2),
             (
                 "HELD", "Held",
-                "It is as hard as bone, in one cage with the soft skin that it touches, so that their seam stays closed",
+                "It is as hard as bone, in one cage with the soft skin that it touches: their seam stays closed",
                 3,
             ),
         ),
@@ -565,8 +565,8 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     hold_head: BoolProperty(
         name="Hold Head",
-        description="Hold the skin of the head as if it were bone, less and less along the neck. What is painted in the "
-        "Soft group stays soft",
+        description="Hold the skin of the head as if it were bone, less and less along the neck. What is painted in "
+        "the Soft group stays soft",
         default=ModelSettings.hold_head, override=OVERRIDE,
     )  # fmt: skip
     head: StringProperty(name="Head", description="Bone of the head that was found when the attachments were")

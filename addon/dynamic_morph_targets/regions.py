@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a sculpt says about its target: the bones that place it, and the region that it is limited to.
 
-*Bones.* A joint bends what is sculpted if it carries some of the skin there and not the rest. With c the part of the
-sculpt's region that a bone and all below it carry, that is 4 c (1 - c), times the bone's turn. A bone further up carries
-all of it along, c = 1, and does not matter.
+*Bones.* A joint bends a piece of skin if it carries some of it and not the rest. With c the part that a bone and all
+below it carry, that is 4 c (1 - c), times the turn of the bone. A bone further up carries all of it along, c = 1, and
+does not matter. What counts is how joints bend the sculpt's region, of those that bend the sculpt itself or skin it.
 
 *Regions.* A vertex group that is 1 where the sculpt moves the skin and a little further, and falls smoothly to 0 over
 about the radius of what is sculpted, along the skin. Targets that share a bone compete for the same poses, so they have
@@ -16,7 +16,7 @@ import hashlib
 
 import numpy as np
 
-from . import extract
+from . import checks, extract
 from .properties import reconcile
 from .scene_data import Skeleton, turned, welded
 
@@ -26,9 +26,9 @@ GROWN = 0.25  # of the sculpt's radius: how far beyond it the region is still 1
 RINGS = 3.0  # edges of the mesh over which a region fades at least
 WIDEST = 0.08  # of the body's size: over which it fades at most
 
-BENT = 0.02  # 4 c (1 - c) of a joint that bends nothing to speak of
+BENDS = 0.05  # 4 c (1 - c) of a sculpt: a joint with less does not bend it
+SKINS = 0.1  # of a sculpt: a bone with less does not skin it
 LESS = 0.25  # of what the joint that bends most does: joints that do less do not place the target
-SKINS = 0.1  # of a region: a bone with less of it does not skin it
 
 
 # Bones -------------------------------------------------------------------------------------------------------------
@@ -37,33 +37,42 @@ SKINS = 0.1  # of a region: a bone with less of it does not skin it
 def driver_bones(obj, skeleton: Skeleton, neutral: np.ndarray, local: np.ndarray, shape: np.ndarray) -> list[str]:
     """Names of the bones, turned from one pose (B, 4, 4) to another, that place a target with the shape (V, 3).
 
-    Of a shape that is zero they are all that are turned. Raises SceneError.
+    Of a shape that moves nothing they are all that are turned. Raises SceneError.
     """
     names = extract.bones_turned(obj, skeleton, neutral, local)
-    if len(names) < 2 or not shape.any():
+    if len(names) < 2 or not _moves(shape):
         return names
-    weights = region(*_surface(obj), shape)
-    skin = weights @ extract.skin_weights(obj)[:, :-1] / weights.sum()
-    carried = skin.copy()
-    for bone in reversed(range(len(skin))):  # children come after their parents
-        if skeleton.parents[bone] >= 0:
-            carried[skeleton.parents[bone]] += carried[bone]
-    bends = 4.0 * carried * (1.0 - carried)
-    counts = np.where(bends >= BENT, bends * turned(neutral, local), 0.0)
+    skin = extract.skin_weights(obj)[:, :-1]
+    skins, bends = _of_skin(skeleton, skin, _is_sculpted(shape))
+    _, bends_around = _of_skin(skeleton, skin, region(*_surface(obj), shape))
+    counts = bends_around * turned(neutral, local) * ((bends >= BENDS) | (skins >= SKINS))
     candidates = [skeleton.names.index(name) for name in names]
     most = counts[candidates].max()
-    if most == 0.0:
-        return _nearest(skeleton, candidates, skin)
+    if most <= 0.0:
+        return _nearest(skeleton, candidates, skins)
     return [skeleton.names[bone] for bone in candidates if counts[bone] >= LESS * most]
 
 
-def _nearest(skeleton: Skeleton, candidates: list[int], skin: np.ndarray) -> list[str]:
+def _of_skin(skeleton: Skeleton, skin: np.ndarray, where: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The part of some skin that each bone (B,) skins, and how much its joint bends it, 4 c (1 - c).
+
+    skin (V, B): weights; where (V,): how much each vertex counts.
+    """
+    skins = where @ skin / where.sum()
+    carried = skins.copy()
+    for bone in reversed(range(len(skins))):  # children come after their parents
+        if skeleton.parents[bone] >= 0:
+            carried[skeleton.parents[bone]] += carried[bone]
+    return skins, (4.0 * carried * (1.0 - carried)).clip(0.0)
+
+
+def _nearest(skeleton: Skeleton, candidates: list[int], skins: np.ndarray) -> list[str]:
     """Of the candidates the joints nearest, in the hierarchy, to the bones that skin a sculpt.
 
-    skin (B,): the part that each bone skins. The joints of such a bone are its own and those of its children.
+    skins (B,): the part that each bone skins. The joints of such a bone are its own and those of its children.
     """
     parents = skeleton.parents
-    reached = {bone for bone in range(len(parents)) if skin[bone] >= SKINS * skin.sum()}
+    reached = {bone for bone in range(len(parents)) if skins[bone] >= SKINS}
     reached |= {bone for bone in range(len(parents)) if parents[bone] in reached}
     while reached:
         found = [bone for bone in candidates if bone in reached]
@@ -97,7 +106,8 @@ def update(obj, left=()):
     automatic = _not_painted(obj, automatic, groups)
     before = {target.region for target in automatic} | {*left}
     chosen = [target for target in settings.targets[1:] if not target.auto_region]
-    free = {target.region for target in automatic} - {target.region for target in chosen} - {""}
+    made = {target.region for target in automatic if target.made_region or target.region.startswith(PREFIX)}
+    free = made - {target.region for target in chosen}
     for together in _sharing_bones(automatic):
         bones = _bones(together)
         company = next((target for target in chosen if bones & _bones([target])), None)
@@ -147,9 +157,10 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
 
     free: names of automatic groups from before, which serve again; the one that does is taken out.
     """
-    shapes = [extract.target_shape(obj, target.name, groups) for target in together if _has_key(obj, target)]
+    keys = checks.keys_of(obj)
+    shapes = [extract.target_shape(obj, target.name, groups) for target in together if target.name in keys]
     surface = _surface(obj)
-    regions = [region(*surface, shape) for shape in shapes if shape.any()]
+    regions = [region(*surface, shape) for shape in shapes if _moves(shape)]
     if not regions:
         return "", ""
     weights = np.max(regions, axis=0)
@@ -158,10 +169,6 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
     group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=PREFIX + together[0].name)
     write_group(obj, group, weights)
     return group.name, _digest(weights)
-
-
-def _has_key(obj, target) -> bool:
-    return obj.data.shape_keys is not None and target.name in obj.data.shape_keys.key_blocks
 
 
 def _remove(obj, names):
@@ -200,36 +207,61 @@ def region(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray) -> np.n
 
     points (V, 3), triangles (T, 3): the surface at rest; shape (V, 3): displacements, not all zero.
     """
-    moved = np.linalg.norm(shape, axis=1)
-    sculpted = moved > SUPPORT * moved.max()
+    sculpted = _is_sculpted(shape)
+    places = welded(points)  # imported meshes are split at every seam
+    at_place = np.zeros((places.max() + 1, 3))
+    at_place[places] = points
     corners = points[triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     area = (areas * sculpted[triangles].mean(axis=1)).sum()
     size = np.linalg.norm(np.ptp(points, axis=0))
-    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    of_sculpt = sculpted[edges].any(axis=1)
-    rings = RINGS * np.median(lengths[of_sculpt]) if of_sculpt.any() else 0.0
+    edges, across = _links(places[triangles])
+    start = np.zeros(len(at_place), bool)
+    start[places[sculpted]] = True
+    near = edges[start[edges].any(axis=1)]
+    rings = RINGS * np.median(_lengths(at_place, near)) if len(near) else 0.0
     radius = max(min(np.sqrt(area / np.pi), WIDEST * size), rings, 1e-6 * size, 1e-30)
-    away = _along(points, edges, lengths, sculpted, (1.0 + GROWN) * radius)
+    away = _along(at_place, np.concatenate([edges, across]), start, (1.0 + GROWN) * radius)[places]
     fade = np.clip(away / radius - GROWN, 0.0, 1.0)
     return 1.0 - fade * fade * (3.0 - 2.0 * fade)
 
 
-def _along(points, edges, lengths, start: np.ndarray, farthest: float) -> np.ndarray:
-    """How far along edges each vertex (V,) is from the nearest of `start` (V,); inf beyond `farthest`.
+def _moves(shape: np.ndarray) -> bool:
+    """Whether a shape moves anything; one with coordinates that are not numbers is refused when it is built."""
+    return bool(shape.any() and np.isfinite(shape).all())
 
-    What lies at one place is joined: imported meshes are split at every seam.
+
+def _is_sculpted(shape: np.ndarray) -> np.ndarray:
+    """Which vertices (V,) a shape (V, 3) moves."""
+    moved = np.linalg.norm(shape, axis=1)
+    return moved > SUPPORT * moved.max()
+
+
+def _links(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The edges (E, 2) of triangles (T, 3), and the pairs (P, 2) of corners that lie opposite across one.
+
+    Along edges alone a way across quads would be longer against their diagonals than along them.
     """
-    joined = welded(points)
-    ends = joined[edges]
-    away = np.full(joined.max() + 1, np.inf)
-    away[joined[start]] = 0.0
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    opposite = triangles[:, [2, 0, 1]].ravel()
+    edges, which = np.unique(sides, axis=0, return_inverse=True)
+    order = np.argsort(which.ravel(), kind="stable")
+    same = np.diff(which.ravel()[order]) == 0
+    return edges, np.stack([opposite[order[:-1]][same], opposite[order[1:]][same]], axis=1)
+
+
+def _lengths(points: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+
+
+def _along(points: np.ndarray, links: np.ndarray, start: np.ndarray, farthest: float) -> np.ndarray:
+    """How far along links (L, 2) each point (P,) is from the nearest of `start` (P,); inf beyond `farthest`."""
+    lengths, away = _lengths(points, links), np.where(start, 0.0, np.inf)
     while True:
         further = away.copy()
         for begin, end in ((0, 1), (1, 0)):
-            np.minimum.at(further, ends[:, end], away[ends[:, begin]] + lengths)
+            np.minimum.at(further, links[:, end], away[links[:, begin]] + lengths)
         further[further > farthest] = np.inf
         if np.array_equal(further, away):
-            return away[joined]
+            return away
         away = further

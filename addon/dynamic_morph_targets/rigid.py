@@ -60,7 +60,8 @@ def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether (P,) each part follows one bone rigidly, but for a few stray vertices, and which (P,) it is.
+    """Whether (P,) each part is carried as a whole, but for a few stray vertices, and the bone (P,) that does most of
+    it: by one bone, or by the same weights everywhere.
 
     labels (V,): the part's number; weights (V, B + 1): the skin's.
     """
@@ -68,8 +69,11 @@ def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np
     sums = np.zeros((count, weights.shape[1]))
     np.add.at(sums, labels, weights)
     bones = sums.argmax(axis=1)
-    follows = weights[np.arange(len(labels)), bones[labels]] > RIGID
-    return np.bincount(labels, follows, count) >= NEARLY_ALL * np.bincount(labels, minlength=count), bones
+    sizes = np.bincount(labels, minlength=count)
+    one = weights[np.arange(len(labels)), bones[labels]] > RIGID
+    same = np.abs(weights - (sums / sizes[:, None])[labels]).max(axis=1, initial=0.0) < 1.0 - RIGID
+    nearly_all = [np.bincount(labels, follows, count) >= NEARLY_ALL * sizes for follows in (one, same)]
+    return nearly_all[0] | nearly_all[1], bones
 
 
 def joined_to_soft(labels: np.ndarray, rigid: np.ndarray, first: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import bpy
@@ -35,7 +36,12 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         return obstacle
 
     def apply(self, obj):
-        obj = self._chosen(obj)
+        chosen = _body_meant(obj)
+        if chosen != obj:
+            self.report(
+                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
+            )
+        obj = chosen
         if obj.dynamorph.targets:
             raise SceneError(f"'{obj.name}' has a soft skin already")
         in_the_way = extract.first_look(obj)
@@ -48,33 +54,36 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
         obj.dynamorph.model.hold = "THICKNESS"  # unlike in files from before
         feel_operators.give_feel(obj, FEELS["NATURAL"])
-        in_the_way += self._find_attachments(obj)
+        in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
         drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, text)
 
-    def _chosen(self, obj):
-        """The mesh that is meant: the body's, if a helmet or the armature is active."""
-        active = bpy.context.object
-        chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
-        if chosen != obj:
-            self.report(
-                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
-            )
-        if active.type != "ARMATURE" and chosen != active and active.mode == "OBJECT":
-            bpy.context.view_layer.objects.active = chosen
-        return chosen
 
-    def _find_attachments(self, obj) -> list[str]:
-        """List what belongs to the body, in one cage with it. Returns what is wrong with that."""
-        obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
-        try:
-            pieces.find(obj)
-            extract.character(obj, without_targets=True)
-        except SceneError as error:
-            return [str(error)]
+def _body_meant(obj):
+    """The mesh that is to become a soft skin, which is made active, when `obj`, a helmet say, or its armature is."""
+    active = bpy.context.object
+    if obj.mode == "EDIT":  # its points cannot be read
+        return obj
+    chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
+    if active == obj != chosen and obj.mode == "OBJECT":
+        bpy.context.view_layer.objects.active = chosen
+    return chosen
+
+
+def _find_attachments(obj) -> list[str]:
+    """List what belongs to the body of `obj`, in one cage with it. Returns what is in the way of that."""
+    obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
+    problem = next(checks.problems(obj), None)
+    if problem:  # which is told already
         return []
+    try:
+        pieces.find(obj)
+        extract.character(obj, without_targets=True)
+    except SceneError as error:
+        return [str(error)]
+    return []
 
 
 # Fixes of checks.Problem -------------------------------------------------------------------------------------------
@@ -296,20 +305,25 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             bpy.context.view_layer.objects.active = obj
             obj.select_set(True)
             bpy.ops.object.mode_set(mode="WEIGHT_PAINT", toggle=True)  # remembers the mesh's own mode
-        group = self._group(obj)
+        settings, field = obj.dynamorph, PAINTED[self.which].field
+        name = getattr(settings, field) or PAINTED[self.which].name
+        known = name in obj.vertex_groups
+        weights = extract.group_weights(obj, [name])[:, 0] if known else self._start(obj)
+        group = obj.vertex_groups[name] if known else _write_group(obj, name, weights)
+        if getattr(settings, field) != group.name:
+            setattr(settings, field, group.name)
         obj.vertex_groups.active_index = group.index
-        _set_brush(extract.group_weights(obj, [group.name])[:, 0])
+        if len(weights) and (not known or np.ptp(weights) < 1e-3):
+            _set_brush(weights)
 
-    def _group(self, obj):
-        painted, settings = PAINTED[self.which], obj.dynamorph
-        name = getattr(settings, painted.field) or painted.name
-        group = obj.vertex_groups.get(name)
-        if group is None:
-            group = obj.vertex_groups.new(name=name)
-            group.add(range(len(obj.data.vertices)), painted.start, "REPLACE")
-        if getattr(settings, painted.field) != group.name:
-            setattr(settings, painted.field, group.name)
-        return group
+    def _start(self, obj) -> np.ndarray:
+        """Weights (V,) of a new group. Softness begins with what the hold by thickness comes to: all 1 would say that
+        thin parts are soft.
+        """
+        with suppress(*jobs.expected_errors()):
+            if self.which == "SOFT" and obj.dynamorph.model.hold == "THICKNESS":
+                return 1.0 - heat.holds(obj)[obj.session_uid]
+        return np.full(len(obj.data.vertices), PAINTED[self.which].start)
 
     def _leave(self, obj):
         display, objects = bpy.context.window_manager.dynamorph, bpy.context.view_layer.objects
@@ -322,17 +336,21 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             jobs.show_stale(obj)
 
 
-def _set_brush(weights: np.ndarray):
-    """Let the first stroke show: where the weights (V,) are all 1 the brush paints 0, where they are all 0 it paints 1.
+def _write_group(obj, name: str, weights: np.ndarray):
+    """Let the vertex group of this name, made if there is none, have weights (V,), to a thousandth. Returns it."""
+    group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+    steps = np.round(weights * STEPS).astype(int)
+    for step in np.unique(steps):
+        group.add(np.flatnonzero(steps == step).tolist(), step / STEPS, "REPLACE")
+    return group
 
-    The brush is left alone once something is painted.
-    """
-    if np.ptp(weights) > 1e-3 or not len(weights):
-        return
+
+def _set_brush(weights: np.ndarray):
+    """Let the first stroke show: the brush paints 0 where most of the weights (V,) are over a half, else 1."""
     tools = bpy.context.scene.tool_settings
-    shared = getattr(tools.weight_paint or tools, "unified_paint_settings", None) or tools.unified_paint_settings
-    shared.weight = 1.0 - round(float(weights[0]))
-    brush = tools.weight_paint and tools.weight_paint.brush
+    shared = getattr(tools.weight_paint, "unified_paint_settings", None) or tools.unified_paint_settings
+    shared.weight = 0.0 if np.median(weights) > 0.5 else 1.0
+    brush = tools.weight_paint.brush
     if brush and brush.is_editable:
         brush.weight = shared.weight
 
@@ -353,12 +371,8 @@ class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
     def apply(self, obj):
         sinks.check_not_edited(obj)
         _owned(obj.data)
-        softness = 1.0 - heat.hold_of(obj)
-        name = obj.dynamorph.soft_group or PAINTED["SOFT"].name
-        group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
-        steps = np.round(softness * STEPS).astype(int)
-        for step in np.unique(steps):
-            group.add(np.flatnonzero(steps == step).tolist(), step / STEPS, "REPLACE")
+        softness = 1.0 - heat.holds(obj)[obj.session_uid]
+        group = _write_group(obj, obj.dynamorph.soft_group or PAINTED["SOFT"].name, softness)
         obj.dynamorph.soft_group = group.name
         obj.vertex_groups.active_index = group.index
         jobs.show_stale(obj)

@@ -147,10 +147,8 @@ def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):
     meshes = {other.name: other for other in bpy.context.scene.objects if other.type == "MESH" and other != obj}
     obj.dynamorph.pieces.clear()
     for entry in entries:
-        if entry.get("object"):
-            there = lacking.present("objects", [entry["object"]], meshes)
-        else:
-            there = [obj.name]
+        other = entry.get("object")
+        there = lacking.present("objects", [other], meshes) if other else [obj.name]
         if there and entry.get("group"):
             owner = meshes[entry["object"]] if entry.get("object") else obj
             there = lacking.present("vertex groups", [entry["group"]], owner.vertex_groups)

@@ -306,7 +306,7 @@ def _free(obj, names, keep_cache=False):
         record.cache = ""
     record.keys.clear()
     record.action = None
-    record.summary = record.warnings = ""
+    record.summary = record.warnings = record.verdict = ""
 
 
 @dataclass(frozen=True)

@@ -307,7 +307,7 @@ def capture(operator, obj, target, pose):
     target.set_pose(skeleton, local, rig_world)
     if target == obj.dynamorph.targets[0]:
         return
-    targets.choose_bones(obj, target, skeleton, extract.target_shape(obj, target.name))
+    targets.choose_bones(obj, target, skeleton)
     if not target.bones:
         text = rpt_("'{name}': no bone is turned away from the neutral pose. Pose it, then Capture Pose")
         operator.report({"WARNING"}, text.format(name=target.name))

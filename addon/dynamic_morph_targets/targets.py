@@ -118,11 +118,14 @@ def start_as(source, target):
     assign(target, {name: getattr(source, name) for name in (*asdict(source.material()), "frequency", "by_hand")})
 
 
-def choose_bones(obj, target, skeleton: Skeleton, shape: np.ndarray):
+def choose_bones(obj, target, skeleton: Skeleton, shape: np.ndarray | None = None):
     """Let the bones that are turned in a target's pose, and bend what the shape (V, 3) moves, place it.
 
-    Raises SceneError.
+    shape: its key's by default; all that are turned place it while that moves nothing. Raises SceneError.
     """
+    if shape is None:
+        there = target.name in checks.keys_of(obj)
+        shape = extract.target_shape(obj, target.name) if there else np.zeros((0, 3))
     neutral, local = obj.dynamorph.targets[0].local(skeleton), target.local(skeleton)
     target.set_bones(regions.driver_bones(obj, skeleton, neutral, local, shape), automatic=True)
 

@@ -15,7 +15,7 @@ constexpr int kBalls = 4096;        // samples of the skin: fingers of a body ge
 constexpr int kBlock = 256;         // points or balls at a time
 constexpr double kCovered = 1.05;   // radii from its center within which a ball counts fully,
 constexpr double kUncovered = 1.6;  // and beyond which not at all: boxes have corners at 1.7
-constexpr double kThinnest = 1e-3;  // of the size: a sheet has no thickness, but something must divide
+constexpr double kThinnest = 5e-3;  // of the size: a sheet has no thickness, but something must divide
 constexpr double kOff = 1e-4;       // of the size: beside a face, to see what lies there
 
 /// 1 below `full`, 0 above `none`, smooth between.
@@ -95,7 +95,8 @@ void Thickness::find_balls(const Points& vertices, const Triangles& triangles, c
         if (!(smaller < (1 - 1e-6) * radius)) break;
         radius = smaller;
       }
-      balls_[i] = {p - radius * normal, radius};
+      const Vector3d center = p - radius * normal;
+      balls_[i] = {center, body_.contains(center) ? radius : 0};  // a sheet has its ball outside
     }
     report(done, 1);
   });

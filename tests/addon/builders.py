@@ -89,7 +89,9 @@ def make_soft(obj, keys=("flexed",)):
 def with_pins(obj):
     """The settings that files from before the hold by thickness have: most tests check what those do."""
     settings = obj.dynamorph
-    settings.model.hold, settings.model.one_cage = "BONES", False
+    settings.model.hold, settings.model.one_cage, settings.model.hold_head = "BONES", False, False
+    while settings.pieces:
+        part("pieces").remove(obj, 0)
     settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
     for target in settings.targets:
         target.set_material(part("scene_data").Material())

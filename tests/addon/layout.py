@@ -34,6 +34,8 @@ class Layout:
         module, function = name.split(".")
         assert getattr(bpy.ops, module).__getattr__(function).get_rna_type()
         self.drawn += [name, text] if text else [name]
+        if _options.get("depress"):
+            self.drawn.append(f"pressed: {text}")
         return types.SimpleNamespace()  # takes the operator's settings
 
     def operator_menu_enum(self, name, _property, **_options):
@@ -46,6 +48,7 @@ class Layout:
         self.drawn.append(text)
 
     def template_list(self, kind, _id, data, name, active_data, active_name, **_options):
+        assert hasattr(bpy.types, kind), f"{kind} is not registered, so Blender draws no list"
         assert name in data.bl_rna.properties and active_name in active_data.bl_rna.properties
         for index, item in enumerate(getattr(data, name)):
             draw = getattr(part("panels"), kind).draw_item

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the tests of robustness share: coarse bakes, the state that buttons may change, and how to press each button."""
 
+import json
 import tempfile
 from pathlib import Path
 
@@ -150,6 +151,19 @@ def baked(obj):
     OPS.bake()
 
 
+def held(obj):
+    """By its thickness."""
+    obj.dynamorph.model.hold = "THICKNESS"
+    built(obj)
+
+
+def judged(obj):
+    """A bake whose verdict is that it is too soft."""
+    baked(obj)
+    found = {"ok": False, "text": "Too far", "frame": 7, "vertices": [3], "remedy": "STIFFEN", "factor": 1.5}
+    obj.dynamorph.bake.verdict = json.dumps(found)
+
+
 def captured_on_the_way(obj):
     """So that the end of the shot is far from the target."""
     target_selected(obj)
@@ -204,6 +218,7 @@ CALLS = {  # what a button needs before it, and what it is given
     "add_piece": (other_mesh_selected, {}),
     "add_soft_skin": (no_soft_skin, {}),
     "add_target": (posed, {"key": "smile"}),
+    "apply_feel": (target_selected, {"feel": "CARTOON"}),
     "apply_material": (target_selected, {"preset": "FAT"}),
     "bake": (target_selected, {}),
     "bake_all": (target_selected, {}),
@@ -218,8 +233,10 @@ CALLS = {  # what a button needs before it, and what it is given
     "finish_sculpt": (sculpting, {}),
     "fit_material": (built, {"frequency": 5.0, "settle": 0.5}),
     "fix": (enveloped, {"problem": "ENVELOPES"}),
+    "first_look": (target_selected, {}),
     "free_bake": (baked, {}),
     "go_to_pose": (target_selected, {}),
+    "hold_to_group": (held, {}),
     "live": (built, {}),
     "load_preset": (preset_saved, {"filepath": str(PRESET), "menu_idname": "DYNAMORPH_PT_material_presets"}),
     "load_setup": (setup_saved, {"filepath": SETUP}),
@@ -227,6 +244,8 @@ CALLS = {  # what a button needs before it, and what it is given
     "move_target": (two_targets, {"direction": "DOWN"}),
     "new_from_pose": (posed, {"key": "Bent"}),
     "paint_group": (target_selected, {"which": "SOFT"}),
+    "refine_cage": (judged, {}),
+    "rehearse": (target_selected, {}),
     "remove_bone": (target_selected, {"bone": "lower"}),
     "remove_piece": (piece_listed, {}),
     "remove_target": (target_selected, {}),
@@ -234,6 +253,9 @@ CALLS = {  # what a button needs before it, and what it is given
     "sculpt_target": (target_selected, {}),
     "select_key": (target_selected, {}),
     "select_piece": (piece_listed, {}),
+    "show_plain": (baked, {}),
+    "show_worst": (judged, {}),
+    "stiffen": (judged, {}),
     "suggest_pose": (captured_on_the_way, {}),
     "suggest_targets": (driven, {}),
     "swap_slot": (two_slots, {}),

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Badges: what has changed since the build and the bake, in sentences that go when the change goes."""
 
+import json
 import time
 
 import bpy
@@ -42,6 +43,7 @@ SETTINGS = [
     ("simulation.gravity", 0.5, "Gravity changed"),
     ("simulation.fields", 0.5, "Force Fields changed"),
     ("simulation.begin", "REST", "Begin changed"),
+    ("simulation.amount", 0.5, "Amount changed"),
     ("simulation.preroll", 9, "Pre-Roll changed"),
     ("simulation.loop", True, "Loop changed"),
 ]
@@ -95,6 +97,30 @@ def test_targets_that_come_go_are_renamed_or_muted(scene, baked):
     assert outdated(baked) == ['pose of "biceps" changed']
     bpy.ops.dynamorph.remove_target()
     assert outdated(baked) == ['target "flexed" is gone']
+
+
+def test_another_target_in_the_place_of_one_is_no_rename(scene, baked):
+    """Though the two come and go together, as a renamed one does."""
+    baked.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.remove_target()
+    scene.frame_set(20)
+    bpy.ops.dynamorph.add_target(key="smile")
+    assert outdated(baked) == ['target "smile" is new', 'target "flexed" is gone'] == model_changes(baked)
+    bpy.ops.dynamorph.remove_target()
+    bpy.ops.dynamorph.add_target(key="flexed")
+    assert outdated(baked) == [] == model_changes(baked)
+
+
+def test_records_from_before_know_no_sculpts(baked):
+    """Whoever has gone for another one is taken for renamed, as it was then."""
+    record = baked.dynamorph.model
+    built = json.loads(record.built)
+    for target in built["targets"].values():
+        del target["sculpt"]
+    record.built = json.dumps(built)
+    baked.data.shape_keys.key_blocks["flexed"].name = "biceps"
+    bpy.context.view_layer.update()
+    assert model_changes(baked) == []
 
 
 def test_gains_of_modes_count_once_they_are_not_one(baked):

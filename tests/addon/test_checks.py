@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import activate, make_mesh, make_rig, part, refused, rig_of
+from builders import activate, make_mesh, make_rig, part, refused, rig_of, with_pins
 from layout import drawn
 from test_extract import (
     absolute_keys,
@@ -220,8 +220,10 @@ def test_nothing_but_the_button_where_nothing_is_wrong(arm):
 def added(obj):
     """The warnings of Add Soft Skin."""
 
+    button = part("setup_operators").DYNAMORPH_OT_add_soft_skin
+
     class Add(part("operators").SoftSkinOperator):
-        apply = part("setup_operators").DYNAMORPH_OT_add_soft_skin.apply
+        apply, _chosen, _find_attachments = button.apply, button._chosen, button._find_attachments
         warnings = []
 
         def report(self, kind, text):
@@ -304,6 +306,7 @@ def coarse_arm(arm):
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     activate(arm)
     OPS.add_soft_skin()
+    with_pins(arm)
     arm.dynamorph.model.cage_nodes = 200
     arm.dynamorph.model.modes = 6
     return arm
@@ -390,6 +393,66 @@ def test_paint_from_pose_mode_and_back(soft_arm):
     OPS.paint_group(which="SOFT")
     OPS.paint_group(which="SOFT")
     assert bpy.context.object == soft_arm and soft_arm.mode == "OBJECT"
+
+
+def brush_weight() -> float:
+    tools = bpy.context.scene.tool_settings
+    shared = getattr(tools.weight_paint, "unified_paint_settings", None) or tools.unified_paint_settings
+    return shared.weight
+
+
+@pytest.mark.parametrize("which, first", [("SOFT", 0.0), ("STIFFNESS", 1.0)])
+def test_the_first_stroke_shows(soft_arm, which, first):
+    OPS.paint_group(which=which)
+    assert brush_weight() == first and "paint.weight_set" in drawn(soft_arm)
+    bpy.ops.paint.weight_set()
+    assert (weights(soft_arm, soft_arm.vertex_groups.active.name) == first).all()
+    OPS.paint_group(which=which)
+    assert "paint.weight_set" not in drawn(soft_arm)
+    OPS.paint_group(which=which)
+    assert brush_weight() == 1.0 - first
+    soft_arm.vertex_groups.active.add([1, 2, 3], 0.5, "REPLACE")
+    OPS.paint_group(which=which)
+    tools = bpy.context.scene.tool_settings
+    (getattr(tools.weight_paint, "unified_paint_settings", None) or tools.unified_paint_settings).weight = 0.25
+    OPS.paint_group(which=which)
+    assert brush_weight() == 0.25  # once something is painted it is the artist's
+
+
+@pytest.fixture
+def held_arm(soft_arm):
+    """Coarse, and held by its thickness."""
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 300, 8
+    soft_arm.dynamorph.model.hold = "THICKNESS"
+    soft_arm.dynamorph.model.method = "SINGLE"
+    OPS.build()
+    return soft_arm
+
+
+def test_the_hold_becomes_a_group(held_arm):
+    hold = part("heat").holds(held_arm)[held_arm.session_uid]
+    assert hold.shape == (len(held_arm.data.vertices),) and 0.0 <= hold.min() < hold.max() <= 1.0
+    assert OPS.hold_to_group() == {"FINISHED"}
+    assert held_arm.dynamorph.soft_group == "Soft" and held_arm.vertex_groups.active.name == "Soft"
+    np.testing.assert_allclose(weights(held_arm, "Soft"), 1.0 - hold, atol=1e-3)
+    assert part("changes").model_age(held_arm)
+    held_arm.dynamorph.soft_group = "mine"
+    held_arm.vertex_groups.new(name="mine")
+    OPS.hold_to_group()
+    np.testing.assert_allclose(weights(held_arm, "mine"), 1.0 - hold, atol=1e-3)
+
+
+def test_painting_softness_begins_with_the_hold(held_arm):
+    hold = part("heat").holds(held_arm)[held_arm.session_uid]
+    OPS.paint_group(which="SOFT")
+    np.testing.assert_allclose(weights(held_arm, "Soft"), 1.0 - hold, atol=1e-3)
+
+
+def test_without_a_hold_there_is_nothing_to_paint_over(soft_arm):
+    assert not OPS.hold_to_group.poll()
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
+    OPS.build()
+    refused(OPS.hold_to_group, "no model with a hold by thickness")
 
 
 def test_a_hidden_mesh_is_not_painted(soft_arm):

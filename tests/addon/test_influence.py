@@ -365,7 +365,7 @@ def picture(monkeypatch):
     def picture(draw):
         target = gpu.types.GPUOffScreen(400, 200)
         with target.bind():
-            gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0))
+            gpu.state.active_framebuffer_get().clear(color=(0.0, 0.0, 0.0, 0.0), depth=1.0)
             gpu.matrix.load_matrix(Matrix.Identity(4))
             gpu.matrix.load_projection_matrix(
                 Matrix(((1 / 200, 0, 0, -1), (0, 1 / 100, 0, -1), (0, 0, 1e-3, 0), (0, 0, 0, 1)))
@@ -428,14 +428,43 @@ def test_the_cage_is_drawn(scene, built_arm, picture):
     assert abs(columns.max() - (200 + 80 * posed[:, 1].max())) < 4
 
 
+def test_the_surface_is_drawn_as_hot_as_it_moves(scene, soft_arm, picture):
+    """Before the mesh itself, at the place where it is shown."""
+    overlays, heat = part("overlays"), part("heat")
+    scene.frame_set(20)
+    values = np.linspace(0.0, 1.2, len(soft_arm.data.vertices))  # along the arm
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+
+    def draw():
+        gpu.matrix.load_matrix(Matrix(((0, 80, 0, 200), (0, 0, 80, 20), (80, 0, 0, 0), (0, 0, 0, 1))))
+        overlays._draw_surfaces({soft_arm: values}, depsgraph, 0.0)
+
+    pixels = picture(draw)
+    points = overlays.shown_points(soft_arm, depsgraph)
+    columns, rows = np.flatnonzero(pixels.any(axis=(0, 2))), np.flatnonzero(pixels.any(axis=(1, 2)))
+    assert abs(columns.min() - (200 + 80 * points[:, 1].min())) < 3
+    assert abs(rows.max() - (20 + 80 * points[:, 2].max())) < 3
+    assert near(pixels, heat.RAMP[0]).sum() > 50 and near(pixels, heat.RAMP[2]).sum() > 50
+    assert near(pixels, heat.BEYOND).sum() > 50
+    assert not picture(lambda: overlays._draw_surfaces({soft_arm: values[1:]}, depsgraph, 0.0)).any()  # another mesh's
+
+
+def test_the_legend_of_the_surface_is_drawn(scene, picture):
+    overlays, heat = part("overlays"), part("heat")
+    pixels = picture(lambda: overlays._draw_scale(390, 190, "Displacement", "0", "5.0% of size"))
+    assert not pixels[:, :225].any() and not pixels[192:].any() and pixels[150, 230:388].any(axis=-1).all()
+    cold, hot = (np.flatnonzero(near(pixels, heat.RAMP[k]).any(axis=0)).mean() for k in (0, 4))
+    assert cold < 270 and hot > 350
+
+
 def test_what_cannot_be_drawn_is_not(soft_arm, monkeypatch):
     """In the background there is no viewport: both callbacks fail inside, and say nothing."""
     overlays, display = part("overlays"), bpy.context.window_manager.dynamorph
     monkeypatch.setattr(part("influence"), "update_soon", lambda _wait: None)
-    display.cage = display.influence = True
-    for state in ("depth_test_set", "blend_set"):
+    display.cage = display.influence = display.heat = True
+    for state in ("depth_test_set", "depth_mask_set", "blend_set"):
         monkeypatch.setattr(f"gpu.state.{state}", lambda _value: None, raising=False)
-    for draw in (overlays._draw_cage, overlays._draw_graph):
+    for draw in (overlays._draw_cage, overlays._draw_graph, overlays._draw_surface, overlays._draw_surface_legend):
         overlays._quietly(draw)()
 
 
@@ -451,11 +480,13 @@ def test_bounce_is_the_flesh_s_own(built_arm):
     content = built_arm.dynamorph.model.content_id
     for target in built_arm.dynamorph.targets:
         assert target.bounce == pytest.approx(bounce(built_arm, target).frequency, rel=1e-5)
-        damping = (target.mass_damping, target.stiffness_damping)
+        settle, proportion = target.settle, target.mass_damping / target.stiffness_damping
         target.bounce = 4.0
         assert bounce(built_arm, target).frequency == pytest.approx(4.0, rel=1e-3)
         assert target.bounce == pytest.approx(4.0, rel=1e-4)
-        assert (target.mass_damping, target.stiffness_damping) == damping
+        assert target.settle == pytest.approx(settle, rel=1e-4)
+        assert target.mass_damping / target.stiffness_damping == pytest.approx(proportion, rel=1e-5)
+        assert target.by_hand and target.frequency == 4.0
     assert built_arm.dynamorph.model.content_id == content and not built_arm.dynamorph.model.stale
 
 
@@ -472,16 +503,14 @@ def test_settle_is_in_frames_of_the_scene(scene, built_arm):
 
 def test_what_damping_forbids(built_arm):
     target = built_arm.dynamorph.targets[1]
-    target.mass_damping, target.stiffness_damping = 0.0, 0.02
-    target.bounce = 500.0  # 1 / (2 pi beta) is the most
-    assert target.bounce == pytest.approx(1 / (2 * pi * 0.02), rel=1e-3)
     target.settle = 0.2
     critical = bounce(built_arm, target)
     assert critical.frequency < 0.1 and target.settle > 0.2
     target.mass_damping, target.stiffness_damping = 200.0, 0.02  # it creeps at any stiffness
-    stiffness = target.stiffness
-    target.bounce = 3.0
-    assert target.bounce == 0.0 and target.stiffness == stiffness
+    settle = target.settle
+    assert target.bounce == 0.0
+    target.bounce = 3.0  # it need not any more, and settles as late
+    assert target.bounce == pytest.approx(3.0, rel=1e-3) and target.settle == pytest.approx(settle, rel=1e-3)
     target.mass_damping = target.stiffness_damping = 0.0
     assert target.settle == pytest.approx(1e5)
     target.settle = 20.0

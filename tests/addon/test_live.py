@@ -2,12 +2,15 @@
 """Live shows what a bake would, goes on through edits, and leaves no trace; so do its previews."""
 
 import json
+import time
+import types
 
 import bpy
 import numpy as np
 import pytest
 from builders import activate, evaluated_points, fingerprint, part, rig_of
 from mathutils import Matrix
+from test_operators import Window
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -322,6 +325,49 @@ def test_a_gain_that_is_no_number_is_not_shown(playing):
     play(playing, [5])
 
 
+def test_amount_shows_at_once_and_as_in_the_bake(playing):
+    play(playing, range(1, 10))
+    whole, frames = surface(playing), dict(session(playing)._frames)
+
+    def moved():
+        return part("heat").displacements(playing)[playing.session_uid]
+
+    heat = moved()
+    assert heat.max() > 0.05
+    for amount in (0.5, 0.0, 2.0):
+        playing.dynamorph.simulation.amount = amount
+        assert session(playing)._frames == frames  # nothing is simulated for it
+        assert apart(surface(playing), baked(playing)[8]) < 1e-6
+        np.testing.assert_allclose(moved(), amount * heat, rtol=1e-4, atol=1e-6)
+    playing.dynamorph.simulation.amount = 1.0
+    assert apart(surface(playing), whole) < 1e-9
+
+
+def test_a_feel_shows_while_it_plays(playing):
+    play(playing, range(1, 6))
+    before = surface(playing)
+    bpy.ops.dynamorph.apply_feel(feel="SUBTLE")
+    assert part("live").problem(playing) == "" and session(playing).last == 5
+    play(playing, range(6, 10))
+    assert apart(surface(playing), before) > 0.0
+
+
+def test_plain_skinning_in_the_place_of_live(playing):
+    scene = bpy.context.scene
+    soft = play(playing, range(1, 8))
+    key, flexed = (playing.data.shape_keys.key_blocks[name] for name in ("Dynamorph Live", "flexed"))
+    before = fingerprint(playing)
+    bpy.ops.dynamorph.show_plain()
+    assert key.mute and not flexed.mute and part("comparison").is_plain(playing)
+    play(playing, range(8, 10))  # it goes on unseen
+    scene.frame_set(7)
+    bpy.ops.dynamorph.show_plain()
+    assert apart(surface(playing), soft[-1]) < 1e-6 and fingerprint(playing) == before
+    bpy.ops.dynamorph.show_plain()
+    bpy.ops.dynamorph.live()
+    assert not flexed.mute and "Dynamorph Live" not in playing.data.shape_keys.key_blocks
+
+
 def test_gains_are_in_the_bake_too(playing):
     for mode in playing.dynamorph.modes:
         mode.gain = 0.5
@@ -510,6 +556,86 @@ def test_rendering_in_the_background_simulates(playing):
     play(playing, range(2, 6))
     assert not part("live").holds_still(scene)
     assert apart(surface(playing), whole[4]) < 1e-6
+
+
+# The first look at a new soft skin -----------------------------------------------------------------------------------
+
+
+class FirstLook:
+    """`first_look` pressed in a window, with timer ticks to its end."""
+
+    def __init__(self, obj, monkeypatch, events=()):
+        operators = part("live_operators")
+        self.reports, self.pressed = [], []
+        monkeypatch.setattr(operators, "press", lambda _by, name, **given: self.pressed.append((name, given)))
+
+        class Button(operators.EndsLive):
+            def report(_self, kind, text):
+                self.reports.append((*kind, text))
+
+        button, window = Button(), Window(obj)
+        window.scene, window.screen = bpy.context.scene, types.SimpleNamespace(is_animation_playing=False)
+        result = part("operators").guarded(button, button._begin, window)
+        events = iter(events)
+        while result in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}):
+            result = button.modal(window, types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS"))
+            time.sleep(0.01)
+        self.result = result
+
+
+@pytest.fixture
+def new_arm(arm):
+    """A soft skin just added, with a cage that is coarse."""
+    bpy.ops.dynamorph.add_soft_skin()
+    arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 200, 8
+    arm.dynamorph.model.method = "SINGLE"
+    part("live")._loaded()
+    return arm
+
+
+def test_a_new_soft_skin_ends_live_and_hops(new_arm, monkeypatch):
+    seen = FirstLook(new_arm, monkeypatch)
+    assert seen.result == {"FINISHED"} and new_arm.dynamorph.model.content_id
+    assert part("live").is_on(new_arm) and part("live").problem(new_arm) == ""
+    assert seen.pressed == [("dynamorph.shake_test", {"kind": "HOP", "seconds": 2.0})]
+    assert ("ERROR",) not in {report[:1] for report in seen.reports}
+
+
+def test_a_build_that_fails_leaves_the_soft_skin(new_arm, monkeypatch):
+    new_arm.modifiers.clear()
+    seen = FirstLook(new_arm, monkeypatch)
+    assert seen.result == {"CANCELLED"} and seen.reports[-1][0] == "ERROR" and seen.pressed == []
+    assert new_arm.dynamorph.targets and not part("live").is_on(new_arm)
+
+
+def test_escape_leaves_the_soft_skin_too(new_arm, monkeypatch):
+    seen = FirstLook(new_arm, monkeypatch, ["TIMER", "ESC"])
+    assert seen.result == {"CANCELLED"} and seen.reports == [("WARNING", "Cancelled: nothing was changed")]
+    assert new_arm.dynamorph.targets and seen.pressed == []
+
+
+def test_without_a_window_nothing_is_built(arm):
+    assert bpy.ops.dynamorph.add_soft_skin("INVOKE_DEFAULT") == {"FINISHED"}
+    assert arm.dynamorph.targets and not arm.dynamorph.model.content_id and not part("live").is_on(arm)
+
+
+def test_undo_of_the_first_look(new_arm, monkeypatch):
+    """Two steps, as they are named: the model with Live, and the soft skin."""
+    bpy.ops.ed.undo_push(message="Add Soft Skin")
+    FirstLook(new_arm, monkeypatch)
+    bpy.ops.ed.undo_push(message="Build Soft Skin")
+    bpy.ops.ed.undo()
+    arm = bpy.data.objects["Arm"]
+    assert arm.dynamorph.targets and not arm.dynamorph.model.content_id and not part("live").is_on(arm)
+    bpy.ops.ed.redo()
+    arm = bpy.data.objects["Arm"]
+    assert part("live").is_on(arm)
+    assert apart(play(arm, [2]), surface(arm)) == 0.0
+
+
+def test_a_hop_of_two_seconds(live_arm, shown):
+    assert bpy.ops.dynamorph.shake_test(kind="HOP", seconds=2.0) == {"FINISHED"}
+    assert len(shown) == 49
 
 
 # Previews ----------------------------------------------------------------------------------------------------------

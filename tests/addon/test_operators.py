@@ -64,6 +64,8 @@ def test_add_target_refusals(soft_arm):
 def test_buttons_say_why_they_are_grey(scene, arm):
     assert not bpy.ops.dynamorph.bake.poll() and bpy.ops.dynamorph.add_soft_skin.poll()
     activate(rig_of(arm))
+    assert bpy.ops.dynamorph.add_soft_skin.poll()  # it goes on the mesh
+    arm.modifiers.clear()
     assert not bpy.ops.dynamorph.add_soft_skin.poll()
 
 

@@ -18,6 +18,7 @@ from builders import (
     refused,
     rig_of,
     skinned,
+    with_pins,
 )
 from layout import drawn
 from mathutils import Matrix
@@ -390,7 +391,7 @@ def make_arm_with(*blobs):
     skin(arm, rig, np.concatenate(weights))
     activate(arm)
     OPS.add_soft_skin()
-    return arm
+    return with_pins(arm)
 
 
 def test_few_loose_parts_are_a_piece_each(scene):

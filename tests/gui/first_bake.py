@@ -11,7 +11,21 @@ import driver
 import frames
 import limb
 from driver import WORK, measure, step, until
-from editors import ADDON, baked, job_done, keys, moved, on_screen, properties, settings, sidebar, skin, view, viewport
+from editors import (
+    ADDON,
+    addon,
+    baked,
+    job_done,
+    keys,
+    moved,
+    on_screen,
+    properties,
+    settings,
+    sidebar,
+    skin,
+    view,
+    viewport,
+)
 from mathutils import Euler
 
 start = 0.0  # when the zip was dropped
@@ -82,8 +96,11 @@ def open_tab():
 
 @step("Add Soft Skin", picture=sidebar)
 def add_soft_skin():
+    """It ends with Live on, after a hop in which other clicks do nothing."""
     yield from sidebar.press("dynamorph.add_soft_skin")
     yield from until(lambda: settings().targets, "a neutral target")
+    yield from until(lambda: addon("live").is_on(skin()), "Live to be on", 60.0)
+    yield from until(lambda: addon("live_operators").preview is None, "the end of the hop")
 
 
 @step("Select the sculpted key", picture=properties)
