@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What holds the soft tissue against the skeleton: told from how thick the body is, not from bone lines.
 
-Importers guess where bones end; thickness is never wrong. With T the radius of the largest ball in the body that covers
-a point, and d its depth below the skin, held are the core (deep compared with T), thin parts (T small compared with the
-body's: fingers, ears, horns, feet, tails, blades), and what is rigid. How firmly is a smooth field phi, 0 to 1. The hold
-is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the body, inside each target's own (docs/theory.md):
-it converges as the cage gets finer, where pins node by node do not. Never touches bpy.
+Importers guess where bones end; thickness is never wrong. With T the radius of the largest ball in the body that
+covers a point, and d its depth below the skin, held are the core (deep compared with T), thin parts (T small compared
+with the body's: fingers, ears, horns, feet, tails, blades), and what is rigid. How firmly is a smooth field phi, 0 to
+1. The hold is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the body, inside each target's own
+(docs/theory.md): it converges as the cage gets finer, where pins node by node do not. Never touches bpy.
 """
 
 from __future__ import annotations
