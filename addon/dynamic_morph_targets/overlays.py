@@ -27,6 +27,7 @@ NARROW = 160.0  # than this a graph is not worth drawing
 SHADES = 32  # in the legend of the surface's colors
 GIZMOS = 90.0  # that Blender's own buttons take at the right
 LEGEND = 160.0  # wide, of what the colors of the surface mean
+SHADED = 0.55  # how light the colored surface is where it is seen from the side
 NEARER = 2e-3  # of the body's size: that the colored surface is drawn before the mesh
 PINNED = 2  # of the theme's collection colours: unlike those of selected and of unselected vertices
 HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of them, so that neighbours in the list differ
@@ -190,13 +191,28 @@ def _draw_surfaces(meshes: dict, depsgraph, nearer: float):
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.depth_mask_set(True)
     with gpu.matrix.push_pop():
-        gpu.matrix.load_matrix(Matrix.Translation((0.0, 0.0, nearer)) @ gpu.matrix.get_model_view_matrix())
+        view = gpu.matrix.get_model_view_matrix()
+        gpu.matrix.load_matrix(Matrix.Translation((0.0, 0.0, nearer)) @ view)
         for mesh, values in meshes.items():
             if len(values) == len(mesh.data.vertices):
-                batch = _colored(shown_points(mesh, depsgraph), heat.colors(values), triangles(mesh))
+                points, corners = shown_points(mesh, depsgraph), triangles(mesh)
+                light = shade(points, corners, np.array(view)[2, :3])
+                batch = _colored(points, heat.colors(values) * light[:, None], corners)
                 batch.draw(gpu.shader.from_builtin("SMOOTH_COLOR"))
     gpu.state.depth_mask_set(False)
     gpu.state.depth_test_set("NONE")
+
+
+def shade(points: np.ndarray, corners: np.ndarray, toward: np.ndarray) -> np.ndarray:
+    """How light points (V, 3) of triangles (T, 3) are, seen from the direction `toward` (3,): SHADED to 1, so that the
+    form shows.
+    """
+    a, b, c = points[corners].swapaxes(0, 1)
+    across = np.cross(b - a, c - a)
+    normals = np.column_stack([np.bincount(corners.ravel(), np.repeat(axis, 3), len(points)) for axis in across.T])
+    lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(toward)
+    facing = np.abs(normals @ toward) / np.where(lengths > 0.0, lengths, 1.0)
+    return (SHADED + (1.0 - SHADED) * facing).astype(np.float32)
 
 
 def triangles(obj) -> np.ndarray:
