@@ -220,10 +220,8 @@ def test_nothing_but_the_button_where_nothing_is_wrong(arm):
 def added(obj):
     """The warnings of Add Soft Skin."""
 
-    button = part("setup_operators").DYNAMORPH_OT_add_soft_skin
-
     class Add(part("operators").SoftSkinOperator):
-        apply, _chosen, _find_attachments = button.apply, button._chosen, button._find_attachments
+        apply = part("setup_operators").DYNAMORPH_OT_add_soft_skin.apply
         warnings = []
 
         def report(self, kind, text):
