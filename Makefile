@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs bakes farm-demo fuzz stubs format lint wheel \
-	extension clean
+.PHONY: setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs \
+	convergence bakes farm-demo fuzz stubs format lint wheel extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -67,6 +67,12 @@ only ?=
 at_once ?= $(jobs)
 believable: build
 	@$(python) tests/benchmarks/believable.py --only "$(only)" --jobs $(at_once)
+
+# Its table of how the motion depends on the cage, and the page; takes about 4 minutes. sizes="2000 4000" skips the others.
+sizes ?= 2000 4000 8000 16000
+convergence: build
+	@$(python) tests/benchmarks/convergence.py --sizes $(sizes)
+	@$(python) tests/benchmarks/believable.py --page
 
 # docs/believable.md from what was measured before.
 believable-docs: build

@@ -135,9 +135,8 @@ class _Whole:
         return np.concatenate([values, beyond + share * (found.carry(values) - beyond)])
 
     def painted(self, use: str, group: str, values: np.ndarray, neutral: float) -> tuple[np.ndarray, np.ndarray]:
-        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted.
-
-        A mesh with a group of that name has its own.
+        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted. A mesh with
+        a group of that name has its own.
         """
         found = self._carried(values, neutral)
         painted = np.zeros(len(found), bool)
@@ -219,15 +218,19 @@ def _most(values: np.ndarray, same: np.ndarray) -> np.ndarray:
 
 
 def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
-    """Refuse a character that is found to be rigid, unless the artist has said what is soft. Raises SceneError."""
+    """Refuse a character that is rigid by what was found, unless the artist has said what is soft.
+
+    beside: bind-space points and triangles of what its bones alone move. Raises SceneError.
+    """
     settings = obj.dynamorph
     if settings.soft_group or any(not piece.reason for piece in settings.pieces):
         return
-    areas = rigid.vertex_areas(whole.vertices @ whole.own.to_bind.T, whole.triangles)
-    other = sum(rigid.vertex_areas(points, triangles).sum() for points, triangles in beside)
-    soft, blended = (pieces >= 0) & (rigidity < 1.0), whole.weights.max(axis=1) <= rigid.RIGID
-    total = areas.sum() + other
-    if areas[soft].sum() <= rigid.SOFT_SHARE * total and areas[soft & blended].sum() <= rigid.BLENDED_SHARE * total:
+    bind, soft = whole.vertices @ whole.own.to_bind.T, (pieces >= 0) & (rigidity < 1.0)
+    labels, volumes = rigid.part_volumes(bind, whole.triangles)
+    areas = rigid.vertex_areas(bind, whole.triangles)
+    share = np.bincount(labels, areas * soft) / np.maximum(np.bincount(labels, areas), 1e-300)
+    other = sum(rigid.part_volumes(points, triangles)[1].sum() for points, triangles in beside)
+    if volumes @ share <= rigid.SOFT_SHARE * (volumes.sum() + other):
         raise extract.SceneError(checks.nothing_soft(obj))
 
 

@@ -614,10 +614,16 @@ class Job:
     def model_summary(self) -> str:
         made = self.model.summary
         if not made["tets"]:
-            return f"{made['targets']} targets, nothing to simulate"
+            return f"{self._authored_targets()}, nothing to simulate"
         kept = sum(made.get("fallbacks", {}).values())  # models of older versions do not say
         crushed = f", crushed tetrahedra: {kept}" if kept else ""
-        return f"{made['nodes']} nodes, {made['modes']} modes, {made['targets']} targets{crushed}"
+        return f"{made['nodes']} nodes, {made['modes']} modes, {self._authored_targets()}{crushed}"
+
+    def _authored_targets(self) -> str:
+        """How many there are in the panel's list: each set has the neutral one."""
+        sets = self.character.by_method().target_sets
+        count = 1 + sum(len(target_set.targets) - 1 for target_set in sets)
+        return f"{count} target{'s' * (count > 1)}"
 
     def cage_summary(self) -> str:
         made = self.model.summary

@@ -127,7 +127,7 @@ def body_for(obj):
     """The mesh that is meant when `obj` is to become a soft skin: itself, unless it is rigid and another one on its
     armature is not. Of an armature object the mesh with the most soft skin. Raises SceneError.
     """
-    rig = obj if obj.type == "ARMATURE" else rig_of(obj) or _hangs_on(obj)
+    rig = obj if obj.type == "ARMATURE" else rig_of(obj) or carried_by(obj)
     if rig is None or obj.mode == "EDIT":
         return obj
     areas = {other: _soft_area(other, rig) for other in checks.meshes_on(rig) if _may_be_soft(other, rig)}
@@ -136,12 +136,12 @@ def body_for(obj):
     return largest if obj.type == "ARMATURE" or accessory else obj
 
 
-def _hangs_on(obj):
-    """The armature object that `obj` is parented to, by itself or by what it is parented to."""
+def carried_by(obj):
+    """The armature object that `obj` is parented to, by itself or by what it is parented to, if it skins a mesh."""
     above = obj.parent
     while above and above.type != "ARMATURE":
         above = above.parent
-    return above
+    return above if above and any(rig_of(other) == above for other in checks.meshes_on(above)) else None
 
 
 def _may_be_soft(other, rig) -> bool:

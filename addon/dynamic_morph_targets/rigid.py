@@ -8,13 +8,12 @@ import re
 
 import numpy as np
 
-from .scene_data import Skeleton, connected_parts
+from .scene_data import Skeleton, connected_parts, determinant, loose_parts
 
 RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rigidly
 NEARLY_ALL = 0.95  # of its vertices follow the bone of a rigid part
 COINCIDE = 1e-5  # of the body's size: points nearer than this are at one place
-SOFT_SHARE = 0.2  # of the skin's area in soft parts, at most, of a character that is wholly hard,
-BLENDED_SHARE = 0.1  # and of its area that several bones carry together
+SOFT_SHARE = 0.12  # of the volume of its parts that is soft, at most, in a character that is wholly hard
 NAMED_HEAD = re.compile(r"(?<![a-z])(head|skull)(?![a-z])", re.IGNORECASE)
 NAMED_SHARE = (0.005, 0.6)  # of the area, that a bone so named carries with all below it, if it is a head
 SHARE = (0.03, 0.45)  # the same of one without a name
@@ -57,6 +56,17 @@ def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     corners = points[triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.linalg.norm(across, axis=1) / 2.0
+
+
+def part_volumes(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Labels (V,) of the loose parts of a mesh and the volume (P,) of each; an open part is closed from its middle."""
+    labels = loose_parts(points, triangles)
+    count = labels.max(initial=-1) + 1
+    sizes = np.bincount(labels, minlength=count)
+    middles = np.column_stack([np.bincount(labels, axis, count) / sizes for axis in points.T])
+    of_triangles = labels[triangles[:, 0]]
+    corners = points[triangles] - middles[of_triangles][:, None]
+    return labels, np.abs(np.bincount(of_triangles, determinant(corners) / 6.0, count))
 
 
 def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

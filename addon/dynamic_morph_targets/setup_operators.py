@@ -30,8 +30,8 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
 
     @classmethod
     def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not checks.armature_modifiers(properties.mesh_in(context)):
+        obstacle, obj = super().obstacle(context), properties.mesh_in(context)
+        if not obstacle and not checks.armature_modifiers(obj) and not pieces.carried_by(obj):
             return "The mesh needs an Armature modifier with an armature"
         return obstacle
 

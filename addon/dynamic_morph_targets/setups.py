@@ -21,7 +21,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import extract, model_file
+from . import extract, model_file, regions
 from .properties import (
     KEY_REFERENCE,
     DynamorphBonePose,
@@ -133,14 +133,17 @@ def _apply_targets(obj, rig, entries: list[dict], lacking: _Lacking):
         neutral = entry is entries[0]
         if not neutral and entry["name"] not in keys:
             continue
-        target = settings.targets.add()
-        assign(target, lacking.without_lost_groups(_simple(entry), ["region"]))
+        target, values = settings.targets.add(), _simple(entry)
+        if values.get("auto_region") and values.get("region") not in obj.vertex_groups:
+            values["region"] = ""  # it is made below
+        assign(target, lacking.without_lost_groups(values, ["region"]))
         if not neutral:
             target.refer_to(blocks, blocks.find(target.name))
         bones = lacking.present("bones", entry.get("bones", []), rig.data.bones)
         target.set_bones(bones, target.auto_bones)
         _apply_pose(target, rig, entry.get("pose", {}), lacking)
     settings.active_target_index = min(settings.active_target_index, len(settings.targets) - 1)
+    regions.update(obj)
 
 
 def _apply_pieces(obj, entries: list[dict], lacking: _Lacking):

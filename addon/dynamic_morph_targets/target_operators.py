@@ -437,7 +437,8 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         if not bones:
             raise SceneError("No bone is turned away from the neutral pose: pose the armature first")
         other = targets.at_pose_of(obj, skeleton, local, bones)
-        if other:
+        # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
+        if other and (obj.dynamorph.model.hold != "THICKNESS" or set(bones) <= {*other.bone_names()}):
             raise SceneError(f"The armature is in the pose of '{other.name}': pose it otherwise, or sculpt that target")
         return skeleton, local, rig_world
 

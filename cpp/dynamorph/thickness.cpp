@@ -2,6 +2,7 @@
 #include "dynamorph/thickness.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "dynamorph/closed_surface.hpp"
@@ -13,9 +14,10 @@ namespace {
 
 constexpr int kBalls = 4096;        // samples of the skin: fingers of a body get dozens
 constexpr int kBlock = 256;         // points or balls at a time
-constexpr double kCovered = 1.05;   // radii from its center within which a ball counts fully,
+constexpr double kCovered = 1.15;   // radii from its center within which a ball counts fully,
 constexpr double kUncovered = 1.6;  // and beyond which not at all: boxes have corners at 1.7
 constexpr double kThinnest = 5e-3;  // of the size: a sheet has no thickness, but something must divide
+constexpr double kFacet = 0.04;     // of the size: longer triangles may lie half inside the body, and are split
 constexpr double kOff = 1e-4;       // of the size: beside a face, to see what lies there
 
 /// 1 below `full`, 0 above `none`, smooth between.
@@ -28,6 +30,37 @@ Vector3d area_vector(const Points& vertices, const Triangles& triangles, Eigen::
   const Vector3d a = vertices.row(triangles(t, 0)), b = vertices.row(triangles(t, 1)),
                  c = vertices.row(triangles(t, 2));
   return (b - a).cross(c - a) / 2;
+}
+
+/// Splits triangles across their longest edges until none is longer than `longest`.
+void refine(Points& vertices, Triangles& triangles, double longest) {
+  std::vector<Vector3d> points;
+  for (Eigen::Index i = 0; i < vertices.rows(); ++i) points.emplace_back(vertices.row(i));
+  std::vector<std::array<int, 3>> left, done;
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t)
+    left.push_back({triangles(t, 0), triangles(t, 1), triangles(t, 2)});
+  while (!left.empty()) {
+    const std::array<int, 3> t = left.back();
+    left.pop_back();
+    int edge = 0;
+    double length = 0;
+    for (int k = 0; k < 3; ++k) {
+      const double own = (points[t[(k + 1) % 3]] - points[t[k]]).norm();
+      if (own > length) length = own, edge = k;
+    }
+    if (length <= longest) {
+      done.push_back(t);
+      continue;
+    }
+    const int a = t[edge], b = t[(edge + 1) % 3], c = t[(edge + 2) % 3], middle = int(points.size());
+    points.push_back((points[a] + points[b]) / 2);
+    left.push_back({a, middle, c});
+    left.push_back({middle, b, c});
+  }
+  vertices.resize(Eigen::Index(points.size()), 3);
+  for (size_t i = 0; i < points.size(); ++i) vertices.row(Eigen::Index(i)) = points[i];
+  triangles.resize(Eigen::Index(done.size()), 3);
+  for (size_t t = 0; t < done.size(); ++t) triangles.row(Eigen::Index(t)) << done[t][0], done[t][1], done[t][2];
 }
 
 /// Points spread evenly over triangles by area, the same every time: additive recurrence with the plastic number
@@ -57,9 +90,10 @@ struct Samples {
 
 Thickness::Thickness(const Points& vertices, const Triangles& triangles, const ProgressFn& progress)
     : body_(Points(0, 3), Triangles(0, 3)), skin_(body_) {
-  const ClosedSurface closed = close_surface(vertices, triangles);
+  ClosedSurface closed = close_surface(vertices, triangles);
   body_ = Surface(closed.vertices, closed.triangles);
   size_ = body_.box().diagonal().norm();
+  refine(closed.vertices, closed.triangles, kFacet * size_);
   const double off = kOff * size_;
   std::vector<char> kept(closed.triangles.rows());
   for_chunks(int((kept.size() + kBlock - 1) / kBlock), [&](int block) {

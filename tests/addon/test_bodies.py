@@ -146,6 +146,16 @@ def test_a_soft_skin_goes_on_the_body(scene):
     assert soft.dynamorph.targets and bpy.context.object == found["Figure Rig"]
 
 
+def test_what_is_parented_to_a_bone_leads_to_the_body(scene):
+    found = make_figure(scene)
+    sword = make_mesh(scene, "Sword", *ball((0.0, 0.5, 0.0), 0.1))
+    activate(sword)
+    assert not OPS.add_soft_skin.poll()
+    sword.parent, sword.parent_type, sword.parent_bone = found["Figure Rig"], "BONE", "hand"
+    OPS.add_soft_skin()
+    assert bpy.context.object != sword and bpy.context.object.dynamorph.targets and not sword.dynamorph.targets
+
+
 # One cage ------------------------------------------------------------------------------------------------------------
 
 

@@ -331,9 +331,10 @@ def test_targets_that_share_a_bone_form_one_set(bar):
 
 
 def test_a_target_counts_in_full_at_its_own_pose_whatever_other_limbs_do(bar):
-    add(bar, "root", 1.0, lower=1.0)
+    add(bar, "root", 1.0, lower=1.0, finger=-0.8)
     add(bar, "half", 1.0, lower=0.5)
-    add(bar, "tip", 3.0, finger=-0.8)
+    add(bar, "tip", 3.0, lower=1.0, finger=-0.8)  # in the same pose: each has its own limb
+    assert part("extract").character(bar)
     rng = np.random.default_rng(1)
     for _ in range(20):
         upper, hand, other = rng.uniform(-2.0, 2.0, 3)
@@ -387,6 +388,18 @@ def test_the_other_side_has_a_region_of_its_own(scene):
     assert both["flexed.L"] == pytest.approx(1.0, abs=EXACT) == both["flexed.R"]
 
 
+def test_a_setup_brings_regions_to_a_mesh_that_has_none(bar, tmp_path, capfd):
+    add(bar, "flexed", 1.0, lower=1.0)
+    name, made = bar.dynamorph.active_target.region, group(bar, bar.dynamorph.active_target.region)
+    OPS.save_setup(filepath=str(tmp_path / "bar.json"))
+    bar.vertex_groups.remove(bar.vertex_groups[name])
+    OPS.load_setup(filepath=str(tmp_path / "bar.json"))
+    target = bar.dynamorph.targets["flexed"]
+    assert (target.region, target.auto_region, target.auto_bones) == (name, True, True)
+    np.testing.assert_array_equal(group(bar, name), made)
+    assert "vertex group" not in capfd.readouterr().out
+
+
 # What a build makes of it ------------------------------------------------------------------------------------------
 
 
@@ -421,6 +434,21 @@ def test_a_target_leaves_the_motion_of_the_rest_alone(bar):
     assert swing(outside) == pytest.approx(before, rel=0.1)
     bar.dynamorph.targets["biceps"].region = ""  # the whole body is as stiff
     assert swing(everywhere) < 0.6 * on_the_whole
+
+
+def test_a_pose_serves_as_many_targets_as_limbs_are_turned(bar):
+    turned = {"lower": 1.0, "finger": 0.8}
+    for key, centre, bones in (("root", 1.0, ("lower",)), ("tip", 3.0, ("finger",))):
+        pose(bar, **turned)
+        OPS.new_from_pose(key=key)
+        sculpt(bar, key, centre)
+        OPS.finish_sculpt()
+        assert bar.dynamorph.targets[key].bone_names() == bones
+        assert part("extract").target_shape(bar, key) == pytest.approx(bump(rest(bar), centre), abs=1e-6)
+    now = weights_at(bar, **turned)
+    assert now["root"] == pytest.approx(1.0, abs=EXACT) == now["tip"]
+    pose(bar, lower=1.0)
+    refused(OPS.new_from_pose, "in the pose of 'root'")
 
 
 def test_a_new_target_takes_over_nothing_of_other_limbs(bar):

@@ -38,11 +38,13 @@ IMAGES = "images/believable"
 ROWS = 8  # of a contact sheet
 LONGEST = 900  # seconds that a character may take
 ASKED = 0.95  # of the characters are to pass
+APART = 0.15  # of the finest cage's motion, that of the coarsest
 SHAKEN = 0.005  # body sizes: what is shaken less need not move
 HARD = ("Leela", "Mech_Rae", "RobotExpressive")  # nothing of them is soft
 NOTHING_SOFT = "nothing soft"  # is in what the add-on says of them
 GOAL = (5000, 5.0)  # vertices, and seconds from the click to the baked clip
 SAME_STRETCH = 0.05  # an edge that is shorter by less than that is as short
+CONVERGENCE = ROOT / "docs" / "convergence.json"
 NONE = "-"
 COLUMNS = ("bones alone", "baked", "blue 1 % of size, green 3 %, yellow 5 %, red 10 %")
 
@@ -87,9 +89,21 @@ From the click to the baked clip, by stage. Bold: more than {goal_seconds:g} s w
 The frame of the largest displacement.
 
 {pictures}
-## Whose characters
+{convergence}## Whose characters
 
 {attribution}
+"""
+
+CONVERGENCE_TEXT = """## The cage converges
+
+The MakeHuman man after one click, {frames} frames of his liveliest clip, without reduction, in cages of more and more
+nodes. *Apart*: RMS over the surface of the motion about its mean less that of the finest cage, as a part of the RMS of
+the latter. A build gives each cage the stiffness with which the body swings at {frequency:.3g} Hz, which the rehearsal
+of the shot has set; *stiffness kept* is the coarsest cage's in all. Asked: {asked:.0%} for the coarsest.
+
+{commit}.
+
+{table}
 """
 
 
@@ -298,6 +312,7 @@ def write_page(everything: list[dict]) -> None:
         goal_seconds=GOAL[1],
         seconds=seconds_table(baked),
         pictures=pictures(baked),
+        convergence=convergence(),
         attribution=attribution(found["file"] for found in everything),
     )
     PAGE.write_text(page.rstrip() + "\n", encoding="utf-8")
@@ -359,6 +374,24 @@ def seconds_table(baked: list[dict]) -> str:
         rows.append((title(found), f"{found['measured']['vertices']:,}",
                      str(found["measured"]["frames"]), *seconds[:-1], bold(seconds[-1], slow)))  # fmt: skip
     return grid(("", "vertices", "frames", *(STAGES[stage] for stage in stages)), rows)
+
+
+def convergence() -> str:
+    """The section of what convergence.py has found."""
+    if not CONVERGENCE.exists():
+        return ""
+    found = json.loads(CONVERGENCE.read_text(encoding="utf-8"))
+    rows = [
+        (f"{row['nodes']:,}", f"{row['tets']:,}", f"{row['stiffness'] / 1000:.2f} kPa",
+         f"{1000 * row['own_size']:.1f} mm", f"{row['own']:.1%}", f"{row['fixed']:.1%}", f"{row['seconds']:.0f}")
+        for row in found
+    ]  # fmt: skip
+    rows[-1] = (*rows[-1][:4], NONE, NONE, rows[-1][6])
+    head = ("nodes", "tetrahedra", "stiffness", "motion, RMS", "apart", "apart, stiffness kept", "seconds")
+    return CONVERGENCE_TEXT.format(
+        frames=found[0]["frames"], frequency=found[0]["frequency"], asked=APART, commit=found[0]["commit"],
+        table=grid(head, rows),
+    )  # fmt: skip
 
 
 def pictures(baked: list[dict]) -> str:

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make convergence`: how much the motion of an unreduced body depends on the number of its cage's nodes.
+
+    python tests/benchmarks/convergence.py --sizes 2000 4000 8000
+
+Motions stay in build/convergence: with --keep a size that was simulated is not simulated again. The figures go to
+docs/convergence.json, of which believable.py makes a section of its page. The largest cage takes about two minutes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_convergence_")  # before bpy is imported
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / folder) for folder in ("addon", "tests/addon", "sample_blends", "tools")]
+
+import believable_bake  # noqa: E402
+import bpy  # noqa: E402
+import characters  # noqa: E402
+import dynamic_morph_targets  # noqa: E402
+import numpy as np  # noqa: E402
+from contact_sheet import quiet  # noqa: E402
+from dynamic_morph_targets import jobs, materials, simulate  # noqa: E402
+from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from measured import measured_at  # noqa: E402
+
+CACHE = ROOT / "build" / "convergence"
+FIGURES = ROOT / "docs" / "convergence.json"
+BODY = characters.ASSETS / "mh_male_53bones.blend"
+SIZES = (2000, 4000, 8000, 16000)  # nodes asked for
+FRAMES = 24
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="nodes of the cages; default: all four")
+    parser.add_argument("--keep", action="store_true", help="simulate only what was not simulated before")
+    arguments = parser.parse_args()
+    if not BODY.exists():
+        print("convergence: there is no ../shared/assets: nothing is measured")
+        return 0
+    CACHE.mkdir(parents=True, exist_ok=True)
+    dynamic_morph_targets.register()
+    job = shot()
+    stiffness = None
+    for size in sorted({SIZES[0], *arguments.sizes}):
+        kept = read(size) if arguments.keep else None
+        if kept is None:
+            kept = simulated(job, size, stiffness)
+        stiffness = stiffness or kept["stiffness"]
+        print(f"{size}: {kept['nodes']} nodes, {kept['stiffness']:.0f} Pa, {kept['seconds']:.0f} s", flush=True)
+    found = compare({SIZES[0], *arguments.sizes})
+    FIGURES.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    print(f"written to {FIGURES.relative_to(ROOT)}: {found[0]['own']:.1%} from {found[0]['asked']} nodes to the most")
+    return 0
+
+
+def shot() -> jobs.Job:
+    """The body after one click, with the liveliest frames of its liveliest clip read."""
+    with quiet():
+        characters.open_file(BODY)
+        body = characters.largest_skinned()
+        believable_bake.FRAMES = FRAMES
+        believable_bake.choose_clip(characters.armature_of(body))
+        bpy.context.view_layer.objects.active = body
+        bpy.ops.dynamorph.add_soft_skin()
+        bpy.ops.dynamorph.bake()  # which rehearses, and so sets the frequency
+        bpy.ops.dynamorph.free_bake()
+        job = jobs.Job(body, "BAKE")
+        job.prepare()
+    return job
+
+
+def simulated(job: jobs.Job, size: int, stiffness: float | None) -> dict:
+    """Simulates the shot in a cage of this size, unreduced: with the stiffness that its own frequency asks for, and,
+    where there is one, with another cage's stiffness. Keeps both motions."""
+    began = time.perf_counter()
+    frames = len(job.settings.frames)
+    character = job.character.with_settings(solver="FULL", modes=frames, cage_nodes=size)
+    model = simulate.build_for(character, job.rig, job.settings)
+    character = materials.calibrated(character, list(materials.references(model, character)))
+    own = character.targets[0].material.stiffness
+    figures = {
+        "nodes": len(model.nodes),
+        "tets": len(model.tets),
+        "stiffness": own,
+        "frames": frames,
+        "commit": measured_at("believable.md"),
+        "frequency": character.targets[0].frequency,
+    }
+    own_motion = motion(job, model, character)
+    fixed = own_motion
+    if stiffness is not None:
+        scaled = character.with_materials(
+            lambda _index, target: replace(target.material, stiffness=target.material.stiffness * stiffness / own)
+        )
+        fixed = motion(job, model, scaled)
+    figures["seconds"] = time.perf_counter() - began
+    np.savez(CACHE / f"{size}.npz", own=own_motion, fixed=fixed, areas=areas(character))
+    (CACHE / f"{size}.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    return figures
+
+
+def motion(job: jobs.Job, model, character) -> np.ndarray:
+    """Displacement (F, V, 3) of the surface, bind space."""
+    bake, _ = simulate.bake(model, character, job.rig, job.settings)
+    return np.array([bake.displacement(k) for k in range(len(bake.frames))]) @ character.to_bind.T
+
+
+def areas(character) -> np.ndarray:
+    """Of the surface about each vertex (V,)."""
+    corners = (character.vertices @ character.to_bind.T)[character.triangles]
+    thirds = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 6.0
+    return np.bincount(character.triangles.ravel(), np.repeat(thirds, 3), len(character.vertices))
+
+
+def read(size: int) -> dict | None:
+    file = CACHE / f"{size}.json"
+    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
+
+
+# Comparing ------------------------------------------------------------------------------------------------------------
+
+
+def compare(sizes) -> list[dict]:
+    """Of each size: how far its motion about its mean is from the finest cage's, RMS over the
+    surface, of the latter's; and how large it is."""
+    sizes = sorted(sizes)
+    finest = np.load(CACHE / f"{sizes[-1]}.npz")
+    found = []
+    for size in sizes:
+        these = np.load(CACHE / f"{size}.npz")
+        row = {"asked": size, **read(size)}
+        for kind in ("fixed", "own"):
+            row[kind] = distance(these[kind], finest[kind], finest["areas"])
+            row[f"{kind}_size"] = rms(about_mean(these[kind]), finest["areas"])
+        found.append(row)
+    return found
+
+
+def about_mean(motion: np.ndarray) -> np.ndarray:
+    return motion - motion.mean(axis=0)
+
+
+def distance(motion: np.ndarray, reference: np.ndarray, areas: np.ndarray) -> float:
+    return rms(about_mean(motion) - about_mean(reference), areas) / rms(about_mean(reference), areas)
+
+
+def rms(motion: np.ndarray, areas: np.ndarray) -> float:
+    return float(np.sqrt(np.einsum("fvc,v->", motion**2, areas) / areas.sum() / len(motion)))
+
+
+if __name__ == "__main__":
+    leave(main())
