@@ -19,7 +19,7 @@ from .scene_data import determinant
 
 FIRMNESS = 100.0  # of what is held entirely: it then moves like tissue of a tenth of its thickness
 CORE = 0.35, 0.65  # depth over thickness from which the core is held, and where it is entirely
-THIN = 0.28, 0.5  # thickness over the body's below which a part is held entirely, and above which it is not
+THIN = 0.3, 0.55  # thickness over the body's below which a part is held entirely, and above which it is not
 STIFFER = 0.9, 20.0  # of the body's thickness, below which tissue is stiffer; and by how much at most
 THICKEST = 0.98  # quantile of the thickness of the soft volume: that of the body
 # Points of a tetrahedron, as weights of its corners, that stand for a quarter of it each.

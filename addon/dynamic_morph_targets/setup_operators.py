@@ -64,9 +64,11 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
 def _body_meant(obj):
     """The mesh that is to become a soft skin, which is made active, when `obj`, a helmet say, or its armature is."""
     active = bpy.context.object
-    if obj.mode == "EDIT":  # its points cannot be read
+    if "EDIT" in (obj.mode, active.mode):  # what is edited cannot be read
         return obj
     chosen = pieces.body_for(active if active.type == "ARMATURE" else obj)
+    if chosen.type != "MESH":  # none of the armature's can be one
+        return obj
     if active == obj != chosen and obj.mode == "OBJECT":
         bpy.context.view_layer.objects.active = chosen
     return chosen
