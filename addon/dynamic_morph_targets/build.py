@@ -37,9 +37,9 @@ CAGE_SHARE = 0.35  # of the time of a build
 class Model:
     """A built soft skin: n nodes, m tets, V surface vertices, J targets, S sets, B bones, r modes. Bind space, metres.
 
-    nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', shares (m, S), pinned (n,). Of a hold by
-    thickness, else empty: held (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly from 0 to 1, thickness
-    (V,) of the body at the skin.
+    nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', shares (m, S), pinned (n,). Of a hold
+    by thickness, else empty: held (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly from 0 to 1,
+    thickness (V,) of the body at the skin.
     node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), details (J, V, 3)
     local space; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and
     table_mu (J, ...) of a reduced model (dynamorph.ReducedTables), empty of a full one. Static morph targets have no

@@ -254,11 +254,10 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
 
 def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:
     """What the shape key adds at value 1: (V, 3), local space. groups: those of `obj`, for who has read them."""
-    groups = groups or VertexGroups(obj)
     block = obj.data.shape_keys.key_blocks[key_name]
     shape = key_points(block).astype(np.float64) - key_points(block.relative_key)
     if block.vertex_group in obj.vertex_groups:  # Blender ignores the name of a group that is gone
-        shape *= groups.weights([block.vertex_group])
+        shape *= (groups or VertexGroups(obj)).weights([block.vertex_group])
     return shape
 
 

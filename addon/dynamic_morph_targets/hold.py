@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What holds the soft tissue against the skeleton: told from how thick the body is, not from bone lines.
 
-Importers guess where bones end; thickness is never wrong. With T the radius of the largest ball in the body that covers
-a point, and d its depth below the skin, held are the core (deep compared with T), thin parts (T small compared with the
-body's: fingers, ears, horns, feet, tails, blades), and what is rigid. How firmly is a smooth field phi, 0 to 1. The hold
-is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the body, inside each target's own (docs/theory.md):
-it converges as the cage gets finer, where pins node by node do not. Never touches bpy.
+Importers guess where bones end; thickness is never wrong. With T the radius of the largest ball in the body that
+covers a point, and d its depth below the skin, held are the core (deep compared with T), thin parts (T small compared
+with the body's: fingers, ears, horns, feet, tails, blades), and what is rigid. How firmly is a smooth field phi, 0 to
+1. The hold is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the body, inside each target's own
+(docs/theory.md): it converges as the cage gets finer, where pins node by node do not. Never touches bpy.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .scene_data import determinant
 
 FIRMNESS = 100.0  # of what is held entirely: it then moves like tissue of a tenth of its thickness
 CORE = 0.35, 0.65  # depth over thickness from which the core is held, and where it is entirely
-THIN = 0.28, 0.5  # thickness over the body's below which a part is held entirely, and above which it is not
+THIN = 0.3, 0.55  # thickness over the body's below which a part is held entirely, and above which it is not
 STIFFER = 0.9, 20.0  # of the body's thickness, below which tissue is stiffer; and by how much at most
 THICKEST = 0.98  # quantile of the thickness of the soft volume: that of the body
 # Points of a tetrahedron, as weights of its corners, that stand for a quarter of it each.

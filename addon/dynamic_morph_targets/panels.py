@@ -541,14 +541,16 @@ def draw_bake(layout, context, obj):
             draw_warnings(layout, settings.bake.warnings)
         draw_verdict(layout, context, obj)
         layout.operator("dynamorph.free_bake", icon="X")
-    draw_export(layout)
+    draw_export(layout, obj)
 
 
-def draw_export(layout):
+def draw_export(layout, obj):
     if jobs.running and jobs.running.goal == "EXPORT_ACTIONS":
         draw_job(layout, "dynamorph.export_actions", "EXPORT")
         return
     row = layout.row(align=True)
+    # Menus do not ask the buttons in them; a model alone is enough for the Actions as clips.
+    row.enabled = jobs.running is None and (obj.dynamorph.bake.exists or bool(obj.dynamorph.model.content_id))
     row.operator_menu_enum("dynamorph.export", "format", icon="EXPORT")
     row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")
 

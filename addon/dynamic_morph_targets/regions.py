@@ -242,12 +242,14 @@ def _links(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Along edges alone a way across quads would be longer against their diagonals than along them.
     """
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    opposite = triangles[:, [2, 0, 1]].ravel()
-    edges, which = np.unique(sides, axis=0, return_inverse=True)
-    order = np.argsort(which.ravel(), kind="stable")
-    same = np.diff(which.ravel()[order]) == 0
-    return edges, np.stack([opposite[order[:-1]][same], opposite[order[1:]][same]], axis=1)
+    sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+    count = int(triangles.max(initial=0)) + 1
+    numbers = sides.min(axis=1) * count + sides.max(axis=1)  # of edges: one number each sorts in no time
+    order = np.argsort(numbers, kind="stable")
+    same = np.diff(numbers[order]) == 0
+    opposite = triangles[:, [2, 0, 1]].ravel()[order]
+    edges = numbers[order][np.append(True, ~same)] if len(order) else numbers
+    return np.stack([edges // count, edges % count], axis=1), np.stack([opposite[:-1], opposite[1:]], axis=1)[same]
 
 
 def _lengths(points: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -256,12 +258,13 @@ def _lengths(points: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 def _along(points: np.ndarray, links: np.ndarray, start: np.ndarray, farthest: float) -> np.ndarray:
     """How far along links (L, 2) each point (P,) is from the nearest of `start` (P,); inf beyond `farthest`."""
-    lengths, away = _lengths(points, links), np.where(start, 0.0, np.inf)
-    while True:
+    lengths, away, changed = _lengths(points, links), np.where(start, 0.0, np.inf), start
+    while changed.any():
         further = away.copy()
         for begin, end in ((0, 1), (1, 0)):
-            np.minimum.at(further, links[:, end], away[links[:, begin]] + lengths)
+            used = np.flatnonzero(changed[links[:, begin]])
+            np.minimum.at(further, links[used, end], away[links[used, begin]] + lengths[used])
         further[further > farthest] = np.inf
-        if np.array_equal(further, away):
-            return away
+        changed = further < away
         away = further
+    return away

@@ -311,7 +311,11 @@ WELD = 1e-6  # of a mesh's diagonal: points nearer than this are one, as importe
 def welded(points: np.ndarray) -> np.ndarray:
     """Numbers (V,), from 0, of the places of points (V, 3), which those of a split seam share."""
     size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
-    return np.unique(np.round(points / (WELD * size)), axis=0, return_inverse=True)[1].ravel()
+    cells = np.nan_to_num(np.round(points / (WELD * size)))
+    cells = (cells - cells.min(axis=0, initial=np.inf)).astype(np.int64)
+    rows = cells.max(axis=0, initial=0) + 1
+    numbers = (cells[:, 0] * rows[1] + cells[:, 1]) * rows[2] + cells[:, 2]  # one each: rows take ten times as long
+    return np.unique(numbers, return_inverse=True)[1].ravel()
 
 
 def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:

@@ -310,22 +310,23 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
         settings, field = obj.dynamorph, PAINTED[self.which].field
         name = getattr(settings, field) or PAINTED[self.which].name
         known = name in obj.vertex_groups
-        weights = extract.group_weights(obj, [name])[:, 0] if known else self._start(obj)
-        group = obj.vertex_groups[name] if known else _write_group(obj, name, weights)
+        if not known:
+            _write_groups(name, self._start(obj))
+        weights, group = extract.group_weights(obj, [name])[:, 0], obj.vertex_groups[name]
         if getattr(settings, field) != group.name:
             setattr(settings, field, group.name)
         obj.vertex_groups.active_index = group.index
         if len(weights) and (not known or np.ptp(weights) < 1e-3):
             _set_brush(weights)
 
-    def _start(self, obj) -> np.ndarray:
-        """Weights (V,) of a new group. Softness begins with what the hold by thickness comes to: all 1 would say that
-        thin parts are soft.
+    def _start(self, obj) -> dict[int, np.ndarray]:
+        """Weights (V,) of a new group, by session_uid of each mesh that gets one. Softness begins with what the hold by
+        thickness comes to: all 1 would say that thin parts are soft.
         """
         with suppress(*jobs.expected_errors()):
             if self.which == "SOFT" and obj.dynamorph.model.hold == "THICKNESS":
-                return 1.0 - heat.holds(obj)[obj.session_uid]
-        return np.full(len(obj.data.vertices), PAINTED[self.which].start)
+                return _softness_of_hold(obj)
+        return {obj.session_uid: np.full(len(obj.data.vertices), PAINTED[self.which].start)}
 
     def _leave(self, obj):
         display, objects = bpy.context.window_manager.dynamorph, bpy.context.view_layer.objects
@@ -338,13 +339,23 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             jobs.show_stale(obj)
 
 
+def _softness_of_hold(obj) -> dict[int, np.ndarray]:
+    """How soft the model takes the vertices (V,) of each mesh in its cage to be, by session_uid. Raises SceneError."""
+    return {uid: 1.0 - held for uid, held in heat.holds(obj).items()}
+
+
+def _write_groups(name: str, weights: dict[int, np.ndarray]):
+    """As `_write_group`, for each mesh by session_uid."""
+    for uid, values in weights.items():
+        _write_group(jobs.find(uid), name, values)
+
+
 def _write_group(obj, name: str, weights: np.ndarray):
-    """Let the vertex group of this name, made if there is none, have weights (V,), to a thousandth. Returns it."""
+    """Let the vertex group of this name, made if there is none, have weights (V,), to a thousandth."""
     group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
     steps = np.round(weights * STEPS).astype(int)
     for step in np.unique(steps):
         group.add(np.flatnonzero(steps == step).tolist(), step / STEPS, "REPLACE")
-    return group
 
 
 def _set_brush(weights: np.ndarray):
@@ -358,7 +369,7 @@ def _set_brush(weights: np.ndarray):
 
 
 class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
-    """Replace the Soft vertex group by how soft the model takes each vertex to be, to paint over it"""
+    """Replace the Soft vertex group, of all meshes in the cage, by how soft the model takes each vertex to be"""
 
     bl_idname = "dynamorph.hold_to_group"
     bl_label = "Softness from Hold"
@@ -373,10 +384,10 @@ class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
     def apply(self, obj):
         sinks.check_not_edited(obj)
         _owned(obj.data)
-        softness = 1.0 - heat.holds(obj)[obj.session_uid]
-        group = _write_group(obj, obj.dynamorph.soft_group or PAINTED["SOFT"].name, softness)
-        obj.dynamorph.soft_group = group.name
-        obj.vertex_groups.active_index = group.index
+        name = obj.dynamorph.soft_group or PAINTED["SOFT"].name
+        _write_groups(name, _softness_of_hold(obj))
+        obj.dynamorph.soft_group = name
+        obj.vertex_groups.active_index = obj.vertex_groups[name].index
         jobs.show_stale(obj)
 
 

@@ -12,10 +12,10 @@ namespace dynamorph {
 
 namespace {
 
-constexpr int kBalls = 4096;        // samples of the skin: fingers of a body get dozens
+constexpr int kBalls = 6144;        // samples of the skin: fingers of a body get dozens
 constexpr int kBlock = 256;         // points or balls at a time
-constexpr double kCovered = 1.15;   // radii from its center within which a ball counts fully,
-constexpr double kUncovered = 1.6;  // and beyond which not at all: boxes have corners at 1.7
+constexpr double kCovered = 1.1;    // radii from its center within which a ball counts fully,
+constexpr double kUncovered = 1.35;  // and beyond which not at all: a fin at a body is thin
 constexpr double kThinnest = 5e-3;  // of the size: a sheet has no thickness, but something must divide
 constexpr double kFacet = 0.04;     // of the size: longer triangles may lie half inside the body, and are split
 constexpr double kOff = 1e-4;       // of the size: beside a face, to see what lies there

@@ -335,6 +335,17 @@ def test_soft_groups_of_the_other_meshes_count(figure):
     assert (character.softness[character.parts[1].members] == 0.0).all()  # held all the same
 
 
+def test_softness_from_the_hold_goes_to_all_meshes_of_the_body(figure):
+    body, top = figure["Body"], figure["Top"]
+    body.dynamorph.model.hold = "THICKNESS"
+    OPS.build()
+    before = part("heat").holds(body)[top.session_uid]
+    OPS.hold_to_group()
+    assert part("extract").group_weights(top, ["Soft"])[:, 0] == pytest.approx(1.0 - before, abs=1e-3)
+    OPS.build()
+    assert np.abs(part("heat").holds(body)[top.session_uid] - before).mean() < 0.15
+
+
 def test_a_setup_keeps_the_attachments_of_other_meshes(figure, tmp_path):
     body, path = figure["Body"], str(tmp_path / "figure.json")
     figure["Top"].vertex_groups.new(name="Belt").add(range(8), 1.0, "REPLACE")

@@ -194,7 +194,7 @@ def test_thin_parts_are_thin_beside_thick_ones():
     faces = np.concatenate([ball_faces, finger_faces + len(ball), eye_faces + len(ball) + len(finger)])
     thickness = dynamorph.Thickness(points, faces)
     radius, _ = thickness.at(np.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.0], [0.0, 0.0, 2.5], [0.1, 0.0, 2.9]]))
-    assert radius == pytest.approx([1.0, 1.0, 0.1, 0.1], rel=0.05)
+    assert radius == pytest.approx([1.0, 1.0, 0.1, 0.1], rel=0.1)
 
 
 def test_thickness_is_continuous_and_scales():

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""New soft skins: stiffness by frequency, how far the skin may move, and what a bake says of itself."""
+
+import json
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from builders import activate, part, rig_of
+
+pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+
+@pytest.fixture
+def new_arm(arm):
+    """The arm after one click, and nothing else; its rig is shaken hard up and down."""
+    activate(arm)
+    bpy.ops.dynamorph.add_soft_skin()
+    arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 400, 12
+    rig = rig_of(arm)
+    for frame in range(1, 21):
+        rig.location.z = 0.25 * (frame // 3 % 2)
+        rig.keyframe_insert("location", frame=frame)
+    return arm
+
+
+def bake(obj, **options):
+    job = part("jobs").Job(obj, goal="BAKE", **options)
+    part("jobs").run(job)
+    return job
+
+
+def limit(obj, displacement, thickness=0.0):
+    simulation = obj.dynamorph.simulation
+    simulation.max_displacement, simulation.max_thickness = displacement, thickness
+
+
+def test_the_build_gives_the_frequency(new_arm):
+    """At every scale: Bounce is what was asked for, whatever stiffness that takes."""
+    found = []
+    for scale in (1.0, 10.0):
+        rig_of(new_arm).scale = (scale,) * 3
+        new_arm.scale = (scale,) * 3
+        bpy.context.view_layer.update()
+        bpy.ops.dynamorph.build()
+        neutral = new_arm.dynamorph.targets[0]
+        assert neutral.bounce == pytest.approx(3.5, rel=1e-4)
+        found.append(neutral.stiffness)
+        material = neutral.material()
+        reference = neutral.bounce_reference * np.sqrt(material.stiffness / material.density)
+        omega = 2.0 * np.pi * reference
+        assert material.stiffness_damping * omega / 2.0 == pytest.approx(0.2, rel=1e-3) and not material.mass_damping
+    assert found[1] == pytest.approx(100.0 * found[0], rel=2e-2)  # the cage is made anew
+
+
+def test_the_frequency_is_that_of_the_body(new_arm):
+    """The first mode that moves 2 % of the mass, counted from the engine's own matrices."""
+    job = bake(new_arm)
+    model, character = job.model, job.character
+    full = replace(model, settings=replace(model.settings, solver="FULL")).engine(character)
+    omega, shapes = full.linear_modes(0, 24)
+    mass = np.repeat(full.body.volumes.sum(axis=1), 3) * character.targets[0].material.density
+    shares = []
+    for axis in range(3):
+        pattern = np.tile(np.eye(3)[axis], len(mass) // 3)
+        shares.append((shapes.T @ (mass * pattern)) ** 2 / (pattern @ (mass * pattern)))
+    first = np.flatnonzero(np.max(shares, axis=0) >= 0.02)[0]
+    undamped = new_arm.dynamorph.targets[0].bounce_reference * np.sqrt(
+        character.targets[0].material.stiffness / character.targets[0].material.density
+    )
+    assert undamped == pytest.approx(omega[first] / (2.0 * np.pi), rel=1e-3)
+
+
+def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
+    limit(new_arm, 0.0)
+    free = bake(new_arm)
+    assert not free.rehearsed and new_arm.dynamorph.simulation.rehearsed == ""
+    farthest = free.verdict.displacement
+    limit(new_arm, 0.6 * farthest)
+    job = bake(new_arm)
+    neutral = new_arm.dynamorph.targets[0]
+    assert job.verdict.most <= 0.6 * farthest < farthest
+    assert neutral.frequency > 3.5 and neutral.bounce == pytest.approx(neutral.frequency, rel=1e-3)
+    assert neutral.material().stiffness_damping * 2.0 * np.pi * neutral.frequency / 2.0 == pytest.approx(0.2, rel=0.03)
+    assert not neutral.by_hand
+    assert new_arm.dynamorph.simulation.rehearsed == job.rehearsed
+    assert f"to {neutral.frequency:.3g} Hz" in job.rehearsed
+    assert not part("changes").outdated(new_arm)
+    again = bake(new_arm)  # it runs once
+    assert not again.rehearsed and neutral.frequency == job.character.targets[0].frequency
+    assert np.array_equal(again.result.coordinates, job.result.coordinates)
+
+
+def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
+    """In stretches, of which the rig is not kept."""
+    limit(new_arm, 0.0)
+    farthest = bake(new_arm).verdict.displacement
+    limit(new_arm, 0.6 * farthest)
+    whole = bake(new_arm)
+    new_arm.dynamorph.simulation.rehearsed = ""
+    new_arm.dynamorph.targets[0].set_frequency(3.5, part("feel").FEELS["NATURAL"].damping)
+    monkeypatch.setattr(part("jobs"), "STRETCH", 6)
+    parts = bake(new_arm)
+    assert parts.rehearsed == whole.rehearsed
+    assert parts.result.coordinates == pytest.approx(whole.result.coordinates, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("how", ["by hand", "pascals", "part", "patch", "unlimited", "share"])
+def test_what_others_have_to_agree_with_is_not_rehearsed(new_arm, how, tmp_path):
+    limit(new_arm, 0.0 if how == "unlimited" else 1e-4)
+    settings, options = new_arm.dynamorph, {}
+    bpy.ops.dynamorph.build()
+    if how == "by hand":
+        settings.targets[0].bounce = 3.0
+    elif how == "pascals":
+        settings.targets[0].stiffness *= 0.9
+    elif how == "part":
+        options["frames"] = (1, 10)
+    elif how == "share":
+        options["share"] = part("share").Share(tmp_path)
+    elif how == "patch":
+        settings.simulation.use_scene_range, settings.simulation.keep_outside = False, True
+        settings.simulation.start, settings.simulation.end = 1, 12
+    before = settings.targets[0].material()
+    job = bake(new_arm, **options)
+    assert settings.targets[0].material() == before
+    assert not job.rehearsed and settings.simulation.rehearsed == ""
+    if how != "unlimited":
+        assert not json.loads(settings.bake.verdict)["ok"]
+
+
+def test_targets_follow_the_neutral_unless_set_by_hand(new_arm):
+    bpy.context.scene.frame_set(20)
+    bpy.ops.dynamorph.add_target(key="flexed")
+    bpy.context.scene.frame_set(1)
+    bpy.ops.dynamorph.build()
+    neutral, flexed = new_arm.dynamorph.targets
+    assert flexed.stiffness == pytest.approx(neutral.stiffness)
+    flexed.bounce = 9.0
+    stiff = flexed.stiffness
+    limit(new_arm, 1e-3)
+    bake(new_arm)
+    assert neutral.frequency > 3.5
+    assert flexed.stiffness == stiff and flexed.by_hand
+
+
+def test_old_settings_are_left_alone(new_arm):
+    """Pins, pascals and no limits, as files from before have them: no calibration, no rehearsal."""
+    settings = new_arm.dynamorph
+    settings.model.hold = "BONES"
+    limit(new_arm, 0.0)
+    neutral = settings.targets[0]
+    neutral.set_material(part("scene_data").Material())
+    before = neutral.material()
+    job = bake(new_arm)
+    assert neutral.material() == before and not len(job.model.held) and job.model.pinned.any()
+
+
+# The verdict -------------------------------------------------------------------------------------------------------
+
+
+def test_the_verdict_measures_what_was_baked(new_arm):
+    """Against the displacements of the bake itself, frame by frame."""
+    limit(new_arm, 0.0)
+    job = bake(new_arm)
+    rest = job.character.vertices @ job.character.to_bind.T
+    size = np.linalg.norm(np.ptp(rest, axis=0))
+    local = np.array([job.result.displacement(k) for k in range(len(job.result.frames))])
+    moved = np.linalg.norm(local @ job.character.to_bind.T, axis=2) / size
+    assert job.verdict.displacement == pytest.approx(moved.max(), rel=1e-3)
+    assert job.verdict.frame == job.result.frames[moved.max(axis=1).argmax()]
+    assert moved[moved.max(axis=1).argmax()].argmax() in job.verdict.vertices
+    assert json.loads(new_arm.dynamorph.bake.verdict)["displacement"] == job.verdict.displacement
+
+
+def test_wreckage_is_no_success(new_arm):
+    """Whatever the limits say: turned over and torn skin is named, and a remedy with it."""
+    limit(new_arm, 0.0)
+    bpy.ops.dynamorph.build()
+    new_arm.dynamorph.targets[0].bounce = 0.4
+    job = bake(new_arm)
+    found = json.loads(new_arm.dynamorph.bake.verdict)
+    assert job.verdict.is_wreckage and not found["ok"]
+    assert found["remedy"] == "STIFFEN" and found["factor"] > 1.0
+    assert any("of the body's size" in text for text in job.warnings)
+
+
+def test_a_body_turned_inside_out_is_measured_by_volume():
+    judge = part("judge")
+    found = judge.Verdict(displacement=0.01, most=0.01, inverted=0.2)
+    limits = judge.Limits(0.05, 0.6)
+    assert found.is_wreckage and found.excess(limits) > judge.SLACK
+    assert "20.0% of the volume" in found.text(limits)
+    assert judge.Verdict().excess(judge.Limits()) == 0.0 and judge.Verdict().as_dict(limits)["ok"]
