@@ -348,7 +348,7 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     assert not modes.any()
 
 
-# What Find Attachments finds -------------------------------------------------------------------------------------------
+# What Find Attachments finds -----------------------------------------------------------------------------------
 
 
 def test_other_meshes_are_found(soft_arm):
