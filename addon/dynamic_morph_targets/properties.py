@@ -994,7 +994,7 @@ def _follow_groups(obj):
     moved = zip(then, now, strict=True) if len(now) == len(then) else ()
     renamed = {old: new for old, new in moved if old not in now and new not in then}
     users = [(settings, "soft_group"), (settings, "stiffness_group")]
-    users += [(piece, "group") for piece in settings.pieces]
+    users += [(piece, "group") for piece in parts_in(obj)]
     for user, name in users:
         if getattr(user, name) in renamed:
             setattr(user, name, renamed[getattr(user, name)])

@@ -150,7 +150,8 @@ def _looking_like_heads(skeleton, below, share, carried, points, triangles, area
     below: see `_below`; share (B,), carried (V, B): of the area and of each vertex's weight, with all that hangs on it.
     """
     candidates = []
-    for bone in np.flatnonzero((share > 0.0) & (skeleton.parents >= 0)):
+    least, most = SHARE[0] * (1.0 - ALIKE), SHARE[1] * (1.0 + ALIKE)  # a twin may be a little smaller, or larger
+    for bone in np.flatnonzero((share >= least) & (share <= most) & (skeleton.parents >= 0)):
         widths = _widths(points, areas * (carried[:, bone] > 0.5))
         candidates.append((bone, widths))
     found = []

@@ -13,7 +13,7 @@ import numpy as np
 from . import extract, regions, setups, targets
 from .extract import SceneError
 from .nearest import nearest
-from .properties import rig_of
+from .properties import parts_in, rig_of
 from .scene_data import determinant, inverse
 
 
@@ -106,6 +106,6 @@ def _own_groups(source) -> list[str]:
     """Names of the vertex groups that the soft skin uses, without those that tie the mesh to bones."""
     settings = source.dynamorph
     names = [getattr(settings, field) for field in setups.GROUPS] + [target.region for target in settings.targets]
-    names += [piece.group for piece in settings.pieces]
+    names += [piece.group for piece in parts_in(source)]
     skinned = {bone.name for bone in rig_of(source).data.bones if bone.use_deform}
     return [name for name in dict.fromkeys(names) if name in source.vertex_groups and name not in skinned]

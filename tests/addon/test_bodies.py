@@ -202,6 +202,22 @@ def test_seams_stay_closed_in_a_part_that_is_baked_again(figure):
     assert_closed(figure)
 
 
+def test_seams_stay_closed_where_blender_poses_the_nodes(figure):
+    """With Preserve Volume the bones do not say where the nodes are."""
+    for name in ("Body", "Top", "Cap"):
+        figure[name].modifiers["Armature"].use_deform_preserve_volume = True
+    job = bake(figure["Body"])
+    assert job.character.probed
+    assert_closed(figure)
+
+
+def test_seams_stay_closed_in_an_unreduced_bake(figure):
+    model = figure["Body"].dynamorph.model
+    model.solver, model.modes = "FULL", 6
+    bake(figure["Body"])
+    assert_closed(figure)
+
+
 def test_live_shows_all_meshes_as_the_bake_does(figure):
     body = figure["Body"]
     OPS.build()
