@@ -51,7 +51,7 @@ def problems(obj) -> Iterator[Problem]:
     yield from missing
     if not missing:
         modifiers = armature_modifiers(obj)
-        yield from _order(obj, modifiers[-1])
+        yield from order(obj)
         for modifier in modifiers:
             yield from _modifier(obj, modifier)
         main = main_modifier(obj).object
@@ -268,8 +268,9 @@ def mesh(obj) -> Iterator[Problem]:
         yield Problem(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
 
 
-def _order(obj, modifier):
-    for before in generating_before(obj, modifier):
+def order(obj) -> Iterator[Problem]:
+    """Yields nothing when no modifier before the Armature changes the number of vertices."""
+    for before in generating_before(obj, armature_modifiers(obj)[-1]):
         yield Problem(f"'{obj.name}': modifier '{before.name}' comes before the Armature: move it below", "MOVE_BELOW")
 
 

@@ -210,7 +210,7 @@ def _refusal(obj, other) -> str:
     """Why a mesh cannot belong to the body of `obj`, or ''."""
     if other.dynamorph.targets:
         return "It is a soft skin of its own"
-    for problem in (*checks.follower(obj, other), *checks.mesh(other)):
+    for problem in (*checks.follower(obj, other), *checks.mesh(other), *checks.order(other)):
         return problem.text
     try:
         sinks.check(other, needs_keys=False)

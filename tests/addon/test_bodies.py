@@ -116,12 +116,14 @@ def test_a_mesh_that_cannot_be_used_is_listed_with_the_reason(scene):
     keys = found["Eye"]
     keys.shape_key_add(name="Basis")
     keys_of(keys).use_relative = False
+    mirror = found["Top"].modifiers.new("Mirror", "MIRROR")
+    found["Top"].modifiers.move(found["Top"].modifiers.find(mirror.name), 0)
     activate(found["Body"])
     OPS.add_soft_skin()
     by_name = {piece.object.name: piece for piece in found["Body"].dynamorph.pieces}
     assert by_name["Cap"].choice == "RIGID" and "is shared by 2 objects" in by_name["Cap"].reason
     assert by_name["Eye"].choice == "RIGID" and "absolute shape keys" in by_name["Eye"].reason
-    assert by_name["Top"].choice == "WITH_BODY"
+    assert by_name["Top"].choice == "RIGID" and "'Mirror' comes before the Armature" in by_name["Top"].reason
 
 
 def test_a_choice_of_the_artist_has_no_reason(figure):
@@ -336,6 +338,7 @@ def test_a_sculpt_goes_on_across_a_seam(figure):
     assert np.abs(carried[character.vertices[:, 2] > 1.4]).max() == 0.0
     bake(body)
     assert_closed(figure)
+    assert OPS.check_targets() == {"FINISHED"}
 
 
 def test_soft_groups_of_the_other_meshes_count(figure):
