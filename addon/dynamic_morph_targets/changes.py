@@ -147,8 +147,10 @@ def _target_changes(obj, then: dict, now: dict) -> list[str]:
 def _piece_changes(obj) -> list[str]:
     """Which other meshes do not show what the bake of `obj` should show."""
     wanted, shown = clothes_in(obj), followers(obj)
-    found = [f'piece "{piece.name}" is new' for piece in wanted if piece not in shown]
-    return found + [f'piece "{piece.name}" is not with the body any more' for piece in shown if piece not in wanted]
+    found = [f'attachment "{piece.name}" is new' for piece in wanted if piece not in shown]
+    return found + [
+        f'attachment "{piece.name}" is not with the body any more' for piece in shown if piece not in wanted
+    ]
 
 
 def _title(group, name: str) -> str:

@@ -218,7 +218,7 @@ def follower(obj, piece) -> Iterator[Problem]:
     body, armature = obj.name, rig_of(obj)
     modifiers = armature_modifiers(piece)
     if piece == obj:
-        yield Problem(f"'{body}' cannot be a piece of itself: remove it from the Pieces")
+        yield Problem(f"'{body}' cannot be attached to itself: remove it from the Attachments")
     elif not modifiers:
         yield Problem(
             f"'{piece.name}' has no Armature modifier with an armature: skin it to '{armature.name}', or choose Rigid"
@@ -235,7 +235,7 @@ def follower(obj, piece) -> Iterator[Problem]:
     if piece.mode == "EDIT":
         yield Problem(f"'{piece.name}' is in Edit Mode: leave it first")
     if not piece.data.vertices:
-        yield Problem(f"Mesh '{piece.data.name}' has no vertices: remove '{piece.name}' from the Pieces")
+        yield Problem(f"Mesh '{piece.data.name}' has no vertices: remove '{piece.name}' from the Attachments")
     keys = piece.data.shape_keys
     if keys and not keys.use_relative:
         yield Problem(f"'{piece.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")

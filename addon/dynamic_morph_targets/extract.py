@@ -112,7 +112,7 @@ def followers(obj, character: Character) -> list[Follower]:
     skin = character.vertices @ character.to_bind.T
     of_body = (character.pieces[character.triangles] == 0).all(axis=1)
     if not of_body.any():
-        raise SceneError(f"'{obj.name}' has no body to carry its pieces: choose With Body for a part of it")
+        raise SceneError(f"'{obj.name}' has no body to carry its attachments: choose With Body for a part of it")
     found = []
     for piece in pieces:
         _refuse(checks.follower(obj, piece))
@@ -345,7 +345,9 @@ def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
     """
     gone = next((part for part in parts if part.group not in mesh.vertex_groups), None)
     if gone:
-        raise SceneError(f"'{mesh.name}': the vertex group '{gone.group}' of a piece is gone: remove the piece")
+        raise SceneError(
+            f"'{mesh.name}': the vertex group '{gone.group}' of an attachment is gone: remove the attachment"
+        )
     pieces, cages = np.zeros(len(mesh.data.vertices), np.int32), itertools.count(first)
     for part, members in members_of(parts, groups):
         if part.choice != "WITH_BODY" and members.any():

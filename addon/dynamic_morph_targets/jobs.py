@@ -735,7 +735,7 @@ class Job:
             return False
         self._rounds -= 1
         before = self._first_frequency = getattr(self, "_first_frequency", self.character.targets[0].frequency)
-        self._adopt(materials.stiffened(self.character, excess**STIFFER))
+        self._adopt(materials.stiffened(self.character, (excess / judge.SLACK) ** STIFFER))
         now = self.character.targets[0].frequency
         self.rehearsed = f"Bounce raised from {before:.3g} to {now:.3g} Hz: the skin stays within Max Displacement"
         return True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons of the list of pieces: eyes, teeth, clothes."""
+"""Buttons of the list of attachments: eyes, teeth, clothes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
     """List the other meshes on the armature and the loose parts of this mesh, to choose what moves each"""
 
     bl_idname = "dynamorph.find_pieces"
-    bl_label = "Find Pieces"
+    bl_label = "Find Attachments"
 
     def apply(self, obj):
         found = pieces.find(obj)
         if not found:
-            self.report({"INFO"}, rpt_("'{name}' has no other pieces").format(name=obj.name))
+            self.report({"INFO"}, rpt_("'{name}' has no other attachments").format(name=obj.name))
             return {"CANCELLED"}
         names = listed([name.removeprefix(pieces.PREFIX) for name in found])
         self.report({"INFO"}, rpt_("Found: {names}").format(names=names))
@@ -30,10 +30,10 @@ class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_add_piece(SoftSkinOperator, Operator):
-    """Add the other selected meshes to the list; without any, a piece whose object or vertex group is then chosen"""
+    """Add the other selected meshes to the list; without any, an attachment whose object or group is then chosen"""
 
     bl_idname = "dynamorph.add_piece"
-    bl_label = "Add Piece"
+    bl_label = "Add Attachment"
 
     def apply(self, obj):
         settings = obj.dynamorph
@@ -52,34 +52,35 @@ class PieceOperator(SoftSkinOperator):
     def obstacle(cls, context):
         obstacle = super().obstacle(context)
         if not obstacle and properties.mesh_in(context).dynamorph.active_piece is None:
-            return "Select a piece in the list first"
+            return "Select an attachment in the list first"
         return obstacle
 
 
 class DYNAMORPH_OT_remove_piece(PieceOperator, Operator):
-    """Remove the selected piece from the list, and its baked keys; the mesh itself stays"""
+    """Remove the selected attachment from the list, and its baked keys; the mesh itself stays"""
 
     bl_idname = "dynamorph.remove_piece"
-    bl_label = "Remove Piece"
+    bl_label = "Remove Attachment"
 
     def apply(self, obj):
-        piece = obj.dynamorph.active_piece.object
-        if piece and piece.dynamorph.follows == obj:
-            live.turn_off(piece)
-            sinks.free(piece)
+        active = obj.dynamorph.active_piece
+        mesh = None if active.group else active.object
+        if mesh and mesh.dynamorph.follows == obj:
+            live.turn_off(mesh)
+            sinks.free(mesh)
         pieces.remove(obj, obj.dynamorph.active_piece_index)
 
 
 class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
-    """Select the piece in the viewport: its object, or the vertices of the part in Edit Mode"""
+    """Select the attachment in the viewport: its object, or the vertices of the part in Edit Mode"""
 
     bl_idname = "dynamorph.select_piece"
-    bl_label = "Select Piece"
+    bl_label = "Select Attachment"
 
     def apply(self, obj):
         piece = obj.dynamorph.active_piece
         problem = pieces.problem(obj, piece)
-        shown = obj if piece.group else piece.object
+        shown = piece.object or (obj if piece.group else None)
         if shown is None or (piece.group and problem):
             raise SceneError(problem)
         if not shown.visible_get():
@@ -91,7 +92,7 @@ class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
         shown.select_set(True)
         bpy.context.view_layer.objects.active = shown
         if piece.group:
-            _select_vertices(obj, pieces.members(obj, piece.group))
+            _select_vertices(shown, pieces.members(shown, piece.group))
 
 
 def _select_vertices(obj, members: np.ndarray):

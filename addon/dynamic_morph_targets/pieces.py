@@ -53,12 +53,12 @@ def members(obj, group: str) -> np.ndarray:
 def problem(obj, piece) -> str:
     """What is wrong with one of the pieces of `obj`, or ''. Reads no mesh: fit for drawing."""
     if not (piece.object or piece.group):
-        return f"'{piece.name}' is gone: remove the piece" if piece.name else "Choose an object or a vertex group"
+        return f"'{piece.name}' is gone: remove the attachment" if piece.name else "Choose an object or a vertex group"
     if piece.object and not piece.object.users_scene:
-        return f"'{piece.name}' is gone: remove the piece"
+        return f"'{piece.name}' is gone: remove the attachment"
     if piece.group:
         gone = piece.group not in (piece.object or obj).vertex_groups
-        return f"The vertex group '{piece.group}' is gone: choose another, or remove the piece" if gone else ""
+        return f"The vertex group '{piece.group}' is gone: choose another, or remove the attachment" if gone else ""
     if piece.choice in {"WITH_BODY", "HELD"} and rig_of(obj):
         return next((each.text for each in checks.follower(obj, piece.object)), "")
     return ""

@@ -814,11 +814,11 @@ class DynamorphSettings(PropertyGroup):
         default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
     )  # fmt: skip
     pieces: CollectionProperty(
-        name="Pieces", description="Parts of the mesh, and other meshes, that do not simply belong to the body",
+        name="Attachments", description="Parts of the mesh, and other meshes, that do not simply belong to the body",
         type=DynamorphPiece, override=OVERRIDE_LIST,
     )  # fmt: skip
     active_piece_index: IntProperty(
-        name="Active Piece", description="Index of the piece selected in the list", min=0, override=OVERRIDE
+        name="Active Attachment", description="Index of the attachment selected in the list", min=0, override=OVERRIDE
     )
     follows: PointerProperty(
         name="Follows", description="The soft skin whose motion the bake or Live shows on this mesh",

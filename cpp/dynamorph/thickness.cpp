@@ -12,13 +12,13 @@ namespace dynamorph {
 
 namespace {
 
-constexpr int kBalls = 6144;        // samples of the skin: fingers of a body get dozens
-constexpr int kBlock = 256;         // points or balls at a time
-constexpr double kCovered = 1.1;    // radii from its center within which a ball counts fully,
+constexpr int kBalls = 6144;         // samples of the skin: fingers of a body get dozens
+constexpr int kBlock = 256;          // points or balls at a time
+constexpr double kCovered = 1.1;     // radii from its center within which a ball counts fully,
 constexpr double kUncovered = 1.35;  // and beyond which not at all: a fin at a body is thin
-constexpr double kThinnest = 5e-3;  // of the size: a sheet has no thickness, but something must divide
-constexpr double kFacet = 0.04;     // of the size: longer triangles may lie half inside the body, and are split
-constexpr double kOff = 1e-4;       // of the size: beside a face, to see what lies there
+constexpr double kThinnest = 5e-3;   // of the size: a sheet has no thickness, but something must divide
+constexpr double kFacet = 0.04;      // of the size: longer triangles may lie half inside the body, and are split
+constexpr double kOff = 1e-4;        // of the size: beside a face, to see what lies there
 
 /// 1 below `full`, 0 above `none`, smooth between.
 double fade(double x, double full, double none) {

@@ -265,9 +265,9 @@ def test_the_bake_says_which_pieces_it_lacks(dressed):
     bake(arm)
     assert changes.outdated(arm) == []
     add_piece(arm, make_sleeve(arm, "Cuff"))
-    assert changes.outdated(arm) == ['piece "Cuff" is new']
+    assert changes.outdated(arm) == ['attachment "Cuff" is new']
     arm.dynamorph.pieces[0].choice = "RIGID"
-    assert changes.outdated(arm) == ['piece "Cuff" is new', 'piece "Sleeve" is not with the body any more']
+    assert changes.outdated(arm) == ['attachment "Cuff" is new', 'attachment "Sleeve" is not with the body any more']
     bake(arm)
     assert changes.outdated(arm) == [] and not sleeve.dynamorph.bake.keys and keys_of(sleeve) is None
 
@@ -284,7 +284,7 @@ def test_a_deleted_piece_is_named_and_left_out(dressed):
     arm, sleeve = dressed
     with bpy.context.temp_override(selected_objects=[sleeve]):
         bpy.ops.object.delete()
-    assert "'Sleeve' is gone: remove the piece" in " ".join(drawn(arm))
+    assert "'Sleeve' is gone: remove the attachment" in " ".join(drawn(arm))
     OPS.bake()
     assert arm.dynamorph.bake.keys
 
@@ -348,7 +348,7 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     assert not modes.any()
 
 
-# What Find Pieces finds --------------------------------------------------------------------------------------------
+# What Find Attachments finds -----------------------------------------------------------------------------------
 
 
 def test_other_meshes_are_found(soft_arm):
@@ -456,7 +456,7 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
     assert arm.dynamorph.pieces[0].group == "Buckle"
     arm.vertex_groups.remove(arm.vertex_groups["Buckle"])
     assert "The vertex group 'Buckle' is gone" in " ".join(drawn(arm))
-    refused(OPS.build_cage, "the vertex group 'Buckle' of a piece is gone")
+    refused(OPS.build_cage, "the vertex group 'Buckle' of an attachment is gone")
 
 
 def test_a_part_is_selected_in_edit_mode(scene):
