@@ -147,6 +147,9 @@ def add_soft_skin(obj: bpy.types.Object, neutral: dict, targets: dict[str, tuple
     bpy.ops.dynamorph.add_soft_skin()
     settings = obj.dynamorph
     settings.model.hold, settings.model.one_cage = "BONES", False  # as the source pins its flesh
+    settings.model.hold_head = False
+    while settings.pieces:
+        bpy.ops.dynamorph.remove_piece()
     settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
     for name, (frame, properties) in targets.items():
         bpy.context.scene.frame_set(frame)
