@@ -16,7 +16,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import changes, checks, events, extract, jobs, live_key, probe, properties
+from . import changes, checks, events, extract, jobs, live_key, probe, properties, sinks
 from .extract import SceneError
 from .scene_data import Character, Material, RigSamples, SimulationSettings, TargetSet
 
@@ -425,6 +425,7 @@ def follow(obj, scene, arrives=True):
         session = sessions.get(uid)
         if session is None or not session.fits(obj, settings):
             session = sessions[uid] = Session(obj, scene)
+            sinks.show_target(obj, "")  # a target that came with another build: now Live shows it
         if live_key.find(obj, session.flesh.skin.written) is None:
             turn_off(obj)
             return

@@ -561,14 +561,13 @@ def unmute_targets(obj, muted):
 def show_target(obj, name: str):
     """Turn on the shape key of one target, "" for none, and off the one that was on, unless the artist has set it.
 
-    It shows the sculpt as long as there is neither a bake nor Live, and stays as it is where something else moves it.
+    It shows the sculpt as long as neither a bake nor Live does, and stays as it is where something else moves it.
     """
     shown, blocks = obj.dynamorph.sculpt.shown, checks.keys_of(obj)
     before, block = blocks.get(shown.name), blocks.get(name)
     if before and before.value == min(1.0, before.slider_max):
         before.value = 0.0
     shown.name = ""
-    moves = obj.dynamorph.bake.exists or obj.dynamorph.live.key.name or name in checks.moving_keys(obj)
-    if block and not moves:
+    if block and not (block.mute or obj.dynamorph.bake.exists or name in checks.moving_keys(obj)):
         block.value = 1.0
         shown.refer_to(blocks, blocks.find(name))

@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 import bpy
+from builders import with_pins
 from mathutils import Quaternion
 
 CHARACTER = Path(__file__).parents[3] / "shared" / "assets" / "mh_male_53bones.blend"
@@ -35,6 +36,7 @@ def make_soft(clip: str):
     bpy.context.view_layer.objects.active = body
     _pose(rig, {})
     bpy.ops.dynamorph.add_soft_skin()
+    with_pins(body)
     for key, (bone, degrees) in DRIVEN.items():
         _pose(rig, {bone: degrees})
         bpy.ops.dynamorph.add_target(key=key)

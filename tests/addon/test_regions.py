@@ -507,6 +507,25 @@ def test_a_sculpt_shows_in_its_pose_until_something_else_does(bar):
     assert value(bar, "other") == 0.0
 
 
+def test_live_shows_a_new_sculpt_too(bar):
+    """Add Soft Skin ends with Live on, so that most targets come to be beside it."""
+    OPS.build()
+    OPS.live()
+    pose(bar, lower=1.0)
+    OPS.new_from_pose(key="flexed")
+    sculpt(bar, "flexed", 1.0)
+    OPS.finish_sculpt()
+    assert value(bar, "flexed") == 1.0  # Live knows nothing of it yet
+    OPS.build()
+    bpy.context.scene.frame_set(2)
+    pose(bar, lower=1.0)
+    bpy.context.scene.frame_set(2)
+    assert part("live").is_on(bar) and part("live").problem(bar) == "" and value(bar, "flexed") == 0.0
+    points = part("properties").key_points(bar.data.shape_keys.key_blocks["Dynamorph Live"])
+    assert np.abs(points - rest(bar)).max() == pytest.approx(np.abs(bump(rest(bar), 1.0)).max(), rel=0.3)
+    OPS.live()
+
+
 def test_values_that_the_artist_sets_stay(bar):
     add(bar, "flexed", 1.0, lower=1.0)
     bar.data.shape_keys.key_blocks["flexed"].value = 0.4
