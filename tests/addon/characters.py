@@ -61,7 +61,10 @@ SHOTS = {
 
 
 def open_shot(shot: Shot):
-    """The character's largest skinned mesh as a soft skin that plays the shot's clip; the scene has its frames."""
+    """The character's largest skinned mesh as a soft skin that plays the shot's clip; the scene has its frames.
+
+    It is held by bones and moves as far as it likes, which asks more of the engine than what one click makes.
+    """
     open_file(shot.path)
     scene, body = bpy.context.scene, largest_skinned()
     scene.frame_start, scene.frame_end = shot.frames
@@ -78,9 +81,11 @@ def open_shot(shot: Shot):
         scene.frame_set(frame)
         bpy.ops.dynamorph.add_target(key=key)
     for target in body.dynamorph.targets:
-        target.stiffness = shot.stiffness
-    model = body.dynamorph.model
+        target.frequency, target.stiffness = 0.0, shot.stiffness
+    model, simulation = body.dynamorph.model, body.dynamorph.simulation
     model.cage_nodes, model.method = NODES, "DYNAMIC" if shot.keys else "SINGLE"
+    model.hold, model.one_cage, model.hold_head = "BONES", False, False
+    simulation.max_displacement = simulation.max_thickness = 0.0
     scene.frame_set(scene.frame_start)
     return body
 
@@ -152,11 +157,12 @@ class Baked:
 
     @property
     def inside(self) -> np.ndarray:
-        """Which vertices (V,) of the skin are in the cage's tetrahedra."""
+        """Which of the skin's vertices are in the cage's tetrahedra, but for those that bones alone move."""
         from dynamorph import TetMesh, embed  # what opens and plays a character does without the engine
 
         model = self.job.model
-        return embed(TetMesh(model.nodes, model.tets), self.skin).distances < 1e-6 * self.size
+        soft = self.skin[self.job.character.pieces >= 0]
+        return embed(TetMesh(model.nodes, model.tets), soft).distances < 1e-6 * self.size
 
 
 def bake(jobs, body) -> Baked:
