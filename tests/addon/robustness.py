@@ -246,6 +246,7 @@ CALLS = {  # what a button needs before it, and what it is given
     "paint_group": (target_selected, {"which": "SOFT"}),
     "refine_cage": (judged, {}),
     "rehearse": (target_selected, {}),
+    "region_from_sculpt": (target_selected, {}),
     "remove_bone": (target_selected, {"bone": "lower"}),
     "remove_piece": (piece_listed, {}),
     "remove_target": (target_selected, {}),
