@@ -36,7 +36,7 @@ from . import (
     properties,
     share,
     sinks,
-)  # fmt: skip
+)
 from .extract import SceneError
 from .scene_data import Bake
 
@@ -304,6 +304,7 @@ class Job:
         self.rehearsed = ""  # what the rehearsal has set, in a sentence
         self._rehearse = rehearse
         self._rounds = 0  # that are left of it
+        self._asked = 0.0  # the neutral target's frequency before it, Hz
         self.fraction = 0.0
         self.message = ""
         self.cancelled = False
@@ -398,7 +399,7 @@ class Job:
         whole = self.bake and not (self.frames or self.share or chosen.is_patch)
         adjustable = neutral.frequency > 0.0 and not neutral.by_hand
         if limited and whole and adjustable and (self._rehearse or not chosen.rehearsed):
-            self._rounds = ROUNDS
+            self._rounds, self._asked = ROUNDS, neutral.frequency
             self.rehearsed = f"Bounce of {neutral.frequency:.3g} Hz keeps the skin within Max Displacement"
 
     def _read_kept(self, obj):
@@ -734,10 +735,9 @@ class Job:
         if not self._rounds or excess <= judge.SLACK or not np.isfinite(excess):
             return False
         self._rounds -= 1
-        before = self._first_frequency = getattr(self, "_first_frequency", self.character.targets[0].frequency)
         self._adopt(materials.stiffened(self.character, (excess / judge.SLACK) ** STIFFER))
         now = self.character.targets[0].frequency
-        self.rehearsed = f"Bounce raised from {before:.3g} to {now:.3g} Hz: the skin stays within Max Displacement"
+        self.rehearsed = f"Bounce raised from {self._asked:.3g} to {now:.3g} Hz: the skin stays within Max Displacement"
         return True
 
     def _adopt(self, character):

@@ -725,9 +725,9 @@ def _body_frequency(model, engine, target: int, patch: np.ndarray) -> float:
     free = engine.body.free_nodes
     moved = model.at_nodes((patch / patch.max())[:, None])[free, 0].clip(0.0, 1.0)
     mass = engine.body.volumes.sum(axis=1)
-    density = 1.0 / np.einsum("n,nck,nck->k", mass, *(2 * [shapes.reshape(len(free), 3, -1)]))  # it is one per mode
-    along = np.einsum("n,nck->ck", mass * moved, shapes.reshape(len(free), 3, -1))
-    share = (along**2 * density).max(axis=0) / (mass * moved**2).sum()
+    shapes = shapes.reshape(len(free), 3, -1)
+    along = np.einsum("n,nck->ck", mass * moved, shapes)
+    share = (along**2 / np.einsum("n,nck,nck->k", mass, shapes, shapes)).max(axis=0) / (mass * moved**2).sum()
     body = np.flatnonzero(share >= EFFECTIVE)
     return float(omega[body[0] if len(body) else share.argmax()])
 
