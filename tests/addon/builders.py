@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 import pytest
 import scenes
+from old_settings import with_pins
 
 MODULE = "bl_ext.user_default.dynamic_morph_targets"
 
@@ -83,18 +84,6 @@ def make_soft(obj, keys=("flexed",)):
     for key in keys:
         bpy.ops.dynamorph.add_target(key=key)
     scene.frame_set(1)
-    return obj
-
-
-def with_pins(obj):
-    """The settings that files from before the hold by thickness have: most tests check what those do."""
-    settings = obj.dynamorph
-    settings.model.hold, settings.model.one_cage, settings.model.hold_head = "BONES", False, False
-    while settings.pieces:
-        part("pieces").remove(obj, 0)
-    settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
-    for target in settings.targets:
-        target.set_material(part("scene_data").Material())
     return obj
 
 

@@ -5,8 +5,8 @@ import math
 from pathlib import Path
 
 import bpy
-from builders import with_pins
 from mathutils import Quaternion
+from old_settings import with_pins
 
 CHARACTER = Path(__file__).parents[3] / "shared" / "assets" / "mh_male_53bones.blend"
 SOFT, STIFF = 1.2e4, 6.0e4  # Pa: relaxed flesh and flexed muscle

@@ -5,8 +5,9 @@ import bpy
 import numpy as np
 import pytest
 import scenes
-from builders import activate, make_mesh, make_rig, part, refused, rig_of, with_pins
+from builders import activate, make_mesh, make_rig, part, refused, rig_of
 from layout import drawn
+from old_settings import with_pins
 from test_extract import (
     absolute_keys,
     bendy,

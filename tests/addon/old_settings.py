@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The settings that files from before the hold by thickness have; most tests check what those do."""
+
+MATERIAL = ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping")
+
+
+def with_pins(obj):
+    """Give them to the soft skin `obj`, by its properties alone: also where the add-on's modules are not at hand."""
+    settings = obj.dynamorph
+    settings.model.hold, settings.model.one_cage, settings.model.hold_head = "BONES", False, False
+    for piece in settings.pieces:
+        group = obj.vertex_groups.get(piece.group) if piece.group else None
+        if group:
+            obj.vertex_groups.remove(group)
+    settings.pieces.clear()
+    settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
+    for target in settings.targets:
+        for name in (*MATERIAL, "frequency", "by_hand"):  # these last: a stiffness that is set counts as set by hand
+            target.property_unset(name)
+        target.frequency, target.by_hand = 0.0, False
+    return obj
