@@ -25,6 +25,7 @@ CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
 RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
 KEPT = 250  # latest frames from which it can go on again, when settings are changed there
 STATE_BYTES = 2**28  # that those may take, where each has the transforms of nodes
+SCRUBBED = 0.02  # seconds between two looks whether the artist still drags through the timeline
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 
 sessions: dict[int, Session] = {}  # by Object.session_uid
@@ -215,6 +216,10 @@ class Session:
             return {}
         values = flesh.values(frame)
         return {surface.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
+
+    def knows(self, time: float) -> bool:
+        """Whether a frame, or a time between two, is simulated already."""
+        return {math.floor(time), math.ceil(time)} <= self._frames.keys()
 
     def rig_changed(self):
         """The rig moves otherwise from here on."""
@@ -461,8 +466,29 @@ def _frame_changed(scene, _depsgraph=None):
     live = [obj for obj in properties.soft_skins(scene.objects) if is_on(obj)]
     for gone in sessions.keys() - {obj.session_uid for obj in live} - lent:
         del sessions[gone]
+    scrubbing = is_scrubbing()
     for obj in live:
-        follow(obj, scene)
+        session = sessions.get(obj.session_uid)
+        if scrubbing and not (session and session.knows(scene.frame_float)):
+            events.soon(_after_scrubbing, SCRUBBED)
+        else:
+            follow(obj, scene, arrives=not scrubbing)
+
+
+def is_scrubbing() -> bool:
+    """Whether the artist drags through the timeline of a window. Blender 5.2 crashes when a scene is removed from a
+    handler meanwhile, as reading the rig does.
+    """
+    return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
+
+
+def _after_scrubbing():
+    """By a timer: show the frame that was scrubbed to, when the mouse is up."""
+    if is_scrubbing():
+        return SCRUBBED  # seconds from now
+    for obj in properties.soft_skins(bpy.context.scene.objects):
+        refresh(obj)
+    return None
 
 
 @persistent
@@ -555,4 +581,5 @@ def register():
 
 def unregister():
     events.remove(HANDLERS)
+    events.forget(_after_scrubbing)
     _loaded()

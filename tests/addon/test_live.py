@@ -151,6 +151,31 @@ def test_dropped_frames_are_simulated_all_the_same(playing):
     assert apart(play(playing, [1, 4, 5, 12, 20]), whole[[0, 3, 4, 11, 19]]) < 1e-6
 
 
+def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
+    """Blender 5.2 crashes when a scene is removed from a handler while the artist drags through the timeline."""
+    live, extract, scene = part("live"), part("extract"), bpy.context.scene
+    for frame in range(1, 5):
+        scene.frame_set(frame)
+    shown = {4: surface(playing)}
+    scene.frame_set(3)
+    scrubbing = [True]
+    monkeypatch.setattr(live, "is_scrubbing", lambda: scrubbing[0])
+    live.sessions[playing.session_uid].rig.forget()
+    sample = extract.sample_rig
+    monkeypatch.setattr(extract, "sample_rig", lambda *_args: pytest.fail("the rig is read"))
+    scene.frame_set(4)  # known: shows at once
+    assert np.array_equal(surface(playing), shown[4])
+    scene.frame_set(9)  # not known: waits
+    assert np.array_equal(surface(playing), shown[4])
+    assert bpy.app.timers.is_registered(live._after_scrubbing)
+    assert live._after_scrubbing() == live.SCRUBBED
+    scrubbing[0] = False
+    monkeypatch.setattr(extract, "sample_rig", sample)
+    assert live._after_scrubbing() is None
+    assert not np.array_equal(surface(playing), shown[4])
+    part("events").forget(live._after_scrubbing)
+
+
 def test_scrubbing_back_shows_what_was(playing):
     whole = play(playing, range(1, 13))
     assert apart(play(playing, [7, 3, 9]), whole[[6, 2, 8]]) == 0.0
