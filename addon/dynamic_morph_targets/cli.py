@@ -302,6 +302,8 @@ def run_job(args):
             export(args, obj, job, files[obj.name])
         for reason in job.reasons:
             print(f"{job.name}: built: {reason}")
+        if job.rehearsed:
+            print(f"{job.name}: {job.rehearsed}")
         for warning in job.warnings:
             print(f"{job.name}: warning: {warning}")
         args.done.append(job)

@@ -784,8 +784,6 @@ class Job:
         if self.settings.start < first or self.settings.end > last:
             self.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
         found = self.verdict.as_dict(self.limits)
-        if self.rehearsed:
-            self.warnings.append(self.rehearsed)
         if not found["ok"]:
             self.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint Softness")
 

@@ -169,6 +169,8 @@ class JobOperator(SoftSkinOperator):
             built_first = job.bake and job.reasons
             text = rpt_("{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}")
             self.report({"INFO"}, text.format(name=job.name, result=job.summary(), reasons="; ".join(job.reasons)))
+            if job.rehearsed:
+                self.report({"INFO"}, f"{job.name}: {job.rehearsed}")
         for job in batch.jobs:
             for warning in job.warnings:  # after the rest, because the status bar shows the last report
                 self.report({"WARNING"}, warning)
