@@ -632,7 +632,8 @@ class Job:
             return ""
         quality = made.get("quality")  # models of older versions do not say
         angles = f", angles {quality['min_dihedral']:.0f}° to {quality['max_dihedral']:.0f}°" if quality else ""
-        held = f"{made['pinned'] / made['nodes']:.0%} held by bones"
+        share = made.get("held", made["pinned"] / made["nodes"])  # models of older versions have pins alone
+        held = f"{share:.0%} held" + (" by bones" if made["pinned"] else "")
         return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held}{angles}"
 
     def _store_model(self, obj):
