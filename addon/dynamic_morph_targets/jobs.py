@@ -785,6 +785,9 @@ class Job:
         if self.settings.start < first or self.settings.end > last:
             self.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
         found = self.verdict.as_dict(self.limits)
+        if self.rehearsed and self.verdict.excess(self.limits) > judge.SHOWS:
+            now = self.character.targets[0].frequency
+            self.rehearsed = f"Bounce raised from {self._asked:.3g} to {now:.3g} Hz, and the skin still moves too far"
         if not found["ok"]:
             self.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint Softness")
 

@@ -92,6 +92,16 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     assert np.array_equal(again.result.coordinates, job.result.coordinates)
 
 
+def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
+    """After three rounds, here of small steps, it is baked as it is, and nothing claims otherwise."""
+    monkeypatch.setattr(part("jobs"), "STIFFER", 0.01)
+    limit(new_arm, 1e-3)
+    job = bake(new_arm)
+    assert new_arm.dynamorph.targets[0].frequency > 3.5
+    assert job.rehearsed.endswith("and the skin still moves too far")
+    assert not json.loads(new_arm.dynamorph.bake.verdict)["ok"]
+
+
 def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
     """In stretches, of which the rig is not kept."""
     limit(new_arm, 0.0)
