@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "dynamorph/cage.hpp"
-#include "dynamorph/closed_surface.hpp"
-#include "dynamorph/parting.hpp"
-#include "dynamorph/tetrahedralize.hpp"
-#include "dynamorph/thickness.hpp"
+#include "dynamorph/mesh/cage.hpp"
+#include "dynamorph/mesh/closed_surface.hpp"
+#include "dynamorph/mesh/parting.hpp"
+#include "dynamorph/mesh/tetrahedralize.hpp"
+#include "dynamorph/mesh/thickness.hpp"
 
 namespace py = pybind11;
 using namespace py::literals;

@@ -3,10 +3,10 @@
 #include <chrono>
 
 #include "bindings.hpp"
-#include "dynamorph/basis.hpp"
-#include "dynamorph/crowd.hpp"
-#include "dynamorph/integrator.hpp"
-#include "dynamorph/pose_space.hpp"
+#include "dynamorph/pose/pose_space.hpp"
+#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/step/crowd.hpp"
+#include "dynamorph/step/integrator.hpp"
 
 namespace py = pybind11;
 using namespace dynamorph;

@@ -2,8 +2,8 @@
 // dynamorph._core: the engine as NumPy sees it. Thin: shapes are checked here, everything else is the engine's.
 #include "bindings.hpp"
 
-#include "dynamorph/parallel.hpp"
-#include "dynamorph/types.hpp"
+#include "dynamorph/core/parallel.hpp"
+#include "dynamorph/core/types.hpp"
 
 namespace py = pybind11;
 

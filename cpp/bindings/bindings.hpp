@@ -7,7 +7,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
-#include "dynamorph/types.hpp"
+#include "dynamorph/core/types.hpp"
 
 void bind_meshing(pybind11::module_& m);
 void bind_simulation(pybind11::module_& m);

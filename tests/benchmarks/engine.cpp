@@ -14,13 +14,13 @@
 #include <tuple>
 
 #include "../cpp/scenes.hpp"
-#include "dynamorph/basis.hpp"
-#include "dynamorph/crowd.hpp"
-#include "dynamorph/integrator.hpp"
-#include "dynamorph/kernels.hpp"
-#include "dynamorph/multiversion.hpp"
-#include "dynamorph/pose_space.hpp"
-#include "dynamorph/reduced_model.hpp"
+#include "dynamorph/pose/pose_space.hpp"
+#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/kernels.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
+#include "dynamorph/simd/multiversion.hpp"
+#include "dynamorph/step/crowd.hpp"
+#include "dynamorph/step/integrator.hpp"
 #ifdef __linux__
 #include <sched.h>
 #endif

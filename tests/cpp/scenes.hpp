@@ -6,8 +6,8 @@
 #include <cmath>
 #include <memory>
 
-#include "dynamorph/basis.hpp"
-#include "dynamorph/reduced_model.hpp"
+#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
 
 namespace scenes {
 
