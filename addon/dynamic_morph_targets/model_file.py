@@ -122,7 +122,7 @@ def content_id(packed: bytes) -> str:
 
 
 def _keep_distinct(arrays: dict[str, np.ndarray]):
-    """Of tables in version 2's layout, the coefficients that version 3 stores (polynomials.hpp), bit for bit.
+    """Of tables in version 2's layout, the coefficients that version 3 stores (table_layout.hpp), bit for bit.
 
     Version 2 had K0 as pairs i <= j of modes, rows first, then K1 (modes, pairs), then the upper triangle of K2
     (pairs, pairs), rows first.

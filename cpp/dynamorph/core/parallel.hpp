@@ -13,6 +13,7 @@
 #include <thread>
 #include <vector>
 
+#include "dynamorph/core/progress.hpp"
 #include "dynamorph/core/types.hpp"
 
 namespace dynamorph {

@@ -1,13 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Shared vocabulary: array types, errors, progress.
+// Shared vocabulary: numbers and arrays.
 #pragma once
 
 #include <Eigen/Dense>
 #include <Eigen/Sparse>
 #include <cstdint>
-#include <functional>
-#include <stdexcept>
-#include <string>
 
 namespace dynamorph {
 
@@ -20,27 +17,19 @@ using Eigen::VectorXd;
 using Points = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
 using Triangles = Eigen::Matrix<std::int32_t, Eigen::Dynamic, 3, Eigen::RowMajor>;
 using Tets = Eigen::Matrix<std::int32_t, Eigen::Dynamic, 4, Eigen::RowMajor>;
+/// As NumPy stores it: a row's entries are contiguous.
+using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using SparseMatrix = Eigen::SparseMatrix<double>;
+
+constexpr double kPi = 3.14159265358979323846;
 
 inline Eigen::Map<const VectorXd> flat(const Points& points) { return {points.data(), points.size()}; }
 inline Eigen::Map<const Points> as_points(const VectorXd& x) { return {x.data(), x.size() / 3, 3}; }
 
-/// Bad data (mesh, tetrahedra, eigensolver): the message says what the artist can do about it.
-/// A caller's mistake (shape, range) is std::invalid_argument instead.
-struct Error : std::runtime_error {
-  using std::runtime_error::runtime_error;
-};
-
-/// Thrown out of a long call whose Progress returned false.
-struct Cancelled : std::runtime_error {
-  Cancelled() : std::runtime_error("cancelled") {}
-};
-
-/// Called with the fraction done, 0..1; false asks the call to stop.
-using ProgressFn = std::function<bool(double)>;
-
-inline void report(const ProgressFn& progress, double fraction) {
-  if (progress && !progress(fraction)) throw Cancelled();
-}
+/// All stored values of a dense or sparse matrix: matrices of one model share their pattern.
+inline Eigen::Map<VectorXd> values(MatrixXd& m) { return {m.data(), m.size()}; }
+inline Eigen::Map<const VectorXd> values(const MatrixXd& m) { return {m.data(), m.size()}; }
+inline Eigen::Map<VectorXd> values(SparseMatrix& m) { return {m.valuePtr(), m.nonZeros()}; }
+inline Eigen::Map<const VectorXd> values(const SparseMatrix& m) { return {m.valuePtr(), m.nonZeros()}; }
 
 }  // namespace dynamorph

@@ -16,9 +16,9 @@ namespace dynamorph {
 
 namespace {
 
-constexpr int kLanes = Assembly::kLanes;
-constexpr int kChunk = 128;    // groups: their store, 150 kB, stays in the second cache
-constexpr int kDiagonal = 12;  // numbers stored of a diagonal block: 3x3, column-major, and the node's force
+constexpr int kGroupSize = Assembly::kGroupSize;
+constexpr int kChunkGroups = 128;  // of a chunk: their store, 150 kB, stays in the second cache
+constexpr int kDiagonal = 12;      // numbers stored of a diagonal block: 3x3, column-major, and the node's force
 constexpr int kOffDiagonal = 9;
 constexpr int kSlice = 1024;  // blocks added up at a time
 constexpr int kPairs[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
@@ -53,9 +53,9 @@ Assembly::Assembly(const TetMesh& mesh, const std::vector<int>& free_of_node) {
 
 void Assembly::group_tets(const TetMesh& mesh, const std::vector<int>& free_of_node) {
   const std::vector<int> curve = along_curve(mesh);
-  for (size_t first = 0; first < curve.size(); first += kLanes) {
+  for (size_t first = 0; first < curve.size(); first += kGroupSize) {
     Group& group = groups_.emplace_back();
-    for (size_t l = 0; l < kLanes; ++l) {
+    for (size_t l = 0; l < kGroupSize; ++l) {
       group.tets[l] = first + l < curve.size() ? curve[first + l] : -1;
       std::array<std::pair<int, int>, 4> nodes;
       for (int a = 0; a < 4; ++a) {
@@ -81,11 +81,11 @@ void Assembly::place_blocks() {
   };
   std::vector<Place> all;
   for (int j = 0; j < free_; ++j) all.push_back({j, j, -1});
-  for (int first = 0; first < int(groups_.size()); first += kChunk) {
-    const int last = std::min(first + kChunk, int(groups_.size()));
+  for (int first = 0; first < int(groups_.size()); first += kChunkGroups) {
+    const int last = std::min(first + kChunkGroups, int(groups_.size()));
     const auto for_each_block = [&](const auto& visit) {
       for (int g = first; g < last; ++g)
-        for (int l = 0; l < kLanes; ++l)
+        for (int l = 0; l < kGroupSize; ++l)
           for (int k = 0; k < 10; ++k) {
             const int a = k < 4 ? k : kPairs[k - 4][0], b = k < 4 ? k : kPairs[k - 4][1];
             visit(groups_[g].nodes[b][l] / 3, groups_[g].nodes[a][l] / 3, groups_[g].blocks[k][l]);
@@ -151,7 +151,7 @@ Assembly::Elements Assembly::pack(const RestShape& shape, bool absolute) const {
   out.groups.resize(groups_.size());
   out.origins.resize(absolute ? groups_.size() : 0);
   for (size_t g = 0; g < groups_.size(); ++g)
-    for (int l = 0; l < kLanes; ++l) {
+    for (int l = 0; l < kGroupSize; ++l) {
       const bool empty = groups_[g].tets[l] < 0;
       const Element& element = shape.elements[empty ? 0 : groups_[g].tets[l]];
       out.groups[g].volumes[l] = empty ? 0 : element.volume;
@@ -168,7 +168,7 @@ Assembly::Elements Assembly::pack(const RestShape& shape, bool absolute) const {
 
 namespace {
 
-using Lane = double __attribute__((vector_size(kLanes * sizeof(double)), may_alias));
+using Lane = double __attribute__((vector_size(kGroupSize * sizeof(double)), may_alias));
 
 /// A part with its moduli times its weight: the stable law is StVK with (lambda + mu, 0) and a remainder kappa (tr E -
 /// det F + 1).
@@ -296,7 +296,7 @@ DYNAMORPH_INLINE void add_to_store(const Assembly::Group& group, const Sums& sum
     for (int a = 0; a < 3; ++a) out[1 + a][9 + i] = sums.forces[a][i];
     out[0][9 + i] = -(sums.forces[0][i] + sums.forces[1][i] + sums.forces[2][i]);
   }
-  for (int l = 0; l < kLanes; ++l)
+  for (int l = 0; l < kGroupSize; ++l)
     for (int k = 0; k < 10; ++k) {
       double* to = store + group.blocks[k][l];
       for (int i = 0; i < (k < 4 ? kDiagonal : kOffDiagonal); ++i) to[i] += out[k][i][l];
@@ -313,7 +313,7 @@ DYNAMORPH_INLINE double add_groups(const Assembly::Group* groups, int first, int
     Lane edges[3][3];
     for (int a = 0; a < 3; ++a)
       for (int i = 0; i < 3; ++i)
-        for (int l = 0; l < kLanes; ++l) edges[a][i][l] = x[group.nodes[a + 1][l] + i] - x[group.nodes[0][l] + i];
+        for (int l = 0; l < kGroupSize; ++l) edges[a][i][l] = x[group.nodes[a + 1][l] + i] - x[group.nodes[0][l] + i];
     Sums sums = {};
     for (size_t p = 0; p < count; ++p) {
       const WeightedPart& part = parts[p];

@@ -11,21 +11,22 @@
 
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/elastic/elasticity.hpp"
+#include "dynamorph/mesh/tet_mesh.hpp"
 
 namespace dynamorph {
 
 class Assembly {
  public:
-  static constexpr int kLanes = 4;
+  static constexpr int kGroupSize = 4;  ///< tetrahedra in the lanes of a register
 
   /// One target's elements in the assembly's order. Nodes 1 to 3 have gradients, that of node 0 is minus their sum.
   struct Elements {
     struct alignas(32) Group {
-      double gradients[3][3][kLanes];  ///< node, component
-      double volumes[kLanes];
+      double gradients[3][3][kGroupSize];  ///< node, component
+      double volumes[kGroupSize];
     };
     struct alignas(32) Origins {
-      double values[3][3][kLanes];  ///< F0 - I, row, column
+      double values[3][3][kGroupSize];  ///< F0 - I, row, column
     };
     std::vector<Group> groups;
     std::vector<Origins> origins;  ///< empty where displacements are given from the target's shape, about which F = I
@@ -54,10 +55,10 @@ class Assembly {
 
   /// Four tetrahedra, their nodes in ascending order of free nodes and held ones last.
   struct Group {
-    int tets[kLanes];        ///< -1 in the lanes that the last group leaves empty
-    int order[4][kLanes];    ///< the tetrahedron's own number of each node
-    int nodes[4][kLanes];    ///< its first degree of freedom; that of held nodes reads zeros
-    int blocks[10][kLanes];  ///< where in the chunk's store blocks (a, a), then (a, b) for a < b, are summed
+    int tets[kGroupSize];        ///< -1 in the lanes that the last group leaves empty
+    int order[4][kGroupSize];    ///< the tetrahedron's own number of each node
+    int nodes[4][kGroupSize];    ///< its first degree of freedom; that of held nodes reads zeros
+    int blocks[10][kGroupSize];  ///< where in the chunk's store blocks (a, a), then (a, b) for a < b, are summed
   };
 
  private:

@@ -431,14 +431,14 @@ template <class Real>
 DYNAMORPH_INLINE void backward_one(const Real* __restrict L, Eigen::Index rows, Eigen::Index columns,
                                    Real* __restrict x) {
   using Vector = typename Lanes<Real>::Vector;
-  constexpr Eigen::Index kLanes = sizeof(Vector) / sizeof(Real);
+  constexpr Eigen::Index kWidth = sizeof(Vector) / sizeof(Real);
   L += columns * rows;
   for (Eigen::Index c = columns - 3; c >= 0; c -= 3) {
     L -= 3 * rows;
     const Real *a = L, *b = L + rows, *d = b + rows;
     Vector sums[3] = {};
     Eigen::Index i = c + 3;
-    for (; i + kLanes <= rows; i += kLanes) {
+    for (; i + kWidth <= rows; i += kWidth) {
       const Vector& some = *reinterpret_cast<const Vector*>(x + i);
       sums[0] += *reinterpret_cast<const Vector*>(a + i) * some;
       sums[1] += *reinterpret_cast<const Vector*>(b + i) * some;
@@ -447,7 +447,7 @@ DYNAMORPH_INLINE void backward_one(const Real* __restrict L, Eigen::Index rows, 
     Real s[3] = {x[c], x[c + 1], x[c + 2]};
     for (; i < rows; ++i) s[0] -= a[i] * x[i], s[1] -= b[i] * x[i], s[2] -= d[i] * x[i];
     for (int k = 0; k < 3; ++k)
-      for (int l = 0; l < kLanes; ++l) s[k] -= sums[k][l];
+      for (int l = 0; l < kWidth; ++l) s[k] -= sums[k][l];
     x[c + 2] = s[2] * d[c + 2];
     x[c + 1] = (s[1] - b[c + 2] * x[c + 2]) * b[c + 1];
     x[c] = (s[0] - a[c + 1] * x[c + 1] - a[c + 2] * x[c + 2]) * a[c];

@@ -14,6 +14,7 @@
 #include <cmath>
 #include <vector>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
 
 namespace dynamorph {

@@ -7,6 +7,7 @@
 // goes roughly with alpha^-2, so alpha is found by the secant method on log(count) against log(alpha).
 #pragma once
 
+#include "dynamorph/core/progress.hpp"
 #include "dynamorph/core/types.hpp"
 
 namespace dynamorph {

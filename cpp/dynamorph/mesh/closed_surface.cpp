@@ -12,6 +12,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/mesh/surface.hpp"
 
 namespace dynamorph {

@@ -8,8 +8,6 @@ namespace dynamorph {
 
 namespace {
 
-constexpr double pi = 3.14159265358979323846;
-
 std::vector<Bvh::Box> boxes(const Points& vertices, const Triangles& triangles) {
   check_triangles(vertices, triangles);
   std::vector<Bvh::Box> boxes(triangles.rows());
@@ -81,11 +79,11 @@ double Surface::winding_number(int index, const Vector3d& p) const {
   const Dipole& d = dipoles_[index];
   const Vector3d to = d.centroid - p;
   const double distance2 = to.squaredNorm();
-  if (distance2 > 4 * d.radius * d.radius) return d.area_vector.dot(to) / (4 * pi * distance2 * std::sqrt(distance2));
+  if (distance2 > 4 * d.radius * d.radius) return d.area_vector.dot(to) / (4 * kPi * distance2 * std::sqrt(distance2));
   if (!node.leaf()) return winding_number(index + 1, p) + winding_number(node.right, p);
   double omega = 0;
   for (int i = node.begin; i < node.end; ++i) omega += solid_angle(bvh_.order[i], p);
-  return omega / (4 * pi);
+  return omega / (4 * kPi);
 }
 
 // Van Oosterom and Strackee 1983: tan(Omega / 2) = a . (b x c) / (|a||b||c| + (a.b)|c| + (b.c)|a| + (c.a)|b|).

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/mesh/surface.hpp"
 #include "tetgen.h"
 

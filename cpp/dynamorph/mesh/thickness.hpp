@@ -9,6 +9,7 @@
 
 #include <vector>
 
+#include "dynamorph/core/progress.hpp"
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/mesh/surface.hpp"
 

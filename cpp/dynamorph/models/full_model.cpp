@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/models/full_model.hpp"
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
-#include "dynamorph/elastic/sparse_cholesky.hpp"
 #include "dynamorph/elastic/sparse_solver.hpp"
 
 namespace dynamorph {
@@ -11,95 +11,7 @@ namespace {
 
 constexpr Eigen::Index kBlended = 2048;  // values blended at a time, so that the sums stay in the first cache
 
-void check_size(const char* name, Eigen::Index actual, Eigen::Index expected) {
-  if (actual != expected)
-    throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(expected) + " rows, got " +
-                                std::to_string(actual));
-}
-
 }  // namespace
-
-SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, MatrixXd shares_,
-                   const std::vector<bool>& pinned, const Eigen::Ref<const MatrixXd>& weights, const VectorXd& hold)
-    : mesh(std::move(mesh_)), fill(std::move(fill_)), shares(std::move(shares_)) {
-  const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
-  check_size("fill", fill.size(), m);
-  check_size("stiffness", stiffness.size(), m);
-  check_size("shares", shares.rows(), m);
-  check_size("pinned", Eigen::Index(pinned.size()), n);
-  check_size("weights", weights.rows(), n);
-  if (!(fill.array() > 0).all() || !(stiffness.array() > 0).all())
-    throw std::invalid_argument("fill, stiffness: must be positive for every tetrahedron");
-  if (!((shares.array() >= 0).all() && ((shares.rowwise().sum().array() - 1).abs() < 1e-6).all()))
-    throw std::invalid_argument("shares: every row must be >= 0 and sum to one");
-  if (!stiffness.allFinite() || !fill.allFinite())
-    throw std::invalid_argument("fill, stiffness: must be finite for every tetrahedron");
-  if (hold.size() > 0) check_size("hold", hold.size(), m);
-  if (!hold.allFinite() || (hold.array() < 0).any())
-    throw std::invalid_argument("hold: must be finite and not negative for every tetrahedron");
-  stiffness_scale = fill.cwiseProduct(stiffness);
-  free_of_node.assign(n, -1);
-  for (int i = 0; i < n; ++i)
-    if (!pinned[i]) {
-      free_of_node[i] = int(free_nodes.size());
-      free_nodes.push_back(i);
-    }
-  if (free_nodes.empty())
-    throw Error("every node of the cage is held by a bone: lower the bone pinning or raise the cage resolution");
-
-  const Eigen::Index f = Eigen::Index(free_nodes.size());
-  own_transforms = weights.cols() == 0;
-  if (own_transforms) {
-    skin.resize(f, f);
-    skin.setIdentity();
-  } else {
-    MatrixXd free_weights(f, weights.cols());
-    for (Eigen::Index i = 0; i < f; ++i) free_weights.row(i) = weights.row(free_nodes[i]);
-    skin = normalized(free_weights);
-  }
-  rest = restrict_to_free(flat(mesh.nodes));
-  const auto lumped = [&](const VectorXd& density) {
-    MatrixXd out(f, sets());
-    for (int s = 0; s < sets(); ++s) {
-      const VectorXd all = lumped_volumes(mesh, density.cwiseProduct(shares.col(s)));
-      for (Eigen::Index i = 0; i < f; ++i) out(i, s) = all(free_nodes[i]);
-    }
-    return out;
-  };
-  volumes = lumped(fill);
-  if ((hold.array() > 0).any()) holds = lumped(stiffness_scale.cwiseProduct(hold));
-  volume = volumes.sum();
-  centre.setZero();
-  for (Eigen::Index i = 0; i < f; ++i) centre += volumes.row(i).sum() / volume * rest.segment<3>(3 * i);
-  moments.assign(skin.cols(), Eigen::Matrix4d::Zero());
-  for (Eigen::Index i = 0; i < f; ++i) {
-    const Eigen::Vector4d p = (rest.segment<3>(3 * i) - centre).homogeneous();
-    for (SkinWeights::InnerIterator b(skin, i); b; ++b)
-      moments[b.col()] += volumes.row(i).sum() * b.value() * p * p.transpose();
-  }
-  size = (mesh.nodes.colwise().maxCoeff() - mesh.nodes.colwise().minCoeff()).norm();
-}
-
-VectorXd SoftBody::restrict_to_free(const VectorXd& node_values) const {
-  VectorXd out(3 * free_nodes.size());
-  for (size_t i = 0; i < free_nodes.size(); ++i) out.segment<3>(3 * i) = node_values.segment<3>(3 * free_nodes[i]);
-  return out;
-}
-
-VectorXd SoftBody::expand(const VectorXd& free_values) const {
-  VectorXd out = VectorXd::Zero(3 * free_of_node.size());
-  for (size_t i = 0; i < free_nodes.size(); ++i) out.segment<3>(3 * free_nodes[i]) = free_values.segment<3>(3 * i);
-  return out;
-}
-
-void SetDensities::blend(const std::vector<MorphTarget>& targets, int sets, const VectorXd& w) {
-  density.setZero(sets);
-  damped.setZero(sets);
-  for (size_t j = 0; j < targets.size(); ++j) {
-    density(targets[j].set) += w(j) * targets[j].density;
-    damped(targets[j].set) += w(j) * targets[j].density * targets[j].mass_damping;
-  }
-}
 
 FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending)
     : body_(std::move(body)),
@@ -250,20 +162,20 @@ double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& for
   return blend.energy + 0.5 * q.dot(force + blend.force);
 }
 
-void FullModel::inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const {
+void FullModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {
   out.force.setZero(dofs());
-  out.frame.bones = *motion.bones[0];
+  out.frame.bones = *inertial.bones[0];
   pose_nodes(body_->skin, out.frame);
-  for (int n = 0; n < Motion::kPoses; ++n) {
-    if (motion.share.col(n).isZero(0)) continue;
+  for (int n = 0; n < InertialTarget::kPoses; ++n) {
+    if (inertial.coefficients.col(n).isZero(0)) continue;
     if (n > 0) {
-      out.past.bones = *motion.bones[n];
+      out.past.bones = *inertial.bones[n];
       pose_nodes(body_->skin, out.past);
     }
-    const double sum = motion.share.col(n).sum();
+    const double sum = inertial.coefficients.col(n).sum();
     out.bind = sum * body_->rest;
-    for (int m = 0; m < Motion::kMoments; ++m)
-      if (motion.share(m, n) != 0) out.bind += motion.share(m, n) * *motion.q[m];
+    for (int m = 0; m < InertialTarget::kMoments; ++m)
+      if (inertial.coefficients(m, n) != 0) out.bind += inertial.coefficients(m, n) * *inertial.q[m];
     to_world(n > 0 ? out.past : out.frame, sum, out.bind, out.posed);
     out.force += out.posed;
   }
@@ -280,43 +192,9 @@ void FullModel::inertia(const Motion& motion, const SetDensities& densities, Ine
         out.mass.coeffRef(3 * i + r, 3 * i + c) = mass * square(r, c);
         out.damped.coeffRef(3 * i + r, 3 * i + c) = damped * square(r, c);
       }
-    out.force.segment<3>(3 * i) = mass * (out.force.segment<3>(3 * i) - motion.lift);
+    out.force.segment<3>(3 * i) = mass * (out.force.segment<3>(3 * i) - inertial.gravity_offset);
   }
   pull_back(out.frame, out.force);
-}
-
-MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces) {
-  // Unit material: the shape of the fill-in does not depend on the stiffness. The pull is 1e4 times the mean nodal
-  // stiffness per vertex, so the surface is met to about 1e-4 where the cage can carry it.
-  MorphTarget neutral;
-  neutral.displacement = VectorXd::Zero(3 * body.mesh.nodes.rows());
-  neutral.lame = {1, 1};
-  auto whole = std::make_shared<SoftBody>(body);
-  whole->shares.setOnes(body.mesh.tets.rows(), 1);
-  whole->holds.resize(0, 0);  // what is held is held in the target's shape, which is sought
-  const FullModel model(whole, {neutral}, Law::linear, Blending::forces);
-  SparseMatrix A = model.rest_stiffness(0);
-  const double pull = 1e4 * A.diagonal().mean();
-
-  check_size("surfaces", surfaces.rows(), 3 * embedding.nodes.rows());
-  if (!surfaces.allFinite()) throw Error("a target's shape is not finite: repair its shape key");
-  const SparseMatrix E = embedding.matrix(body.mesh.nodes.rows());
-  std::vector<Eigen::Triplet<double>> entries;
-  for (int node = 0; node < E.outerSize(); ++node)
-    for (SparseMatrix::InnerIterator it(E, node); it; ++it)
-      if (body.free_of_node[node] >= 0)
-        for (int c = 0; c < 3; ++c)
-          entries.emplace_back(3 * int(it.row()) + c, 3 * body.free_of_node[node] + c, it.value());
-  SparseMatrix B(surfaces.rows(), model.dofs());
-  B.setFromTriplets(entries.begin(), entries.end());
-  A += pull * SparseMatrix(B.transpose() * B);
-  BlockCholesky<double> solver;
-  if (!solver.factorize(A)) throw Error("a target's shape could not be carried into the cage: rebuild it");
-  MatrixXd solution = pull * (B.transpose() * surfaces);
-  solver.solve_in_place(solution);
-  MatrixXd out(3 * body.mesh.nodes.rows(), surfaces.cols());
-  for (Eigen::Index j = 0; j < out.cols(); ++j) out.col(j) = body.expand(solution.col(j));
-  return out;
 }
 
 }  // namespace dynamorph

@@ -6,12 +6,14 @@
 #include <algorithm>
 #include <cmath>
 
+#include "dynamorph/core/errors.hpp"
+
 namespace dynamorph {
 
 namespace {
 
-constexpr double kHalfRound = 150 * M_PI / 180;  // radians: beyond, angles the other way round come into play
-constexpr double kSamePose = 0.5 * M_PI / 180;   // radians: closer poses make the interpolation ill-conditioned
+constexpr double kHalfRound = 150 * kPi / 180;  // radians: beyond, angles the other way round come into play
+constexpr double kSamePose = 0.5 * kPi / 180;   // radians: closer poses make the interpolation ill-conditioned
 
 double kernel(Kernel kind, double width, double distance) {
   const double d = distance / width;

@@ -33,11 +33,11 @@ void pose_nodes(const SkinWeights& weights, SkinFrame& frame) {
   }
 }
 
-void to_world(const SkinFrame& frame, double share, const VectorXd& bind, VectorXd& world) {
+void to_world(const SkinFrame& frame, double translation_weight, const VectorXd& bind, VectorXd& world) {
   world.resize(bind.size());
   for (Eigen::Index i = 0; i < frame.nodes.rows(); ++i) {
     const TransformMap T = transform(frame.nodes, i);
-    world.segment<3>(3 * i).noalias() = T.leftCols<3>() * bind.segment<3>(3 * i) + share * T.col(3);
+    world.segment<3>(3 * i).noalias() = T.leftCols<3>() * bind.segment<3>(3 * i) + translation_weight * T.col(3);
   }
 }
 

@@ -2,8 +2,6 @@
 // Linear blend skinning of the nodes: x_i = A_i (X_i + u_i) + a_i, [A_i | a_i] = sum_b w_ib B_b.
 #pragma once
 
-#include <array>
-
 #include "dynamorph/core/types.hpp"
 
 namespace dynamorph {
@@ -32,22 +30,11 @@ SkinWeights normalized(const Eigen::Ref<const MatrixXd>& weights);
 /// Blends frame.bones into frame.nodes.
 void pose_nodes(const SkinWeights& weights, SkinFrame& frame);
 
-/// world = A bind + share a for every node, all (3n).
-void to_world(const SkinFrame& frame, double share, const VectorXd& bind, VectorXd& world);
+/// world = A bind + translation_weight a for every node, all (3n).
+void to_world(const SkinFrame& frame, double translation_weight, const VectorXd& bind, VectorXd& world);
 
 /// A^T f for every node, in place (3n).
 void pull_back(const SkinFrame& frame, VectorXd& f);
-
-/// Positions of the flesh added up, sum_mn share(m, n) x(q_m, bones_n) - lift: what inertia pulls on, in the pose of
-/// bones[0]. Nothing is owned.
-struct Motion {
-  static constexpr int kMoments = 4, kPoses = 5;
-  std::array<const VectorXd*, kMoments> q{};      ///< coordinates, one step after another, newest first
-  std::array<const Transforms*, kPoses> bones{};  ///< (B), the first at the end of the step
-  /// Of each pair.
-  Eigen::Matrix<double, kMoments, kPoses> share = Eigen::Matrix<double, kMoments, kPoses>::Zero();
-  Vector3d lift = Vector3d::Zero();  ///< metres, of every node
-};
 
 /// Transforms k steps before `now`, when each bone goes on as it does from `now` to `next` (constant spatial velocity).
 Transforms extrapolate_back(const Transforms& now, const Transforms& next, int k);

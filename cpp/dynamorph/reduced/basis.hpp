@@ -3,6 +3,7 @@
 // the static responses to accelerated bones, compressed by mass-PCA; the targets' own shapes stay exactly in the span.
 #pragma once
 
+#include "dynamorph/core/progress.hpp"
 #include "dynamorph/models/full_model.hpp"
 
 namespace dynamorph {

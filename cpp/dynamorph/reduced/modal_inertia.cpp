@@ -19,7 +19,7 @@ constexpr double kNegligible = 1e-5;  ///< left out, whatever the pose
 constexpr double kUnnoticed = 1e-7;   ///< left out in a pose that turns the bones so little against each other
 constexpr double kSlight = 1e-4;      ///< acts on the flesh as if it did not move in the modes
 using BoneMotion = ModalInertia::BoneMotion;
-using EightMotion = ModalInertia::EightMotion;
+using EightInertialTarget = ModalInertia::EightInertialTarget;
 using EightInertia = ModalInertia::EightInertia;
 
 /// How much the mass's coefficients can change it.
@@ -70,8 +70,8 @@ void add_eight_terms(const Floats (*motion)[12], const Floats& sign, double infl
 DYNAMORPH_MULTIVERSION
 void add_term_of_eight(const Floats (*first)[12], const Floats (*second)[12], double influence, const Floats* y,
                        Index r, const float* table, Floats* slopes, Floats* force, Floats* mass) {
-  Floats motion[1 + Motion::kMoments][12], sign = {};
-  for (int m = 0; m <= Motion::kMoments; ++m)
+  Floats motion[1 + InertialTarget::kMoments][12], sign = {};
+  for (int m = 0; m <= InertialTarget::kMoments; ++m)
     for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
   sign += second ? -1.0F : 1.0F;
   add_contribution(motion, sign, second ? influence : HUGE_VAL, y, r, table, slopes, force, mass);
@@ -102,15 +102,15 @@ void add_lanes(const Floats* sums, Index count, float* totals) {
 }
 
 DYNAMORPH_MULTIVERSION
-void combine_one(const double* const* bones, const double* shares, const Vector3d& centre, const Vector3d& lift,
-                 float (*out)[12]) {
-  combine(bones, shares, centre, lift, out);
+void combine_one(const double* const* bones, const double* shares, const Vector3d& centre,
+                 const Vector3d& gravity_offset, float (*out)[12]) {
+  combine(bones, shares, centre, gravity_offset, out);
 }
 
 DYNAMORPH_MULTIVERSION
-void combine_eight(const Doubles* const* bones, const double* shares, const Vector3d& centre, const Vector3d& lift,
-                   Floats (*out)[12]) {
-  combine(bones, shares, centre, lift, out);
+void combine_eight(const Doubles* const* bones, const double* shares, const Vector3d& centre,
+                   const Vector3d& gravity_offset, Floats (*out)[12]) {
+  combine(bones, shares, centre, gravity_offset, out);
 }
 
 /// A set's part, by its densities: force (r), and mass and damped mass, packed.
@@ -126,9 +126,9 @@ void add_set_of_eight(const Doubles& density, const Doubles& damping, const doub
 }
 
 DYNAMORPH_MULTIVERSION
-void differences_of_eight(const EightMotion& motion, Index r, Floats* y) {
-  for (Index k = 0; k < r; ++k, y += Motion::kMoments) {
-    const Doubles q0 = motion.q[0][k], q1 = motion.q[1][k], q2 = motion.q[2][k], q3 = motion.q[3][k];
+void differences_of_eight(const EightInertialTarget& inertial, Index r, Floats* y) {
+  for (Index k = 0; k < r; ++k, y += InertialTarget::kMoments) {
+    const Doubles q0 = inertial.q[0][k], q1 = inertial.q[1][k], q2 = inertial.q[2][k], q3 = inertial.q[3][k];
     to_single(q0, y[0]);
     to_single(q0 - q1, y[1]);
     to_single(q0 - 2 * q1 + q2, y[2]);
@@ -142,7 +142,7 @@ void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<in
   for (size_t t = 0; t < terms.size(); ++t) {
     const auto &a = bones[terms[t].first].values, &b = bones[terms[t].second].values;
     const float less = signs[t] < 0;
-    for (int m = 0; m <= Motion::kMoments; ++m)
+    for (int m = 0; m <= InertialTarget::kMoments; ++m)
       for (int e = 0; e < 12; ++e) lanes[m][e][t] = a[m][e] - less * b[m][e];
   }
 }
@@ -223,15 +223,15 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
         set.table[g * entries(r_) + e][lane] = set.terms[next * entries(r_) + e] = float(sums(e, next));
 }
 
-void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities, Result& out) const {
+void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& densities, Result& out) const {
   const Index pairs = r_ * (r_ + 1) / 2;
-  take_differences(motion, out.differences);
+  take_differences(inertial, out.differences);
   out.bones.resize(in_terms_);
-  const Shares shares = shares_of_differences(motion.share);
+  const Shares shares = shares_of_differences(inertial.coefficients);
   for (size_t b = 0; b < in_terms_; ++b) {
-    const double* poses[Motion::kPoses];
-    for (int n = 0; n < Motion::kPoses; ++n) poses[n] = motion.bones[n]->data() + 12 * used_[b];
-    combine_one(poses, shares.data(), centre_, motion.lift, out.bones[b].values);
+    const double* poses[InertialTarget::kPoses];
+    for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * used_[b];
+    combine_one(poses, shares.data(), centre_, inertial.gravity_offset, out.bones[b].values);
   }
 
   out.slopes.resize(9 * r_);
@@ -244,7 +244,7 @@ void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities,
     const Tensors& set = sets_[s];
     std::fill(out.sums.begin(), out.sums.end(), Floats{});
     for (size_t g = 0; g < set.groups.size(); ++g) {
-      alignas(64) Floats lanes[1 + Motion::kMoments][12] = {};
+      alignas(64) Floats lanes[1 + InertialTarget::kMoments][12] = {};
       gather(out.bones, set.groups[g].bones, set.groups[g].signs, lanes);
       alignas(64) Floats sign;
       std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<float*>(&sign));
@@ -266,18 +266,20 @@ void ModalInertia::evaluate(const Motion& motion, const SetDensities& densities,
   out.damped.triangularView<Eigen::StrictlyUpper>() = out.damped.transpose();
 }
 
-void ModalInertia::evaluate(const EightMotion& motion, const Doubles* density, const Doubles* damping,
+void ModalInertia::evaluate(const EightInertialTarget& inertial, const Doubles* density, const Doubles* damping,
                             EightInertia& out) const {
   const Index pairs = r_ * (r_ + 1) / 2;
-  out.differences.resize(Motion::kMoments * r_);
-  differences_of_eight(motion, r_, out.differences.data());
-  out.bones.resize((1 + Motion::kMoments) * 12 * in_terms_);
-  const auto bone = [&](int b) { return reinterpret_cast<Floats(*)[12]>(&out.bones[(1 + Motion::kMoments) * 12 * b]); };
-  const Shares shares = shares_of_differences(motion.share);
+  out.differences.resize(InertialTarget::kMoments * r_);
+  differences_of_eight(inertial, r_, out.differences.data());
+  out.bones.resize((1 + InertialTarget::kMoments) * 12 * in_terms_);
+  const auto bone = [&](int b) {
+    return reinterpret_cast<Floats(*)[12]>(&out.bones[(1 + InertialTarget::kMoments) * 12 * b]);
+  };
+  const Shares shares = shares_of_differences(inertial.coefficients);
   for (size_t b = 0; b < in_terms_; ++b) {
-    const Doubles* poses[Motion::kPoses];
-    for (int n = 0; n < Motion::kPoses; ++n) poses[n] = motion.bones[n] + 12 * b;
-    combine_eight(poses, shares.data(), centre_, motion.lift, bone(int(b)));
+    const Doubles* poses[InertialTarget::kPoses];
+    for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n] + 12 * b;
+    combine_eight(poses, shares.data(), centre_, inertial.gravity_offset, bone(int(b)));
   }
   out.slopes.resize(9 * r_);
   out.sums.resize(r_ + pairs);

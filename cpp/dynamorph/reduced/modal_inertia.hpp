@@ -13,7 +13,9 @@
 #include <array>
 #include <vector>
 
-#include "dynamorph/models/full_model.hpp"
+#include "dynamorph/models/morph_target.hpp"
+#include "dynamorph/models/soft_body.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/simd/lanes.hpp"
 
 namespace dynamorph {
@@ -23,34 +25,35 @@ class ModalInertia {
   /// Tensors of all target sets in the basis U (3 free, r).
   ModalInertia(const SoftBody& body, const MatrixXd& U);
 
-  /// What one bone contributes to the terms, 3 x 4 row-major: its transform, then sum_n share'(m, n) [R_n | t_n] for
-  /// each backward difference m of the coordinates; t of the first of those, at the flesh's centre and less the lift,
+  /// What one bone contributes to the terms, 3 x 4 row-major: its transform, then sum_n coefficients'(m, n) [R_n | t_n]
+  /// for each backward difference m of the coordinates; t of the first of those, at the flesh's centre and less
+  /// gravity_offset,
   /// counts.
   struct BoneMotion {
-    float values[1 + Motion::kMoments][12];
+    float values[1 + InertialTarget::kMoments][12];
   };
 
   /// What `evaluate` makes, and its scratch: nothing is allocated after the first time.
   struct Result {
     MatrixXd mass;    ///< U^T A^T M A U (r, r)
     MatrixXd damped;  ///< the same with M times mass damping
-    VectorXd force;   ///< of the motion (r)
+    VectorXd force;   ///< of the inertial target (r)
     std::vector<BoneMotion> bones;
     std::vector<float> differences, totals;
     LaneVector<Floats> sums, slopes;
   };
 
-  /// Mass and force of `motion` in the pose of its first bones. Tensors are in single precision, differences in time in
-  /// double. Pairs of bones that matter little are simplified: with 20 bones and 33 pairs bent by half a radian the
+  /// Mass and force of `inertial` in the pose of its first bones. Tensors are in single precision, differences in time
+  /// in double. Pairs of bones that matter little are simplified: with 20 bones and 33 pairs bent by half a radian the
   /// mass is within 4e-4 and the force within 7e-6 of the nodes' own, with few bones both within 1e-7.
-  void evaluate(const Motion& motion, const SetDensities& densities, Result& out) const;
+  void evaluate(const InertialTarget& inertial, const SetDensities& densities, Result& out) const;
 
   /// The same of eight characters, one a lane: coordinates (r); the entries of used_bones(), twelve each.
-  struct EightMotion {
-    std::array<const Doubles*, Motion::kMoments> q;
-    std::array<const Doubles*, Motion::kPoses> bones;
-    Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> share;
-    Vector3d lift;
+  struct EightInertialTarget {
+    std::array<const Doubles*, InertialTarget::kMoments> q;
+    std::array<const Doubles*, InertialTarget::kPoses> bones;
+    Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients;
+    Vector3d gravity_offset;
   };
   struct EightInertia {
     LaneVector<Doubles> mass, damped;  ///< packed upper triangles
@@ -58,7 +61,8 @@ class ModalInertia {
     LaneVector<Floats> bones, differences, sums, slopes;
   };
   /// density, damping: of each target set.
-  void evaluate(const EightMotion& motion, const Doubles* density, const Doubles* damping, EightInertia& out) const;
+  void evaluate(const EightInertialTarget& inertial, const Doubles* density, const Doubles* damping,
+                EightInertia& out) const;
 
   /// The bones that carry flesh.
   const std::vector<int>& used_bones() const { return used_; }

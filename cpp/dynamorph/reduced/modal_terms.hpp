@@ -5,7 +5,8 @@
 
 #include <vector>
 
-#include "dynamorph/models/full_model.hpp"
+#include "dynamorph/models/soft_body.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/simd/lanes.hpp"
 
 namespace dynamorph::terms {
@@ -45,24 +46,25 @@ inline void node_tensor(const Eigen::Ref<const Eigen::Matrix3Xd>& U, const Vecto
 /// Of each lane's term: coefficients that their tensors are contracted with.
 template <class Lanes>
 struct Coefficients {
-  Lanes rigid[kRigid];                                      ///< of the rest positions, and of the weights alone
-  Lanes differences[Motion::kMoments][kSymmetric + kSkew];  ///< of the modes, for each backward difference
+  Lanes rigid[kRigid];                                              ///< of the rest positions, and of the weights alone
+  Lanes differences[InertialTarget::kMoments][kSymmetric + kSkew];  ///< of the modes, for each backward difference
   Lanes mass[kSymmetric];
 };
 
 /// Shares of the backward differences q_0, q_0 - q_1, q_0 - 2 q_1 + q_2, ... instead of the coordinates themselves.
 /// Each has the size of what it adds to the force, which therefore keeps its digits in single precision.
-using Shares = Eigen::Matrix<double, Motion::kMoments, Motion::kPoses, Eigen::RowMajor>;
-inline Shares shares_of_differences(const Eigen::Matrix<double, Motion::kMoments, Motion::kPoses>& share) {
+using Shares = Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses, Eigen::RowMajor>;
+inline Shares shares_of_differences(
+    const Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses>& coefficients) {
   Eigen::Matrix4d binomials;
   binomials << 1, 1, 1, 1, 0, -1, -2, -3, 0, 0, 1, 3, 0, 0, 0, -1;
-  return binomials * share;
+  return binomials * coefficients;
 }
 
 /// Backward differences of each mode, one after another.
 template <class Number>
-void take_differences(const Motion& motion, std::vector<Number>& y) {
-  const VectorXd &q0 = *motion.q[0], &q1 = *motion.q[1], &q2 = *motion.q[2], &q3 = *motion.q[3];
+void take_differences(const InertialTarget& inertial, std::vector<Number>& y) {
+  const VectorXd &q0 = *inertial.q[0], &q1 = *inertial.q[1], &q2 = *inertial.q[2], &q3 = *inertial.q[3];
   y.clear();
   for (Index k = 0; k < q0.size(); ++k)
     for (double difference : {q0(k), q0(k) - q1(k), q0(k) - 2 * q1(k) + q2(k), q0(k) - 3 * q1(k) + 3 * q2(k) - q3(k)})
@@ -87,7 +89,7 @@ DYNAMORPH_INLINE void contract_bones(const Lanes (*motion)[12], const Lanes& sig
   Lanes R[3][3], G[3][4];
   for (int i = 0; i < 3; ++i)
     for (int j = 0; j < 3; ++j) R[i][j] = sign * motion[0][4 * i + j];
-  for (int m = 0; m <= Motion::kMoments; ++m) {
+  for (int m = 0; m <= InertialTarget::kMoments; ++m) {
     const Lanes* D = motion[m];
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j < (m == 1 ? 4 : 3); ++j) G[i][j] = R[0][i] * D[j] + R[1][i] * D[4 + j] + R[2][i] * D[8 + j];
@@ -110,7 +112,7 @@ DYNAMORPH_INLINE void take_slopes(const Coefficients<Lanes>& c, const Y* y, Inde
   for (int e = 0; e < kSymmetric + kSkew; ++e) {
     const Lanes c0 = c.differences[0][e], c1 = c.differences[1][e], c2 = c.differences[2][e], c3 = c.differences[3][e];
     for (Index l = 0; l < r; ++l) {
-      const Y* own = y + Motion::kMoments * l;
+      const Y* own = y + InertialTarget::kMoments * l;
       slopes[9 * l + e] = (own[0] * c0 + own[1] * c1) + (own[2] * c2 + own[3] * c3);
     }
   }
@@ -166,7 +168,7 @@ DYNAMORPH_INLINE void round_to(const Value& from, Single& to) {
 /// force.
 template <class Value, class Single>
 DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, const Vector3d& centre,
-                              const Vector3d& lift, Single (*out)[12]) {
+                              const Vector3d& gravity_offset, Single (*out)[12]) {
   for (int i = 0; i < 3; ++i) {
     Value first[4];  // the row of the first difference, whose translation is moved to the centre
     for (int j = 0; j < 4; ++j) {
@@ -174,12 +176,12 @@ DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, c
       const Value b0 = bones[0][e], b1 = bones[1][e], b2 = bones[2][e], b3 = bones[3][e], b4 = bones[4][e];
       round_to(b0, out[0][e]);
       first[j] = shares[0] * b0 + shares[1] * b1 + shares[2] * b2 + shares[3] * b3 + shares[4] * b4;
-      for (int m = 1; m < Motion::kMoments; ++m) {
-        const double* share = shares + m * Motion::kPoses;
+      for (int m = 1; m < InertialTarget::kMoments; ++m) {
+        const double* share = shares + m * InertialTarget::kPoses;
         round_to(share[0] * b0 + share[1] * b1 + share[2] * b2 + share[3] * b3 + share[4] * b4, out[m + 1][e]);
       }
     }
-    first[3] += first[0] * centre[0] + first[1] * centre[1] + first[2] * centre[2] - lift[i];
+    first[3] += first[0] * centre[0] + first[1] * centre[1] + first[2] * centre[2] - gravity_offset[i];
     for (int j = 0; j < 4; ++j) round_to(first[j], out[1][4 * i + j]);
   }
 }

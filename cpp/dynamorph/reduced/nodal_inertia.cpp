@@ -7,28 +7,28 @@ using Eigen::Index;
 
 namespace {
 
-constexpr int kPoses = Motion::kPoses;
+constexpr int kPoses = InertialTarget::kPoses;
 
-/// Eight nodes' transforms in the poses of a motion, [A | a] row-major, and by how much they count.
+/// Eight nodes' transforms in the poses of an inertial target, [A | a] row-major, and by how much they count.
 struct EightNodes {
   Doubles poses[kPoses][12];
   Doubles mass, damped;
 };
 
-/// y = sum_n A_n (share_n X + U d_n) + share_n a_n - lift. table: U (r, 3), then X; d (r, kPoses) row-major.
+/// y = sum_n A_n (sums_n X + U d_n) + sums_n a_n - gravity_offset. table: U (r, 3), then X; d (r, kPoses) row-major.
 DYNAMORPH_INLINE void add_up(const EightNodes& nodes, const Doubles* table, Index r, const double* d,
-                             const double* share, const double* lift, Doubles* y) {
+                             const double* sums, const double* gravity_offset, Doubles* y) {
   Doubles bind[kPoses][3];
   for (int n = 0; n < kPoses; ++n)
-    for (int c = 0; c < 3; ++c) bind[n][c] = table[3 * r + c] * share[n];
+    for (int c = 0; c < 3; ++c) bind[n][c] = table[3 * r + c] * sums[n];
   for (Index k = 0; k < r; ++k)
     for (int n = 0; n < kPoses; ++n)
       for (int c = 0; c < 3; ++c) bind[n][c] += table[3 * k + c] * d[kPoses * k + n];
   for (int i = 0; i < 3; ++i) {
-    y[i] = Doubles{} - lift[i];
+    y[i] = Doubles{} - gravity_offset[i];
     for (int n = 0; n < kPoses; ++n) {
       const Doubles* row = nodes.poses[n] + 4 * i;
-      y[i] += row[0] * bind[n][0] + row[1] * bind[n][1] + row[2] * bind[n][2] + row[3] * share[n];
+      y[i] += row[0] * bind[n][0] + row[1] * bind[n][1] + row[2] * bind[n][2] + row[3] * sums[n];
     }
   }
 }
@@ -36,11 +36,11 @@ DYNAMORPH_INLINE void add_up(const EightNodes& nodes, const Doubles* table, Inde
 /// What eight nodes add to the force (r) and to the packed mass, and if `damped` is not null to that. modes (r, 3):
 /// scratch.
 DYNAMORPH_MULTIVERSION
-void add_eight_nodes(const EightNodes& nodes, const Doubles* table, Index r, const double* d, const double* share,
-                     const double* lift, Doubles* __restrict modes, Doubles* __restrict force, Doubles* __restrict mass,
-                     Doubles* __restrict damped) {
+void add_eight_nodes(const EightNodes& nodes, const Doubles* table, Index r, const double* d, const double* sums,
+                     const double* gravity_offset, Doubles* __restrict modes, Doubles* __restrict force,
+                     Doubles* __restrict mass, Doubles* __restrict damped) {
   Doubles y[3];
-  add_up(nodes, table, r, d, share, lift, y);
+  add_up(nodes, table, r, d, sums, gravity_offset, y);
   const Doubles* A = nodes.poses[0];
   for (Index k = 0; k < r; ++k) {
     const Doubles* u = table + 3 * k;
@@ -89,26 +89,26 @@ NodalInertia::NodalInertia(std::shared_ptr<const SoftBody> body, const MatrixXd&
     }
 }
 
-void NodalInertia::evaluate(const Motion& motion, const SetDensities& densities, Scratch& scratch, MatrixXd& mass,
-                            MatrixXd& damped, VectorXd& force) const {
+void NodalInertia::evaluate(const InertialTarget& inertial, const SetDensities& densities, Scratch& scratch,
+                            MatrixXd& mass, MatrixXd& damped, VectorXd& force) const {
   const Index nodes = body_->volumes.rows(), pairs = r_ * (r_ + 1) / 2;
   const bool several = body_->sets() > 1;
   const double* poses[kPoses];
   for (int n = 0; n < kPoses; ++n) {
     if (!body_->own_transforms) {
-      scratch.poses[n].bones = *motion.bones[n];
+      scratch.poses[n].bones = *inertial.bones[n];
       pose_nodes(body_->skin, scratch.poses[n]);
     }
-    poses[n] = (body_->own_transforms ? *motion.bones[n] : scratch.poses[n].nodes).data();
+    poses[n] = (body_->own_transforms ? *inertial.bones[n] : scratch.poses[n].nodes).data();
   }
   scratch.displacements.resize(kPoses, r_);  // column-major: pose after pose of each mode
   for (Index k = 0; k < r_; ++k)
     for (int n = 0; n < kPoses; ++n) {
       double all = 0;
-      for (int m = 0; m < Motion::kMoments; ++m) all += motion.share(m, n) * (*motion.q[m])(k);
+      for (int m = 0; m < InertialTarget::kMoments; ++m) all += inertial.coefficients(m, n) * (*inertial.q[m])(k);
       scratch.displacements(n, k) = all;
     }
-  const Eigen::Matrix<double, 1, kPoses> share = motion.share.colwise().sum();
+  const Eigen::Matrix<double, 1, kPoses> sums = inertial.coefficients.colwise().sum();
 
   scratch.modes.resize(3 * r_);
   scratch.force.assign(r_, Doubles{});
@@ -123,8 +123,8 @@ void NodalInertia::evaluate(const Motion& motion, const SetDensities& densities,
       eight.mass[int(lane)] = body_->volumes.row(i).dot(densities.density);
       eight.damped[int(lane)] = body_->volumes.row(i).dot(densities.damped);
     }
-    add_eight_nodes(eight, table_.data() + first / kLanes * 3 * (r_ + 1), r_, scratch.displacements.data(),
-                    share.data(), motion.lift.data(), scratch.modes.data(), scratch.force.data(), scratch.mass.data(),
+    add_eight_nodes(eight, table_.data() + first / kLanes * 3 * (r_ + 1), r_, scratch.displacements.data(), sums.data(),
+                    inertial.gravity_offset.data(), scratch.modes.data(), scratch.force.data(), scratch.mass.data(),
                     several ? scratch.damped.data() : nullptr);
   }
   force.resize(r_);

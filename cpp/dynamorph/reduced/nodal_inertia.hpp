@@ -2,11 +2,16 @@
 // Inertia of a soft skin in modes, node by node: for skinning that is not linear in the bones' matrices, where
 // ModalInertia's sums do not exist. In double; the cost grows with the nodes.
 //
-//   mass = sum_i m_i (A_i U_i)^T (A_i U_i),  force = sum_i m_i (A_i U_i)^T y_i,  y_i what the motion adds up to at node
-//   i.
+//   mass = sum_i m_i (A_i U_i)^T (A_i U_i),  force = sum_i m_i (A_i U_i)^T y_i,  y_i what the inertial target
+//   adds up to at node i.
 #pragma once
 
-#include "dynamorph/models/full_model.hpp"
+#include <array>
+#include <memory>
+
+#include "dynamorph/models/morph_target.hpp"
+#include "dynamorph/models/soft_body.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/simd/lanes.hpp"
 
 namespace dynamorph {
@@ -18,14 +23,14 @@ class NodalInertia {
 
   /// Nothing is allocated after the first time.
   struct Scratch {
-    std::array<SkinFrame, Motion::kPoses> poses;
+    std::array<SkinFrame, InertialTarget::kPoses> poses;
     MatrixXd displacements;  ///< of the modes in each pose (r, kPoses)
     LaneVector<Doubles> modes, force, mass, damped;
   };
 
-  /// U^T A^T M A U (r, r), the same with M times mass damping, and the force of `motion` (r).
-  void evaluate(const Motion& motion, const SetDensities& densities, Scratch& scratch, MatrixXd& mass, MatrixXd& damped,
-                VectorXd& force) const;
+  /// U^T A^T M A U (r, r), the same with M times mass damping, and the force of `inertial` (r).
+  void evaluate(const InertialTarget& inertial, const SetDensities& densities, Scratch& scratch, MatrixXd& mass,
+                MatrixXd& damped, VectorXd& force) const;
 
  private:
   std::shared_ptr<const SoftBody> body_;

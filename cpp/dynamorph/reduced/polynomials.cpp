@@ -13,27 +13,6 @@ namespace {
 
 using Eigen::Index;
 
-/// visit(k, l) for each k <= l < r, the last index fastest; likewise below.
-template <class Visit>
-void for_pairs(Index r, const Visit& visit) {
-  for (Index k = 0; k < r; ++k)
-    for (Index l = k; l < r; ++l) visit(k, l);
-}
-
-template <class Visit>
-void for_triples(Index r, const Visit& visit) {
-  for_pairs(r, [&](Index k, Index l) {
-    for (Index m = l; m < r; ++m) visit(k, l, m);
-  });
-}
-
-template <class Visit>
-void for_quadruples(Index r, const Visit& visit) {
-  for_triples(r, [&](Index k, Index l, Index m) {
-    for (Index n = m; n < r; ++n) visit(k, l, m, n);
-  });
-}
-
 /// Sums over the tetrahedra of one target that its tables are made of. Green's strain is quadratic in v,
 /// E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l), so with the monomials m = (v_k, v_k v_l) each tet adds
 /// B^T B to a Gram matrix, B the rows of its strain: the trace, and the deviator, E:E = dev:dev + 1/3 tr^2.
@@ -109,10 +88,6 @@ class TargetSums {
   RowMajor crosses_;  ///< (9, pairs)
 };
 
-}  // namespace
-
-namespace {
-
 /// The hold's U^T H U, which is quadratic about the target's shape as K0 is.
 void add_hold(const SoftBody& body, int set, const RowMajor& U, VectorXd& table) {
   MatrixXd held = MatrixXd::Zero(U.cols(), U.cols());
@@ -136,24 +111,6 @@ bool mode_gradients(const SoftBody& body, const Element& element, Index e, const
     for (int c = 0; c < 3; ++c) G.middleRows<3>(3 * c) += element.gradients(c, a) * modes.middleRows<3>(3 * i);
   }
   return moves;
-}
-
-VectorXd unfolded(const VectorXd& distinct, const TableLayout& layout) {
-  const Index r = layout.r, pairs = layout.pairs();
-  VectorXd out(layout.size());
-  out.head(pairs) = distinct.head(pairs);
-  if (!layout.nonlinear) return out;
-  const double* next = distinct.data() + pairs;
-  const auto pair = [&](Index k, Index l) { return pair_index(r, k, l); };
-  for_triples(r, [&](Index k, Index l, Index m) {
-    double* K1 = out.data() + layout.linear();
-    K1[k * pairs + pair(l, m)] = K1[l * pairs + pair(k, m)] = K1[m * pairs + pair(k, l)] = *next++;
-  });
-  for_quadruples(r, [&](Index k, Index l, Index m, Index n) {
-    const auto K2 = [&](Index p, Index q) -> double& { return out(layout.quadratic(p, q)); };
-    K2(pair(k, l), pair(m, n)) = K2(pair(k, m), pair(l, n)) = K2(pair(k, n), pair(l, m)) = *next++;
-  });
-  return out;
 }
 
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress) {

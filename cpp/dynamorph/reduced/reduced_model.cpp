@@ -74,7 +74,7 @@ double recentre(const TableLayout& layout, const VectorXd& coordinates, VectorXd
   return energy;
 }
 
-/// [K1 | K2] in the order of kernels.hpp.
+/// [K1 | K2] in the order of table_layout.hpp.
 LaneVector<float> in_single_precision(const TableLayout& layout, const VectorXd& table) {
   if (!layout.nonlinear) return {};
   const Eigen::Index pairs = layout.pairs(), rows = whole_chunks(pairs);
@@ -207,11 +207,11 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
   return blend.energy + blend.force.dot(blend.v) + energy;
 }
 
-void ReducedModel::inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const {
+void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {
   if (const auto* nodal = std::get_if<NodalInertia>(&inertia_))
-    nodal->evaluate(motion, densities, out.nodes, out.mass, out.damped, out.force);
+    nodal->evaluate(inertial, densities, out.nodes, out.mass, out.damped, out.force);
   else
-    std::get<ModalInertia>(inertia_).evaluate(motion, densities, out);
+    std::get<ModalInertia>(inertia_).evaluate(inertial, densities, out);
 }
 
 const ModalInertia& ReducedModel::modal_inertia() const {

@@ -4,9 +4,13 @@
 
 #include <variant>
 
+#include "dynamorph/models/morph_target.hpp"
+#include "dynamorph/models/soft_body.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/modal_inertia.hpp"
 #include "dynamorph/reduced/nodal_inertia.hpp"
 #include "dynamorph/reduced/polynomials.hpp"
+#include "dynamorph/reduced/table_layout.hpp"
 
 namespace dynamorph {
 
@@ -52,7 +56,7 @@ class ReducedModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
-  void inertia(const Motion& motion, const SetDensities& densities, Inertia& out) const;
+  void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   /// Throws std::invalid_argument when there is none, because the nodes have transforms of their own.
   const ModalInertia& modal_inertia() const;
   void displacement(const VectorXd& z, VectorXd& u) const;

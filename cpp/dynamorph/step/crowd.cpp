@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/progress.hpp"
 #include "dynamorph/reduced/kernels.hpp"
 
 namespace dynamorph {
@@ -63,7 +65,7 @@ void expand(const Doubles* q, const Doubles* centre, Index r, Floats* v, Floats*
   }
 }
 
-/// linear += w K1 v and quadratic += w K2 (v v) of one target's table, as kernels.hpp orders it.
+/// linear += w K1 v and quadratic += w K2 (v v) of one target's table, as table_layout.hpp orders it.
 DYNAMORPH_MULTIVERSION
 void add_orders(const float* __restrict table, Index rows, Index r, const Floats& w, const Floats* __restrict v,
                 const Floats* __restrict pairs, Floats* __restrict product, Floats* __restrict linear,
@@ -227,7 +229,7 @@ CrowdReport Crowd::start(const double* now, const double* next, const double* we
   const Index bones = model().body().skin.cols(), targets = Index(model().targets().size());
   const Index r = model().dofs(), used = Index(model().modal_inertia().used_bones().size());
   Eight empty;
-  for (int m = 0; m < Motion::kMoments; ++m) {
+  for (int m = 0; m < InertialTarget::kMoments; ++m) {
     empty.q[m].assign(r, Doubles{});
     empty.bones[m].assign(12 * used, Doubles{});
   }
@@ -263,7 +265,7 @@ void Crowd::add(CrowdReport& report, int character, const Step& step) {
 State Crowd::lane(const Eight& eight, int lane) const {
   const std::vector<int>& used = model().modal_inertia().used_bones();
   State state;
-  for (int m = 0; m < Motion::kMoments; ++m) {
+  for (int m = 0; m < InertialTarget::kMoments; ++m) {
     state.q[m].resize(model().dofs());
     for (Index k = 0; k < state.q[m].size(); ++k) state.q[m](k) = eight.q[m][k][lane];
     state.bones[m].setZero(model().body().skin.cols(), 12);  // those that carry no flesh do not count
@@ -275,7 +277,7 @@ State Crowd::lane(const Eight& eight, int lane) const {
 
 void Crowd::set_lane(Eight& eight, int lane, const State& state) const {
   const std::vector<int>& used = model().modal_inertia().used_bones();
-  for (int m = 0; m < Motion::kMoments; ++m) {
+  for (int m = 0; m < InertialTarget::kMoments; ++m) {
     for (Index k = 0; k < state.q[m].size(); ++k) eight.q[m][k][lane] = state.q[m](k);
     for (size_t b = 0; b < used.size(); ++b)
       for (int e = 0; e < 12; ++e) eight.bones[m][12 * b + e][lane] = state.bones[m](used[b], e);
@@ -410,13 +412,13 @@ void Crowd::pull(const Eight& eight) {
   const Index r = model().dofs(), pairs = r * (r + 1) / 2;
   Scratch& s = scratch_;
   const StepRule rule(options());
-  ModalInertia::EightMotion motion;
-  for (int m = 0; m < Motion::kMoments; ++m) motion.q[m] = eight.q[m].data();
-  motion.bones[0] = s.bones.data();
-  for (int m = 0; m < Motion::kMoments; ++m) motion.bones[m + 1] = eight.bones[m].data();
-  motion.share = rule.share();
-  motion.lift = rule.square * options().gravity;
-  model().modal_inertia().evaluate(motion, s.density.data(), s.density_damping.data(), s.inertia);
+  ModalInertia::EightInertialTarget inertial;
+  for (int m = 0; m < InertialTarget::kMoments; ++m) inertial.q[m] = eight.q[m].data();
+  inertial.bones[0] = s.bones.data();
+  for (int m = 0; m < InertialTarget::kMoments; ++m) inertial.bones[m + 1] = eight.bones[m].data();
+  inertial.coefficients = rule.coefficients();
+  inertial.gravity_offset = rule.square * options().gravity;
+  model().modal_inertia().evaluate(inertial, s.density.data(), s.density_damping.data(), s.inertia);
 
   s.H.resize(pairs);
   for (LaneVector<Doubles>* v : {&s.g, &s.q, &s.origin, &s.velocity, &s.force, &s.gradient, &s.trial, &s.image})

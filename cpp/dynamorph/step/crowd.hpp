@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "dynamorph/simd/lanes.hpp"
-#include "dynamorph/step/integrator.hpp"
+#include "dynamorph/step/simulation.hpp"
 
 namespace dynamorph {
 
@@ -42,7 +42,7 @@ class Crowd {
  private:
   /// Eight characters: coordinates (r) and the transforms of the used bones (12 each), now and at the last three steps.
   struct Eight {
-    std::array<LaneVector<Doubles>, Motion::kMoments> q, bones;
+    std::array<LaneVector<Doubles>, InertialTarget::kMoments> q, bones;
   };
   /// As Simulation's members of these names; matrices are packed upper triangles.
   struct Scratch {

@@ -2,7 +2,9 @@
 // Work on all cores: everything is done once, and what went wrong is what the caller hears.
 #include <doctest/doctest.h>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
+#include "dynamorph/core/progress.hpp"
 
 using namespace dynamorph;
 

@@ -5,15 +5,18 @@
 #include <limits>
 #include <random>
 
+#include "dynamorph/core/progress.hpp"
 #include "dynamorph/mesh/cage.hpp"
+#include "dynamorph/mesh/embedding.hpp"
+#include "dynamorph/mesh/fill.hpp"
+#include "dynamorph/mesh/pins.hpp"
 #include "dynamorph/mesh/surface.hpp"
+#include "dynamorph/mesh/tet_mesh.hpp"
 #include "dynamorph/mesh/tetrahedralize.hpp"
 
 using namespace dynamorph;
 
 namespace {
-
-constexpr double pi = 3.14159265358979323846;
 
 /// A sphere of radius 1, outward, of rings x 2 rings quads cut in two.
 Cage sphere(int rings = 24) {
@@ -25,7 +28,7 @@ Cage sphere(int rings = 24) {
   int t = 0;
   for (int i = 0; i < rings - 1; ++i)
     for (int j = 0; j < around; ++j) {
-      const double latitude = pi * (i + 1) / rings, longitude = 2 * pi * j / around;
+      const double latitude = kPi * (i + 1) / rings, longitude = 2 * kPi * j / around;
       const int a = i * around + j, b = i * around + (j + 1) % around;
       s.vertices.row(a) << std::sin(latitude) * std::cos(longitude), std::sin(latitude) * std::sin(longitude),
           -std::cos(latitude);
@@ -134,7 +137,7 @@ TEST_CASE("fill fractions add up to the body's volume") {
   const VectorXd fill = fill_fractions(mesh, s.vertices, s.triangles);
   CHECK(fill.minCoeff() >= 0.05);
   CHECK(fill.maxCoeff() <= 1);
-  CHECK(fill.dot(volumes(mesh)) == doctest::Approx(4 * pi / 3).epsilon(0.03));
+  CHECK(fill.dot(volumes(mesh)) == doctest::Approx(4 * kPi / 3).epsilon(0.03));
 }
 
 TEST_CASE("extended values keep constants and fit what varies smoothly") {

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The full model's vectorised assembly against the element laws, one element at a time.
+// The full model: its vectorised assembly against the element laws, one element at a time, and its stiffness at rest.
 #include <doctest/doctest.h>
 
+#include "derivatives.hpp"
 #include "dynamorph/elastic/sparse_solver.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;
+using namespace scenes;
 
 namespace {
 
@@ -88,5 +90,47 @@ TEST_CASE("full model: every call gives the same digits") {
     CHECK(model.linearize(blend, q, again, K_again) == energy);
     CHECK(again == force);
     CHECK(values(K_again) == values(K));
+  }
+}
+
+TEST_CASE("a shifted target has the neutral's stiffness about its own shape") {
+  const auto body = scenes::two_bone_bar();
+  auto targets = scenes::targets(*body);
+  for (MorphTarget& target : targets) {
+    target.lame = targets[0].lame;
+    target.shifted = true;
+  }
+  for (Law law : kLaws) {
+    const FullModel model(body, targets, law, Blending::even);
+    for (int j = 0; j < int(targets.size()); ++j) {
+      CHECK(model.shape(j).fallbacks == 0);
+      VectorXd w = VectorXd::Zero(targets.size()), force;
+      SparseMatrix stiffness;
+      w(j) = 1;
+      FullModel::Blend blend;
+      model.blend(w, blend);
+      CHECK(std::abs(model.linearize(blend, model.target(j), force, stiffness)) < 1e-12);
+      const VectorXd neutral = values(model.rest_stiffness(0));
+      CHECK((values(stiffness) - neutral).norm() < 1e-9 * neutral.norm());
+    }
+  }
+}
+
+TEST_CASE("between targets the stiffness at rest is positive definite for random weights") {
+  const auto body = scenes::two_bone_bar();
+  const auto targets = scenes::targets(*body);
+  for (Law law : kLaws) {
+    const FullModel model(body, targets, law, Blending::even);
+    for (unsigned seed = 0; seed < 5; ++seed) {
+      VectorXd w = random_vector(3, 1, seed).cwiseAbs();
+      w /= w.sum();
+      FullModel::Blend blend;
+      model.blend(w, blend);
+      VectorXd f;
+      SparseMatrix K = model.zero();
+      model.linearize(blend, blend.displacement, f, K);
+      CHECK(f.norm() < 1e-8 * K.norm());
+      CHECK(Eigen::LLT<MatrixXd>(MatrixXd(K)).info() == Eigen::Success);
+    }
   }
 }

@@ -3,6 +3,7 @@
 
 #include <Eigen/Geometry>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/pose/pose_space.hpp"
 
 using namespace dynamorph;
@@ -86,11 +87,11 @@ TEST_CASE("a target fades out at its radius, smoothly, and the neutral gets what
 }
 
 TEST_CASE("a radius is an angle, also where the set measures chords") {
-  TargetSet set{{0}, {"a", "b", "c"}, {hinge(0), hinge(M_PI), hinge(M_PI / 2)}, Kernel::linear};
-  const double b = weights(PoseSpace({set}), hinge(0.9 * M_PI))(1);
-  set.radii = {0, 0.1 * M_PI, 0};
-  CHECK(weights(PoseSpace({set}), hinge(0.95 * M_PI))(1) > 0.5);
-  CHECK(weights(PoseSpace({set}), hinge(0.9 * M_PI))(1) < 1e-9);
+  TargetSet set{{0}, {"a", "b", "c"}, {hinge(0), hinge(kPi), hinge(kPi / 2)}, Kernel::linear};
+  const double b = weights(PoseSpace({set}), hinge(0.9 * kPi))(1);
+  set.radii = {0, 0.1 * kPi, 0};
+  CHECK(weights(PoseSpace({set}), hinge(0.95 * kPi))(1) > 0.5);
+  CHECK(weights(PoseSpace({set}), hinge(0.9 * kPi))(1) < 1e-9);
   CHECK(b > 0.5);
 }
 
@@ -123,13 +124,13 @@ TEST_CASE("two targets at one pose are an error that names both") {
 }
 
 TEST_CASE("targets right round a joint: cardinal, and no jump of the weights between them") {
-  for (double quarter : {M_PI / 2, 85 * M_PI / 180}) {
+  for (double quarter : {kPi / 2, 85 * kPi / 180}) {
     TargetSet set{
         {0}, {"a", "b", "c", "d"}, {hinge(0), hinge(quarter), hinge(2 * quarter), hinge(-quarter)}, Kernel::linear};
     const PoseSpace space({set});
     CHECK((weights(space, hinge(2 * quarter)) - VectorXd::Unit(4, 2)).cwiseAbs().maxCoeff() < 1e-9);
     double jump = 0;
-    for (double angle = -M_PI; angle < M_PI; angle += 0.01)
+    for (double angle = -kPi; angle < kPi; angle += 0.01)
       jump = std::max(jump, (weights(space, hinge(angle + 0.01)) - weights(space, hinge(angle))).cwiseAbs().maxCoeff());
     CHECK(jump < 0.02);
   }

@@ -4,6 +4,8 @@
 
 #include <cmath>
 
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/step/crowd.hpp"
 #include "scenes.hpp"
 
@@ -155,25 +157,25 @@ TEST_CASE("inertia of eight characters is that of each") {
   const auto model = scenes::reduced_model(body, {target}, Law::linear, Blending::even, 9);
   const ModalInertia& inertia = model->modal_inertia();
   const Eigen::Index r = model->dofs(), used = Eigen::Index(inertia.used_bones().size());
-  std::array<Motion, kLanes> single;
-  std::array<std::array<VectorXd, Motion::kMoments>, kLanes> q;
-  std::array<std::array<Transforms, Motion::kPoses>, kLanes> bones;
-  std::array<LaneVector<Doubles>, Motion::kMoments> q_lanes;
-  std::array<LaneVector<Doubles>, Motion::kPoses> bone_lanes;
-  ModalInertia::EightMotion eight;
-  eight.share = StepRule(StepOptions{1 / 120.}).share();
-  eight.lift = Vector3d(0, 0, 1e-4);
-  for (int m = 0; m < Motion::kMoments; ++m) q_lanes[m].resize(r);
-  for (int n = 0; n < Motion::kPoses; ++n) bone_lanes[n].resize(12 * used);
+  std::array<InertialTarget, kLanes> single;
+  std::array<std::array<VectorXd, InertialTarget::kMoments>, kLanes> q;
+  std::array<std::array<Transforms, InertialTarget::kPoses>, kLanes> bones;
+  std::array<LaneVector<Doubles>, InertialTarget::kMoments> q_lanes;
+  std::array<LaneVector<Doubles>, InertialTarget::kPoses> bone_lanes;
+  ModalInertia::EightInertialTarget eight;
+  eight.coefficients = StepRule(StepOptions{1 / 120.}).coefficients();
+  eight.gravity_offset = Vector3d(0, 0, 1e-4);
+  for (int m = 0; m < InertialTarget::kMoments; ++m) q_lanes[m].resize(r);
+  for (int n = 0; n < InertialTarget::kPoses; ++n) bone_lanes[n].resize(12 * used);
   for (int lane = 0; lane < kLanes; ++lane) {
-    single[lane].share = eight.share;
-    single[lane].lift = eight.lift;
-    for (int m = 0; m < Motion::kMoments; ++m) {
+    single[lane].coefficients = eight.coefficients;
+    single[lane].gravity_offset = eight.gravity_offset;
+    for (int m = 0; m < InertialTarget::kMoments; ++m) {
       q[lane][m] = VectorXd::LinSpaced(r, -1, 1 + lane) * 1e-3 * (m + 1);
       single[lane].q[m] = &q[lane][m];
       for (Eigen::Index k = 0; k < r; ++k) q_lanes[m][k][lane] = q[lane][m](k);
     }
-    for (int n = 0; n < Motion::kPoses; ++n) {
+    for (int n = 0; n < InertialTarget::kPoses; ++n) {
       bones[lane][n].resize(6, 12);
       for (int b = 0; b < 6; ++b)  // bent well apart, so that no term is left out for one and not for another
         bones[lane][n].row(b) = scenes::bent(0.2 * (b + 1) * (lane + 1) - 0.01 * n).row(1);
@@ -182,8 +184,8 @@ TEST_CASE("inertia of eight characters is that of each") {
         for (int e = 0; e < 12; ++e) bone_lanes[n][12 * b + e][lane] = bones[lane][n](inertia.used_bones()[b], e);
     }
   }
-  for (int m = 0; m < Motion::kMoments; ++m) eight.q[m] = q_lanes[m].data();
-  for (int n = 0; n < Motion::kPoses; ++n) eight.bones[n] = bone_lanes[n].data();
+  for (int m = 0; m < InertialTarget::kMoments; ++m) eight.q[m] = q_lanes[m].data();
+  for (int n = 0; n < InertialTarget::kPoses; ++n) eight.bones[n] = bone_lanes[n].data();
   const Doubles density = Doubles{} + 1000, damping = Doubles{} + 30;
   ModalInertia::EightInertia found;
   inertia.evaluate(eight, &density, &damping, found);

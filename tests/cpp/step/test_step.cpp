@@ -7,7 +7,7 @@
 
 #include "dynamorph/pose/pose_space.hpp"
 #include "dynamorph/step/crowd.hpp"
-#include "dynamorph/step/integrator.hpp"
+#include "dynamorph/step/simulation.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;

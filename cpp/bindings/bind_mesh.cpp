@@ -1,23 +1,20 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "arrays.hpp"
 #include "bindings.hpp"
+#include "dynamorph/core/progress.hpp"
 #include "dynamorph/mesh/cage.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
-#include "dynamorph/mesh/parting.hpp"
+#include "dynamorph/mesh/embedding.hpp"
+#include "dynamorph/mesh/fill.hpp"
+#include "dynamorph/mesh/mesh_cut.hpp"
+#include "dynamorph/mesh/pins.hpp"
+#include "dynamorph/mesh/tet_mesh.hpp"
 #include "dynamorph/mesh/tetrahedralize.hpp"
 #include "dynamorph/mesh/thickness.hpp"
 
-namespace py = pybind11;
-using namespace py::literals;
 using namespace dynamorph;
 
 namespace {
-
-template <class Function>
-auto without_gil(Function function) {
-  py::gil_scoped_release released;
-  return function();
-}
 
 Points points(const FloatArray& array, const char* name) { return to_matrix<Points>(array, name); }
 Triangles triangles(const IntArray& array) { return to_matrix<Triangles>(array, "triangles"); }
@@ -33,8 +30,6 @@ py::array_t<bool> to_array(const std::vector<bool>& flags) {
   std::copy(flags.begin(), flags.end(), array.mutable_data());
   return array;
 }
-
-using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 void bind_tet_mesh(py::module_& m) {
   py::class_<TetMesh>(m, "TetMesh", "Tetrahedra: n nodes, m tets.")
@@ -216,36 +211,36 @@ vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with
 Depth is the distance to the skin, 0 outside of the body; a point there has the thickness of the skin nearest to it.)");
 }
 
-void bind_parting(py::module_& m) {
-  py::class_<Parting>(m, "Parting", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+void bind_mesh_cut(py::module_& m) {
+  py::class_<MeshCut>(m, "Parting", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
 
 Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
 distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.)")
       .def(py::init([](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces) {
              const Points v = points(vertices, "vertices");
              const Triangles f = triangles(faces);
-             return without_gil([&] { return std::make_unique<Parting>(mesh, v, f); });
+             return without_gil([&] { return std::make_unique<MeshCut>(mesh, v, f); });
            }),
            "mesh"_a, "vertices"_a, "triangles"_a, R"(Finds the glued tetrahedra.
 
 vertices (V, 3): metres. triangles (T, 3): the outward skin in the mesh, open or not. Raises ValueError on wrong shapes
 or indices.)")
       .def_property_readonly(
-          "glued", [](const Parting& self) { return to_array(self.glued()); }, "Which tetrahedra are glued, bool (m,).")
-      .def("cut", &Parting::cut, py::call_guard<py::gil_scoped_release>(),
+          "glued", [](const MeshCut& self) { return to_array(self.glued()); }, "Which tetrahedra are glued, bool (m,).")
+      .def("cut", &MeshCut::cut, py::call_guard<py::gil_scoped_release>(),
            R"(The TetMesh with a crack between glued tetrahedra.
 
 The same tetrahedra; the nodes along the crack are doubled, the doubles at the end.)")
-      .def("embed", &Parting::embed, "cut"_a, py::call_guard<py::gil_scoped_release>(),
+      .def("embed", &MeshCut::embed, "cut"_a, py::call_guard<py::gil_scoped_release>(),
            "The Embedding of the V vertices in the mesh as cut, each in a tetrahedron that belongs to skin near it.");
 }
 
 }  // namespace
 
-void bind_meshing(py::module_& m) {
+void bind_mesh(py::module_& m) {
   bind_tet_mesh(m);
   bind_meshers(m);
   bind_body_in_mesh(m);
-  bind_parting(m);
+  bind_mesh_cut(m);
   bind_thickness(m);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-#include "dynamorph/mesh/flesh.hpp"
+#include "dynamorph/mesh/interior_graph.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -71,7 +71,7 @@ std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cel
 
 }  // namespace
 
-Flesh::Flesh(const Points& vertices, const Triangles& triangles, double spacing) {
+InteriorGraph::InteriorGraph(const Points& vertices, const Triangles& triangles, double spacing) {
   check_triangles(vertices, triangles);
   weld(vertices, triangles);
   close(vertices, triangles);
@@ -83,7 +83,7 @@ Flesh::Flesh(const Points& vertices, const Triangles& triangles, double spacing)
   look_through();
 }
 
-void Flesh::weld(const Points& vertices, const Triangles& triangles) {
+void InteriorGraph::weld(const Points& vertices, const Triangles& triangles) {
   const std::vector<Cell> cells = cells_of(vertices, triangles);
   const std::vector<bool> seam = seams(triangles, cells);
   std::map<Cell, int> welded;
@@ -99,7 +99,7 @@ void Flesh::weld(const Points& vertices, const Triangles& triangles) {
 }
 
 /// Turns the triangles outward, as those of the closed body are.
-void Flesh::close(const Points& vertices, const Triangles& triangles) {
+void InteriorGraph::close(const Points& vertices, const Triangles& triangles) {
   if (triangles.rows() == 0) return;
   const ClosedSurface closed = close_surface(vertices, triangles);
   body_ = Surface(closed.vertices, closed.triangles);
@@ -108,7 +108,7 @@ void Flesh::close(const Points& vertices, const Triangles& triangles) {
 }
 
 /// Triangles are halved at their longest edge; both triangles of an edge get the same middle.
-void Flesh::refine(double spacing) {
+void InteriorGraph::refine(double spacing) {
   std::map<std::pair<int, int>, int> middles;
   for (size_t t = 0; t < triangles_.size();) {
     const Triangle corners = triangles_[t];
@@ -126,7 +126,7 @@ void Flesh::refine(double spacing) {
   }
 }
 
-void Flesh::connect() {
+void InteriorGraph::connect() {
   steps_.resize(size());
   const auto connected = [&](int a, int b) {
     return std::any_of(steps_[a].begin(), steps_[a].end(), [&](const Step& step) { return step.to == b; });
@@ -141,7 +141,7 @@ void Flesh::connect() {
     }
 }
 
-void Flesh::find_parts() {
+void InteriorGraph::find_parts() {
   part_.assign(size(), -1);
   int parts = 0;
   for (int seed = 0; seed < size(); ++seed) {
@@ -161,7 +161,7 @@ void Flesh::find_parts() {
   }
 }
 
-void Flesh::find_normals() {
+void InteriorGraph::find_normals() {
   normals_.assign(size(), Vector3d::Zero());
   for (const auto& [a, b, c] : triangles_) {
     const Vector3d area = (points_[b] - points_[a]).cross(points_[c] - points_[a]);
@@ -171,7 +171,7 @@ void Flesh::find_normals() {
 }
 
 /// By winding numbers, each part for itself: a body is not inside its clothes.
-void Flesh::find_buried(double off) {
+void InteriorGraph::find_buried(double off) {
   std::vector<std::vector<Triangle>> parts(part_.empty() ? 0 : 1 + *std::max_element(part_.begin(), part_.end()));
   for (const Triangle& corners : triangles_) parts[part_[corners[0]]].push_back(corners);
   std::vector<int> number(size());  // of each point within its part
@@ -193,7 +193,7 @@ void Flesh::find_buried(double off) {
 }
 
 /// Joins what lies opposite through the flesh. Not from inside another part, which the line would leave instead.
-void Flesh::look_through() {
+void InteriorGraph::look_through() {
   std::vector<Bvh::Box> boxes(triangles_.size());
   for (size_t t = 0; t < triangles_.size(); ++t)
     for (int corner : triangles_[t]) boxes[t].extend(points_[corner]);
@@ -209,7 +209,7 @@ void Flesh::look_through() {
 
 /// Where the line inward from a point leaves the body, through skin that faces the other way; -1 when it first enters
 /// it a second time.
-int Flesh::opposite(int from) const {
+int InteriorGraph::opposite(int from) const {
   const Vector3d inward = -normals_[from];
   double nearest = infinity;
   int crossed = -1;
@@ -229,14 +229,14 @@ int Flesh::opposite(int from) const {
   return other >= 0 && normals_[from].dot(normals_[other]) < -0.5 ? other : -1;
 }
 
-int Flesh::nearest_corner(int triangle, const Vector3d& p) const {
+int InteriorGraph::nearest_corner(int triangle, const Vector3d& p) const {
   const Triangle& corners = triangles_[triangle];
   return *std::min_element(corners.begin(), corners.end(), [&](int a, int b) {
     return (points_[a] - p).squaredNorm() < (points_[b] - p).squaredNorm();
   });
 }
 
-int Flesh::nearest(const Vector3d& p) const {
+int InteriorGraph::nearest(const Vector3d& p) const {
   const Place any = nearest_place(p, false);
   if (any.triangle < 0) return -1;
   // Inside another part that overlaps this one: not this one's, although it is near.
@@ -246,7 +246,7 @@ int Flesh::nearest(const Vector3d& p) const {
   return nearest_corner(place.triangle, place.at);
 }
 
-Flesh::Place Flesh::nearest_place(const Vector3d& p, bool only_around) const {
+InteriorGraph::Place InteriorGraph::nearest_place(const Vector3d& p, bool only_around) const {
   double best = infinity;
   Place place;
   bvh_.nearest(p, best, [&](int t) {
@@ -260,34 +260,6 @@ Flesh::Place Flesh::nearest_place(const Vector3d& p, bool only_around) const {
     place = {t, q, outside};
   });
   return place;
-}
-
-Ways::Ways(const Flesh& flesh) : flesh_(flesh), length_(flesh.size(), infinity) {}
-
-void Ways::start(int from) {
-  for (int i : touched_) length_[i] = infinity;
-  touched_ = {from};
-  next_ = {};
-  next_.emplace(0.0, from);
-  length_[from] = 0;
-  from_ = from;
-}
-
-// Dijkstra's method, halted once the point is reached and taken up again with the next.
-double Ways::to(int point, double bound) {
-  while (!next_.empty() && next_.top().first <= bound && next_.top().first < length_[point]) {
-    const auto [length, i] = next_.top();
-    next_.pop();
-    if (length > length_[i]) continue;
-    for (const Flesh::Step& step : flesh_.steps(i)) {
-      const double longer = length + step.length;
-      if (!(longer < length_[step.to])) continue;
-      if (length_[step.to] == infinity) touched_.push_back(step.to);
-      length_[step.to] = longer;
-      next_.emplace(longer, step.to);
-    }
-  }
-  return length_[point] <= bound ? length_[point] : infinity;
 }
 
 }  // namespace dynamorph

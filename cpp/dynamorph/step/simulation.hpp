@@ -12,10 +12,11 @@
 #pragma once
 
 #include <array>
+#include <functional>
 #include <memory>
-#include <optional>
 
 #include "dynamorph/models/full_model.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
 
 namespace dynamorph {
@@ -38,18 +39,18 @@ struct StepOptions {
 /// The numbers of a scheme at one step size.
 struct StepRule {
   explicit StepRule(const StepOptions& options);
-  std::array<double, Motion::kMoments> past;  ///< of x^
-  double square;                              ///< h^2 c^2, s^2
-  std::array<double, 3> velocity;             ///< h u' = sum velocity[m] u(n+1-m)
+  std::array<double, InertialTarget::kMoments> past;  ///< of x^
+  double square;                                      ///< h^2 c^2, s^2
+  std::array<double, 3> velocity;                     ///< h u' = sum velocity[m] u(n+1-m)
   /// Of the motion that inertia acts on: 2 q(n) - q(n-1), as the bones pose it at the end of the step, less x^.
-  Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> share() const;
+  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients() const;
 };
 
 /// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps. Copy it to undo,
 /// resume or fork a simulation.
 struct State {
-  std::array<VectorXd, Motion::kMoments> q;
-  std::array<Transforms, Motion::kMoments> bones;
+  std::array<VectorXd, InertialTarget::kMoments> q;
+  std::array<Transforms, InertialTarget::kMoments> bones;
 };
 
 /// Throws std::invalid_argument unless every target set's weights are >= 0 and sum to one.
@@ -108,9 +109,9 @@ class Simulation {
   };
 
   void pose(const Transforms& bones, const VectorXd& weights);
-  /// Inertia's force on `motion` divided by `square` s^2, the external forces and what holds the targets, in
+  /// Inertia's force on `inertial` divided by `square` s^2, the external forces and what holds the targets, in
   /// quadratic_.g.
-  void pull(const Motion& motion, double square, const VectorXd& external);
+  void pull(const InertialTarget& inertial, double square, const VectorXd& external);
   StepReport minimize(VectorXd& q, int max_iterations);
   /// Along direction_ from q: to where Phi descends, with elastic_, force_ and stiffness_ there; false when round-off
   /// leaves no descent.
@@ -118,7 +119,6 @@ class Simulation {
   double potential(const VectorXd& q, double elastic);  ///< Phi, with trial_ and image_ there
   void descend(Matrix& H);  ///< direction_ by the tangent, which is shifted until it is positive definite
   void require_pose() const;
-  bool carry_past(const Transforms& bones);  ///< when they jump off the course of the past
   double farthest(const Transforms& bones) const;
 
   std::shared_ptr<const Model> model_;

@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // How far apart two points of the skin are for the flesh between them.
 //
-// A way through the flesh runs along the edges of the skin, and straight through the body: from a vertex inward along
+// A path through the flesh runs along the edges of the skin, and straight through the body: from a vertex inward along
 // its normal to where that leaves the body again. So what lies opposite in a thin slab (ear, hand, cape) is near, and
-// what lies opposite across a gap, or touches, is as far as the way around.
+// what lies opposite across a gap, or touches, is as far as the path around.
 #pragma once
 
 #include <array>
-#include <queue>
-#include <utility>
 #include <vector>
 
 #include "dynamorph/core/types.hpp"
@@ -17,7 +15,7 @@
 
 namespace dynamorph {
 
-class Flesh {
+class InteriorGraph {
  public:
   struct Step {
     int to;
@@ -27,13 +25,13 @@ class Flesh {
   /// The skin: vertices and triangles, which may look either way. It may be open, and have seams: equal vertices at
   /// open edges count as one. Edges longer than `spacing` (metres) get points in between. Throws std::invalid_argument
   /// when a triangle names a vertex that does not exist.
-  Flesh(const Points& vertices, const Triangles& triangles, double spacing);
+  InteriorGraph(const Points& vertices, const Triangles& triangles, double spacing);
 
   int size() const { return int(points_.size()); }
   const Vector3d& point(int i) const { return points_[i]; }
   /// The point of an input vertex; -1 when it has no triangle.
   int of_vertex(Eigen::Index vertex) const { return of_vertex_[vertex]; }
-  /// The loose part of the skin that a point belongs to: there are no ways between parts.
+  /// The loose part of the skin that a point belongs to: there are no paths between parts.
   int part(int i) const { return part_[i]; }
   const std::vector<Step>& steps(int i) const { return steps_[i]; }
 
@@ -71,24 +69,6 @@ class Flesh {
   std::vector<bool> buried_;  // inside another place of the same part, or touching it
   Bvh bvh_ = Bvh({});
   Surface body_ = Surface(Points(0, 3), Triangles(0, 3));  // closed
-};
-
-/// The shortest ways from one point of the skin, found as far as they are asked for.
-class Ways {
- public:
-  explicit Ways(const Flesh& flesh);
-  void start(int from);
-  int from() const { return from_; }
-  /// Length of the way to a point, metres; infinite when it is longer than `bound`.
-  double to(int point, double bound);
-
- private:
-  using Reached = std::pair<double, int>;
-  const Flesh& flesh_;
-  int from_ = -1;
-  std::vector<double> length_;
-  std::vector<int> touched_;
-  std::priority_queue<Reached, std::vector<Reached>, std::greater<>> next_;
 };
 
 }  // namespace dynamorph

@@ -6,7 +6,8 @@
 #include <set>
 #include <vector>
 
-#include "dynamorph/mesh/parting.hpp"
+#include "dynamorph/mesh/embedding.hpp"
+#include "dynamorph/mesh/mesh_cut.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;
@@ -39,7 +40,7 @@ Skin tube(const std::vector<Vector3d>& line, double radius, double half_width, i
     const Vector3d along = line[std::min(i + 1, rings - 1)] - line[std::max(i - 1, 0)];
     const Vector3d side = Vector3d::UnitY().cross(along).normalized();
     for (int k = 0; k < around; ++k) {
-      const double angle = 2 * M_PI * k / around;
+      const double angle = 2 * kPi * k / around;
       skin.vertices.row(i * around + k) =
           line[i] + radius * std::cos(angle) * side + half_width * std::sin(angle) * Vector3d::UnitY();
       const int a = i * around + k, b = i * around + (k + 1) % around;
@@ -67,7 +68,7 @@ Skin fork(double gap) {
   const int pieces = 40, turns = 8;
   for (int i = 0; i < pieces; ++i) line.emplace_back(length * (1 - i / double(pieces)), 0, -bend);
   for (int i = 0; i <= turns; ++i) {
-    const double angle = M_PI * i / turns;
+    const double angle = kPi * i / turns;
     line.emplace_back(-0.12 * std::sin(angle), 0, -bend * std::cos(angle));
   }
   for (int i = 1; i <= pieces; ++i) line.emplace_back(length * i / double(pieces), 0, bend);
@@ -117,14 +118,14 @@ TEST_CASE("the prongs of a fork come apart, whether there is a gap, they touch o
     CAPTURE(gap);
     const Skin skin = fork(gap);
     const TetMesh mesh = block(skin, 0.06);
-    const Parting parting(mesh, skin.vertices, skin.triangles);
-    CHECK(count(parting.glued()) > 30);
-    const TetMesh cut = parting.cut();
+    const MeshCut mesh_cut(mesh, skin.vertices, skin.triangles);
+    CHECK(count(mesh_cut.glued()) > 30);
+    const TetMesh cut = mesh_cut.cut();
     CHECK(cut.tets.rows() == mesh.tets.rows());
     CHECK(cut.nodes.topRows(mesh.nodes.rows()) == mesh.nodes);
     CHECK(volumes(cut) == volumes(mesh));
     CHECK(pieces(cut) == 1);  // they still meet at the bend
-    const Embedding before = embed(mesh, skin.vertices), after = parting.embed(cut);
+    const Embedding before = embed(mesh, skin.vertices), after = mesh_cut.embed(cut);
     CHECK(joined_up_to(mesh, before) > 0.95);
     CHECK(joined_up_to(cut, after) < 0.35);
     CHECK(after.distances.maxCoeff() < 0.03);
@@ -134,9 +135,9 @@ TEST_CASE("the prongs of a fork come apart, whether there is a gap, they touch o
 
 TEST_CASE("what is cut once has nothing left to cut, and cutting is repeatable") {
   const Skin skin = fork(0.03);
-  const TetMesh mesh = block(skin, 0.06), cut = Parting(mesh, skin.vertices, skin.triangles).cut();
-  CHECK(count(Parting(cut, skin.vertices, skin.triangles).glued()) == 0);
-  CHECK(Parting(mesh, skin.vertices, skin.triangles).cut().tets == cut.tets);
+  const TetMesh mesh = block(skin, 0.06), cut = MeshCut(mesh, skin.vertices, skin.triangles).cut();
+  CHECK(count(MeshCut(cut, skin.vertices, skin.triangles).glued()) == 0);
+  CHECK(MeshCut(mesh, skin.vertices, skin.triangles).cut().tets == cut.tets);
 }
 
 TEST_CASE("a thin slab is not cut, its two sides are one flesh") {
@@ -144,10 +145,10 @@ TEST_CASE("a thin slab is not cut, its two sides are one flesh") {
   for (int i = 0; i <= 20; ++i) line.emplace_back(i / 20.0, 0, 0.1 * std::sin(i / 4.0));
   const Skin slab = tube(line, 0.01, 0.5, 32);
   const TetMesh mesh = block(slab, 0.06);
-  const Parting parting(mesh, slab.vertices, slab.triangles);
-  CHECK(count(parting.glued()) == 0);
-  CHECK(parting.cut().nodes == mesh.nodes);
-  const Embedding plain = embed(mesh, slab.vertices), own = parting.embed(mesh);
+  const MeshCut mesh_cut(mesh, slab.vertices, slab.triangles);
+  CHECK(count(mesh_cut.glued()) == 0);
+  CHECK(mesh_cut.cut().nodes == mesh.nodes);
+  const Embedding plain = embed(mesh, slab.vertices), own = mesh_cut.embed(mesh);
   CHECK(own.nodes == plain.nodes);
   CHECK(own.weights == plain.weights);
 }
@@ -155,16 +156,16 @@ TEST_CASE("a thin slab is not cut, its two sides are one flesh") {
 TEST_CASE("a sheet folded to a letter C opens along its gap") {
   std::vector<Vector3d> line;
   for (int i = 0; i <= 60; ++i) {
-    const double angle = (0.02 + 0.96 * i / 60.0) * 2 * M_PI;  // the ends nearly meet
+    const double angle = (0.02 + 0.96 * i / 60.0) * 2 * kPi;  // the ends nearly meet
     line.emplace_back(0.4 * std::cos(angle), 0, 0.4 * std::sin(angle));
   }
   const Skin sheet = tube(line, 0.04, 0.2);
   const TetMesh mesh = block(sheet, 0.06);
-  const Parting parting(mesh, sheet.vertices, sheet.triangles);
-  const std::vector<bool> glued = parting.glued();
+  const MeshCut mesh_cut(mesh, sheet.vertices, sheet.triangles);
+  const std::vector<bool> glued = mesh_cut.glued();
   CHECK(count(glued) > 0);
-  const TetMesh cut = parting.cut();
-  const Embedding e = parting.embed(cut);
+  const TetMesh cut = mesh_cut.cut();
+  const Embedding e = mesh_cut.embed(cut);
   std::set<int> first, last;
   for (Eigen::Index i = 0; i < sheet.vertices.rows(); ++i)
     if (sheet.vertices(i, 0) > 0.3 && std::abs(sheet.vertices(i, 2)) < 0.15)
@@ -177,7 +178,7 @@ TEST_CASE("loose parts are not cut apart: an eye in its head, a shell around a b
   const auto ball = [](double radius) {
     std::vector<Vector3d> line;
     Skin skin;
-    for (int i = 1; i < 12; ++i) line.emplace_back(radius * -std::cos(M_PI * i / 12), 0, 0);
+    for (int i = 1; i < 12; ++i) line.emplace_back(radius * -std::cos(kPi * i / 12), 0, 0);
     skin = tube(line, 1, 1);
     for (Eigen::Index i = 0; i < skin.vertices.rows() - 2; ++i) {
       const double x = skin.vertices(i, 0), r = std::sqrt(radius * radius - x * x);
@@ -188,7 +189,7 @@ TEST_CASE("loose parts are not cut apart: an eye in its head, a shell around a b
   };
   const Skin nested = join({ball(0.5), ball(0.45)});
   const TetMesh mesh = block(nested, 0.1);
-  CHECK(count(Parting(mesh, nested.vertices, nested.triangles).glued()) == 0);
+  CHECK(count(MeshCut(mesh, nested.vertices, nested.triangles).glued()) == 0);
 }
 
 TEST_CASE("seams and long edges change nothing about what is glued") {
@@ -200,16 +201,16 @@ TEST_CASE("seams and long edges change nothing about what is glued") {
       split.vertices.row(3 * t + k) = skin.vertices.row(skin.triangles(t, k));
       split.triangles(t, k) = int(3 * t + k);
     }
-  CHECK(Parting(mesh, split.vertices, split.triangles).cut().tets ==
-        Parting(mesh, skin.vertices, skin.triangles).cut().tets);
+  CHECK(MeshCut(mesh, split.vertices, split.triangles).cut().tets ==
+        MeshCut(mesh, skin.vertices, skin.triangles).cut().tets);
 }
 
 TEST_CASE("a mesh without skin has nothing to cut, and a stray vertex is carried by the nearest tet") {
   const TetMesh mesh = scenes::bar(3, 1, 1, 0.1);
   Points stray(1, 3);
   stray << 0.05, 0.05, 0.05;
-  const Parting parting(mesh, stray, Triangles(0, 3));
-  CHECK(count(parting.glued()) == 0);
-  CHECK(parting.embed(parting.cut()).distances[0] == 0);
-  CHECK_THROWS_AS(parting.embed(scenes::bar(1, 1, 1, 0.1)), std::invalid_argument);
+  const MeshCut mesh_cut(mesh, stray, Triangles(0, 3));
+  CHECK(count(mesh_cut.glued()) == 0);
+  CHECK(mesh_cut.embed(mesh_cut.cut()).distances[0] == 0);
+  CHECK_THROWS_AS(mesh_cut.embed(scenes::bar(1, 1, 1, 0.1)), std::invalid_argument);
 }

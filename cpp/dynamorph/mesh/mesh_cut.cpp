@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-#include "dynamorph/mesh/parting.hpp"
+#include "dynamorph/mesh/mesh_cut.hpp"
 
 #include <algorithm>
 #include <array>
@@ -52,25 +52,25 @@ bool has(const Tets& tets, int tet, int node) { return (tets.row(tet).array() ==
 
 }  // namespace
 
-Parting::Parting(const TetMesh& mesh, const Points& vertices, const Triangles& triangles)
-    : mesh_(mesh), vertices_(vertices), sizes_(sizes_of(mesh)), flesh_(vertices, triangles, mean(sizes_)) {
+MeshCut::MeshCut(const TetMesh& mesh, const Points& vertices, const Triangles& triangles)
+    : mesh_(mesh), vertices_(vertices), sizes_(sizes_of(mesh)), graph_(vertices, triangles, mean(sizes_)) {
   for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
     Vector3d center = Vector3d::Zero();
     for (int node : mesh.tets.row(t)) center += mesh.nodes.row(node) / 4;
-    owner_.push_back(flesh_.nearest(center));
+    owner_.push_back(graph_.nearest(center));
   }
   for_neighbours(mesh.tets, [&](int a, int b) { pairs_.push_back({a, b}); });
   find_glued();
   for (int round = 0; round < kRounds && adopt_loose(); ++round) find_glued();
 }
 
-void Parting::find_glued() {
+void MeshCut::find_glued() {
   std::stable_sort(pairs_.begin(), pairs_.end(), [&](auto& p, auto& q) { return owner_[p.first] < owner_[q.first]; });
-  Ways ways(flesh_);
+  ShortestPaths paths(graph_);
   glued_.clear();
   beside_.assign(mesh_.tets.rows(), {});
   for (const auto& [a, b] : pairs_)
-    if (far_apart(ways, owner_[a], owner_[b], std::max(sizes_[a], sizes_[b])))
+    if (far_apart(paths, owner_[a], owner_[b], std::max(sizes_[a], sizes_[b])))
       glued_.push_back({a, b});
     else {
       beside_[a].push_back(b);
@@ -78,9 +78,9 @@ void Parting::find_glued() {
     }
 }
 
-/// A crack never takes anything off, as there is a way through the flesh. Where it would, a few tets in the thick of it
-/// belong to the wrong skin: they go to that of a neighbour. Returns whether there were any.
-bool Parting::adopt_loose() {
+/// A crack never takes anything off, as there is a path through the flesh. Where it would, a few tets in the thick of
+/// it belong to the wrong skin: they go to that of a neighbour. Returns whether there were any.
+bool MeshCut::adopt_loose() {
   std::vector<int> group(mesh_.tets.rows(), -1), count;
   for (int seed = 0; seed < mesh_.tets.rows(); ++seed) {
     if (group[seed] >= 0) continue;
@@ -105,21 +105,21 @@ bool Parting::adopt_loose() {
   return !adopted.empty();
 }
 
-bool Parting::far_apart(Ways& ways, int a, int b, double size) const {
-  if (a < 0 || b < 0 || flesh_.part(a) != flesh_.part(b)) return false;
-  if (ways.from() != a) ways.start(a);
-  const double straight = (flesh_.point(a) - flesh_.point(b)).norm();
+bool MeshCut::far_apart(ShortestPaths& paths, int a, int b, double size) const {
+  if (a < 0 || b < 0 || graph_.part(a) != graph_.part(b)) return false;
+  if (paths.from() != a) paths.start(a);
+  const double straight = (graph_.point(a) - graph_.point(b)).norm();
   const double bound = std::max(kDetour * straight, kEdges * size);
-  return ways.to(b, bound) > bound;
+  return paths.to(b, bound) > bound;
 }
 
-std::vector<bool> Parting::glued() const {
+std::vector<bool> MeshCut::glued() const {
   std::vector<bool> glued(mesh_.tets.rows(), false);
   for (const auto& [a, b] : glued_) glued[a] = glued[b] = true;
   return glued;
 }
 
-TetMesh Parting::cut() const {
+TetMesh MeshCut::cut() const {
   std::vector<std::vector<int>> around(mesh_.nodes.rows());  // the tets at each node of the crack
   std::vector<bool> on_crack(mesh_.nodes.rows(), false);
   for (const auto& [a, b] : glued_)
@@ -145,7 +145,7 @@ TetMesh Parting::cut() const {
 }
 
 /// Takes out of `tets` those that hang together with its first.
-std::vector<int> Parting::take_connected(std::vector<int>& tets) const {
+std::vector<int> MeshCut::take_connected(std::vector<int>& tets) const {
   std::vector<int> taken{tets.front()};
   tets.erase(tets.begin());
   for (size_t i = 0; i < taken.size(); ++i)
@@ -158,11 +158,11 @@ std::vector<int> Parting::take_connected(std::vector<int>& tets) const {
   return taken;
 }
 
-Embedding Parting::embed(const TetMesh& cut) const {
+Embedding MeshCut::embed(const TetMesh& cut) const {
   if (cut.tets.rows() != mesh_.tets.rows()) throw std::invalid_argument("cut: is of another mesh");
-  Ways ways(flesh_);
+  ShortestPaths paths(graph_);
   return dynamorph::embed(cut, vertices_, [&](Eigen::Index vertex, int tet) {
-    return !far_apart(ways, flesh_.of_vertex(vertex), owner_[tet], sizes_[tet]);
+    return !far_apart(paths, graph_.of_vertex(vertex), owner_[tet], sizes_[tet]);
   });
 }
 

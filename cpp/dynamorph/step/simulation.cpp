@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-#include "dynamorph/step/integrator.hpp"
+#include "dynamorph/step/simulation.hpp"
 
-#include <Eigen/SVD>
-
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/progress.hpp"
+#include "dynamorph/elastic/dense_factor.hpp"
 #include "dynamorph/elastic/sparse_solver.hpp"
-#include "dynamorph/reduced/kernels.hpp"
+#include "dynamorph/step/teleport.hpp"
 
 namespace dynamorph {
 
@@ -26,23 +27,12 @@ class DenseSolver {
 };
 
 /// Gravity (m/s^2, world) on the flesh at the bones, and nothing of the past.
-Motion at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
-  Motion motion;
-  motion.q.fill(&q);
-  motion.bones.fill(&bones);
-  motion.lift = gravity;
-  return motion;
-}
-
-using Affine = Eigen::Matrix<double, 3, 4>;
-
-/// A transform of rest positions relative to `centre`.
-template <class Row>
-Affine about(const Vector3d& centre, const Row& row) {
-  const Eigen::Matrix<double, 1, 12> entries = row;
-  Affine T = TransformMap(entries.data());
-  T.col(3) += T.leftCols<3>() * centre;
-  return T;
+InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
+  InertialTarget inertial;
+  inertial.q.fill(&q);
+  inertial.bones.fill(&bones);
+  inertial.gravity_offset = gravity;
+  return inertial;
 }
 
 template <class Matrix>
@@ -57,13 +47,13 @@ StepRule::StepRule(const StepOptions& options) {
   square = options.h * options.h * (euler ? 1 : 4 / 9.);
 }
 
-Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> StepRule::share() const {
-  Eigen::Matrix<double, Motion::kMoments, Motion::kPoses> share;
-  share.setZero();
-  share(0, 0) = 2;
-  share(1, 0) = -1;
-  for (int m = 0; m < Motion::kMoments; ++m) share(m, m + 1) = -past[m];
-  return share;
+Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> StepRule::coefficients() const {
+  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients;
+  coefficients.setZero();
+  coefficients(0, 0) = 2;
+  coefficients(1, 0) = -1;
+  for (int m = 0; m < InertialTarget::kMoments; ++m) coefficients(m, m + 1) = -past[m];
+  return coefficients;
 }
 
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights) {
@@ -102,8 +92,8 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
 }
 
 template <class Model>
-void Simulation<Model>::pull(const Motion& motion, double square, const VectorXd& external) {
-  model_->inertia(motion, blend_.mass, inertia_);
+void Simulation<Model>::pull(const InertialTarget& inertial, double square, const VectorXd& external) {
+  model_->inertia(inertial, blend_.mass, inertia_);
   quadratic_.g = inertia_.force / square;
   if (held_.size() > 0) quadratic_.g.noalias() += held_ * blend_.weights;
   if (external.size() == 0) return;
@@ -112,7 +102,7 @@ void Simulation<Model>::pull(const Motion& motion, double square, const VectorXd
     throw std::invalid_argument("external: expected " + std::to_string(size) + " values, got " +
                                 std::to_string(external.size()));
   if (!external.allFinite()) throw std::invalid_argument("external: forces must be finite");
-  frame_.bones = *motion.bones[0];
+  frame_.bones = *inertial.bones[0];
   pose_nodes(model_->body().skin, frame_);
   nodal_ = external;
   pull_back(frame_, nodal_);
@@ -170,7 +160,7 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
                                 std::to_string(next.rows()));
   VectorXd q;
   const StepReport report = solve_static(now, weights, q);
-  for (int k = 0; k < Motion::kMoments; ++k) {
+  for (int k = 0; k < InertialTarget::kMoments; ++k) {
     state_.q[k] = q;
     state_.bones[k] = extrapolate_back(now, next, k);
   }
@@ -187,48 +177,6 @@ void Simulation<Model>::set_state(const State& state) {
 }
 
 template <class Model>
-bool Simulation<Model>::carry_past(const Transforms& bones) {
-  if (options_.teleport <= 0) return false;
-  const SoftBody& body = model_->body();
-  // How far the bones' flesh is from where it would be had nothing jumped, by its moments.
-  double jump = 0;
-  for (Eigen::Index b = 0; b < bones.rows(); ++b) {
-    const Eigen::Matrix4d& moments = body.moments[b];
-    if (moments(3, 3) == 0) continue;
-    const Affine off = about(body.centre, bones.row(b) - 2 * state_.bones[0].row(b) + state_.bones[1].row(b));
-    for (int i = 0; i < 3; ++i) jump += off.row(i) * moments * off.row(i).transpose();
-  }
-  if (jump < options_.teleport * options_.teleport * body.volume) return false;
-  const auto course = [&](Eigen::Index b) {
-    return about(body.centre, 2 * state_.bones[0].row(b) - state_.bones[1].row(b));
-  };
-  // The rigid motion that fits the jump best (Kabsch).
-  Eigen::Matrix3d across = Eigen::Matrix3d::Zero();
-  Vector3d from = Vector3d::Zero(), to = from;
-  for (Eigen::Index b = 0; b < bones.rows(); ++b) {
-    from += course(b) * body.moments[b].col(3) / body.volume;
-    to += about(body.centre, bones.row(b)) * body.moments[b].col(3) / body.volume;
-  }
-  for (Eigen::Index b = 0; b < bones.rows(); ++b) {
-    Affine a = course(b), c = about(body.centre, bones.row(b));
-    a.col(3) -= from;
-    c.col(3) -= to;
-    across += c * body.moments[b] * a.transpose();
-  }
-  const Eigen::JacobiSVD<Matrix3d> svd(across, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Matrix3d flip = Matrix3d::Identity();
-  flip(2, 2) = (svd.matrixU() * svd.matrixV().transpose()).determinant() < 0 ? -1 : 1;
-  const Matrix3d turn = svd.matrixU() * flip * svd.matrixV().transpose();
-  for (Transforms& past : state_.bones)
-    for (Eigen::Index b = 0; b < bones.rows(); ++b) {
-      Eigen::Map<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>> T(past.data() + 12 * b);
-      T = (turn * T).eval();
-      T.col(3) += to - turn * from;
-    }
-  return true;
-}
-
-template <class Model>
 double Simulation<Model>::farthest(const Transforms& bones) const {
   return bones.rightCols<1>().cwiseAbs().maxCoeff() + bones.col(3).cwiseAbs().maxCoeff() +
          bones.col(7).cwiseAbs().maxCoeff() + model_->body().centre.norm() + model_->body().size;
@@ -239,20 +187,20 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
   check_weights(model_->targets(), model_->body().sets(), weights);
   pose(bones, weights);
-  const bool teleported = carry_past(bones);
+  const bool teleported = carry_past(model_->body(), options_.teleport, bones, state_.bones);
 
   const StepRule rule(options_);
   const double h = options_.h;
   next_ = 2 * state_.q[0] - state_.q[1];
-  Motion motion;
-  motion.bones[0] = &bones;
-  for (int m = 0; m < Motion::kMoments; ++m) {
-    motion.q[m] = &state_.q[m];
-    motion.bones[m + 1] = &state_.bones[m];
+  InertialTarget inertial;
+  inertial.bones[0] = &bones;
+  for (int m = 0; m < InertialTarget::kMoments; ++m) {
+    inertial.q[m] = &state_.q[m];
+    inertial.bones[m + 1] = &state_.bones[m];
   }
-  motion.share = rule.share();
-  motion.lift = rule.square * options_.gravity;
-  pull(motion, rule.square, external);
+  inertial.coefficients = rule.coefficients();
+  inertial.gravity_offset = rule.square * options_.gravity;
+  pull(inertial, rule.square, external);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
