@@ -79,7 +79,7 @@ void bind_full_model(py::module_& m) {
           [](const FullModel& model, int target, int k) {
             py::gil_scoped_release release;
             const LinearModes modes = linear_modes(model, checked_target(model, target), k);
-            return std::make_pair(modes.frequencies, modes.shapes);
+            return std::make_pair(modes.omega, modes.shapes);
           },
           "target"_a, "k"_a, "(omega (k) rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.")
       .def(

@@ -84,7 +84,7 @@ void set_threads(int most) {
   most_threads = most;
 }
 
-void for_chunks(int count, const std::function<void(int)>& work) {
+void parallel_for(int count, const std::function<void(int)>& work) {
   // Never destroyed: a process may end while the threads sleep, but not while they outlive what they wait for.
   static Helpers& helpers = *new Helpers;
   helpers.run(count, usable_cores() - 1, work);

@@ -27,7 +27,7 @@ void set_threads(int most);
 /// work(i, progress) for i = 0..count-1, each with a progress of its own that asks to stop once a work has failed. The
 /// caller's `progress` hears the mean and is called from the calling thread alone. Rethrows what a work threw.
 template <class Work>
-void in_parallel(int count, const ProgressFn& progress, const Work& work) {
+void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   std::vector<std::atomic<double>> done(count);
   std::vector<std::exception_ptr> errors(count);
   std::atomic<int> next{0};
@@ -74,6 +74,6 @@ void in_parallel(int count, const ProgressFn& progress, const Work& work) {
 
 /// work(i) for i = 0..count-1 in loops that take a millisecond: by the calling thread, and by threads kept for this as
 /// far as they come in time. Nothing is reported and nothing may be thrown.
-void for_chunks(int count, const std::function<void(int)>& work);
+void parallel_for(int count, const std::function<void(int)>& work);
 
 }  // namespace dynamorph

@@ -154,7 +154,7 @@ Assembly::Elements Assembly::pack(const RestShape& shape, bool absolute) const {
     for (int l = 0; l < kGroupSize; ++l) {
       const bool empty = groups_[g].tets[l] < 0;
       const Element& element = shape.elements[empty ? 0 : groups_[g].tets[l]];
-      out.groups[g].volumes[l] = empty ? 0 : element.volume;
+      out.groups[g].volumes[l] = empty ? 0 : element.weight;
       for (int a = 0; a < 3; ++a)
         for (int c = 0; c < 3; ++c) {
           out.groups[g].gradients[a][c][l] = element.gradients(c, groups_[g].order[a + 1][l]);
@@ -375,7 +375,7 @@ double Assembly::sum_chunks(Law law, const std::vector<Part>& parts, const Vecto
   VectorXd held(3 * free_ + 3);
   held << x, 0, 0, 0;
   std::vector<double> energies(chunks_.size());
-  for_chunks(int(chunks_.size()), [&](int c) {
+  parallel_for(int(chunks_.size()), [&](int c) {
     energies[c] = add(groups_.data(), chunks_[c].first, chunks_[c].last, weighted.data(), weighted.size(), held.data(),
                       tangent ? stores + chunks_[c].store : nullptr);
   });
@@ -392,7 +392,7 @@ double Assembly::linearize(Law law, const std::vector<Part>& parts, const Vector
   const double energy = sum_chunks(law, parts, x, stores.data());
   force.resize(3 * free_);
   const int count = int(blocks_.size());
-  for_chunks((count + kSlice - 1) / kSlice, [&](int slice) {
+  parallel_for((count + kSlice - 1) / kSlice, [&](int slice) {
     for (int k = slice * kSlice; k < std::min(count, (slice + 1) * kSlice); ++k) {
       const Block& block = blocks_[k];
       const bool diagonal = block.row == block.column;

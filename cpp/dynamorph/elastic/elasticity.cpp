@@ -22,7 +22,7 @@ Matrix3d green_strain(const Matrix3d& F) {
 }
 
 /// tr E - det F + 1, likewise.
-double inversion_energy(const Matrix3d& F) {
+double stabilizer(const Matrix3d& F) {
   const Matrix3d G = F - Matrix3d::Identity();
   const double trace = G.trace();
   return 0.5 * (G.squaredNorm() - trace * trace + G.cwiseProduct(G.transpose()).sum()) - G.determinant();
@@ -67,7 +67,7 @@ RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const Ve
     Element& element = shape.elements[e];
     element.gradients.rightCols<3>() = rest.inverse().transpose();
     element.gradients.col(0) = -element.gradients.rightCols<3>().rowwise().sum();
-    element.volume = rest.determinant() / 6 * scale(e);
+    element.weight = rest.determinant() / 6 * scale(e);
     // F(d) = I. With the deformed rest shape F0 = D(X) D(X+d)^-1; with the neutral one F0 = I - grad d.
     element.origin = own ? Matrix3d(neutral * deformed.inverse()) : Matrix3d(2 * Matrix3d::Identity() - map);
     shape.fallbacks += !usable && !shifted;
@@ -80,7 +80,7 @@ double energy_density(Law law, const Lame& lame, const Matrix3d& F) {
   const Lame part = stvk_part(law, lame);
   const double trace = strain.trace();
   double density = 0.5 * part.lambda * trace * trace + part.mu * strain.squaredNorm();
-  if (law == Law::stable_stvk) density += lame.mu * inversion_energy(F);
+  if (law == Law::stable_stvk) density += lame.mu * stabilizer(F);
   return density;
 }
 
@@ -110,8 +110,8 @@ void element_stiffness(Law law, const Lame& lame, const Element& element, const 
       if (part.mu != 0) block += part.mu * (Gg.col(b) * Gg.col(a).transpose() + gg(a, b) * GGt);
       // d2(det F) = u_a . (u_b x F (g_a x g_b)), and the law holds -kappa det F.
       if (kappa != 0) block += kappa * cross_matrix(G * g.col(a).cross(g.col(b)));
-      K.block<3, 3>(3 * a, 3 * b) = element.volume * block;
-      if (a != b) K.block<3, 3>(3 * b, 3 * a) = element.volume * block.transpose();
+      K.block<3, 3>(3 * a, 3 * b) = element.weight * block;
+      if (a != b) K.block<3, 3>(3 * b, 3 * a) = element.weight * block.transpose();
     }
   }
 }

@@ -29,7 +29,7 @@ struct Lame {
 struct Element {
   Eigen::Matrix<double, 3, 4> gradients;
   Matrix3d origin;  ///< F0, the deformation gradient at u = 0
-  double volume;    ///< m^3, times the share of the tet that counts (fill, painted stiffness, region)
+  double weight;    ///< m^3: the volume times the fraction of it that counts (fill, painted stiffness, region)
 };
 
 using ElementStiffness = Eigen::Matrix<double, 12, 12>;

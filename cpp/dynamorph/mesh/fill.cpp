@@ -53,7 +53,7 @@ VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Trian
   const std::vector<Vector4d> samples = sample_weights();
   const Eigen::Index tets = mesh.tets.rows();
   VectorXd fractions(tets);
-  in_parallel(int((tets + kBlock - 1) / kBlock), progress, [&](int block, const ProgressFn& done) {
+  run_tasks(int((tets + kBlock - 1) / kBlock), progress, [&](int block, const ProgressFn& done) {
     for (Eigen::Index t = block * kBlock; t < std::min(tets, (block + 1) * kBlock); ++t)
       fractions[t] = std::max(kFloor, filled(Tet(mesh, t), surface, samples));
     report(done, 1);

@@ -96,7 +96,7 @@ Thickness::Thickness(const Points& vertices, const Triangles& triangles, const P
   refine(closed.vertices, closed.triangles, kFacet * size_);
   const double off = kOff * size_;
   std::vector<char> kept(closed.triangles.rows());
-  for_chunks(int((kept.size() + kBlock - 1) / kBlock), [&](int block) {
+  parallel_for(int((kept.size() + kBlock - 1) / kBlock), [&](int block) {
     for (size_t t = size_t(block) * kBlock; t < std::min(kept.size(), size_t(block + 1) * kBlock); ++t) {
       const Vector3d vector = area_vector(closed.vertices, closed.triangles, Eigen::Index(t));
       if (!(vector.norm() > 0)) continue;
@@ -117,7 +117,7 @@ void Thickness::find_balls(const Points& vertices, const Triangles& triangles, c
   const Samples samples(vertices, triangles, kBalls);
   const int count = int(samples.points.size());
   balls_.resize(count);
-  in_parallel((count + kBlock - 1) / kBlock, progress, [&](int block, const ProgressFn& done) {
+  run_tasks((count + kBlock - 1) / kBlock, progress, [&](int block, const ProgressFn& done) {
     for (int i = block * kBlock; i < std::min(count, (block + 1) * kBlock); ++i) {
       const Vector3d &p = samples.points[i], &normal = samples.normals[i];
       double radius = 0.5 * size_;
@@ -151,7 +151,7 @@ double Thickness::thickness(const Vector3d& p) const {
 Thickness::Measures Thickness::at(const Points& points) const {
   const Eigen::Index count = points.rows();
   Measures out{VectorXd(count), VectorXd(count)};
-  for_chunks(int((count + kBlock - 1) / kBlock), [&](int block) {
+  parallel_for(int((count + kBlock - 1) / kBlock), [&](int block) {
     for (Eigen::Index i = Eigen::Index(block) * kBlock; i < std::min(count, Eigen::Index(block + 1) * kBlock); ++i) {
       const Vector3d p = points.row(i), nearest = skin_.nearest(p);
       const bool inside = body_.contains(p);

@@ -14,7 +14,7 @@ MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const M
   neutral.displacement = VectorXd::Zero(3 * body.mesh.nodes.rows());
   neutral.lame = {1, 1};
   auto whole = std::make_shared<SoftBody>(body);
-  whole->shares.setOnes(body.mesh.tets.rows(), 1);
+  whole->region_weights.setOnes(body.mesh.tets.rows(), 1);
   whole->holds.resize(0, 0);  // what is held is held in the target's shape, which is sought
   const FullModel model(whole, {neutral}, Law::linear, Blending::forces);
   SparseMatrix A = model.rest_stiffness(0);

@@ -39,7 +39,8 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
       throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
     rest_displacements_.push_back(d);
     shapes_.push_back(rest_shape(body_->mesh, target.displacement,
-                                 body_->stiffness_scale.cwiseProduct(body_->shares.col(target.set)), target.shifted));
+                                 body_->stiffness_scale.cwiseProduct(body_->region_weights.col(target.set)),
+                                 target.shifted));
     elements_.push_back(assembly_.pack(shapes_.back(), false));
     // The linear law's stiffness is StVK's at the rest shape.
     const Law law = law_ == Law::linear ? Law::stvk : law_;
@@ -67,7 +68,7 @@ void FullModel::blend(const VectorXd& w, Blend& out) const {
   if (out.damping.nonZeros() != assembly_.pattern().nonZeros()) out.damping = assembly_.pattern();
   if (linear && out.stiffness.nonZeros() != assembly_.pattern().nonZeros()) out.stiffness = assembly_.pattern();
   const Eigen::Index size = out.damping.nonZeros();
-  for_chunks(int((size + kBlended - 1) / kBlended), [&](int chunk) {
+  parallel_for(int((size + kBlended - 1) / kBlended), [&](int chunk) {
     const Eigen::Index first = chunk * kBlended, some = std::min(kBlended, size - first);
     auto damping = values(out.damping).segment(first, some);
     damping.setZero();
@@ -107,7 +108,7 @@ std::vector<Assembly::Part> FullModel::parts(const Blend& blend) const {
   return out;
 }
 
-VectorXd FullModel::given(const Blend& blend, const VectorXd& q) const {
+VectorXd FullModel::displacement_from_shape(const Blend& blend, const VectorXd& q) const {
   // Even blending: target j's displacement q - d(q) + d_j, which from its own shape is the same for all.
   return blending_ == Blending::even ? VectorXd(q - blend.displacement) : q;
 }
@@ -138,7 +139,7 @@ double FullModel::hold_energy(const Blend& blend, const VectorXd& x, VectorXd& p
 
 double FullModel::energy(const Blend& blend, const VectorXd& q) const {
   if (law_ == Law::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
-  const VectorXd x = given(blend, q);
+  const VectorXd x = displacement_from_shape(blend, q);
   VectorXd pull;
   const double held = body_->holds.size() > 0 ? hold_energy(blend, x, pull) : 0;
   return assembly_.energy(law_, parts(blend), x) + held;
@@ -147,7 +148,7 @@ double FullModel::energy(const Blend& blend, const VectorXd& q) const {
 double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const {
   if (stiffness.nonZeros() != assembly_.pattern().nonZeros()) stiffness = assembly_.pattern();
   if (law_ != Law::linear) {
-    const VectorXd x = given(blend, q);
+    const VectorXd x = displacement_from_shape(blend, q);
     const double energy = assembly_.linearize(law_, parts(blend), x, force, stiffness);
     if (body_->holds.size() == 0) return energy;
     VectorXd pull;

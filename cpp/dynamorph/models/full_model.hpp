@@ -2,11 +2,11 @@
 // The unreduced soft skin: E(u, q) = sum_j w_j(q) E_j(u) over the free nodes of a tet mesh (thesis ch. 5).
 //
 // FullModel and ReducedModel have one interface, which step() is written against:
-//   Matrix, Blend             dense or sparse; the model at one set of target weights
-//   blend(w, out)             paid once per pose
-//   energy, linearize         E, F = dE/dq and K = dF/dq at coordinates q
-//   inertia(inertial, ...)    A^T M A, and the force that the moving rig exerts
-//   displacement, project     q -> u and its transpose
+//   Matrix, Blend                dense or sparse; the model at one set of target weights
+//   blend(w, out)                paid once per pose
+//   energy, linearize            E, F = dE/dq and K = dF/dq at coordinates q
+//   inertia(inertial, ...)       A^T M A, and the force that the moving rig exerts
+//   displacement, project_force  q -> u and its transpose
 #pragma once
 
 #include <memory>
@@ -61,7 +61,7 @@ class FullModel {
   double linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const;
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   void displacement(const VectorXd& q, VectorXd& u) const { u = q; }
-  void project(const VectorXd& f, VectorXd& out) const { out = f; }
+  void project_force(const VectorXd& f, VectorXd& out) const { out = f; }
   VectorXd target(int j) const { return rest_displacements_[j]; }
 
   /// K_j at u = d_j over the free degrees of freedom.
@@ -72,9 +72,9 @@ class FullModel {
  private:
   /// The targets that count, and the displacements they are given.
   std::vector<Assembly::Part> parts(const Blend& blend) const;
-  VectorXd given(const Blend& blend, const VectorXd& q) const;
+  VectorXd displacement_from_shape(const Blend& blend, const VectorXd& q) const;
   void blend_hold(const VectorXd& w, Blend& out) const;
-  /// Energy of the hold at displacements x as `given`; pull: its force.
+  /// Energy of the hold at displacements x as `displacement_from_shape`; pull: its force.
   double hold_energy(const Blend& blend, const VectorXd& x, VectorXd& pull) const;
 
   std::shared_ptr<const SoftBody> body_;

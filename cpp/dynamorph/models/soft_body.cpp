@@ -6,18 +6,18 @@
 
 namespace dynamorph {
 
-SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, MatrixXd shares_,
+SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, MatrixXd region_weights_,
                    const std::vector<bool>& pinned, const Eigen::Ref<const MatrixXd>& weights, const VectorXd& hold)
-    : mesh(std::move(mesh_)), fill(std::move(fill_)), shares(std::move(shares_)) {
+    : mesh(std::move(mesh_)), fill(std::move(fill_)), region_weights(std::move(region_weights_)) {
   const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
   check_size("fill", fill.size(), m);
   check_size("stiffness", stiffness.size(), m);
-  check_size("shares", shares.rows(), m);
+  check_size("shares", region_weights.rows(), m);
   check_size("pinned", Eigen::Index(pinned.size()), n);
   check_size("weights", weights.rows(), n);
   if (!(fill.array() > 0).all() || !(stiffness.array() > 0).all())
     throw std::invalid_argument("fill, stiffness: must be positive for every tetrahedron");
-  if (!((shares.array() >= 0).all() && ((shares.rowwise().sum().array() - 1).abs() < 1e-6).all()))
+  if (!((region_weights.array() >= 0).all() && ((region_weights.rowwise().sum().array() - 1).abs() < 1e-6).all()))
     throw std::invalid_argument("shares: every row must be >= 0 and sum to one");
   if (!stiffness.allFinite() || !fill.allFinite())
     throw std::invalid_argument("fill, stiffness: must be finite for every tetrahedron");
@@ -48,7 +48,7 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
   const auto lumped = [&](const VectorXd& density) {
     MatrixXd out(f, sets());
     for (int s = 0; s < sets(); ++s) {
-      const VectorXd all = lumped_volumes(mesh, density.cwiseProduct(shares.col(s)));
+      const VectorXd all = lumped_volumes(mesh, density.cwiseProduct(region_weights.col(s)));
       for (Eigen::Index i = 0; i < f; ++i) out(i, s) = all(free_nodes[i]);
     }
     return out;

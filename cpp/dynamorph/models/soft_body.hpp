@@ -11,16 +11,16 @@ namespace dynamorph {
 
 /// What all models of one character share. Throws std::invalid_argument when sizes disagree.
 struct SoftBody {
-  /// fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's part of
-  /// a tet, rows sum to one; pinned (n); weights (n, B), any positive scale. With weights (n, 0) the skinning is not
-  /// known: every free node is a bone of its own, and what is called bones' transforms is one for each of them.
+  /// fill, stiffness (m): filled fraction and painted multiplier of each tet; region_weights (m, S): each target set's
+  /// part of a tet, rows sum to one; pinned (n); weights (n, B), any positive scale. With weights (n, 0) the skinning
+  /// is not known: every free node is a bone of its own, and what is called bones' transforms is one for each of them.
   /// hold (m), 1/m^2: how firmly each tet is held in its target's shape, see `holds`; none without it.
-  SoftBody(TetMesh mesh, VectorXd fill, const VectorXd& stiffness, MatrixXd shares, const std::vector<bool>& pinned,
-           const Eigen::Ref<const MatrixXd>& weights, const VectorXd& hold = {});
+  SoftBody(TetMesh mesh, VectorXd fill, const VectorXd& stiffness, MatrixXd region_weights,
+           const std::vector<bool>& pinned, const Eigen::Ref<const MatrixXd>& weights, const VectorXd& hold = {});
 
   TetMesh mesh;
   VectorXd fill;
-  MatrixXd shares;
+  MatrixXd region_weights;
   VectorXd stiffness_scale;       ///< (m) fill times painted stiffness
   std::vector<int> free_nodes;    ///< node of each free node
   std::vector<int> free_of_node;  ///< -1 where pinned
@@ -38,7 +38,7 @@ struct SoftBody {
   /// Of each bone's flesh: sum of volume times weight times p p^T, p = (X - centre, 1).
   std::vector<Eigen::Matrix4d> moments;
 
-  int sets() const { return int(shares.cols()); }
+  int sets() const { return int(region_weights.cols()); }
   VectorXd restrict_to_free(const VectorXd& node_values) const;  ///< (3n) -> (3 free)
   VectorXd expand(const VectorXd& free_values) const;            ///< (3 free) -> (3n), zero at pins
 };

@@ -91,7 +91,7 @@ LinearModes solve_modes(const Factored& factored, const std::string& name, int k
     throw Error("the vibration modes of target '" + name + "' were not found (" + std::to_string(found) + " of " +
                 std::to_string(k) + "): ask for fewer modes or rebuild the cage");
   LinearModes modes;
-  modes.frequencies = solver.eigenvalues().cwiseMax(0).cwiseSqrt().reverse();
+  modes.omega = solver.eigenvalues().cwiseMax(0).cwiseSqrt().reverse();
   modes.shapes = factored.mass.cwiseSqrt().cwiseInverse().asDiagonal() * solver.eigenvectors().rowwise().reverse();
   return modes;
 }
@@ -158,7 +158,7 @@ MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& mo
   RowMajor G, stresses(6, r), forces(12, pairs), sum = RowMajor::Zero(modes.rows(), pairs);
   for (Eigen::Index e = 0; e < body.mesh.tets.rows(); ++e) {
     const Element& element = model.shape(target).elements[e];
-    if (element.volume == 0 || !mode_gradients(body, element, e, by_node, G)) continue;
+    if (element.weight == 0 || !mode_gradients(body, element, e, by_node, G)) continue;
     for (int a = 0; a < 3; ++a) {
       const int b = (a + 1) % 3;
       stresses.row(a) = lame.lambda * (G.row(0) + G.row(4) + G.row(8)) + 2 * lame.mu * G.row(4 * a);
@@ -167,7 +167,7 @@ MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& mo
     curvatures_of_pairs(G.data(), stresses.data(), r, lame.lambda, lame.mu, element.gradients.data(), forces.data());
     for (int a = 0; a < 4; ++a) {
       const int i = body.free_of_node[body.mesh.tets(e, a)];
-      if (i >= 0) sum.middleRows<3>(3 * i) += element.volume * forces.middleRows<3>(3 * a);
+      if (i >= 0) sum.middleRows<3>(3 * i) += element.weight * forces.middleRows<3>(3 * a);
     }
   }
   return sum;
@@ -191,7 +191,7 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   const Factored factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
   // Rigid modes of an unpinned body would swamp all others.
-  const VectorXd frequencies = modes.frequencies.cwiseMax(1e-3 * modes.frequencies(k - 1));
+  const VectorXd frequencies = modes.omega.cwiseMax(1e-3 * modes.omega(k - 1));
   Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), {}, {}, 0};
   MatrixXd curvatures = -force_curvatures(model, target, out.modes.leftCols(bent));
   for (int i = 0; i < bent; ++i) curvatures.col(pair_index(bent, i, i)) /= 2;
@@ -232,7 +232,7 @@ RowMajor in_common_units(const std::vector<Candidates>& found, double amplitude,
 
 /// A^T A, the lower triangle.
 MatrixXd gram(const RowMajor& A) {
-  RowProducts products(A.cols());
+  GramAccumulator products(A.cols());
   for (Eigen::Index i = 0; i < A.rows(); ++i) products.add(A.row(i).data());
   products.finish();
   MatrixXd out(A.cols(), A.cols());
@@ -280,8 +280,8 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   for (int j = 0; j < targets; ++j)
     if (j == 0 || model.targets()[j].set == model.targets()[j - 1].set) distinct.push_back(j);
   std::vector<Candidates> found(distinct.size());
-  in_parallel(int(found.size()), progress,
-              [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
+  run_tasks(int(found.size()), progress,
+            [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
   RowMajor all = in_common_units(found, 0.1 * width(model.body()), root);
 
   // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.
@@ -298,7 +298,7 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   // Householder QR leaves the span and makes the columns orthonormal to round-off.
   const Eigen::HouseholderQR<MatrixXd> qr(Y);
   Y = qr.householderQ() * MatrixXd::Identity(Y.rows(), r);
-  basis.captured = 1 - std::max(0.0, eigen.eigenvalues().head(all.cols() - motions).sum()) / total;
+  basis.explained_variance = 1 - std::max(0.0, eigen.eigenvalues().head(all.cols() - motions).sum()) / total;
   basis.U = root.cwiseInverse().asDiagonal() * Y;
   if (!basis.U.allFinite()) throw Error("the modes of this set-up are not finite: check its stiffness and rebuild");
   report(progress, 1);

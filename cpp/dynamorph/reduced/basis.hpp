@@ -10,8 +10,8 @@ namespace dynamorph {
 
 /// Vibration modes at a target's shape: K phi = omega^2 M phi, phi^T M phi = 1 with the target's density.
 struct LinearModes {
-  MatrixXd shapes;       ///< (3 free, k)
-  VectorXd frequencies;  ///< omega (k), rad/s, ascending
+  MatrixXd shapes;  ///< (3 free, k)
+  VectorXd omega;   ///< (k), rad/s, ascending
 };
 
 /// The k lowest modes of `target` by Spectra, shift-invert with a sparse Cholesky factorisation.
@@ -19,8 +19,8 @@ struct LinearModes {
 LinearModes linear_modes(const FullModel& model, int target, int k);
 
 struct Basis {
-  MatrixXd U;           ///< (3 free, r), U^T M U = I for unit density
-  double captured = 1;  ///< fraction of the candidates' mass-weighted variance in the span
+  MatrixXd U;                     ///< (3 free, r), U^T M U = I for unit density
+  double explained_variance = 1;  ///< fraction of the candidates' mass-weighted variance in the span
 };
 
 /// r modes for all targets of the model. Throws Error when r cannot hold every target's shape and one mode of motion.

@@ -52,12 +52,12 @@ DYNAMORPH_INLINE double column_dot(const double* own, int a, const double* other
 
 }  // namespace
 
-RowProducts::RowProducts(Index n) : RowProducts(n, n, [](Index i) { return i; }) {
+GramAccumulator::GramAccumulator(Index n) : GramAccumulator(n, n, [](Index i) { return i; }) {
   a_.clear();
   a_.shrink_to_fit();
 }
 
-RowProducts::RowProducts(Index m, Index n, const std::function<Index(Index)>& first) : m_(m), n_(n) {
+GramAccumulator::GramAccumulator(Index m, Index n, const std::function<Index(Index)>& first) : m_(m), n_(n) {
   Index tiles = 0;
   for (Index i = 0; i < tiles_for(m); ++i) {
     first_.push_back(first(i * kTile) / kTile);
@@ -69,17 +69,17 @@ RowProducts::RowProducts(Index m, Index n, const std::function<Index(Index)>& fi
   b_.resize(tiles_for(n) * kDepth * kTile);
 }
 
-void RowProducts::add(const double* row) {
+void GramAccumulator::add(const double* row) {
   pack(row, n_, filled_, b_.data());
   if (++filled_ == kDepth) finish();
 }
 
-void RowProducts::add(const double* a, const double* b) {
+void GramAccumulator::add(const double* a, const double* b) {
   pack(a, m_, filled_, a_.data());
   add(b);
 }
 
-void RowProducts::finish() {
+void GramAccumulator::finish() {
   const double* A = a_.empty() ? b_.data() : a_.data();
   for (Index i = 0; i < tiles_for(m_); ++i)
     multiply_panels(A + i * kDepth * kTile, b_.data() + first_[i] * kDepth * kTile, tiles_for(n_) - first_[i], filled_,
@@ -87,7 +87,7 @@ void RowProducts::finish() {
   filled_ = 0;
 }
 
-double RowProducts::operator()(Index i, Index j) const {
+double GramAccumulator::operator()(Index i, Index j) const {
   const Index row = i / kTile;
   return tiles_[((start_[row] + j / kTile - first_[row]) * kTile + i % kTile) * kTile + j % kTile];
 }

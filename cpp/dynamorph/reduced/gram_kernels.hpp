@@ -10,12 +10,12 @@
 namespace dynamorph {
 
 /// C = sum a^T b over rows a (m) and b (n), collected in batches so that it is summed at the speed of a matrix product.
-class RowProducts {
+class GramAccumulator {
  public:
   /// Of one kind of row, a = b (n): of C, which is symmetric, the upper triangle.
-  explicit RowProducts(Eigen::Index n);
+  explicit GramAccumulator(Eigen::Index n);
   /// Of row i of C, the columns from `first(i)` on, which must not decrease with i.
-  RowProducts(Eigen::Index m, Eigen::Index n, const std::function<Eigen::Index(Eigen::Index)>& first);
+  GramAccumulator(Eigen::Index m, Eigen::Index n, const std::function<Eigen::Index(Eigen::Index)>& first);
 
   void add(const double* row);
   void add(const double* a, const double* b);

@@ -62,7 +62,7 @@ class TargetSums {
   bool stable() const { return law_ == Law::stable_stvk; }
 
   /// Differentiates E = m^T gram m twice, symmetrised over all indices.
-  VectorXd table(const RowProducts& gram, const TableLayout& layout) const {
+  VectorXd table(const GramAccumulator& gram, const TableLayout& layout) const {
     VectorXd out(layout.distinct());
     const auto pair = [&](Index k, Index l) { return r_ + pair_index(r_, k, l); };
     const auto quartic = [&](Index p, Index q) { return gram(std::min(p, q), std::max(p, q)); };
@@ -82,8 +82,8 @@ class TargetSums {
   Law law_;
   TableLayout layout_;
   Index r_, pairs_, deviator_cols_;
-  RowProducts trace_, deviator_;
-  RowProducts determinant_;  ///< the cubic part of det F: (k, (l, m)), k <= l <= m
+  GramAccumulator trace_, deviator_;
+  GramAccumulator determinant_;  ///< the cubic part of det F: (k, (l, m)), k <= l <= m
   VectorXd row_;
   RowMajor crosses_;  ///< (9, pairs)
 };
@@ -127,14 +127,14 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   const RowMajor modes = U;  // a node's rows in one piece
   tables.lambda.resize(targets);
   tables.mu.resize(targets);
-  in_parallel(targets, progress, [&](int j, const ProgressFn& done) {
+  run_tasks(targets, progress, [&](int j, const ProgressFn& done) {
     TargetSums sums(model.law(), U.cols());
     RowMajor G;
     for (Index e = 0; e < tets; ++e) {
       if (e % 512 == 0) report(done, double(e) / tets);
       const Element& element = model.shape(j).elements[e];
-      if (element.volume == 0) continue;  // a tet outside this target's region
-      if (mode_gradients(body, element, e, modes, G)) sums.add(element.volume, G);
+      if (element.weight == 0) continue;  // a tet outside this target's region
+      if (mode_gradients(body, element, e, modes, G)) sums.add(element.weight, G);
     }
     sums.tables(tables.lambda[j], tables.mu[j]);
     if (body.holds.size() > 0) add_hold(body, model.targets()[j].set, modes, tables.mu[j]);

@@ -225,7 +225,7 @@ void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
   add_product(U_.data(), U_.rows(), z.data(), z.size(), u.data());
 }
 
-void ReducedModel::project(const VectorXd& f, VectorXd& out) const {
+void ReducedModel::project_force(const VectorXd& f, VectorXd& out) const {
   out.resize(dofs());
   transposed_product(U_, f.data(), out.data());
 }

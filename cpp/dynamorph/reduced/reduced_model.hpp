@@ -60,7 +60,7 @@ class ReducedModel {
   /// Throws std::invalid_argument when there is none, because the nodes have transforms of their own.
   const ModalInertia& modal_inertia() const;
   void displacement(const VectorXd& z, VectorXd& u) const;
-  void project(const VectorXd& f, VectorXd& out) const;
+  void project_force(const VectorXd& f, VectorXd& out) const;
   VectorXd target(int j) const { return coordinates_[j]; }
   Matrix zero() const { return Matrix::Zero(dofs(), dofs()); }
 

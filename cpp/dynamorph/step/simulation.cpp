@@ -106,7 +106,7 @@ void Simulation<Model>::pull(const InertialTarget& inertial, double square, cons
   pose_nodes(model_->body().skin, frame_);
   nodal_ = external;
   pull_back(frame_, nodal_);
-  model_->project(nodal_, projected_);
+  model_->project_force(nodal_, projected_);
   quadratic_.g -= projected_;
 }
 

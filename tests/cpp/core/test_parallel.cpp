@@ -10,7 +10,7 @@ using namespace dynamorph;
 
 TEST_CASE("every piece of work is done once, whatever the number of threads") {
   std::vector<int> done(100);
-  in_parallel(100, {}, [&](int i, const ProgressFn& progress) {
+  run_tasks(100, {}, [&](int i, const ProgressFn& progress) {
     report(progress, 0.5);
     ++done[i];
   });
@@ -25,22 +25,22 @@ TEST_CASE("an error is rethrown, not what it stopped") {
       std::this_thread::sleep_for(std::chrono::milliseconds(2));
     }
   };
-  CHECK_THROWS_WITH_AS(in_parallel(2, {}, work), "this one", Error);
+  CHECK_THROWS_WITH_AS(run_tasks(2, {}, work), "this one", Error);
 }
 
 TEST_CASE("false from progress stops the work, and its exceptions pass") {
   const auto endless = [](int, const ProgressFn& progress) {
     for (;;) report(progress, 0);
   };
-  CHECK_THROWS_AS(in_parallel(3, [](double) { return false; }, endless), Cancelled);
-  CHECK_THROWS_AS(in_parallel(3, [](double) -> bool { throw Error("no"); }, endless), Error);
+  CHECK_THROWS_AS(run_tasks(3, [](double) { return false; }, endless), Cancelled);
+  CHECK_THROWS_AS(run_tasks(3, [](double) -> bool { throw Error("no"); }, endless), Error);
 }
 
 TEST_CASE("chunks are all done once, from several threads at a time and one loop after another") {
   const auto many = [] {
     for (int loop = 0; loop < 200; ++loop) {
       std::vector<int> done(loop % 50);
-      for_chunks(int(done.size()), [&](int i) { ++done[i]; });
+      parallel_for(int(done.size()), [&](int i) { ++done[i]; });
       if (done != std::vector<int>(done.size(), 1)) return false;
     }
     return true;
@@ -68,8 +68,8 @@ TEST_CASE("a limit on the threads holds for both kinds of work, and can be raise
     set_threads(limit);
     CHECK(usable_cores() >= 1);
     if (limit) CHECK(usable_cores() <= limit);
-    CHECK(most_at_once([](const auto& work) { for_chunks(20, work); }) <= usable_cores());
-    CHECK(most_at_once([](const auto& work) { in_parallel(20, {}, [&](int i, const ProgressFn&) { work(i); }); }) <=
+    CHECK(most_at_once([](const auto& work) { parallel_for(20, work); }) <= usable_cores());
+    CHECK(most_at_once([](const auto& work) { run_tasks(20, {}, [&](int i, const ProgressFn&) { work(i); }); }) <=
           usable_cores());
   }
   CHECK_THROWS_AS(set_threads(-1), std::invalid_argument);

@@ -17,12 +17,12 @@ TEST_CASE("element laws: stress is the derivative of the energy, stiffness of th
     check_derivatives(
         [&](const VectorXd& x, VectorXd& f, VectorXd& Kd, const VectorXd& d) {
           const Matrix3d F = deformation_gradient(element, Eigen::Map<const Eigen::Matrix<double, 3, 4>>(x.data()));
-          const ElementForce force = element.volume * stress(law, lame, F) * element.gradients;
+          const ElementForce force = element.weight * stress(law, lame, F) * element.gradients;
           f = Eigen::Map<const VectorXd>(force.data(), 12);
           ElementStiffness K;
           element_stiffness(law, lame, element, F, K);
           Kd = K * d;
-          return element.volume * energy_density(law, lame, F);
+          return element.weight * energy_density(law, lame, F);
         },
         random_vector(12, 0.03, 2), 1e-5);
 }

@@ -32,8 +32,8 @@ Reference element_by_element(const FullModel& model, const VectorXd& w, const Ve
       Eigen::Matrix<double, 3, 4> u;
       for (int a = 0; a < 4; ++a) u.col(a) = all.segment<3>(3 * body.mesh.tets(e, a));
       const Matrix3d F = deformation_gradient(element, u);
-      out.energy += w(j) * element.volume * energy_density(model.law(), lame, F);
-      const ElementForce f = w(j) * element.volume * stress(model.law(), lame, F) * element.gradients;
+      out.energy += w(j) * element.weight * energy_density(model.law(), lame, F);
+      const ElementForce f = w(j) * element.weight * stress(model.law(), lame, F) * element.gradients;
       ElementStiffness K;
       element_stiffness(model.law(), lame, element, F, K);
       for (int a = 0; a < 4; ++a) {

@@ -19,7 +19,7 @@ TEST_CASE("sums of row products: the triangle of A^T A, and the wanted part of A
   for (int rows : {0, 5, 128, 300})
     for (int n : {1, 12, 29}) {
       const RowMajor A = RowMajor::Random(rows, n), B = RowMajor::Random(rows, 3 * n);
-      RowProducts gram(n), part(n, 3 * n, [](Eigen::Index i) { return 2 * i; });
+      GramAccumulator gram(n), part(n, 3 * n, [](Eigen::Index i) { return 2 * i; });
       for (int i = 0; i < rows; ++i) {
         gram.add(A.row(i).data());
         part.add(A.row(i).data(), B.row(i).data());

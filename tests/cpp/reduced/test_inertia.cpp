@@ -105,8 +105,8 @@ TEST_CASE("inertia of nodes with transforms of their own: as if their bones had 
     const MatrixXd U = make_basis(full, 10).U;
     std::vector<bool> pinned(body->free_of_node.size());
     for (size_t i = 0; i < pinned.size(); ++i) pinned[i] = body->free_of_node[i] < 0;
-    const auto own = std::make_shared<SoftBody>(body->mesh, body->fill, VectorXd::Ones(body->fill.size()), body->shares,
-                                                pinned, MatrixXd(pinned.size(), 0));
+    const auto own = std::make_shared<SoftBody>(body->mesh, body->fill, VectorXd::Ones(body->fill.size()),
+                                                body->region_weights, pinned, MatrixXd(pinned.size(), 0));
     const ReducedModel reduced(own, targets, reduce(full, U), Blending::even);
     CHECK_THROWS_AS(reduced.modal_inertia(), std::invalid_argument);
     CHECK(make_basis(FullModel(own, targets, Law::linear, Blending::even), 10).U.cols() == 10);

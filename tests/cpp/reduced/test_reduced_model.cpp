@@ -121,6 +121,6 @@ TEST_CASE("basis: orthonormal in mass, holds the targets' shapes, zero rank defi
     const VectorXd d = model.target(j);
     CHECK((basis.U * (basis.U.transpose() * (M * d)) - d).norm() <= 1e-10 * (1e-3 + d.norm()));
   }
-  CHECK(basis.captured > 0.9);
+  CHECK(basis.explained_variance > 0.9);
   CHECK_THROWS_AS(make_basis(model, 2), Error);
 }
