@@ -38,18 +38,16 @@ from . import (
     sinks,
 )
 from .extract import SceneError
+from .rehearsal import Rehearsal
 from .scene_data import Bake
 
 PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
 CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
-STIFFER = 0.75  # power of the excess by which frequencies are raised: displacements fall with their square
 FADE = 5  # frames in which a part that is baked again goes over into the rest
 STRETCH = 1000  # frames of a shot that are read and simulated at once: bounds memory
 SHORT_STRETCH = 100  # where each node is read, or where they are kept for other processes, which go on from there
-
-ROUNDS = 3  # of a rehearsal at most
 
 running: Batch | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
@@ -303,8 +301,8 @@ class Job:
         self.verdict: judge.Verdict | None = None
         self.rehearsed = ""  # what the rehearsal has set, in a sentence
         self._rehearse = rehearse
-        self._rounds = 0  # that are left of it
-        self._asked = 0.0  # the neutral target's frequency before it, Hz
+        self._rehearsal: Rehearsal | None = None  # until it has found out
+        self._best: tuple = ()  # what it keeps: the character, and its result, report and verdict
         self.fraction = 0.0
         self.message = ""
         self.cancelled = False
@@ -399,7 +397,7 @@ class Job:
         whole = self.bake and not (self.frames or self.share or chosen.is_patch)
         adjustable = neutral.frequency > 0.0 and not neutral.by_hand
         if limited and whole and adjustable and (self._rehearse or not chosen.rehearsed):
-            self._rounds, self._asked = ROUNDS, neutral.frequency
+            self._rehearsal = Rehearsal(neutral.frequency)
             self.rehearsed = f"Bounce of {neutral.frequency:.3g} Hz keeps the skin within Max Displacement"
 
     def _read_kept(self, obj):
@@ -702,7 +700,7 @@ class Job:
             if not self.shot.is_complete:
                 return
             self._judge()
-            if not self._stiffen():
+            if not self._rehearse_again():
                 break
             if self._stretches > 1:  # of the rig the last is left: it is read again
                 self.rig, self._stretches, self.shot = None, 1, None
@@ -730,16 +728,28 @@ class Job:
             self.verdict = judge.judge(self.model, self.character, self.result)
         self.report["inverted_volume"] = self.verdict.inverted
 
-    def _stiffen(self) -> bool:
-        """Make the tissue stiffer if it moves too far in a rehearsal; False when it is to stay as it is."""
-        excess = self.verdict.excess(self.limits)
-        if not self._rounds or excess <= judge.SLACK or not np.isfinite(excess):
+    def _rehearse_again(self) -> bool:
+        """Go on with another frequency, if there is a rehearsal and it asks for one; else with the best."""
+        rehearsal = self._rehearsal
+        if not rehearsal:
             return False
-        self._rounds -= 1
-        self._adopt(materials.stiffened(self.character, (excess / judge.SLACK) ** STIFFER))
         now = self.character.targets[0].frequency
-        self.rehearsed = f"Bounce raised from {self._asked:.3g} to {now:.3g} Hz: the skin stays within Max Displacement"
-        return True
+        rehearsal.learn(now, self.verdict.excess(self.limits))
+        if rehearsal.best == now:
+            self._best = self.character, self.result, self.report, self.verdict
+        frequency = rehearsal.next()
+        if frequency:
+            self._adopt(materials.stiffened(self.character, frequency / now))
+            return True
+        self._rehearsal = None
+        character, self.result, self.report, self.verdict = self._best
+        if rehearsal.best != now:
+            self._adopt(character)
+        if rehearsal.best != rehearsal.asked:
+            kept = self.verdict.excess(self.limits) <= judge.SHOWS
+            outcome = ": the skin stays within Max Displacement" if kept else ", and the skin still moves too far"
+            self.rehearsed = f"Bounce raised from {rehearsal.asked:.3g} to {rehearsal.best:.3g} Hz{outcome}"
+        return False
 
     def _adopt(self, character):
         """Go on with other materials, which are stored when the job is written."""
@@ -785,9 +795,6 @@ class Job:
         if self.settings.start < first or self.settings.end > last:
             self.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
         found = self.verdict.as_dict(self.limits)
-        if self.rehearsed and self.verdict.excess(self.limits) > judge.SHOWS:
-            now = self.character.targets[0].frequency
-            self.rehearsed = f"Bounce raised from {self._asked:.3g} to {now:.3g} Hz, and the skin still moves too far"
         if not found["ok"]:
             self.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint Softness")
 

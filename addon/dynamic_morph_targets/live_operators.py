@@ -293,7 +293,7 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
         description="How the armature is moved",
         items=(
             ("STOMP", "Stomp", "Rise, drop and stop dead"),
-            ("TWIST", "Twist", "Turn about the armature's own Z axis, quickly, and back"),
+            ("TWIST", "Twist", "Turn about the vertical, quickly, and back"),
             ("HOP", "Hop", "Up and down, twice"),
         ),
         options={"SKIP_SAVE"},
@@ -346,8 +346,7 @@ def shaken(obj, flesh, kind: str, seconds: float = SECONDS) -> tuple[RigSamples,
     settings = flesh.player.settings
     count = 1 + round(seconds * settings.fps) * settings.substeps
     heights, angles = shake(kind, np.arange(count) * settings.step)
-    axis = rig_world[:3, 2] / np.linalg.norm(rig_world[:3, 2])
-    transforms = np.array([Matrix.Rotation(angle, 4, axis) for angle in angles])
+    transforms = np.array([Matrix.Rotation(angle, 4, "Z") for angle in angles])
     origin = rig_world[:3, 3]
     transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
     transforms[:, 2, 3] += heights * flesh.player.size

@@ -93,13 +93,51 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
 
 
 def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
-    """After three rounds, here of small steps, it is baked as it is, and nothing claims otherwise."""
-    monkeypatch.setattr(part("jobs"), "STIFFER", 0.01)
+    """After its tries, here of small steps, it is baked as it is, and nothing claims otherwise."""
+    monkeypatch.setattr(part("rehearsal"), "FACTOR", (1.01, 1.01))
     limit(new_arm, 1e-3)
     job = bake(new_arm)
     assert new_arm.dynamorph.targets[0].frequency > 3.5
     assert job.rehearsed.endswith("and the skin still moves too far")
     assert not json.loads(new_arm.dynamorph.bake.verdict)["ok"]
+
+
+def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
+    """What goes far too far in the first step comes back, and what is stored and baked belong together."""
+    monkeypatch.setattr(part("rehearsal"), "FACTOR", (8.0, 8.0))
+    limit(new_arm, 0.0)
+    farthest = bake(new_arm).verdict.displacement
+    limit(new_arm, 0.6 * farthest)
+    job = bake(new_arm)
+    neutral = new_arm.dynamorph.targets[0]
+    assert 3.5 < neutral.frequency < 0.8 * 8.0 * 3.5
+    assert 0.5 < job.verdict.excess(job.limits) <= part("judge").SLACK
+    assert job.character.targets[0].frequency == neutral.frequency
+    assert f"to {neutral.frequency:.3g} Hz" in job.rehearsed
+    again = bake(new_arm)
+    assert again.verdict == job.verdict and np.array_equal(again.result.coordinates, job.result.coordinates)
+
+
+@pytest.mark.parametrize("power", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("needed", [0.5, 3.6, 6.0, 20.0])
+def test_a_rehearsal_finds_the_lowest_frequency(power, needed):
+    """However fast the motion falls with the frequency; never below what was asked for."""
+    rehearsal = part("rehearsal").Rehearsal(3.5)
+    frequency = 3.5
+    while frequency:
+        rehearsal.learn(frequency, (needed / frequency) ** power)
+        frequency = rehearsal.next()
+    found = (needed / rehearsal.best) ** power
+    assert rehearsal.best >= 3.5 and len(rehearsal.tried) <= 6
+    assert found <= part("judge").SLACK or rehearsal.best == max(rehearsal.tried)
+    if rehearsal.best > 3.5 and found <= part("judge").SLACK:
+        assert found > 0.5
+
+
+def test_a_rehearsal_of_what_is_no_number_ends():
+    rehearsal = part("rehearsal").Rehearsal(3.5)
+    rehearsal.learn(3.5, float("nan"))
+    assert rehearsal.next() is None and rehearsal.best == 3.5
 
 
 def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
