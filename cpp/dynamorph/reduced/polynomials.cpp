@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "dynamorph/core/parallel.hpp"
+#include "dynamorph/reduced/gram_accumulator.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
 
 namespace dynamorph {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/reduced_model.hpp"
 
-#include "dynamorph/reduced/kernels.hpp"
+#include "dynamorph/reduced/polynomial_kernels.hpp"
 
 namespace dynamorph {
 
@@ -189,7 +189,7 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
     for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * blend.v(k) * blend.v(l);
   }
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
-  add_product(table, rows, blend.v.data(), r, blend.linear.data());
+  add_single_product(table, rows, blend.v.data(), r, blend.linear.data());
   add_symmetric_product(table + rows * r, rows, blend.pairs.data(), blend.quadratic.data());
 }
 
@@ -227,7 +227,7 @@ void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
 
 void ReducedModel::project_force(const VectorXd& f, VectorXd& out) const {
   out.resize(dofs());
-  transposed_product(U_, f.data(), out.data());
+  transposed_product(U_.data(), U_.rows(), U_.cols(), f.data(), out.data());
 }
 
 }  // namespace dynamorph

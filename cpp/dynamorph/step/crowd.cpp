@@ -205,8 +205,8 @@ unsigned Crowd::jumps(const Eight& eight) const {
   Doubles jump = {};
   for (size_t b = 0; b < used.size(); ++b) {
     const Eigen::Matrix4d& moments = body.moments[used[b]];
-    add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(), body.centre,
-             jump);
+    add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(),
+             body.centre.data(), jump);
   }
   unsigned out = 0;
   for (int lane = 0; lane < kLanes; ++lane)
@@ -289,7 +289,7 @@ void Crowd::linearize() {
   expand(s.q.data(), s.centre.data(), r, s.v.data(), s.pairs.data());
   for (size_t j = 0; j < m.targets().size() && m.layout_.nonlinear; ++j) {
     if (all_zero(s.weights[j])) continue;
-    alignas(64) Floats w;
+    Floats w;
     to_single(s.weights[j], w);
     add_orders(m.tables_[j].data(), rows, r, w, s.v.data(), s.pairs.data(), s.product.data(), s.linear.data(),
                s.quadratic.data());
