@@ -14,9 +14,11 @@ from pathlib import Path
 import dynamorph
 import numpy as np
 import pytest
+import test_layout
 import test_physics
 
 SETS = ["baseline", "avx2", "avx512"] if platform.machine() in ("x86_64", "AMD64") else ["baseline"]
+ROOT = Path(__file__).parents[2]
 BUILD = Path(dynamorph._core.__file__).resolve().parents[2]  # of CMake
 TESTS = BUILD / "engine_tests"
 # Source files of the C++ tests that run kernels.
@@ -63,6 +65,19 @@ def test_the_check_finds_shared_symbols():
         "                 U std::__throw_length_error(char const*)",
     ):
         assert shared_symbols(good + bad, "avx2") == [bad]
+
+
+def test_kernels_include_no_library_with_inline_functions():
+    graph = test_layout.includes_of(ROOT / "cpp")
+    kernels = [path for path in graph if path.name.endswith("_kernels.cpp")]
+    assert len(kernels) >= 7
+    for kernel in kernels:
+        seen = {kernel}
+        while more := {other for path in seen for other in graph[path]} - seen:
+            seen |= more
+        for path in seen:
+            others = set(re.findall(r"^\s*#\s*include\s*<([^>]+)>", path.read_text(encoding="utf-8"), re.MULTILINE))
+            assert others <= {"stddef.h", "immintrin.h", "arm_neon.h"}, f"{kernel.name} through {path}"
 
 
 @pytest.mark.parametrize("instruction_set", SETS)

@@ -49,36 +49,22 @@ struct Dispatched<Result(Arguments...)> {
 
 #endif
 
+#define DYNAMORPH_KERNEL_IN(set, result, name, ...) \
+  namespace set {                                   \
+  result name(__VA_ARGS__);                         \
+  }
+
 /// Declares a kernel, in namespace dynamorph: DYNAMORPH_KERNEL(result, name, parameters...).
 #if defined(DYNAMORPH_ISA)
-#define DYNAMORPH_KERNEL(result, name, ...) \
-  namespace DYNAMORPH_ISA {                 \
-  result name(__VA_ARGS__);                 \
-  }
+#define DYNAMORPH_KERNEL(result, name, ...) DYNAMORPH_KERNEL_IN(DYNAMORPH_ISA, result, name, __VA_ARGS__)
 #elif defined(DYNAMORPH_X86_64)
-#define DYNAMORPH_KERNEL(result, name, ...)           \
-  namespace baseline {                                \
-  result name(__VA_ARGS__);                           \
-  }                                                   \
-  namespace avx2 {                                    \
-  result name(__VA_ARGS__);                           \
-  }                                                   \
-  namespace avx512 {                                  \
-  result name(__VA_ARGS__);                           \
-  }                                                   \
-  inline constexpr Dispatched<result(__VA_ARGS__)> name { \
-    {                                                 \
-      baseline::name, avx2::name, avx512::name        \
-    }                                                 \
-  }
+#define DYNAMORPH_KERNEL(result, name, ...)                \
+  DYNAMORPH_KERNEL_IN(baseline, result, name, __VA_ARGS__) \
+  DYNAMORPH_KERNEL_IN(avx2, result, name, __VA_ARGS__)     \
+  DYNAMORPH_KERNEL_IN(avx512, result, name, __VA_ARGS__)   \
+  inline constexpr Dispatched<result(__VA_ARGS__)> name = {{baseline::name, avx2::name, avx512::name}}
 #else
-#define DYNAMORPH_KERNEL(result, name, ...)           \
-  namespace baseline {                                \
-  result name(__VA_ARGS__);                           \
-  }                                                   \
-  inline constexpr Dispatched<result(__VA_ARGS__)> name { \
-    {                                                 \
-      baseline::name                                  \
-    }                                                 \
-  }
+#define DYNAMORPH_KERNEL(result, name, ...)                \
+  DYNAMORPH_KERNEL_IN(baseline, result, name, __VA_ARGS__) \
+  inline constexpr Dispatched<result(__VA_ARGS__)> name = {{baseline::name}}
 #endif
