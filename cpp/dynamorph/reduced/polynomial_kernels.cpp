@@ -15,7 +15,7 @@ DYNAMORPH_INLINE void sum_columns(const Real* __restrict A, Index rows, const do
     const Real *a0 = A + c * rows, *a1 = a0 + rows, *a2 = a1 + rows, *a3 = a2 + rows;
     const double x0 = x[c], x1 = x[c + 1], x2 = x[c + 2], x3 = x[c + 3];
     for (Index i = 0; i < rows; ++i)
-      y[i] += mul_add(a0[i] * x0, double(a1[i]), x1) + mul_add(a2[i] * x2, double(a3[i]), x3);
+      y[i] = mul_add(mul_add(y[i], double(a0[i]), x0), double(a1[i]), x1) + mul_add(a2[i] * x2, double(a3[i]), x3);
   }
   for (; c < columns; ++c)
     for (Index i = 0; i < rows; ++i) y[i] = mul_add(y[i], double(A[c * rows + i]), x[c]);
@@ -40,7 +40,8 @@ DYNAMORPH_INLINE Double4 sums_of(const Double4* v) {
 }
 
 /// constant + linear / f + quadratic / g.
-DYNAMORPH_INLINE double weighted(double constant, double linear, double quadratic, double f, double g) {
+template <class Real>
+DYNAMORPH_INLINE Real weighted(const Real& constant, const Real& linear, const Real& quadratic, double f, double g) {
   return mul_add(mul_add(constant, 1 / f, linear), 1 / g, quadratic);
 }
 
@@ -89,23 +90,27 @@ double contract_orders(const double* __restrict constant, const double* __restri
   for (Index k = 0; k < r; ++k) force[k] = 0;
   for (Index k = 0; k < r; constant += r - k, linear += r - k, quadratic += r - k, ++k) {
     double* column = stiffness + k * r + k;
-    double f[4] = {}, e[4] = {};  // of four entries in turn: independent sums
-    for (Index i = 0; i < r - k; ++i) column[i] = constant[i] + linear[i] + quadratic[i];
-    for (Index i = 1; i < r - k; ++i)
-      force[k + i] = mul_add(force[k + i], weighted(constant[i], linear[i], quadratic[i], 2, 3), v[k]);
+    Double4 f4 = {}, e4 = {};
     Index i = 1;
-    for (; i + 4 <= r - k; i += 4)
-      for (int lane = 0; lane < 4; ++lane) {
-        const double c = constant[i + lane], l = linear[i + lane], q = quadratic[i + lane], x = v[k + i + lane];
-        f[lane] = mul_add(f[lane], weighted(c, l, q, 2, 3), x);
-        e[lane] = mul_add(e[lane], weighted(c, l, q, 3, 6), x);
-      }
-    for (; i < r - k; ++i) {
-      f[0] = mul_add(f[0], weighted(constant[i], linear[i], quadratic[i], 2, 3), v[k + i]);
-      e[0] = mul_add(e[0], weighted(constant[i], linear[i], quadratic[i], 3, 6), v[k + i]);
+    for (; i + 4 <= r - k; i += 4) {
+      const Double4 c = load(constant + i), l = load(linear + i), q = load(quadratic + i), x = load(v + k + i);
+      const Double4 secant = weighted(c, l, q, 2, 3);
+      store(c + l + q, column + i);
+      store(mul_add(load(force + k + i), v[k], secant), force + k + i);
+      f4 = mul_add(f4, secant, x);
+      e4 = mul_add(e4, weighted(c, l, q, 3, 6), x);
     }
-    force[k] += (f[0] + f[1]) + (f[2] + f[3]) + weighted(*constant, *linear, *quadratic, 2, 3) * v[k];
-    energy += v[k] * ((e[0] + e[1]) + (e[2] + e[3]) + 0.5 * weighted(*constant, *linear, *quadratic, 3, 6) * v[k]);
+    double f = sum_of(f4), e = sum_of(e4);
+    for (; i < r - k; ++i) {
+      const double secant = weighted(constant[i], linear[i], quadratic[i], 2, 3);
+      column[i] = constant[i] + linear[i] + quadratic[i];
+      force[k + i] = mul_add(force[k + i], v[k], secant);
+      f = mul_add(f, secant, v[k + i]);
+      e = mul_add(e, weighted(constant[i], linear[i], quadratic[i], 3, 6), v[k + i]);
+    }
+    column[0] = *constant + *linear + *quadratic;
+    force[k] += mul_add(f, weighted(*constant, *linear, *quadratic, 2, 3), v[k]);
+    energy += v[k] * mul_add(e, 0.5 * weighted(*constant, *linear, *quadratic, 3, 6), v[k]);
   }
   for (Index k = 0; k < r; ++k)
     for (Index l = k + 1; l < r; ++l) stiffness[l * r + k] = stiffness[k * r + l];
@@ -118,15 +123,19 @@ void blend_tables(const float* const* __restrict tables, const double* __restric
     for (Index i = 0; i < size; ++i) out[i] = 0;
     return;
   }
-  for (Index i = 0; i < size; ++i) out[i] = float(weights[0]) * tables[0][i];
-  int k = 1;
-  for (; k + 2 <= count; k += 2) {
+  int k = count % 2 == 0 ? 2 : 1;  // two tables a sweep, but for the first of an odd number
+  const float first = float(weights[0]);
+  if (k == 1) {
+    for (Index i = 0; i < size; ++i) out[i] = first * tables[0][i];
+  } else {
+    const float second = float(weights[1]);
+    for (Index i = 0; i < size; ++i) out[i] = mul_add(first * tables[0][i], second, tables[1][i]);
+  }
+  for (; k < count; k += 2) {
     const float *a = tables[k], *b = tables[k + 1];
     const float wa = float(weights[k]), wb = float(weights[k + 1]);
     for (Index i = 0; i < size; ++i) out[i] += mul_add(wa * a[i], wb, b[i]);
   }
-  for (; k < count; ++k)
-    for (Index i = 0; i < size; ++i) out[i] = mul_add(out[i], float(weights[k]), tables[k][i]);
 }
 
 }  // namespace dynamorph::DYNAMORPH_ISA
