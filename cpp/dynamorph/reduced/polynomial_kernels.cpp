@@ -123,19 +123,15 @@ void blend_tables(const float* const* __restrict tables, const double* __restric
     for (Index i = 0; i < size; ++i) out[i] = 0;
     return;
   }
-  int k = count % 2 == 0 ? 2 : 1;  // two tables a sweep, but for the first of an odd number
-  const float first = float(weights[0]);
-  if (k == 1) {
-    for (Index i = 0; i < size; ++i) out[i] = first * tables[0][i];
-  } else {
-    const float second = float(weights[1]);
-    for (Index i = 0; i < size; ++i) out[i] = mul_add(first * tables[0][i], second, tables[1][i]);
-  }
-  for (; k < count; k += 2) {
+  for (Index i = 0; i < size; ++i) out[i] = float(weights[0]) * tables[0][i];
+  int k = 1;
+  for (; k + 2 <= count; k += 2) {
     const float *a = tables[k], *b = tables[k + 1];
     const float wa = float(weights[k]), wb = float(weights[k + 1]);
     for (Index i = 0; i < size; ++i) out[i] += mul_add(wa * a[i], wb, b[i]);
   }
+  for (; k < count; ++k)
+    for (Index i = 0; i < size; ++i) out[i] = mul_add(out[i], float(weights[k]), tables[k][i]);
 }
 
 }  // namespace dynamorph::DYNAMORPH_ISA
