@@ -130,8 +130,9 @@ def sculpt():
     """A stroke across the elbow, which lands where the brush is and moves the posed skin outwards."""
     settings_of = bpy.context.scene.tool_settings.sculpt.unified_paint_settings
     settings_of.size = 2 * BRUSH
+    yield from driver.settled(viewport)  # the brushes slide in below, and the tools at the left
     posed, bind = shown(), key_points()
-    stroke = [on_screen(point) for point in np.linspace((0.28, -0.04, 0.0), (0.33, -0.04, 0.0), 8)]
+    stroke = [on_screen(point) for point in front_of_elbow(posed).tolist()]
     yield from driver.drag(stroke)
     yield from until(lambda: np.abs(key_points() - bind).max() > 1e-3, "the stroke to land in the shape key")
     yield from driver.drawn()
@@ -152,6 +153,15 @@ def sculpt():
     outwards = np.einsum("vi,vi->v", moved[touched], posed[touched] - axis)
     assert (outwards > 0).mean() > 0.95, "the brush did not draw the skin outwards"
     measure("Sculpted in a pose", f"stroke of {1e3 * length.max():.1f} mm, off by {1e3 * error:.3f} mm in the pose")
+
+
+def front_of_elbow(posed: np.ndarray) -> np.ndarray:
+    """Of the rings of vertices about the elbow that vertex which is nearest to the eye, posed: (R, 3)."""
+    eye = view.area.spaces.active.region_3d.view_matrix.inverted().translation
+    elbow = limb.RINGS // 2
+    rings = posed.reshape(limb.RINGS, limb.AROUND, 3)[elbow - 2 : elbow + 3]
+    nearest = np.linalg.norm(rings - np.array(eye), axis=2).argmin(axis=1)
+    return rings[np.arange(len(rings)), nearest]
 
 
 def turns() -> np.ndarray:

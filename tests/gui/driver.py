@@ -115,6 +115,15 @@ def drawn(passes=3):
         yield 0.05
 
 
+def settled(region: Region):
+    """Wait until a region has kept its place for some turns: those around it slide in and out."""
+    before, same = None, 0
+    while same < 5:
+        yield from drawn(passes=1)
+        same = same + 1 if region.box == before else 0
+        before = region.box
+
+
 def drawn_smoothly():
     """The same with smooth edges, which take the viewport several passes."""
     bpy.context.preferences.system.viewport_aa = "8"
