@@ -159,15 +159,16 @@ def draw_problem(layout, problem, icon: str):
 def draw_feel(layout, obj):
     """How soft the skin feels: the presets, how much of the motion shows, and how far it may go."""
     simulation = obj.dynamorph.simulation
-    column = layout.column(align=True)
-    column.enabled = jobs.running is None
+    sliders = layout.column()
+    sliders.enabled = jobs.running is None
+    sliders.use_property_split = False  # beside them there is no room for the names
+    column = sliders.column(align=True)
     row = column.row(align=True)
     chosen = feel.active(obj.dynamorph.targets[0], simulation)
     for key, preset in feel.FEELS.items():
         row.operator("dynamorph.apply_feel", text=preset.label, depress=key == chosen).feel = key
     column.prop(simulation, "amount", slider=True)
-    column = layout.column(align=True)
-    column.enabled = jobs.running is None
+    column = sliders.column(align=True)
     column.prop(simulation, "max_displacement")
     column.prop(simulation, "max_thickness")
     if simulation.rehearsed:
@@ -444,7 +445,7 @@ def draw_modes(layout, obj):
         row.operator("dynamorph.reset_gains", icon="LOOP_BACK")
     body.operator("dynamorph.check_targets", icon="CHECKMARK")
     for line in filter(None, settings.live.checks.split("\n")):
-        body.label(text=line, translate=False)
+        draw_message(body, line, icon="DOT")
 
 
 def draw_live(layout, obj):

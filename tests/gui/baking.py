@@ -133,6 +133,7 @@ def at(*fractions: float):
 
 @step("Esc while it reads the rig")
 def cancel_reading():
+    yield from sidebar.fold("dynamorph.new_from_pose")  # the section below the list is long
     sections["simulation"] = yield from sidebar.unfold("simulation.substeps", above="output.sink")
     yield from sections["simulation"].keep("simulation")
     yield from sidebar.enter("simulation.substeps", "20")

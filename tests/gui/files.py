@@ -17,6 +17,7 @@ sections = {}  # that a later step closes
 
 @step("A measured material")
 def material():
+    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
     yield from select_target(1)
     yield from driver.drawn()  # its properties have come
     x, y, width, _ = sidebar.box

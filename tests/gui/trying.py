@@ -42,6 +42,7 @@ def bounce():
 
 @step("Modes and Check Targets")
 def modes():
+    yield from sidebar.fold("dynamorph.new_from_pose")  # there is more in the sections below than fits under the list
     section = yield from sidebar.unfold("dynamorph.check_targets", above="output.sink")
     yield from sidebar.press("dynamorph.check_targets")
     yield from until(lambda: settings().live.checks, "what the targets miss")
@@ -150,3 +151,4 @@ def live_off():
     assert not any(block.mute for block in skin().data.shape_keys.key_blocks)
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) == 0.0
     yield from sections["live"].fold()
+    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
