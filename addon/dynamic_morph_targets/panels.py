@@ -539,7 +539,8 @@ def draw_bake(layout, context, obj):
             row.prop(*influence, text="Influence", slider=True)
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
-            draw_warnings(layout, settings.bake.warnings)
+            found = verdict.parsed(settings.bake.verdict)
+            draw_warnings(layout, settings.bake.warnings, said=found.text if found else "")
         draw_verdict(layout, context, obj)
         layout.operator("dynamorph.free_bake", icon="X")
     draw_export(layout, obj)
@@ -603,9 +604,11 @@ def draw_outdated(layout, reasons: list[str]):
         draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))
 
 
-def draw_warnings(layout, warnings: str):
+def draw_warnings(layout, warnings: str, said=""):
+    """said: what the panel says elsewhere; a warning that begins so is left out."""
     for warning in filter(None, warnings.split("\n")):
-        draw_message(layout, warning)
+        if not (said and warning.startswith(said)):
+            draw_message(layout, warning)
 
 
 def draw_message(layout, text: str, icon="ERROR", width=LINE):

@@ -7,6 +7,7 @@ import math
 
 import bpy
 import driver
+import frames
 import limb
 import numpy as np
 from driver import measure, step, until
@@ -180,6 +181,11 @@ def finish_sculpting():
     yield from sidebar.press("dynamorph.finish_sculpt")
     yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
     assert not skin().show_only_shape_key and np.abs(key_points()).max() > 0
+    sculpt = skin().active_shape_key
+    assert sculpt.value == 1.0, "the sculpt does not show in its pose"
+    yield from frames.click(limb.FLEXED)
+    assert sculpt.value == 0.0, "the sculpt shows in another pose"
+    yield from frames.click(limb.TURNED)
 
 
 @step("Suggest from Drivers")

@@ -242,6 +242,15 @@ class Region:
                 further = yield from self.scroll("WHEELDOWNMOUSE", 6)
         raise AssertionError(f"no button {wanted} in {self.editor}, only {', '.join(self.known) or 'nothing'}")
 
+    def beside(self, wanted: str, neighbor: str):
+        """Find a button in the row of another, which is quicker to find."""
+        x, _, width, _ = self.box
+        _, row = yield from self.find(neighbor)
+        for column in COLUMNS:
+            if is_button((yield from self.look((x + int(width * column), row))), wanted):
+                return self.seen(wanted)
+        raise AssertionError(f"no button {wanted} beside {neighbor}")
+
     def near(self, wanted: str):
         """Look where the button was last, then as far from there as the one before it was, then below and above."""
         x, y = self.seen(wanted)

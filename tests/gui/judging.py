@@ -75,6 +75,7 @@ def heat():
 def heat_toggle():
     yield from driver.drawn()
     hot = driver.pixels(viewport.box)
+    yield from sidebar.beside(HEAT, "dynamorph.show_worst")
     yield from sidebar.press(HEAT)
     yield from driver.drawn()
     assert differing(hot) > 0.02, "the heat map does not color the skin"
