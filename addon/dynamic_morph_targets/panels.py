@@ -196,10 +196,10 @@ def draw_cage(layout, context, obj):
     column.prop(settings.model, "separate")
     column.prop(settings.model, "one_cage")
     draw_painted_group(column, obj, "SOFT")
-    row = column.row(align=True)
-    row.use_property_split = False
-    row.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
-    row.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
+    pair = column.column(align=True)  # side by side their names are cut
+    pair.use_property_split = False
+    pair.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
+    pair.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
     draw_painted_group(column, obj, "STIFFNESS")
     if settings.stiffness_group:
         column.prop(settings, "stiffness_factor")

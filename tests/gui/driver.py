@@ -462,6 +462,7 @@ def run():
     """Take the steps, write WORK/result.json and leave Blender."""
     preferences = bpy.context.preferences
     preferences.view.show_splash = False
+    preferences.view.show_tooltips = False  # on a busy machine they get into pictures
     preferences.system.use_region_overlap = False  # pictures of panels, not of what lies behind them
     preferences.system.viewport_aa = "OFF"  # there is no graphics card
     walk = _take_steps()

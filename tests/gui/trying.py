@@ -20,9 +20,6 @@ sections = {}  # that a later step closes
 
 @step("Build Model")
 def build():
-    section = yield from sidebar.unfold("model.method", above="dynamorph.build")
-    yield from section.keep("model")
-    yield from section.fold()
     yield from sidebar.press("dynamorph.build")
     yield from job_done()
     assert settings().model.summary and not addon("changes").model_age(skin())
@@ -40,9 +37,16 @@ def bounce():
     assert not addon("changes").model_age(skin()), "a new stiffness needs no new model"
 
 
+@step("The model's settings")
+def model():
+    yield from sidebar.fold("dynamorph.new_from_pose")  # there is more in the sections below than fits under the list
+    section = yield from sidebar.unfold("model.method", above="dynamorph.build")
+    yield from section.keep("model")
+    yield from section.fold()
+
+
 @step("Modes and Check Targets")
 def modes():
-    yield from sidebar.fold("dynamorph.new_from_pose")  # there is more in the sections below than fits under the list
     section = yield from sidebar.unfold("dynamorph.check_targets", above="output.sink")
     yield from sidebar.press("dynamorph.check_targets")
     yield from until(lambda: settings().live.checks, "what the targets miss")
