@@ -31,7 +31,7 @@ HEADER = 21  # pixels from one closed section's header to the next
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
 TABS = 30  # pixels: the tabs beside a sidebar
 END = 500  # no buttons for so many pixels: there are none below
-NEAR = 300  # pixels: no section is higher
+NEAR = 400  # pixels: no section is higher
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
 
 result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
