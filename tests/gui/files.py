@@ -9,7 +9,7 @@ import struct
 import bpy
 import driver
 from driver import WORK, Region, measure, step, until
-from editors import addon, baked, select_target, settings, sidebar
+from editors import addon, baked, select_target, settings, sidebar, viewport
 
 browser = Region("FILE_BROWSER", "WINDOW")
 SETUP, GLB = WORK / "arm.json", WORK / "arm.glb"
@@ -50,6 +50,7 @@ def export():
     (mesh,) = document["meshes"]
     assert len(mesh["primitives"][0]["targets"]) >= len(baked()) > 0 and len(document["animations"]) == 1
     measure("Arm as glTF", f"{len(data) / 1e6:.1f} MB")
+    yield from driver.tap("ESC", viewport.middle)  # close what the export says, which lies over the sidebar
 
 
 def export_menu():
