@@ -332,11 +332,13 @@ class Region:
         raise AssertionError(f"no section with {wanted} above {above}")
 
     def unfold_last(self, wanted: str, below: str):
-        """Open the last section, whose header is the first below a button."""
+        """Open the last section, whose header is the lowest thing below a button."""
         global actions
         actions += 1
         _, row = yield from self.find(below)
-        for height in range(row - ROW, max(row - 14 * ROW, self.box[1]), -ROW // 2):
+        for height in range(
+            int(max(row - 14 * ROW, self.box[1] + ROW)), int(row) - ROW, ROW // 2
+        ):  # menus are above it
             header = (self.box[0] + ASIDE, height)
             if (yield from self.look(header)):
                 continue
