@@ -336,15 +336,14 @@ class Region:
         global actions
         actions += 1
         _, row = yield from self.find(below)
-        for height in range(
-            int(max(row - 14 * ROW, self.box[1] + ROW)), int(row) - ROW, ROW // 2
-        ):  # menus are above it
+        lowest = int(max(row - 14 * ROW, self.box[1] + ROW))
+        for height in range(lowest, int(row) - ROW, ROW // 2):  # from below: there are menus above it
             header = (self.box[0] + ASIDE, height)
             if (yield from self.look(header)):
                 continue
             yield from self._toggle(header)
             if (yield from self.scan_down(wanted, height)):
-                return Section(self, wanted, height - HEADER // 4 - (yield from self.top_of(wanted)))
+                return Section(self, wanted, height + HEADER // 4 - (yield from self.top_of(wanted)))
         raise AssertionError(f"no section with {wanted} below {below}")
 
     def fold(self, wanted: str):
