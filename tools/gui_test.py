@@ -38,7 +38,7 @@ PACKAGES = (
     "libeigen3-dev libspectra-dev libcgal-dev"
 )
 ENGINE_SOURCES = ("cpp", "cmake", "CMakeLists.txt", "pyproject.toml", "tools/tetgen.txt")
-LONGEST = 900  # seconds that the window may take
+LONGEST = 1800  # seconds that the window may take, on a busy machine
 
 # Mounts in a namespace of their own: whatever happens, nothing stays mounted in a folder that may be deleted.
 # The shell stays: an X server tells nobody that it is ready if its parent is process 1.
