@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Sets tetgen_dir: TetGen 1.6's sources, from the sdist pinned in tools/tetgen.txt. Fetched once, kept in build/tetgen.
-file(STRINGS ${CMAKE_SOURCE_DIR}/tools/tetgen.txt pin REGEX "^tetgen==")
+file(STRINGS ${PROJECT_SOURCE_DIR}/tools/tetgen.txt pin REGEX "^tetgen==")
 string(REGEX MATCH "tetgen==([0-9.]+) --hash=sha256:([0-9a-f]+)" pin "${pin}")
 set(tetgen_version ${CMAKE_MATCH_1})
 set(tetgen_sha256 ${CMAKE_MATCH_2})
-set(tetgen_cache ${CMAKE_SOURCE_DIR}/build/tetgen)
+set(tetgen_cache ${PROJECT_SOURCE_DIR}/build/tetgen)
 set(archive ${tetgen_cache}/tetgen-${tetgen_version}.tar.gz)
 if(NOT EXISTS ${archive})
   message(STATUS "Fetching TetGen's sources")
   # pip reads the sdist's metadata through its build backend: scikit-build-core, which is there already.
   execute_process(
     COMMAND ${python} -m pip download --quiet --disable-pip-version-check --no-deps --no-binary :all:
-            --no-build-isolation --require-hashes -r ${CMAKE_SOURCE_DIR}/tools/tetgen.txt -d ${tetgen_cache})
+            --no-build-isolation --require-hashes -r ${PROJECT_SOURCE_DIR}/tools/tetgen.txt -d ${tetgen_cache})
 endif()
 if(NOT EXISTS ${archive})
   message(FATAL_ERROR "TetGen could not be downloaded. Without a network, put the sdist that tools/tetgen.txt names into build/tetgen.")

@@ -13,6 +13,7 @@ PYBIND11_MODULE(_core, m) {
   py::register_exception<dynamorph::Cancelled>(m, "Cancelled", PyExc_RuntimeError);
   m.def("set_threads", &dynamorph::set_threads, py::arg("most"),
         "Use at most so many cores from now on; 0: all that the process may use. Results do not depend on it.");
+  bind_file(m);
   bind_meshing(m);
   bind_simulation(m);
 }

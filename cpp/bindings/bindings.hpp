@@ -9,6 +9,7 @@
 
 #include "dynamorph/types.hpp"
 
+void bind_file(pybind11::module_& m);
 void bind_meshing(pybind11::module_& m);
 void bind_simulation(pybind11::module_& m);
 
