@@ -15,8 +15,8 @@ int main(int, char** arguments) {
   const file::SoftSkin skin = file::load_soft_skin(file::read(arguments[1]), {relaxed, flexed});
 
   StepOptions options;
-  options.h = 1.0 / 120;             // s
-  options.gravity = {0, 0, -9.81};   // m/s^2
+  options.h = 1.0 / 120;            // s
+  options.gravity = {0, 0, -9.81};  // m/s^2
   Simulation<ReducedModel> simulation(skin.model, options);
   Transforms bones(skin.model->body().skin.cols(), 12);  // bind space to world space
   bones.rowwise() = Eigen::RowVector<double, 12>{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};

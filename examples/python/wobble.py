@@ -16,7 +16,7 @@ core = np.linalg.norm(mesh.nodes, axis=1) < 0.04
 whole, one_bone = np.ones(len(mesh.tets)), np.ones((len(mesh.nodes), 1))
 body = dynamorph.SoftBody(mesh, whole, whole, whole[:, None], core, one_bone)
 jelly = dynamorph.MorphTarget(
-    "jelly", np.zeros_like(mesh.nodes), lame_lambda=6e3, lame_mu=1.5e3, density=1000, stiffness_damping=0.005
+    "jelly", np.zeros_like(mesh.nodes), lame_lambda=28.6e3, lame_mu=7.14e3, density=1000, stiffness_damping=0.01
 )
 full = dynamorph.FullModel(body, [jelly], dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN)
 tables = dynamorph.reduce(full, dynamorph.make_basis(full, 20).U)

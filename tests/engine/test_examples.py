@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The programs in examples/ build and run, and come to what they should."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -35,10 +36,10 @@ def run(*command, **options):
 
 def configured(folder, **settings):
     """The C++ example, configured as the engine was."""
-    cache = dict(line.split("=", 1) for line in (BUILD / "CMakeCache.txt").read_text().splitlines() if "=" in line)
-    kept = {"CMAKE_MAKE_PROGRAM": cache["CMAKE_MAKE_PROGRAM:FILEPATH"], "CMAKE_BUILD_TYPE": "Debug"}
+    cache = dict(re.findall(r"^(\w+):\w+=(.*)$", (BUILD / "CMakeCache.txt").read_text(), re.MULTILINE))
+    kept = {name: cache[name] for name in ("CMAKE_MAKE_PROGRAM", "CMAKE_CXX_COMPILER")}
     options = [f"-D{name}={value}" for name, value in (kept | settings).items()]
-    return run(CMAKE, "-S", ROOT / "examples/cpp", "-B", folder, "-G", cache["CMAKE_GENERATOR:INTERNAL"], *options)
+    return run(CMAKE, "-S", ROOT / "examples/cpp", "-B", folder, "-G", cache["CMAKE_GENERATOR"], *options)
 
 
 def muscle():
@@ -130,7 +131,8 @@ def test_the_engine_is_part_of_another_project(tmp_path):
 def test_a_program_in_python_needs_no_blender(tmp_path):
     out = run(sys.executable, ROOT / "examples/python/wobble.py", tmp_path / "ball.obj")
     assert "'converged': True" in out
-    ball, still = trimesh.load(tmp_path / "ball.obj"), trimesh.creation.icosphere(subdivisions=3, radius=0.1)
+    ball = trimesh.load(tmp_path / "ball.obj", process=False)  # its vertices as they are
+    still = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
     moved = np.linalg.norm(ball.vertices - still.vertices, axis=1)
     assert 0.002 < moved.max() < 0.05
     assert ball.volume == pytest.approx(still.volume, rel=0.1)
