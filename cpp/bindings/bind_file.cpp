@@ -3,9 +3,7 @@
 #include "bindings.hpp"
 #include "dynamorph/file/model_file.hpp"
 
-namespace py = pybind11;
 using namespace dynamorph;
-using namespace pybind11::literals;
 
 namespace {
 

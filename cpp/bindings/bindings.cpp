@@ -2,10 +2,10 @@
 // dynamorph._core: the engine as NumPy sees it. Thin: shapes are checked here, everything else is the engine's.
 #include "bindings.hpp"
 
-#include "dynamorph/parallel.hpp"
-#include "dynamorph/types.hpp"
-
-namespace py = pybind11;
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/parallel.hpp"
+#include "dynamorph/core/progress.hpp"
+#include "dynamorph/core/types.hpp"
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "Dynamorph engine: soft skins from dynamic morph targets.";
@@ -13,7 +13,10 @@ PYBIND11_MODULE(_core, m) {
   py::register_exception<dynamorph::Cancelled>(m, "Cancelled", PyExc_RuntimeError);
   m.def("set_threads", &dynamorph::set_threads, py::arg("most"),
         "Use at most so many cores from now on; 0: all that the process may use. Results do not depend on it.");
+  bind_mesh(m);
+  bind_pose(m);
+  bind_models(m);
+  bind_reduced(m);
+  bind_step(m);
   bind_file(m);
-  bind_meshing(m);
-  bind_simulation(m);
 }

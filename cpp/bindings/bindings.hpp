@@ -7,18 +7,36 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
-#include "dynamorph/types.hpp"
+#include "dynamorph/core/progress.hpp"
 
-void bind_file(pybind11::module_& m);
-void bind_meshing(pybind11::module_& m);
-void bind_simulation(pybind11::module_& m);
+namespace py = pybind11;
+
+void bind_mesh(py::module_& m);
+void bind_pose(py::module_& m);
+void bind_models(py::module_& m);
+void bind_reduced(py::module_& m);
+void bind_step(py::module_& m);
+void bind_file(py::module_& m);
+
+namespace dynamorph {
+
+using namespace py::literals;
 
 /// A Python callable `progress(fraction) -> bool` (or None) as a ProgressFn that takes the GIL for each call.
 /// A Python exception raised inside it (KeyboardInterrupt, say) passes through to the caller.
-inline dynamorph::ProgressFn with_gil(const pybind11::object& progress) {
+inline ProgressFn with_gil(const py::object& progress) {
   if (progress.is_none()) return {};
   return [progress](double fraction) {
-    pybind11::gil_scoped_acquire gil;
+    py::gil_scoped_acquire gil;
     return progress(fraction).cast<bool>();
   };
 }
+
+/// Calls function() while other Python threads run.
+template <class Function>
+auto without_gil(Function function) {
+  py::gil_scoped_release released;
+  return function();
+}
+
+}  // namespace dynamorph

@@ -2,7 +2,7 @@
 // Shakes the soft skin of a model file for a second and prints the displacement of its surface, one vertex a line:
 //   shake body.dynamorph
 #include <dynamorph/file/soft_skin.hpp>
-#include <dynamorph/integrator.hpp>
+#include <dynamorph/step/simulation.hpp>
 #include <iostream>
 
 using namespace dynamorph;

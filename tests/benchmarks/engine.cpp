@@ -14,13 +14,14 @@
 #include <tuple>
 
 #include "../cpp/scenes.hpp"
-#include "dynamorph/basis.hpp"
-#include "dynamorph/crowd.hpp"
-#include "dynamorph/integrator.hpp"
-#include "dynamorph/kernels.hpp"
-#include "dynamorph/multiversion.hpp"
-#include "dynamorph/pose_space.hpp"
-#include "dynamorph/reduced_model.hpp"
+#include "dynamorph/elastic/dense_factor.hpp"
+#include "dynamorph/pose/pose_space.hpp"
+#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/kernels.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
+#include "dynamorph/simd/multiversion.hpp"
+#include "dynamorph/step/crowd.hpp"
+#include "dynamorph/step/simulation.hpp"
 #ifdef __linux__
 #include <sched.h>
 #endif
@@ -148,7 +149,7 @@ Swing swing(const SoftBody& body, int targets) {
   const double begin = X.col(0).minCoeff(), spacing = (X.col(0).maxCoeff() - begin) / double(std::max(chain, 2));
   Swing out;
   for (int k = 0; k < kFrames; ++k) {
-    const double phase = 2 * M_PI * k / kFrames;
+    const double phase = 2 * kPi * k / kFrames;
     Transforms frame(bones, 12);
     Rotations local(bones, 4);
     Vector3d joint(begin, 0, 0);
@@ -444,19 +445,19 @@ void rig(State& state) {
   const PoseSpace space = pose_space(model->body().skin.cols(), 3);
   const Swing moving = swing(model->body(), 3);
   const VectorXd z = VectorXd::Constant(20, 1e-3);
-  Motion motion;
-  motion.q.fill(&z);
-  motion.share = StepRule(one_iteration()).share();
+  InertialTarget inertial;
+  inertial.q.fill(&z);
+  inertial.coefficients = StepRule(one_iteration()).coefficients();
   ReducedModel::Blend blended;
   ReducedModel::Inertia inertia;
   VectorXd weights(3);
   int k = 0;
   for (auto _ : state) {
     k = (k + 1) % kFrames;
-    for (int n = 0; n < Motion::kPoses; ++n) motion.bones[n] = &moving.bones[(k + kFrames - n) % kFrames];
+    for (int n = 0; n < InertialTarget::kPoses; ++n) inertial.bones[n] = &moving.bones[(k + kFrames - n) % kFrames];
     space.weights(moving.pose[k], weights);
     blended.mass.blend(model->targets(), 1, weights);
-    model->inertia(motion, blended.mass, inertia);
+    model->inertia(inertial, blended.mass, inertia);
   }
   state.counters["nodes"] = double(model->body().mesh.nodes.rows());
   state.counters["bones"] = double(model->body().skin.cols());

@@ -6,8 +6,9 @@
 #include <cmath>
 #include <memory>
 
-#include "dynamorph/basis.hpp"
-#include "dynamorph/reduced_model.hpp"
+#include "dynamorph/models/full_model.hpp"
+#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
 
 namespace scenes {
 
@@ -71,7 +72,7 @@ inline std::vector<MorphTarget> targets(const SoftBody& body, int last_set = 0) 
   Points bulge = Points::Zero(X.rows(), 3), twist = bulge;
   for (Eigen::Index i = 0; i < X.rows(); ++i) {
     const double s = X(i, 0) / 0.3, y = X(i, 1) - 0.05, z = X(i, 2) - 0.05;
-    bulge.row(i) << 0, 0.6 * y * std::sin(M_PI * s) * s, 0.6 * z * std::sin(M_PI * s) * s;
+    bulge.row(i) << 0, 0.6 * y * std::sin(kPi * s) * s, 0.6 * z * std::sin(kPi * s) * s;
     twist.row(i) << 0.02 * s, -0.5 * s * z, 0.5 * s * y;
   }
   const auto target = [&](const char* name, const Points& shape, double lambda, double mu, double density, int set) {

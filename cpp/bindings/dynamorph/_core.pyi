@@ -281,51 +281,6 @@ class Blending:
     @property
     def value(self) -> int:
         ...
-class Scheme:
-    """
-    Members:
-    
-      EULER
-    
-      BDF2
-    """
-    BDF2: typing.ClassVar[Scheme]
-    EULER: typing.ClassVar[Scheme]
-    __members__: typing.ClassVar[dict[str, Scheme]]
-    @typing.overload
-    def __eq__(self, other: Scheme) -> bool:
-        ...
-    @typing.overload
-    def __eq__(self, other: typing.Any) -> bool:
-        ...
-    def __getstate__(self) -> int:
-        ...
-    def __hash__(self) -> int:
-        ...
-    def __index__(self) -> int:
-        ...
-    def __init__(self, value: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    def __int__(self) -> int:
-        ...
-    @typing.overload
-    def __ne__(self, other: Scheme) -> bool:
-        ...
-    @typing.overload
-    def __ne__(self, other: typing.Any) -> bool:
-        ...
-    def __repr__(self) -> str:
-        ...
-    def __setstate__(self, state: typing.SupportsInt | typing.SupportsIndex) -> None:
-        ...
-    def __str__(self) -> str:
-        ...
-    @property
-    def name(self) -> str:
-        ...
-    @property
-    def value(self) -> int:
-        ...
 class MorphTarget:
     """
     A dynamic morph target: shape and elastic properties.
@@ -468,6 +423,51 @@ class ReducedModel:
         """
         Number of coordinates.
         """
+class Scheme:
+    """
+    Members:
+    
+      EULER
+    
+      BDF2
+    """
+    BDF2: typing.ClassVar[Scheme]
+    EULER: typing.ClassVar[Scheme]
+    __members__: typing.ClassVar[dict[str, Scheme]]
+    @typing.overload
+    def __eq__(self, other: Scheme) -> bool:
+        ...
+    @typing.overload
+    def __eq__(self, other: typing.Any) -> bool:
+        ...
+    def __getstate__(self) -> int:
+        ...
+    def __hash__(self) -> int:
+        ...
+    def __index__(self) -> int:
+        ...
+    def __init__(self, value: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __int__(self) -> int:
+        ...
+    @typing.overload
+    def __ne__(self, other: Scheme) -> bool:
+        ...
+    @typing.overload
+    def __ne__(self, other: typing.Any) -> bool:
+        ...
+    def __repr__(self) -> str:
+        ...
+    def __setstate__(self, state: typing.SupportsInt | typing.SupportsIndex) -> None:
+        ...
+    def __str__(self) -> str:
+        ...
+    @property
+    def name(self) -> str:
+        ...
+    @property
+    def value(self) -> int:
+        ...
 class FullSimulation:
     """
     Steps a model through time. World space, SI.

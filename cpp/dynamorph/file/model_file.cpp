@@ -8,8 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "dynamorph/core/sha256.hpp"
-#include "dynamorph/polynomials.hpp"
-#include "dynamorph/types.hpp"
+#include "dynamorph/reduced/table_layout.hpp"
 
 namespace dynamorph::file {
 
@@ -149,20 +148,17 @@ Array described(const std::string& name, const Json& entry, std::uint64_t begin,
 
 // --- Older versions --------------------------------------------------------------------------------------------------
 
-/// For each coefficient that version 3 stores (`unfolded`), where version 2 had it. That stored K0 as pairs i <= j of
+/// For each coefficient that version 3 stores (`unfolded`), where version 2 had it. That stored K0 as pairs k <= l of
 /// modes, rows first, then K1 (modes, pairs), then the upper triangle of K2 (pairs, pairs), rows first.
 std::vector<Eigen::Index> distinct_of_version_2(const TableLayout& layout) {
-  const Eigen::Index r = layout.r, pairs = layout.pairs();
+  const Eigen::Index r = layout.r;
   std::vector<Eigen::Index> places;
-  for (Eigen::Index k = 0; k < pairs; ++k) places.push_back(k);
-  for (Eigen::Index i = 0; i < r; ++i)
-    for (Eigen::Index j = i; j < r; ++j)
-      for (Eigen::Index m = j; m < r; ++m) places.push_back(layout.linear() + m * pairs + pair_index(r, i, j));
-  for (Eigen::Index i = 0; i < r; ++i)
-    for (Eigen::Index j = i; j < r; ++j)
-      for (Eigen::Index m = j; m < r; ++m)
-        for (Eigen::Index n = m; n < r; ++n)
-          places.push_back(layout.quadratic(pair_index(r, i, j), pair_index(r, m, n)));
+  for_pairs(r, [&](auto k, auto l) { places.push_back(pair_index(r, k, l)); });
+  for_triples(
+      r, [&](auto k, auto l, auto m) { places.push_back(layout.linear() + m * layout.pairs() + pair_index(r, k, l)); });
+  for_quadruples(r, [&](auto k, auto l, auto m, auto n) {
+    places.push_back(layout.quadratic(pair_index(r, k, l), pair_index(r, m, n)));
+  });
   return places;
 }
 

@@ -12,6 +12,8 @@
 #include <utility>
 #include <vector>
 
+#include "dynamorph/core/errors.hpp"
+
 namespace dynamorph::file {
 
 /// Numbers, little-endian, C order.

@@ -5,7 +5,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
-#include "dynamorph/tet_mesh.hpp"
+#include "dynamorph/mesh/tet_mesh.hpp"
 
 namespace dynamorph::file {
 

@@ -8,7 +8,7 @@
 #include <memory>
 
 #include "dynamorph/file/model_file.hpp"
-#include "dynamorph/reduced_model.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
 
 namespace dynamorph::file {
 
@@ -17,12 +17,12 @@ struct SoftSkin {
   std::shared_ptr<const ReducedModel> model;
   std::vector<std::string> bone_names;  ///< (B); the model has one bone more, the object itself, which comes last
   MatrixXd modes;                       ///< (3V, r) displacement of the surface, local space
-  MatrixXd details;                     ///< (3V, J) what the nodes cannot carry of the targets' shapes
+  MatrixXd residual_shapes;             ///< (3V, J) what the nodes cannot carry of the targets' shapes
 
   /// Displacement of the surface (3V) before skinning, in the mesh object's local space, at the coordinates (r) and
   /// target weights (J) of a step.
   VectorXd surface(const VectorXd& coordinates, const VectorXd& weights) const {
-    return modes * coordinates + details * weights;
+    return modes * coordinates + residual_shapes * weights;
   }
 };
 

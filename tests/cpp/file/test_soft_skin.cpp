@@ -4,9 +4,9 @@
 
 #include <cstring>
 
-#include "../scenes.hpp"
 #include "dynamorph/file/soft_skin.hpp"
-#include "dynamorph/integrator.hpp"
+#include "dynamorph/step/simulation.hpp"
+#include "scenes.hpp"
 
 using namespace dynamorph;
 
@@ -57,7 +57,7 @@ struct Scene {
               stored(std::vector<std::int32_t>(body->mesh.tets.data(), body->mesh.tets.data() + 4 * m), "I32", {m, 4})},
              {"fill", stored(MatrixXd(body->fill), {m})},
              {"stiffness", stored(MatrixXd(VectorXd::Ones(m)), {m})},
-             {"shares", stored(body->shares, {m, 1})},
+             {"shares", stored(body->region_weights, {m, 1})},
              {"pinned", stored(pinned, "BOOL", {n})},
              {"node_weights", stored(weights, {n, 2})},
              {"embedding_nodes", stored(std::vector<std::int32_t>{last(0), last(1), last(2), last(3)}, "I32", {1, 4})},

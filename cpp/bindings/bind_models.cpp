@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/mesh/embedding.hpp"
+#include "dynamorph/models/extend_shapes.hpp"
+#include "dynamorph/models/full_model.hpp"
+#include "dynamorph/reduced/basis.hpp"
+#include "model_interface.hpp"
+
+using namespace dynamorph;
+
+namespace {
+
+/// An embedding of another mesh would read past the nodes.
+void check_embedding(const Embedding& embedding, Eigen::Index nodes) {
+  if (embedding.nodes.size() > 0 && embedding.nodes.maxCoeff() >= nodes)
+    throw std::invalid_argument("embedding: is of another mesh");
+}
+
+void bind_morph_target(py::module_& m) {
+  py::enum_<Law>(m, "Law").value("LINEAR", Law::linear).value("STVK", Law::stvk).value("STABLE_STVK", Law::stable_stvk);
+  py::enum_<Blending>(m, "Blending").value("FORCES", Blending::forces).value("EVEN", Blending::even);
+
+  py::class_<MorphTarget>(m, "MorphTarget", "A dynamic morph target: shape and elastic properties.")
+      .def(py::init([](std::string name, const FloatArray& displacement, double lambda, double mu, double density,
+                       double mass_damping, double stiffness_damping, int set, bool shifted) {
+             return MorphTarget{std::move(name),   set,     flat_points("displacement", displacement, -1),
+                                {lambda, mu},      density, mass_damping,
+                                stiffness_damping, shifted};
+           }),
+           "name"_a, "displacement"_a, py::kw_only(), "lame_lambda"_a, "lame_mu"_a, "density"_a, "mass_damping"_a = 0.0,
+           "stiffness_damping"_a = 0.0, "set"_a = 0, "shifted"_a = false,
+           "displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, "
+           "Rayleigh damping in 1/s and s; set: index of its target set; shifted: elastic as the neutral shape, moved "
+           "by the displacement.");
+}
+
+void bind_soft_body(py::module_& m) {
+  py::class_<SoftBody, std::shared_ptr<SoftBody>>(m, "SoftBody", "What all models of one character share.")
+      .def(py::init([](const TetMesh& mesh, const VectorXd& fill, const VectorXd& stiffness, const MatrixXd& shares,
+                       const std::vector<bool>& pinned, const std::optional<MatrixXd>& weights,
+                       const std::optional<VectorXd>& hold) {
+             return std::make_shared<SoftBody>(mesh, fill, stiffness, shares, pinned,
+                                               weights.value_or(MatrixXd(mesh.nodes.rows(), 0)),
+                                               hold.value_or(VectorXd()));
+           }),
+           "mesh"_a, "fill"_a, "stiffness"_a, "shares"_a, "pinned"_a, "weights"_a, "hold"_a = py::none(),
+           "fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's "
+           "part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None "
+           "where "
+           "a transform of every free node is known instead: such a body has as many bones. hold (m), 1/m^2, or None: "
+           "each target adds mu / 2 times the integral of hold |u - d|^2 to its energy.")
+      .def_readonly("size", &SoftBody::size, "Bounding-box diagonal, metres.")
+      .def_readonly("free_nodes", &SoftBody::free_nodes)
+      .def_readonly("volumes", &SoftBody::volumes, "Lumped volume of the free nodes by target set, m^3.")
+      .def(
+          "extend_shapes",
+          [](const SoftBody& body, const Embedding& embedding, const FloatArray& surfaces) {
+            const py::ssize_t nodes = body.mesh.nodes.rows();
+            check_embedding(embedding, nodes);
+            check_shape("surfaces", surfaces, {-1, embedding.nodes.rows(), 3});
+            const py::ssize_t count = surfaces.shape(0);
+            const Eigen::Map<const MatrixXd> columns(surfaces.data(), 3 * embedding.nodes.rows(), count);
+            FloatArray out({count, nodes, py::ssize_t(3)});
+            Eigen::Map<MatrixXd> displacements(out.mutable_data(), 3 * nodes, count);
+            py::gil_scoped_release release;
+            displacements = extend_shapes(body, embedding, columns);
+            return out;
+          },
+          "embedding"_a, "surfaces"_a,
+          "Node displacements (k, n, 3) that follow the surface displacements (k, V, 3): elastic in between, zero at "
+          "pins.");
+}
+
+void bind_full_model(py::module_& m) {
+  py::class_<FullModel, std::shared_ptr<FullModel>> full(m, "FullModel", "The unreduced soft skin.");
+  full.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, Law, Blending>(), "body"_a, "targets"_a,
+           "law"_a, "blending"_a)
+      .def(
+          "linear_modes",
+          [](const FullModel& model, int target, int k) {
+            py::gil_scoped_release release;
+            const LinearModes modes = linear_modes(model, checked_target(model, target), k);
+            return std::make_pair(modes.omega, modes.shapes);
+          },
+          "target"_a, "k"_a, "(omega (k) rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.")
+      .def(
+          "fallbacks",
+          [](const FullModel& model, int target) { return model.shape(checked_target(model, target)).fallbacks; },
+          "target"_a,
+          "Tetrahedra of a target that keep the neutral rest shape, because the sculpt would invert or crush them.");
+  bind_model(full);
+}
+
+}  // namespace
+
+void bind_models(py::module_& m) {
+  bind_morph_target(m);
+  bind_soft_body(m);
+  bind_full_model(m);
+}

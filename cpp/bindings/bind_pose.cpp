@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "arrays.hpp"
+#include "bindings.hpp"
+#include "dynamorph/pose/pose_space.hpp"
+
+using namespace dynamorph;
+
+void bind_pose(py::module_& m) {
+  py::enum_<Kernel>(m, "Kernel")
+      .value("LINEAR", Kernel::linear)
+      .value("GAUSSIAN", Kernel::gaussian)
+      .value("THIN_PLATE", Kernel::thin_plate);
+  const auto rotations = [](const char* name, const FloatArray& local) {
+    check_shape(name, local, {-1, 4, 4});
+    Rotations out(local.shape(0), 4);
+    const LocalTransforms transforms(local.data(), local.shape(0), 16);
+    for (int bone = 0; bone < out.rows(); ++bone) rotation_of(transforms, bone, out);
+    return out;
+  };
+  py::class_<TargetSet>(m, "TargetSet", "Targets whose weights sum to one.")
+      .def(py::init([rotations](std::vector<int> bones, std::vector<std::string> names,
+                                const std::vector<FloatArray>& poses, Kernel kernel, std::vector<double> radii) {
+             TargetSet set{std::move(bones), std::move(names), {}, kernel, std::move(radii)};
+             for (const FloatArray& pose : poses) set.poses.push_back(rotations("poses", pose));
+             return set;
+           }),
+           "bones"_a, "names"_a, "poses"_a, "kernel"_a = Kernel::linear, "radii"_a = std::vector<double>(),
+           "bones: indices whose local rotations place the targets; poses: per target the local transforms (B, 4, 4) "
+           "of the whole skeleton; radii: per target the joint angle, radians, at which it has faded out, 0 for "
+           "never, which all are by default. What has faded goes to the first target, whose own radius is ignored.");
+  // answer(space, pose, (J) out) at every sample of local transforms (S, B, 4, 4).
+  const auto sampled = [](const PoseSpace& space, const FloatArray& local, auto answer) {
+    check_shape("local", local, {-1, -1, 4, 4});
+    const py::ssize_t bones = local.shape(1);
+    if (!space.bones().empty() && space.bones().back() >= bones)
+      throw std::invalid_argument("local: expected at least " + std::to_string(space.bones().back() + 1) +
+                                  " bones, got " + std::to_string(bones));
+    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> out(local.shape(0), space.targets());
+    py::gil_scoped_release release;
+    VectorXd at(space.targets());
+    Rotations pose = Rotations::Zero(bones, 4);
+    for (py::ssize_t i = 0; i < local.shape(0); ++i) {
+      const LocalTransforms transforms(local.data() + i * bones * 16, bones, 16);
+      for (int bone : space.bones()) rotation_of(transforms, bone, pose);
+      answer(space, pose, at);
+      out.row(i) = at;
+    }
+    return out;
+  };
+  const auto weights = [](const PoseSpace& space, const Rotations& pose, VectorXd& w) { space.weights(pose, w); };
+  const auto distances = [](const PoseSpace& space, const Rotations& pose, VectorXd& d) { space.distances(pose, d); };
+  py::class_<PoseSpace>(m, "PoseSpace", "Interpolates target weights over pose space.")
+      .def(py::init<std::vector<TargetSet>>(), "sets"_a,
+           "Raises Error, naming both, when two targets of a set have the same pose.")
+      .def_property_readonly("targets", &PoseSpace::targets)
+      .def(
+          "weights",
+          [sampled, weights](const PoseSpace& space, const FloatArray& local) {
+            return sampled(space, local, weights);
+          },
+          "local"_a,
+          "Weights (S, J) at the local transforms (S, B, 4, 4): each set's are >= 0, sum to 1, and are one at a "
+          "target's own pose.")
+      .def(
+          "distances",
+          [sampled, distances](const PoseSpace& space, const FloatArray& local) {
+            return sampled(space, local, distances);
+          },
+          "local"_a,
+          "Distances (S, J) in radians of the local transforms (S, B, 4, 4) to each target's pose: the root of the "
+          "summed squares of the joint angles that its set names.");
+}

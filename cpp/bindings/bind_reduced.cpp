@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
+#include "model_interface.hpp"
+
+using namespace dynamorph;
+
+void bind_reduced(py::module_& m) {
+  py::class_<Basis>(m, "Basis")
+      .def_readonly("U", &Basis::U, "(3 free, r), orthonormal in unit-density mass.")
+      .def_readonly("captured", &Basis::explained_variance, "Fraction of the candidates' variance in the span.");
+  m.def(
+      "make_basis",
+      [](const FullModel& model, int r, const py::object& progress) {
+        const ProgressFn report = with_gil(progress);
+        py::gil_scoped_release release;
+        return make_basis(model, r, report);
+      },
+      "model"_a, "r"_a, "progress"_a = py::none(),
+      "r modes: the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. "
+      "progress(fraction) -> bool, False raises Cancelled.");
+
+  py::class_<ReducedTables>(m, "ReducedTables", "What a built reduced model stores: geometry only, no material.")
+      .def(py::init([](Law law, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
+                       const std::vector<VectorXd>& mu) { return ReducedTables{law, basis, lambda, mu}; }),
+           "law"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a)
+      .def_readonly("law", &ReducedTables::law)
+      .def_readonly("basis", &ReducedTables::basis)
+      .def_readonly("lame_lambda", &ReducedTables::lambda, "Per target, for lambda = 1 Pa.")
+      .def_readonly("lame_mu", &ReducedTables::mu, "Per target, for mu = 1 Pa.");
+  m.def(
+      "reduce",
+      [](const FullModel& model, const MatrixXd& U, const py::object& progress) {
+        const ProgressFn report = with_gil(progress);
+        py::gil_scoped_release release;
+        return reduce(model, U, report);
+      },
+      "model"_a, "U"_a, "progress"_a = py::none(), "Energy polynomials of every target in the basis U (3 free, r).");
+
+  py::class_<ReducedModel, std::shared_ptr<ReducedModel>> reduced(m, "ReducedModel", "The soft skin in r modes.");
+  reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(), "body"_a,
+              "targets"_a, "tables"_a, "blending"_a);
+  bind_model(reduced);
+}

@@ -1,0 +1,203 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include <chrono>
+
+#include "dynamorph/step/crowd.hpp"
+#include "dynamorph/step/simulation.hpp"
+#include "model_interface.hpp"
+
+using namespace dynamorph;
+
+namespace {
+
+/// Of a Simulation or a Crowd, bones (J, B, 3, 4).
+template <class Stepper>
+void held_in(Stepper& stepper, const FloatArray& bones) {
+  check_shape("bones", bones, {-1, -1, 3, 4});
+  std::vector<Transforms> frames;
+  for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data(j, 0, 0, 0), bones.shape(1)));
+  stepper.hold_targets(frames);
+}
+
+py::dict summary(const StepReport& worst, int steps, double seconds) {
+  return py::dict("steps"_a = steps, "iterations"_a = worst.iterations, "converged"_a = worst.converged,
+                  "residual"_a = worst.residual, "energy"_a = worst.energy, "teleported"_a = worst.teleported,
+                  "seconds"_a = seconds);
+}
+
+template <class Model>
+void bind_simulation_of(py::module_& m, const char* name) {
+  using Sim = Simulation<Model>;
+  py::class_<Sim>(m, name, "Steps a model through time. World space, SI.")
+      .def(
+          py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
+                      int max_iterations, double teleport, const py::object& keep_going) {
+            std::function<bool()> asked;
+            if (!keep_going.is_none())
+              asked = [keep_going] {
+                py::gil_scoped_acquire gil;
+                return keep_going().cast<bool>();
+              };
+            return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked});
+          }),
+          "model"_a, "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
+          "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
+          "h: seconds a step; gravity (3,) m/s^2; teleport: jump of the skin off its course in one step, metres, above "
+          "which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, "
+          "False "
+          "raises Cancelled.")
+      .def("hold_targets", &held_in<Sim>, "bones"_a,
+           "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
+      .def(
+          "start",
+          [](Sim& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights) {
+            const Transforms a = transforms("now", now), b = transforms("next", next);
+            StepReport report;
+            {
+              py::gil_scoped_release release;
+              report = s.start(a, b, weights);
+            }
+            return summary(report, 0, 0);
+          },
+          "now"_a, "next"_a, "weights"_a,
+          "Static solution at the bones `now` (B, 3, 4); the past follows the rig backward from its motion to `next`.")
+      .def(
+          "advance",
+          [](Sim& s, const FloatArray& bones, const FloatArray& weights, const std::optional<FloatArray>& external) {
+            check_shape("bones", bones, {-1, -1, 3, 4});
+            check_shape("weights", weights, {bones.shape(0), py::ssize_t(s.model().targets().size())});
+            const VectorXd force = external ? s.model().body().restrict_to_free(flat_points(
+                                                  "external", *external, s.model().body().mesh.nodes.rows()))
+                                            : VectorXd();
+            StepReport worst;
+            const py::ssize_t steps = bones.shape(0), count = bones.shape(1);
+            const auto begin = std::chrono::steady_clock::now();
+            {
+              py::gil_scoped_release release;
+              Transforms frame;
+              VectorXd w;
+              for (py::ssize_t i = 0; i < steps; ++i) {
+                frame = Eigen::Map<const Transforms>(bones.data() + i * count * 12, count, 12);
+                w = Eigen::Map<const VectorXd>(weights.data() + i * weights.shape(1), weights.shape(1));
+                const StepReport report = s.step(frame, w, force);
+                worst.iterations += report.iterations;
+                worst.converged &= report.converged;
+                worst.residual = std::max(worst.residual, report.residual);
+                worst.energy = report.energy;
+                worst.teleported |= report.teleported;
+              }
+            }
+            const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+            return summary(worst, int(steps), elapsed.count());
+          },
+          "bones"_a, "weights"_a, "external"_a = py::none(),
+          "One step to each of the bones (S, B, 3, 4) and target weights (S, J); external (n, 3): newtons on the "
+          "nodes, world space, constant over the call. Returns what the steps did: iterations in all, converged, the "
+          "worst residual, elastic energy at the end, seconds.")
+      .def(
+          "solve_static",
+          [](Sim& s, const FloatArray& bones, const VectorXd& weights, const std::optional<FloatArray>& external,
+             const std::optional<VectorXd>& guess) {
+            VectorXd q = guess.value_or(VectorXd());
+            if (guess) check_coordinates(s.model(), q);
+            const VectorXd force = external ? s.model().body().restrict_to_free(flat_points(
+                                                  "external", *external, s.model().body().mesh.nodes.rows()))
+                                            : VectorXd();
+            const Transforms frame = transforms("bones", bones);
+            StepReport report;
+            {
+              py::gil_scoped_release release;
+              report = s.solve_static(frame, weights, q, force);
+            }
+            return py::make_tuple(q, summary(report, 0, 0));
+          },
+          "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(),
+          "(coordinates, report) of the static solution, sought from `guess` or from the blended targets.")
+      .def_property_readonly("model", &Sim::shared_model)
+      .def_property_readonly(
+          "coordinates", [](const Sim& s) { return VectorXd(s.coordinates()); },
+          "Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.")
+      .def_property_readonly("kinetic_energy", &Sim::kinetic_energy, "J, of the posed nodes.")
+      .def_property_readonly("elastic_energy", &Sim::elastic_energy, "J.")
+      .def_property(
+          "state", [](const Sim& s) { return py::make_tuple(s.state().q, s.state().bones); },
+          [](Sim& s, const std::pair<std::array<VectorXd, 4>, std::array<Transforms, 4>>& state) {
+            s.set_state({state.first, state.second});
+          },
+          "(coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.");
+}
+
+void bind_crowd(py::module_& m) {
+  const auto poses = [](const Crowd& crowd, const char* name, const FloatArray& bones, py::ssize_t axes) {
+    std::vector<py::ssize_t> shape(axes - 4, -1);
+    shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().body().skin.cols()), 3, 4});
+    check_shape(name, bones, shape);
+  };
+  const auto shares = [](const Crowd& crowd, const FloatArray& weights, std::vector<py::ssize_t> shape) {
+    shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().targets().size())});
+    check_shape("weights", weights, shape);
+  };
+  py::class_<Crowd>(m, "Crowd", "Many characters of one reduced model, stepped together. World space, SI.")
+      .def(py::init([](std::shared_ptr<ReducedModel> model, double h, int size, Scheme scheme, const Vector3d& gravity,
+                       double tolerance, int max_iterations, double teleport) {
+             return Crowd(model, {h, scheme, gravity, tolerance, max_iterations, teleport, {}}, size);
+           }),
+           "model"_a, "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
+           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "As ReducedSimulation; size: characters.")
+      .def("hold_targets", &held_in<Crowd>, "bones"_a,
+           "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
+      .def(
+          "start",
+          [poses, shares](Crowd& crowd, const FloatArray& now, const FloatArray& next, const FloatArray& weights) {
+            poses(crowd, "now", now, 4);
+            poses(crowd, "next", next, 4);
+            shares(crowd, weights, {});
+            py::gil_scoped_release release;
+            return crowd.start(now.data(), next.data(), weights.data()).converged;
+          },
+          "now"_a, "next"_a, "weights"_a,
+          "Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past "
+          "follows "
+          "their rigs backward from their motion to `next`. False where one did not converge.")
+      .def(
+          "advance",
+          [poses, shares](Crowd& crowd, const FloatArray& bones, const FloatArray& weights) {
+            poses(crowd, "bones", bones, 5);
+            shares(crowd, weights, {bones.shape(0)});
+            const py::ssize_t steps = bones.shape(0);
+            CrowdReport all;
+            const auto begin = std::chrono::steady_clock::now();
+            {
+              py::gil_scoped_release release;
+              for (py::ssize_t i = 0; i < steps; ++i) {
+                const CrowdReport report =
+                    crowd.step(bones.data() + i * bones.size() / steps, weights.data() + i * weights.size() / steps);
+                all.iterations += report.iterations;
+                all.alone += report.alone;
+                all.converged &= report.converged;
+              }
+            }
+            const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
+            return py::dict("steps"_a = steps, "iterations"_a = all.iterations, "alone"_a = all.alone,
+                            "converged"_a = all.converged, "seconds"_a = elapsed.count());
+          },
+          "bones"_a, "weights"_a,
+          "One step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns what "
+          "the steps did: iterations in all, steps of characters that had to be taken alone, converged, seconds.")
+      .def_property_readonly(
+          "coordinates",
+          [](const Crowd& crowd) {
+            MatrixXd out(crowd.size(), crowd.model().dofs());
+            for (int i = 0; i < crowd.size(); ++i) out.row(i) = crowd.coordinates(i);
+            return out;
+          },
+          "(N, r) of the last step, a copy.");
+}
+
+}  // namespace
+
+void bind_step(py::module_& m) {
+  py::enum_<Scheme>(m, "Scheme").value("EULER", Scheme::euler).value("BDF2", Scheme::bdf2);
+  bind_simulation_of<FullModel>(m, "FullSimulation");
+  bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
+  bind_crowd(m);
+}

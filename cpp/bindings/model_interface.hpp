@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What both kinds of model offer.
+#pragma once
+
+#include "arrays.hpp"
+#include "bindings.hpp"
+#include "dynamorph/models/soft_body.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
+
+namespace dynamorph {
+
+template <class Model>
+void check_coordinates(const Model& model, const VectorXd& q) {
+  if (q.size() != model.dofs())
+    throw std::invalid_argument("q: expected " + std::to_string(model.dofs()) + " coordinates, got " +
+                                std::to_string(q.size()));
+}
+
+template <class Model>
+int checked_target(const Model& model, int target) {
+  const int count = int(model.targets().size());
+  if (target < 0 || target >= count)
+    throw std::invalid_argument("target: expected 0 to " + std::to_string(count - 1) + ", got " +
+                                std::to_string(target));
+  return target;
+}
+
+/// Bind-space node displacement (n, 3) of coordinates q.
+template <class Model>
+Points node_displacement(const Model& model, const VectorXd& q) {
+  check_coordinates(model, q);
+  VectorXd u;
+  model.displacement(q, u);
+  return as_points(model.body().expand(u));
+}
+
+template <class Model>
+void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
+  c.def_property_readonly("dofs", &Model::dofs, "Number of coordinates.")
+      .def_property_readonly("body", [](const Model& m) { return std::const_pointer_cast<SoftBody>(m.shared_body()); })
+      .def(
+          "energy",
+          [](const Model& m, const VectorXd& weights, const VectorXd& q) {
+            check_coordinates(m, q);
+            typename Model::Blend blend;
+            m.blend(weights, blend);
+            return m.energy(blend, q);
+          },
+          "weights"_a, "q"_a, "Elastic energy, J, at target weights (J) and coordinates q.")
+      .def(
+          "linearize",
+          [](const Model& m, const VectorXd& weights, const VectorXd& q) {
+            check_coordinates(m, q);
+            typename Model::Blend blend;
+            m.blend(weights, blend);
+            VectorXd force;
+            typename Model::Matrix stiffness = m.zero();
+            const double energy = m.linearize(blend, q, force, stiffness);
+            return py::make_tuple(energy, force, stiffness);
+          },
+          "weights"_a, "q"_a,
+          "(energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full "
+          "model is a scipy.sparse matrix.")
+      .def(
+          "inertia",
+          [](const Model& m, const FloatArray& bones, double density) {
+            check_shape("bones", bones, {py::ssize_t(m.body().skin.cols()), 3, 4});
+            const Transforms pose = transforms("bones", bones);
+            const VectorXd rest = VectorXd::Zero(m.dofs());
+            InertialTarget still;
+            still.q.fill(&rest);
+            still.bones.fill(&pose);
+            typename Model::Inertia out;
+            m.inertia(still, {VectorXd::Constant(m.body().sets(), density), VectorXd::Zero(m.body().sets())}, out);
+            return out.mass;
+          },
+          "bones"_a, "density"_a, "A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).")
+      .def(
+          "target", [](const Model& m, int target) { return m.target(checked_target(m, target)); }, "target"_a,
+          "Coordinates of a target's shape.")
+      .def("displacement", &node_displacement<Model>, "q"_a, "Bind-space node displacement (n, 3), metres.");
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/core/parallel.hpp"
+
+#ifdef __linux__
+#include <sched.h>
+#endif
+
+namespace dynamorph {
+
+namespace {
+
+/// Threads that sleep between loops. Starting new ones takes longer, and on a busy machine one would have to wait for
+/// all of them even after the calling thread has done their work.
+class Helpers {
+ public:
+  /// By the calling thread and `most` of the helpers.
+  void run(int count, int most, const std::function<void(int)>& work) {
+    std::unique_lock lock(mutex_);
+    if (work_) {  // they help another thread
+      lock.unlock();
+      for (int i = 0; i < count; ++i) work(i);
+      return;
+    }
+    for (; threads_ < most; ++threads_) std::thread([this] { help(); }).detach();
+    work_ = &work;
+    count_ = count;
+    next_ = 0;
+    wanted_ = most;
+    ++loop_;
+    lock.unlock();
+    begun_.notify_all();
+    take(work);
+    lock.lock();
+    ended_.wait(lock, [&] { return busy_ == 0; });
+    work_ = nullptr;
+  }
+
+ private:
+  void take(const std::function<void(int)>& work) {
+    for (int i; (i = next_++) < count_;) work(i);
+  }
+
+  void help() {
+    std::unique_lock lock(mutex_);
+    for (long last = 0;; last = loop_) {
+      begun_.wait(lock, [&] { return work_ && loop_ != last && wanted_ > 0; });
+      --wanted_;
+      ++busy_;
+      const std::function<void(int)>& work = *work_;
+      lock.unlock();
+      take(work);
+      lock.lock();
+      if (--busy_ == 0) ended_.notify_one();
+    }
+  }
+
+  std::mutex mutex_;
+  std::condition_variable begun_, ended_;
+  const std::function<void(int)>* work_ = nullptr;  ///< of the present loop
+  int count_ = 0, busy_ = 0, wanted_ = 0, threads_ = 0;
+  long loop_ = 0;
+  std::atomic<int> next_{0};
+};
+
+std::atomic<int> most_threads{0};  ///< that the user wants, 0 for any number
+
+int given_cores() {
+#ifdef __linux__  // hardware_concurrency counts the machine's
+  cpu_set_t allowed;
+  if (sched_getaffinity(0, sizeof allowed, &allowed) == 0) return CPU_COUNT(&allowed);
+#endif
+  return int(std::thread::hardware_concurrency());
+}
+
+}  // namespace
+
+int usable_cores() {
+  const int most = most_threads, given = std::max(1, given_cores());
+  return most > 0 ? std::min(most, given) : given;
+}
+
+void set_threads(int most) {
+  if (most < 0) throw std::invalid_argument("threads: expected 0, for all cores, or more, got " + std::to_string(most));
+  most_threads = most;
+}
+
+void parallel_for(int count, const std::function<void(int)>& work) {
+  // Never destroyed: a process may end while the threads sleep, but not while they outlive what they wait for.
+  static Helpers& helpers = *new Helpers;
+  helpers.run(count, usable_cores() - 1, work);
+}
+
+}  // namespace dynamorph

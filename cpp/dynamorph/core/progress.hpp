@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// How a long call says how far it is, and is asked to stop.
+#pragma once
+
+#include <functional>
+#include <stdexcept>
+
+namespace dynamorph {
+
+/// Thrown out of a long call whose Progress returned false.
+struct Cancelled : std::runtime_error {
+  Cancelled() : std::runtime_error("cancelled") {}
+};
+
+/// Called with the fraction done, 0..1; false asks the call to stop.
+using ProgressFn = std::function<bool(double)>;
+
+inline void report(const ProgressFn& progress, double fraction) {
+  if (progress && !progress(fraction)) throw Cancelled();
+}
+
+}  // namespace dynamorph

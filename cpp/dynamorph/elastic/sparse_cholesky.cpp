@@ -1,0 +1,615 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/elastic/sparse_cholesky.hpp"
+
+#include <Eigen/OrderingMethods>
+#include <algorithm>
+#include <cmath>
+
+#include "dynamorph/simd/multiversion.hpp"
+
+namespace dynamorph {
+
+// --- Structure -------------------------------------------------------------------------------------------------------
+
+/// Rows and columns are those of 3x3 blocks, in the order of elimination, unless they are called scalar.
+struct SymbolicCholesky {
+  struct Supernode {
+    int first, columns;  ///< it eliminates first .. first + columns - 1
+    int rows;            ///< its columns and the rows below that they fill
+    size_t below;        ///< where the rows below begin in `rows_below` and `in_parent`
+    size_t factor;       ///< where its panel begins in the factor: (3 rows, 3 columns) scalars, column-major
+    size_t update;       ///< where its update matrix begins in the work space
+    size_t entries;      ///< where its part of A begins in `entries`
+    std::vector<int> children;
+  };
+  struct Entry {
+    int value;        ///< index among A's values
+    int row, column;  ///< scalar, of the supernode's panel
+  };
+
+  explicit SymbolicCholesky(const SparseMatrix& A);
+  bool has_pattern_of(const SparseMatrix& A) const;
+
+  std::vector<int> order;             ///< the node that is eliminated k-th
+  std::vector<Supernode> supernodes;  ///< children before parents
+  std::vector<int> rows_below;        ///< ascending for each supernode
+  std::vector<int> in_parent;         ///< where they are among the parent's rows
+  std::vector<Entry> entries;
+  int most_rows = 0;
+  size_t factor_size = 0, updates_size = 0;
+  double work = 0;  ///< multiplications of a factorisation
+
+ private:
+  using Structure = std::vector<std::vector<int>>;
+  Structure eliminate(const Structure& neighbours);
+  void gather_supernodes(const Structure& below);
+  int local_row(const Supernode& s, int row) const;
+  std::vector<int> link_supernodes();
+  void place_entries(const SparseMatrix& A);
+  void place_updates(const std::vector<int>& parents);
+
+  std::vector<int> outer_, inner_;  ///< the pattern of A
+};
+
+namespace {
+
+constexpr int kStrip = 12;  // scalar rows of a packed strip and of a register tile: three vectors of four doubles
+constexpr int kDepth = 48;  // scalar columns eliminated between two updates of the rest: four strips stay in cache
+
+/// Scalar rows with room for a tile that begins at the last of them.
+int padded(int scalars) { return (scalars + kStrip + 3) / 4 * 4; }
+
+/// Nodes that share a block with each node, itself excluded, ascending.
+std::vector<std::vector<int>> neighbours_of(const SparseMatrix& A) {
+  std::vector<std::vector<int>> neighbours(A.cols() / 3);
+  for (int c = 0; c < A.outerSize(); ++c)
+    for (SparseMatrix::InnerIterator it(A, c); it; ++it)
+      if (it.row() / 3 != c / 3) neighbours[c / 3].push_back(int(it.row()) / 3);
+  for (std::vector<int>& list : neighbours) {
+    std::sort(list.begin(), list.end());
+    list.erase(std::unique(list.begin(), list.end()), list.end());
+  }
+  return neighbours;
+}
+
+std::vector<int> minimum_degree(const std::vector<std::vector<int>>& neighbours) {
+  const int n = int(neighbours.size());
+  std::vector<Eigen::Triplet<double>> entries;
+  for (int j = 0; j < n; ++j) {
+    entries.emplace_back(j, j, 1.0);
+    for (int i : neighbours[j]) entries.emplace_back(i, j, 1.0);
+  }
+  SparseMatrix graph(n, n);
+  graph.setFromTriplets(entries.begin(), entries.end());
+  Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> permutation;
+  Eigen::AMDOrdering<int>()(graph, permutation);
+  return {permutation.indices().data(), permutation.indices().data() + n};
+}
+
+std::vector<int> inverse(const std::vector<int>& order) {
+  std::vector<int> position(order.size());
+  for (size_t k = 0; k < order.size(); ++k) position[order[k]] = int(k);
+  return position;
+}
+
+/// The columns of the elimination tree with every subtree in one run, its largest child last.
+std::vector<int> postorder(const std::vector<std::vector<int>>& below) {
+  const int n = int(below.size());
+  std::vector<std::vector<int>> children(n + 1);
+  for (int j = 0; j < n; ++j) children[below[j].empty() ? n : below[j][0]].push_back(j);
+  for (std::vector<int>& list : children)
+    std::stable_sort(list.begin(), list.end(), [&](int a, int b) { return below[a].size() > below[b].size(); });
+  std::vector<int> reversed, open = {n};  // parents first, and their largest child next
+  while (!open.empty()) {
+    const int j = open.back();
+    open.pop_back();
+    reversed.push_back(j);
+    open.insert(open.end(), children[j].rbegin(), children[j].rend());
+  }
+  return {reversed.rbegin(), reversed.rend() - 1};
+}
+
+/// Whether to eliminate a child with its parent although `zeros` of the `size` blocks they then store are zero.
+bool worth_merging(int columns, double zeros, double size) {
+  return columns <= 2 || zeros < (columns <= 6 ? 0.5 : columns <= 16 ? 0.15 : 0.05) * size;
+}
+
+/// Columns that are eliminated together.
+struct Group {
+  int first, columns, rows;
+  double zeros;
+  double size() const { return columns * (rows - 0.5 * (columns - 1)); }  ///< blocks of the lower triangle
+};
+
+/// Runs of columns with the same rows below; a child and its parent in one where their rows are nearly the same.
+std::vector<Group> group_columns(const std::vector<std::vector<int>>& below) {
+  std::vector<Group> groups, merged;
+  for (int j = 0; j < int(below.size()); ++j) {
+    const int rows = int(below[j].size());
+    if (j > 0 && !below[j - 1].empty() && below[j - 1][0] == j && int(below[j - 1].size()) == rows + 1)
+      ++groups.back().columns;
+    else
+      groups.push_back({j, 1, rows + 1, 0});
+  }
+  for (Group group : groups) {
+    for (; !merged.empty(); merged.pop_back()) {
+      const Group& child = merged.back();
+      const std::vector<int>& rows = below[group.first - 1];
+      if (rows.empty() || rows[0] >= group.first + group.columns) break;
+      Group both{child.first, child.columns + group.columns, child.columns + group.rows, 0};
+      both.zeros = child.zeros + group.zeros + both.size() - child.size() - group.size();
+      if (!worth_merging(both.columns, both.zeros, both.size())) break;
+      group = both;
+    }
+    merged.push_back(group);
+  }
+  return merged;
+}
+
+}  // namespace
+
+SymbolicCholesky::SymbolicCholesky(const SparseMatrix& A)
+    : outer_(A.outerIndexPtr(), A.outerIndexPtr() + A.cols() + 1),
+      inner_(A.innerIndexPtr(), A.innerIndexPtr() + A.nonZeros()) {
+  const Structure neighbours = neighbours_of(A);
+  order = minimum_degree(neighbours);
+  gather_supernodes(eliminate(neighbours));
+  place_updates(link_supernodes());
+  place_entries(A);
+}
+
+bool SymbolicCholesky::has_pattern_of(const SparseMatrix& A) const {
+  return outer_.size() == size_t(A.cols() + 1) && inner_.size() == size_t(A.nonZeros()) &&
+         std::equal(outer_.begin(), outer_.end(), A.outerIndexPtr()) &&
+         std::equal(inner_.begin(), inner_.end(), A.innerIndexPtr());
+}
+
+/// The rows below the diagonal of each of the factor's columns, and `order` in postorder.
+SymbolicCholesky::Structure SymbolicCholesky::eliminate(const Structure& neighbours) {
+  const int n = int(neighbours.size());
+  const std::vector<int> position = inverse(order);
+  Structure below(n);
+  for (int j = 0; j < n; ++j) {
+    std::vector<int>& rows = below[j];  // holds the children's rows already
+    for (int i : neighbours[order[j]])
+      if (position[i] > j) rows.push_back(position[i]);
+    std::sort(rows.begin(), rows.end());
+    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+    if (!rows.empty()) below[rows[0]].insert(below[rows[0]].end(), rows.begin() + 1, rows.end());
+  }
+  const std::vector<int> after = postorder(below), place = inverse(after);
+  Structure out(n);
+  std::vector<int> reordered(n);
+  for (int k = 0; k < n; ++k) {
+    reordered[k] = order[after[k]];
+    for (int i : below[after[k]]) out[k].push_back(place[i]);
+    std::sort(out[k].begin(), out[k].end());
+  }
+  order = reordered;
+  return out;
+}
+
+void SymbolicCholesky::gather_supernodes(const Structure& below) {
+  for (const Group& group : group_columns(below)) {
+    supernodes.push_back({group.first, group.columns, group.rows, rows_below.size(), factor_size, 0, 0, {}});
+    const std::vector<int>& rows = below[group.first + group.columns - 1];
+    rows_below.insert(rows_below.end(), rows.begin(), rows.end());
+    factor_size += size_t(9) * group.rows * group.columns;
+    most_rows = std::max(most_rows, group.rows);
+    for (int k = 0; k < group.columns; ++k) work += 27 * 0.5 * (group.rows - k) * (group.rows - k);
+  }
+}
+
+/// Where a row is among a supernode's own.
+int SymbolicCholesky::local_row(const Supernode& s, int row) const {
+  if (row < s.first + s.columns) return row - s.first;
+  const auto first = rows_below.begin() + s.below, last = first + (s.rows - s.columns);
+  return s.columns + int(std::lower_bound(first, last, row) - first);
+}
+
+/// Children and where their rows are in their parents'. Returns the parents, -1 at roots.
+std::vector<int> SymbolicCholesky::link_supernodes() {
+  std::vector<int> supernode_of(order.size()), parents(supernodes.size(), -1);
+  for (size_t k = 0; k < supernodes.size(); ++k)
+    std::fill_n(supernode_of.begin() + supernodes[k].first, supernodes[k].columns, int(k));
+  for (size_t k = 0; k < supernodes.size(); ++k) {
+    const Supernode& s = supernodes[k];
+    if (s.rows == s.columns) continue;
+    parents[k] = supernode_of[rows_below[s.below]];
+    supernodes[parents[k]].children.push_back(int(k));
+    for (int i = 0; i < s.rows - s.columns; ++i)
+      in_parent.push_back(local_row(supernodes[parents[k]], rows_below[s.below + i]));
+  }
+  return parents;
+}
+
+/// Two stacks, one for the even and one for the odd levels of the tree: when a supernode pushes its update matrix,
+/// those of its children are the topmost of the other stack.
+void SymbolicCholesky::place_updates(const std::vector<int>& parents) {
+  std::vector<int> odd(parents.size());
+  for (size_t k = parents.size(); k-- > 0;) odd[k] = parents[k] < 0 ? 0 : 1 - odd[parents[k]];
+  size_t top[2] = {}, highest[2] = {};
+  for (size_t k = 0; k < parents.size(); ++k) {
+    Supernode& s = supernodes[k];
+    const int size = 3 * (s.rows - s.columns), stack = odd[k];
+    s.update = top[stack];
+    top[stack] += size_t(size) * padded(size);
+    highest[stack] = std::max(highest[stack], top[stack]);
+    if (!s.children.empty()) top[1 - stack] = supernodes[s.children[0]].update;
+  }
+  for (size_t k = 0; k < parents.size(); ++k)
+    if (odd[k]) supernodes[k].update += highest[0];
+  updates_size = highest[0] + highest[1];
+}
+
+void SymbolicCholesky::place_entries(const SparseMatrix& A) {
+  const std::vector<int> position = inverse(order);
+  for (Supernode& s : supernodes) {
+    s.entries = entries.size();
+    for (int j = 0; j < s.columns; ++j)
+      for (int c = 0; c < 3; ++c) {
+        const int column = 3 * order[s.first + j] + c;
+        for (int at = A.outerIndexPtr()[column]; at < A.outerIndexPtr()[column + 1]; ++at) {
+          const int row = position[A.innerIndexPtr()[at] / 3], r = A.innerIndexPtr()[at] % 3;
+          if (row < s.first + j) continue;  // the other triangle
+          entries.push_back({at, 3 * local_row(s, row) + r, 3 * j + c});
+        }
+      }
+  }
+}
+
+// --- Factorisation ---------------------------------------------------------------------------------------------------
+
+namespace {
+
+using Vector4 = double __attribute__((vector_size(32), aligned(8), may_alias));
+
+/// Column-major scalars, `stride` from one column to the next.
+struct Dense {
+  double* data;
+  Eigen::Index stride;
+  double* at(Eigen::Index row, Eigen::Index column) const { return data + column * stride + row; }
+};
+
+/// C (12, 3) -= A B^T, depth columns: A (12, depth) and B (3, depth), `a` and `b` from one column to the next.
+DYNAMORPH_INLINE void subtract_tile(const double* __restrict A, Eigen::Index a, const double* __restrict B,
+                                    Eigen::Index b, Eigen::Index depth, Dense C) {
+  Vector4 sums[3][3] = {};
+  for (Eigen::Index d = 0; d < depth; ++d, A += a, B += b) {
+    const Vector4* rows = reinterpret_cast<const Vector4*>(A);
+    for (int j = 0; j < 3; ++j)
+      for (int v = 0; v < 3; ++v) sums[j][v] += rows[v] * B[j];
+  }
+  for (int j = 0; j < 3; ++j)
+    for (int v = 0; v < 3; ++v) *reinterpret_cast<Vector4*>(C.at(4 * v, j)) -= sums[j][v];
+}
+
+/// C -= A B^T from strips of rows; A's and B's rows are multiples of 3. Of a symmetric product (A is B) the lower
+/// triangle, and somewhat more.
+DYNAMORPH_MULTIVERSION
+void subtract_product(const double* A, Eigen::Index a_rows, const double* B, Eigen::Index b_rows, Eigen::Index depth,
+                      bool symmetric, Dense C) {
+  for (Eigen::Index i = 0; i < a_rows; i += kStrip, A += kStrip * depth) {
+    const Eigen::Index columns = symmetric ? std::min(b_rows, i + kStrip) : b_rows;
+    for (Eigen::Index j = 0; j < columns; j += 3)
+      subtract_tile(A, kStrip, B + j / kStrip * kStrip * depth + j % kStrip, kStrip, depth, {C.at(i, j), C.stride});
+  }
+}
+
+/// Factors columns first .. last - 1 of a panel whose earlier columns' products are subtracted from them already,
+/// leaving 1 / L_ii on the diagonal.
+DYNAMORPH_MULTIVERSION
+bool eliminate_columns(Dense panel, Eigen::Index rows, Eigen::Index first, Eigen::Index last) {
+  for (Eigen::Index c = first; c < last; c += 3) {
+    for (Eigen::Index i = c; i < rows; i += kStrip)
+      subtract_tile(panel.at(i, first), panel.stride, panel.at(c, first), panel.stride, c - first,
+                    {panel.at(i, c), panel.stride});
+    double *x = panel.at(0, c), *y = panel.at(0, c + 1), *z = panel.at(0, c + 2);
+    if (!(x[c] > 0)) return false;
+    const double xx = 1 / std::sqrt(x[c]), xy = x[c + 1] * xx, xz = x[c + 2] * xx, y2 = y[c + 1] - xy * xy;
+    if (!(y2 > 0)) return false;
+    const double yy = 1 / std::sqrt(y2), yz = (y[c + 2] - xy * xz) * yy, z2 = z[c + 2] - xz * xz - yz * yz;
+    if (!(z2 > 0)) return false;
+    const double zz = 1 / std::sqrt(z2);
+    for (Eigen::Index i = c + 3; i < rows; ++i) {
+      x[i] *= xx;
+      y[i] = (y[i] - xy * x[i]) * yy;
+      z[i] = (z[i] - xz * x[i] - yz * y[i]) * zz;
+    }
+    x[c] = xx, x[c + 1] = xy, x[c + 2] = xz;
+    y[c + 1] = yy, y[c + 2] = yz;
+    z[c + 2] = zz;
+  }
+  return std::isfinite(*panel.at(last - 1, last - 1));
+}
+
+/// Rows of `depth` columns in strips of kStrip, each column after column, padded with zeros.
+void pack_strips(Dense columns, Eigen::Index rows, Eigen::Index depth, double* strips) {
+  for (Eigen::Index i = 0; i < rows; i += kStrip)
+    for (Eigen::Index d = 0; d < depth; ++d, strips += kStrip) {
+      const Eigen::Index some = std::min<Eigen::Index>(kStrip, rows - i);
+      std::fill(std::copy_n(columns.at(i, d), some, strips), strips + kStrip, 0.0);
+    }
+}
+
+/// Eliminates the panel's columns and subtracts their product from the update matrix.
+bool eliminate_panel(Dense panel, Eigen::Index rows, Eigen::Index columns, Dense update, std::vector<double>& strips) {
+  for (Eigen::Index c = 0; c < columns; c += kDepth) {
+    const Eigen::Index depth = std::min<Eigen::Index>(kDepth, columns - c), rest = columns - c - depth;
+    if (!eliminate_columns(panel, rows, c, c + depth)) return false;
+    double* own = strips.data();
+    double* below = own + (rest + kStrip) * depth;
+    pack_strips({panel.at(c + depth, c), panel.stride}, rest, depth, own);
+    pack_strips({panel.at(columns, c), panel.stride}, rows - columns, depth, below);
+    subtract_product(own, rest, own, rest, depth, true, {panel.at(c + depth, c + depth), panel.stride});
+    subtract_product(below, rows - columns, own, rest, depth, false, {panel.at(columns, c + depth), panel.stride});
+    subtract_product(below, rows - columns, below, rows - columns, depth, true, update);
+  }
+  return true;
+}
+
+/// Adds a child's update matrix of size x size blocks to the parent's panel and update matrix.
+void add_update(Dense child, int size, const int* in_parent, int columns, Dense panel, Dense update) {
+  for (int j = 0; j < size; ++j) {
+    const bool own = in_parent[j] < columns;
+    const Dense out = own ? Dense{panel.at(0, 3 * in_parent[j]), panel.stride}
+                          : Dense{update.at(-3 * columns, 3 * (in_parent[j] - columns)), update.stride};
+    for (int c = 0; c < 3; ++c) {
+      const double* from = child.at(0, 3 * j + c);
+      double* to = out.at(0, c);
+      for (int i = j; i < size; ++i)
+        for (int r = 0; r < 3; ++r) to[3 * in_parent[i] + r] += from[3 * i + r];
+    }
+  }
+}
+
+}  // namespace
+
+template <class Real>
+double BlockCholesky<Real>::factorization_work() const {
+  return symbolic_->work;
+}
+
+template <class Real>
+bool BlockCholesky<Real>::factorize(const SparseMatrix& A) {
+  if (!symbolic_ || !symbolic_->has_pattern_of(A)) symbolic_ = std::make_shared<const SymbolicCholesky>(A);
+  const SymbolicCholesky& S = *symbolic_;
+  factor_.resize(S.factor_size);
+  updates_.resize(S.updates_size);
+  strips_.resize(size_t(kDepth) * (3 * S.most_rows + 2 * kStrip));
+  for (size_t k = 0; k < S.supernodes.size(); ++k) {
+    const SymbolicCholesky::Supernode& s = S.supernodes[k];
+    const int rows = 3 * s.rows, columns = 3 * s.columns, below = rows - columns;
+    panel_.assign(size_t(columns) * padded(rows), 0.0);
+    const Dense panel{panel_.data(), padded(rows)}, update{updates_.data() + s.update, padded(below)};
+    std::fill_n(update.data, size_t(below) * update.stride, 0.0);
+    const size_t end = k + 1 < S.supernodes.size() ? S.supernodes[k + 1].entries : S.entries.size();
+    for (size_t e = s.entries; e < end; ++e)
+      *panel.at(S.entries[e].row, S.entries[e].column) += A.valuePtr()[S.entries[e].value];
+    for (int c : s.children) {
+      const SymbolicCholesky::Supernode& child = S.supernodes[c];
+      const int size = child.rows - child.columns;
+      add_update({updates_.data() + child.update, padded(3 * size)}, size, S.in_parent.data() + child.below, s.columns,
+                 panel, update);
+    }
+    if (!eliminate_panel(panel, rows, columns, update, strips_)) return false;
+    for (int c = 0; c < columns; ++c) std::copy_n(panel.at(0, c), rows, factor_.data() + s.factor + size_t(c) * rows);
+  }
+  return true;
+}
+
+// --- Solution --------------------------------------------------------------------------------------------------------
+
+namespace {
+
+template <class Real>
+struct Lanes;
+template <>
+struct Lanes<double> {
+  using Vector = double __attribute__((vector_size(32), aligned(8), may_alias));
+};
+template <>
+struct Lanes<float> {
+  using Vector = float __attribute__((vector_size(32), aligned(4), may_alias));
+};
+
+/// x = L^-1 x for a supernode's columns, minus what they contribute below.
+template <class Real>
+DYNAMORPH_INLINE void forward_one(const Real* __restrict L, Eigen::Index rows, Eigen::Index columns,
+                                  Real* __restrict x) {
+  for (Eigen::Index c = 0; c < columns; c += 3, L += 3 * rows) {
+    const Real *a = L, *b = L + rows, *d = b + rows;
+    const Real x0 = x[c] * a[c], x1 = (x[c + 1] - a[c + 1] * x0) * b[c + 1],
+               x2 = (x[c + 2] - a[c + 2] * x0 - b[c + 2] * x1) * d[c + 2];
+    x[c] = x0, x[c + 1] = x1, x[c + 2] = x2;
+    for (Eigen::Index i = c + 3; i < rows; ++i) x[i] -= a[i] * x0 + b[i] * x1 + d[i] * x2;
+  }
+}
+
+/// x = L^-T x for a supernode's columns, given what is below.
+template <class Real>
+DYNAMORPH_INLINE void backward_one(const Real* __restrict L, Eigen::Index rows, Eigen::Index columns,
+                                   Real* __restrict x) {
+  using Vector = typename Lanes<Real>::Vector;
+  constexpr Eigen::Index kWidth = sizeof(Vector) / sizeof(Real);
+  L += columns * rows;
+  for (Eigen::Index c = columns - 3; c >= 0; c -= 3) {
+    L -= 3 * rows;
+    const Real *a = L, *b = L + rows, *d = b + rows;
+    Vector sums[3] = {};
+    Eigen::Index i = c + 3;
+    for (; i + kWidth <= rows; i += kWidth) {
+      const Vector& some = *reinterpret_cast<const Vector*>(x + i);
+      sums[0] += *reinterpret_cast<const Vector*>(a + i) * some;
+      sums[1] += *reinterpret_cast<const Vector*>(b + i) * some;
+      sums[2] += *reinterpret_cast<const Vector*>(d + i) * some;
+    }
+    Real s[3] = {x[c], x[c + 1], x[c + 2]};
+    for (; i < rows; ++i) s[0] -= a[i] * x[i], s[1] -= b[i] * x[i], s[2] -= d[i] * x[i];
+    for (int k = 0; k < 3; ++k)
+      for (int l = 0; l < kWidth; ++l) s[k] -= sums[k][l];
+    x[c + 2] = s[2] * d[c + 2];
+    x[c + 1] = (s[1] - b[c + 2] * x[c + 2]) * b[c + 1];
+    x[c] = (s[0] - a[c + 1] * x[c + 1] - a[c + 2] * x[c + 2]) * a[c];
+  }
+}
+
+DYNAMORPH_MULTIVERSION
+void forward(const double* L, Eigen::Index rows, Eigen::Index columns, double* x) { forward_one(L, rows, columns, x); }
+DYNAMORPH_MULTIVERSION
+void forward(const float* L, Eigen::Index rows, Eigen::Index columns, float* x) { forward_one(L, rows, columns, x); }
+DYNAMORPH_MULTIVERSION
+void backward(const double* L, Eigen::Index rows, Eigen::Index columns, double* x) {
+  backward_one(L, rows, columns, x);
+}
+DYNAMORPH_MULTIVERSION
+void backward(const float* L, Eigen::Index rows, Eigen::Index columns, float* x) { backward_one(L, rows, columns, x); }
+
+constexpr int kSides = 8;  // right-hand sides at a time, a row of them contiguous
+
+/// out (3, kSides) = sum over d of three values of L, `across` apart, times a row of X: row(d) points to it. L moves on
+/// by `step`.
+template <class Real, class Row>
+DYNAMORPH_INLINE void outer_products(const Real* L, Eigen::Index step, Eigen::Index across, Eigen::Index depth,
+                                     const Row& row, Real* out) {
+  using Vector = typename Lanes<Real>::Vector;
+  constexpr int kVectors = kSides * sizeof(Real) / sizeof(Vector);
+  Vector sums[3][kVectors] = {};
+  for (Eigen::Index d = 0; d < depth; ++d, L += step) {
+    const Vector* x = reinterpret_cast<const Vector*>(row(d));
+    for (int i = 0; i < 3; ++i)
+      for (int v = 0; v < kVectors; ++v) sums[i][v] += L[i * across] * x[v];
+  }
+  for (int i = 0; i < 3; ++i)
+    for (int v = 0; v < kVectors; ++v) reinterpret_cast<Vector*>(out + i * kSides)[v] = sums[i][v];
+}
+
+/// As forward_one, in place for kSides right-hand sides. X is of the whole matrix, `below` the supernode's rows below.
+template <class Real>
+DYNAMORPH_INLINE void forward_all(const Real* L, const int* below, Eigen::Index first, Eigen::Index rows,
+                                  Eigen::Index columns, Real* X) {
+  const Real* own = X + first * kSides;
+  Real sums[3 * kSides];
+  for (Eigen::Index r = 0; r < rows; r += 3) {
+    outer_products(L + r, rows, 1, std::min(r, columns), [&](Eigen::Index d) { return own + d * kSides; }, sums);
+    Real* x = X + (r < columns ? first + r : 3 * below[(r - columns) / 3]) * kSides;
+    for (int k = 0; k < 3 * kSides; ++k) x[k] -= sums[k];
+    if (r >= columns) continue;
+    const Real *a = L + r * rows + r, *b = a + rows, *d = b + rows;
+    for (int k = 0; k < kSides; ++k) {
+      const Real x0 = x[k] * a[0], x1 = (x[kSides + k] - a[1] * x0) * b[1];
+      x[2 * kSides + k] = (x[2 * kSides + k] - a[2] * x0 - b[2] * x1) * d[2];
+      x[k] = x0, x[kSides + k] = x1;
+    }
+  }
+}
+
+template <class Real>
+DYNAMORPH_INLINE void backward_all(const Real* L, const int* below, Eigen::Index first, Eigen::Index rows,
+                                   Eigen::Index columns, Real* X) {
+  Real sums[3 * kSides], more[3 * kSides];
+  for (Eigen::Index c = columns - 3; c >= 0; c -= 3) {
+    const Real *a = L + c * rows, *b = a + rows, *d = b + rows;
+    Real* x = X + (first + c) * kSides;
+    outer_products(a + c + 3, 1, rows, columns - c - 3, [&](Eigen::Index i) { return x + (3 + i) * kSides; }, sums);
+    outer_products(
+        a + columns, 1, rows, rows - columns, [&](Eigen::Index i) { return X + (3 * below[i / 3] + i % 3) * kSides; },
+        more);
+    for (int k = 0; k < 3 * kSides; ++k) x[k] -= sums[k] + more[k];
+    for (int k = 0; k < kSides; ++k) {
+      const Real x2 = x[2 * kSides + k] * d[c + 2], x1 = (x[kSides + k] - b[c + 2] * x2) * b[c + 1];
+      x[k] = (x[k] - a[c + 1] * x1 - a[c + 2] * x2) * a[c];
+      x[kSides + k] = x1, x[2 * kSides + k] = x2;
+    }
+  }
+}
+
+DYNAMORPH_MULTIVERSION
+void forward(const double* L, const int* below, Eigen::Index first, Eigen::Index rows, Eigen::Index columns,
+             double* X) {
+  forward_all(L, below, first, rows, columns, X);
+}
+DYNAMORPH_MULTIVERSION
+void forward(const float* L, const int* below, Eigen::Index first, Eigen::Index rows, Eigen::Index columns, float* X) {
+  forward_all(L, below, first, rows, columns, X);
+}
+DYNAMORPH_MULTIVERSION
+void backward(const double* L, const int* below, Eigen::Index first, Eigen::Index rows, Eigen::Index columns,
+              double* X) {
+  backward_all(L, below, first, rows, columns, X);
+}
+DYNAMORPH_MULTIVERSION
+void backward(const float* L, const int* below, Eigen::Index first, Eigen::Index rows, Eigen::Index columns, float* X) {
+  backward_all(L, below, first, rows, columns, X);
+}
+
+}  // namespace
+
+template <class Real>
+void BlockCholesky<Real>::solve(const VectorXd& b, VectorXd& x, std::vector<Real>& scratch) const {
+  const SymbolicCholesky& S = *symbolic_;
+  const size_t n = S.order.size();
+  scratch.resize(3 * (n + S.most_rows));
+  Real *all = scratch.data(), *front = all + 3 * n;
+  for (size_t k = 0; k < n; ++k)
+    for (int c = 0; c < 3; ++c) all[3 * k + c] = Real(b[3 * S.order[k] + c]);
+  for (const SymbolicCholesky::Supernode& s : S.supernodes) {
+    const int columns = 3 * s.columns, *below = S.rows_below.data() + s.below;
+    std::copy_n(all + 3 * s.first, columns, front);
+    std::fill_n(front + columns, 3 * s.rows - columns, Real(0));
+    forward(factor_.data() + s.factor, 3 * s.rows, columns, front);
+    std::copy_n(front, columns, all + 3 * s.first);
+    for (int i = s.columns; i < s.rows; ++i, ++below)
+      for (int c = 0; c < 3; ++c) all[3 * *below + c] += front[3 * i + c];
+  }
+  for (size_t k = S.supernodes.size(); k-- > 0;) {
+    const SymbolicCholesky::Supernode& s = S.supernodes[k];
+    const int columns = 3 * s.columns, *below = S.rows_below.data() + s.below;
+    std::copy_n(all + 3 * s.first, columns, front);
+    for (int i = s.columns; i < s.rows; ++i, ++below) std::copy_n(all + 3 * *below, 3, front + 3 * i);
+    backward(factor_.data() + s.factor, 3 * s.rows, columns, front);
+    std::copy_n(front, columns, all + 3 * s.first);
+  }
+  x.resize(3 * n);
+  for (size_t k = 0; k < n; ++k)
+    for (int c = 0; c < 3; ++c) x[3 * S.order[k] + c] = all[3 * k + c];
+}
+
+template <class Real>
+VectorXd BlockCholesky<Real>::solve(const VectorXd& b) const {
+  VectorXd x;
+  std::vector<Real> scratch;
+  solve(b, x, scratch);
+  return x;
+}
+
+template <class Real>
+void BlockCholesky<Real>::solve_in_place(Eigen::Ref<MatrixXd> X) const {
+  const SymbolicCholesky& S = *symbolic_;
+  const size_t n = S.order.size();
+  std::vector<Real> sides(3 * n * kSides);
+  for (Eigen::Index first = 0; first < X.cols(); first += kSides) {
+    const Eigen::Index some = std::min<Eigen::Index>(kSides, X.cols() - first);
+    const auto exchange = [&](const auto& move) {
+      for (size_t k = 0; k < n; ++k)
+        for (int c = 0; c < 3; ++c)
+          for (Eigen::Index side = 0; side < some; ++side)
+            move(sides[(3 * k + c) * kSides + side], X(3 * S.order[k] + c, first + side));
+    };
+    exchange([](Real& side, double x) { side = Real(x); });
+    for (const SymbolicCholesky::Supernode& s : S.supernodes)
+      forward(factor_.data() + s.factor, S.rows_below.data() + s.below, 3 * s.first, 3 * s.rows, 3 * s.columns,
+              sides.data());
+    for (size_t k = S.supernodes.size(); k-- > 0;) {
+      const SymbolicCholesky::Supernode& s = S.supernodes[k];
+      backward(factor_.data() + s.factor, S.rows_below.data() + s.below, 3 * s.first, 3 * s.rows, 3 * s.columns,
+               sides.data());
+    }
+    exchange([](Real side, double& x) { x = side; });
+  }
+}
+
+template class BlockCholesky<float>;
+template class BlockCholesky<double>;
+
+}  // namespace dynamorph

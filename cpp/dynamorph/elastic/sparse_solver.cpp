@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/elastic/sparse_solver.hpp"
+
+#include <algorithm>
+
+#include "dynamorph/simd/multiversion.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr double kAccuracy = 1e-4;  // an iteration costs much less than one of Newton's that it saves
+// An iteration waits for memory: per multiplication it takes about this many times as long as a factorisation.
+constexpr double kWait = 2;
+constexpr int kMostIterations = 100;  // with H's own factor, rounded; what is found so far is then good enough
+
+using Vector4 = double __attribute__((vector_size(32), aligned(8), may_alias));
+
+/// y of three columns at a time: a sum over their common rows, whose values of x are first brought together.
+DYNAMORPH_MULTIVERSION
+void multiply_blocks(const int* outer, const int* inner, const double* values, Eigen::Index columns,
+                     const double* __restrict x, double* __restrict gathered, double* __restrict y) {
+  for (Eigen::Index c = 0; c < columns; c += 3) {
+    const Eigen::Index rows = outer[c + 1] - outer[c];
+    const int* row = inner + outer[c];
+    for (Eigen::Index i = 0; i < rows; i += 3)
+      for (int k = 0; k < 3; ++k) gathered[i + k] = x[row[i] + k];
+    const double *h0 = values + outer[c], *h1 = h0 + rows, *h2 = h1 + rows;
+    Vector4 sums[3] = {};
+    Eigen::Index i = 0;
+    for (; i + 4 <= rows; i += 4) {
+      const Vector4& some = *reinterpret_cast<const Vector4*>(gathered + i);
+      sums[0] += *reinterpret_cast<const Vector4*>(h0 + i) * some;
+      sums[1] += *reinterpret_cast<const Vector4*>(h1 + i) * some;
+      sums[2] += *reinterpret_cast<const Vector4*>(h2 + i) * some;
+    }
+    double rest[3] = {};
+    for (; i < rows; ++i)
+      rest[0] += h0[i] * gathered[i], rest[1] += h1[i] * gathered[i], rest[2] += h2[i] * gathered[i];
+    for (int k = 0; k < 3; ++k) y[c + k] = rest[k] + (sums[k][0] + sums[k][1] + (sums[k][2] + sums[k][3]));
+  }
+}
+
+}  // namespace
+
+bool SparseSolver::solve(const SparseMatrix& H, const VectorXd& b, VectorXd& x) {
+  if (fit_ && iterate(H, b, x, factoring_)) return true;
+  fit_ = factor_.factorize(H);
+  if (!fit_) return false;
+  solves_ = iterations_ = 0;
+  factoring_ = int(factor_.factorization_work() / (kWait * (2 * double(factor_.size()) + double(H.nonZeros()))));
+  return iterate(H, b, x, kMostIterations) || b.dot(x) > 0;
+}
+
+bool SparseSolver::iterate(const SparseMatrix& H, const VectorXd& b, VectorXd& x, int most) {
+  x.setZero(b.size());
+  const double size = b.norm();
+  if (size == 0) return true;
+  residual_ = b / size;  // in the range of single precision
+  double product = 0;
+  for (int i = 1; i <= most; ++i) {
+    factor_.solve(residual_, preconditioned_, scratch_);
+    const double before = product;
+    product = residual_.dot(preconditioned_);
+    if (i == 1)
+      direction_ = preconditioned_;
+    else
+      direction_ = preconditioned_ + product / before * direction_;
+    multiply_symmetric(H, direction_, image_);
+    const double curvature = direction_.dot(image_);
+    if (!(curvature > 0)) return false;
+    x += size * product / curvature * direction_;
+    residual_ -= product / curvature * image_;
+    if (residual_.norm() > kAccuracy) continue;
+    ++solves_;
+    iterations_ += i;
+    fit_ = i * solves_ <= factoring_ + iterations_;
+    return true;
+  }
+  return false;
+}
+
+void multiply_symmetric(const SparseMatrix& H, const VectorXd& x, VectorXd& y) {
+  thread_local std::vector<double> gathered;
+  gathered.resize(H.cols());
+  y.resize(H.cols());
+  multiply_blocks(H.outerIndexPtr(), H.innerIndexPtr(), H.valuePtr(), H.cols(), x.data(), gathered.data(), y.data());
+}
+
+}  // namespace dynamorph

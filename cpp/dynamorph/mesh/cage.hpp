@@ -1,0 +1,26 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Any triangle soup -> a closed cage around it, coarse enough to simulate.
+//
+// CGAL's alpha wrap (Portaneri et al. 2022, Alpha wrapping with an offset, doi 10.1145/3528223.3530152) shrinks a ball
+// of radius alpha around the soup, at distance offset = 0.2 alpha or more: closed, manifold, no self-intersections,
+// every input triangle inside. The ball would enter through holes, so the soup is closed first. Its number of vertices
+// goes roughly with alpha^-2, so alpha is found by the secant method on log(count) against log(alpha).
+#pragma once
+
+#include "dynamorph/core/progress.hpp"
+#include "dynamorph/core/types.hpp"
+
+namespace dynamorph {
+
+struct Cage {
+  Points vertices;
+  Triangles triangles;  // outward
+};
+
+/// A cage of about `target_vertices` vertices (within 7 % where the shape allows), at least `thickness` (metres) away
+/// from the soup. Open, self-intersecting or multi-part input is fine; parts closer than about alpha come out glued.
+/// Throws Error when the input is empty, flat, not finite, or outside 1e-6 .. 1e6 m.
+Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness = 0,
+               const ProgressFn& progress = {});
+
+}  // namespace dynamorph

@@ -1,0 +1,325 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/mesh/closed_surface.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <map>
+#include <numeric>
+#include <queue>
+#include <sstream>
+#include <tuple>
+#include <unordered_map>
+#include <vector>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/mesh/surface.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+using Face = std::array<int, 3>;
+using Edge = std::pair<int, int>;
+
+constexpr double weld_distance = 1e-6;  // of the diagonal
+
+void check_finite(const Points& vertices) {
+  std::ostringstream list;
+  int bad = 0;
+  for (Eigen::Index i = 0; i < vertices.rows(); ++i)
+    if (!vertices.row(i).allFinite() && ++bad <= 5) list << (bad > 1 ? ", " : "") << i;
+  if (bad == 0) return;
+  std::ostringstream message;
+  message << bad << " of " << vertices.rows() << " vertices have a NaN or infinite coordinate (first: " << list.str()
+          << "). Delete them, or reset the shape key or modifier that moves them.";
+  throw Error(message.str());
+}
+
+Edge undirected(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
+
+/// Sets of numbers that were joined.
+class Sets {
+ public:
+  explicit Sets(size_t count) : parent_(count) { std::iota(parent_.begin(), parent_.end(), 0); }
+  int root(int i) {
+    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
+    return i;
+  }
+  void join(int i, int j) { parent_[root(i)] = root(j); }
+
+ private:
+  std::vector<int> parent_;
+};
+
+/// Numbers points in the order they come; one within the weld distance of an earlier one gets its number.
+class Welder {
+ public:
+  int number(const Vector3d& p) {
+    for (int corner = 0; corner < 8; ++corner) {
+      const auto found = cells_.find(cell(p, corner));
+      if (found == cells_.end()) continue;
+      for (int i : found->second)
+        if ((points[i] - p).squaredNorm() <= weld_distance * weld_distance) return i;
+    }
+    cells_[cell(p, -1)].push_back(static_cast<int>(points.size()));
+    points.push_back(p);
+    return static_cast<int>(points.size()) - 1;
+  }
+
+  std::vector<Vector3d> points;
+
+ private:
+  /// The cell of p, or of a corner of the box around p that may hold its neighbours.
+  static std::array<std::int64_t, 3> cell(const Vector3d& p, int corner) {
+    std::array<std::int64_t, 3> c;
+    for (int k = 0; k < 3; ++k) {
+      const double shift = corner < 0 ? 0 : (corner >> k & 1 ? weld_distance : -weld_distance);
+      c[k] = static_cast<std::int64_t>(std::floor((p[k] + shift) / (4 * weld_distance)));
+    }
+    return c;
+  }
+
+  std::map<std::array<std::int64_t, 3>, std::vector<int>> cells_;
+};
+
+class Closing {
+ public:
+  Closing(const Points& vertices, const Triangles& triangles, const UnitBox& box) {
+    weld(vertices, triangles, box);
+    find_edges();
+    orient_patches();
+    authored_ = faces_.size();
+    cap_loops();
+  }
+
+  ClosedSurface result(const UnitBox& box) const {
+    ClosedSurface s{Points(points_.size(), 3), Triangles(faces_.size(), 3), static_cast<int>(authored_), defects_, {}};
+    for (size_t i = 0; i < points_.size(); ++i) s.vertices.row(i) = box.origin + box.size * points_[i];
+    for (size_t f = 0; f < faces_.size(); ++f) s.triangles.row(f) << faces_[f][0], faces_[f][1], faces_[f][2];
+    for (const auto& [f, edge] : soup_) s.flipped.push_back(f >= 0 && !runs_along(f, edge.first, edge.second));
+    return s;
+  }
+
+ private:
+  void weld(const Points& vertices, const Triangles& triangles, const UnitBox& box);
+  void find_edges();
+  void orient_patches();
+  double outwardness(const std::vector<int>& patch) const;
+  void cap_loops();
+  void cap(const std::vector<int>& loop);
+
+  /// Whether face f runs along a -> b.
+  bool runs_along(int f, int a, int b) const {
+    const Face& t = faces_[f];
+    return (t[0] == a && t[1] == b) || (t[1] == a && t[2] == b) || (t[2] == a && t[0] == b);
+  }
+  void flip(int f) { std::swap(faces_[f][1], faces_[f][2]); }
+
+  std::vector<Vector3d> points_;  // in the unit box
+  std::vector<Face> faces_;
+  std::vector<std::pair<int, Edge>> soup_;  // of each triangle of it: its face, -1 if collapsed, and its first edge
+  size_t authored_ = 0;
+  std::map<Edge, std::vector<int>> edges_;  // with their faces
+  Defects defects_;
+};
+
+void Closing::weld(const Points& vertices, const Triangles& triangles, const UnitBox& box) {
+  Welder welder;
+  std::vector<int> number(vertices.rows(), -1);
+  for (int i : triangles.reshaped<Eigen::RowMajor>())
+    if (number[i] < 0) number[i] = welder.number((vertices.row(i).transpose() - box.origin) / box.size);
+  points_ = std::move(welder.points);
+  defects_.stray_vertices = static_cast<int>(std::count(number.begin(), number.end(), -1));
+  Sets pieces(points_.size());
+  std::map<Face, int> seen;
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
+    const Face f{number[triangles(t, 0)], number[triangles(t, 1)], number[triangles(t, 2)]};
+    pieces.join(f[0], f[1]);
+    pieces.join(f[0], f[2]);
+    const bool collapsed = f[0] == f[1] || f[1] == f[2] || f[2] == f[0];
+    const Vector3d u = points_[f[1]] - points_[f[0]], v = points_[f[2]] - points_[f[0]];
+    // One without area still joins its neighbours: it stays.
+    defects_.degenerate_faces += u.cross(v).norm() <= 1e-12 * std::max(u.squaredNorm(), v.squaredNorm());
+    soup_.push_back({-1, {f[0], f[1]}});
+    if (collapsed) continue;
+    Face corners = f;
+    std::sort(corners.begin(), corners.end());
+    const auto [same, is_new] = seen.emplace(corners, static_cast<int>(faces_.size()));
+    soup_.back().first = same->second;
+    if (is_new)
+      faces_.push_back(f);
+    else
+      ++defects_.duplicate_faces;
+  }
+  for (size_t i = 0; i < points_.size(); ++i) defects_.components += pieces.root(i) == static_cast<int>(i);
+}
+
+void Closing::find_edges() {
+  for (size_t f = 0; f < faces_.size(); ++f)
+    for (int k = 0; k < 3; ++k) edges_[undirected(faces_[f][k], faces_[f][(k + 1) % 3])].push_back(static_cast<int>(f));
+  for (const auto& [edge, faces] : edges_) {
+    defects_.open_edges += faces.size() == 1;
+    defects_.nonmanifold_edges += faces.size() > 2;
+  }
+}
+
+/// Turns faces to agree with their neighbours across edges of two, then each patch of such outward.
+void Closing::orient_patches() {
+  constexpr double negligible = 1e-4;  // of a sphere's with the same area, about: what is thin has no outside
+  std::vector<bool> visited(faces_.size(), false), flipped(faces_.size(), false);
+  for (size_t start = 0; start < faces_.size(); ++start) {
+    if (visited[start]) continue;
+    visited[start] = true;
+    std::vector<int> patch{static_cast<int>(start)};
+    for (size_t next = 0; next < patch.size(); ++next)
+      for (int k = 0; k < 3; ++k) {
+        const int f = patch[next], a = faces_[f][k], b = faces_[f][(k + 1) % 3];
+        const std::vector<int>& both = edges_.at(undirected(a, b));
+        if (both.size() != 2) continue;
+        const int other = both[0] == f ? both[1] : both[0];
+        if (visited[other]) continue;
+        visited[other] = true;
+        if (runs_along(other, a, b)) {
+          flip(other);
+          flipped[other] = true;
+        }
+        patch.push_back(other);
+      }
+    const double outward = outwardness(patch);
+    const auto turned = std::count_if(patch.begin(), patch.end(), [&](int f) { return flipped[f]; });
+    const bool inside_out = std::abs(outward) > negligible ? outward < 0 : 2 * turned > std::ptrdiff_t(patch.size());
+    if (!inside_out) continue;
+    for (int f : patch) {
+      flip(f);
+      flipped[f] = !flipped[f];
+    }
+  }
+  defects_.flipped_faces = static_cast<int>(std::count(flipped.begin(), flipped.end(), true));
+}
+
+/// The volume of a patch closed towards the middle of its border, over that of a sphere with its area: 1 for a sphere,
+/// -1 for one inside out.
+double Closing::outwardness(const std::vector<int>& patch) const {
+  Vector3d middle = Vector3d::Zero();
+  double border = 0;
+  for (int f : patch)
+    for (int k = 0; k < 3; ++k) {
+      const int a = faces_[f][k], b = faces_[f][(k + 1) % 3];
+      if (edges_.at(undirected(a, b)).size() == 2) continue;
+      const double length = (points_[b] - points_[a]).norm();
+      middle += length * (points_[a] + points_[b]) / 2;
+      border += length;
+    }
+  middle = border > 0 ? Vector3d(middle / border) : points_[faces_[patch[0]][0]];
+  double volume = 0, area = 0;
+  for (int f : patch) {
+    const Vector3d a = points_[faces_[f][0]] - middle, b = points_[faces_[f][1]] - middle,
+                   c = points_[faces_[f][2]] - middle;
+    volume += a.dot(b.cross(c)) / 6;
+    area += (b - a).cross(c - a).norm() / 2;
+  }
+  return area > 0 ? volume * std::sqrt(36 * EIGEN_PI) / std::pow(area, 1.5) : 0;
+}
+
+/// Takes the open flow apart into loops that pass no vertex twice, and caps them.
+void Closing::cap_loops() {
+  std::map<int, std::vector<int>> open;  // from a vertex, where the caps have to go: against the faces
+  for (const auto& [edge, faces] : edges_) {
+    int net = 0;
+    for (int f : faces) net += runs_along(f, edge.first, edge.second) ? 1 : -1;
+    for (int i = 0; i < std::abs(net); ++i)
+      net > 0 ? open[edge.second].push_back(edge.first) : open[edge.first].push_back(edge.second);
+  }
+  for (auto& [start, ends] : open)
+    while (!ends.empty()) {
+      std::vector<int> path{start};
+      std::unordered_map<int, size_t> place{{start, 0}};
+      while (!path.empty()) {
+        std::vector<int>& onward = open.at(path.back());
+        if (onward.empty()) break;  // only at `start`, with nothing left
+        const int next = onward.back();
+        onward.pop_back();
+        const auto seen = place.find(next);
+        if (seen == place.end()) {
+          place.emplace(next, path.size());
+          path.push_back(next);
+          continue;
+        }
+        const std::vector<int> loop(path.begin() + seen->second, path.end());
+        cap(loop);
+        for (size_t i = seen->second + 1; i < path.size(); ++i) place.erase(path[i]);
+        path.resize(seen->second + 1);
+      }
+    }
+}
+
+/// Fills a loop by cutting off the corner with the shortest cut, again and again: straight over a hole, to and fro
+/// between the sides of a strip. Its triangles run along the loop.
+void Closing::cap(const std::vector<int>& loop) {
+  ++defects_.boundary_loops;
+  const int count = static_cast<int>(loop.size());
+  std::vector<int> before(count), after(count), version(count, 0);
+  for (int i = 0; i < count; ++i) before[i] = (i + count - 1) % count, after[i] = (i + 1) % count;
+  struct Corner {
+    double cut;
+    int place, version;
+    bool operator<(const Corner& other) const { return std::tie(other.cut, other.place) < std::tie(cut, place); }
+  };
+  std::priority_queue<Corner> corners;
+  const auto push = [&](int i) {
+    corners.push({(points_[loop[before[i]]] - points_[loop[after[i]]]).norm(), i, ++version[i]});
+  };
+  for (int i = 0; i < count; ++i) push(i);
+  for (int left = count; left > 2;) {
+    const Corner corner = corners.top();
+    corners.pop();
+    const int i = corner.place;
+    if (corner.version != version[i]) continue;
+    faces_.push_back({loop[before[i]], loop[i], loop[after[i]]});
+    version[i] = -1;
+    after[before[i]] = after[i];
+    before[after[i]] = before[i];
+    if (--left > 2) {
+      push(before[i]);
+      push(after[i]);
+    }
+  }
+}
+
+}  // namespace
+
+UnitBox unit_box(const Points& vertices, const Triangles& triangles) {
+  check_triangles(vertices, triangles);
+  check_finite(vertices);
+  if (triangles.rows() == 0) throw Error("The mesh has no faces. Model some, or un-hide them, then build again.");
+  Eigen::AlignedBox3d box;
+  Vector3d mean = Vector3d::Zero();
+  for (int i : triangles.reshaped()) {
+    box.extend(Vector3d(vertices.row(i)));
+    mean += vertices.row(i) / double(triangles.size());
+  }
+  const double size = box.diagonal().norm();
+  if (!(size > 1e-6 && size < 1e6)) {
+    std::ostringstream message;
+    message << "The mesh is " << size
+            << " m across; sizes from 1e-6 to 1e6 m can be built. Scale it and apply the scale.";
+    throw Error(message.str());
+  }
+  Matrix3d covariance = Matrix3d::Zero();
+  for (int i : triangles.reshaped()) {
+    const Vector3d d = (vertices.row(i).transpose() - mean) / size;
+    covariance += d * d.transpose() / double(triangles.size());
+  }
+  const double thickness = Eigen::SelfAdjointEigenSolver<Matrix3d>(covariance).eigenvalues()[0];
+  if (thickness < 1e-12)  // squared, relative
+    throw Error("The mesh is flat: it has no volume to simulate. Give it thickness (Solidify modifier, applied).");
+  return {box.min(), size};
+}
+
+ClosedSurface close_surface(const Points& vertices, const Triangles& triangles) {
+  const UnitBox box = unit_box(vertices, triangles);
+  return Closing(vertices, triangles, box).result(box);
+}
+
+}  // namespace dynamorph

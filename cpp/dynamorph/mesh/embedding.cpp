@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/mesh/embedding.hpp"
+
+#include <Eigen/SparseCholesky>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/mesh/bvh.hpp"
+#include "dynamorph/mesh/tet.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+std::vector<Tet> prepare(const TetMesh& mesh) {
+  std::vector<Tet> tets;
+  tets.reserve(mesh.tets.rows());
+  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) tets.emplace_back(mesh, t);
+  return tets;
+}
+
+Bvh tree_of(const std::vector<Tet>& tets) {
+  std::vector<Bvh::Box> boxes(tets.size());
+  for (size_t t = 0; t < tets.size(); ++t)
+    for (const Vector3d& corner : tets[t].corners) boxes[t].extend(corner);
+  return Bvh(boxes);
+}
+
+/// Laplacian of the graph of tet edges, each edge counted once for every tet that has it. Unlike the finite element
+/// Laplacian its weights are positive on slivers too, so interpolated values keep to the range of the data.
+SparseMatrix graph_laplacian(const TetMesh& mesh) {
+  std::vector<Eigen::Triplet<double>> entries;
+  entries.reserve(mesh.tets.rows() * 24);
+  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t)
+    for (int a = 0; a < 4; ++a)
+      for (int b = 0; b < 4; ++b)
+        if (a != b) {
+          entries.emplace_back(mesh.tets(t, a), mesh.tets(t, a), 1);
+          entries.emplace_back(mesh.tets(t, a), mesh.tets(t, b), -1);
+        }
+  SparseMatrix laplacian(mesh.nodes.rows(), mesh.nodes.rows());
+  laplacian.setFromTriplets(entries.begin(), entries.end());
+  return laplacian;
+}
+
+}  // namespace
+
+Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_carry) {
+  if (!points.allFinite()) throw Error("The surface has a NaN or infinite coordinate. Fix or delete that vertex.");
+  if (mesh.tets.rows() == 0) throw std::invalid_argument("mesh: expected at least one tet");
+  const std::vector<Tet> tets = prepare(mesh);
+  const Bvh tree = tree_of(tets);
+  Embedding e{Tets(points.rows(), 4), {points.rows(), 4}, VectorXd(points.rows())};
+  for (Eigen::Index i = 0; i < points.rows(); ++i) {
+    const Vector3d p = points.row(i);
+    double best = infinity;
+    int nearest = -1;
+    Vector3d closest = p;
+    const auto search = [&](bool any) {
+      best = infinity;
+      tree.nearest(p, best, [&](int t) {
+        const Vector3d q = tets[t].closest(p);
+        if ((q - p).squaredNorm() >= best || !(any || may_carry(i, t))) return;
+        best = (q - p).squaredNorm();
+        closest = q;
+        nearest = t;
+      });
+      return best < infinity;
+    };
+    search(true);
+    if (may_carry && !may_carry(i, nearest) && !search(false)) search(true);
+    e.nodes.row(i) = mesh.tets.row(nearest);
+    e.weights.row(i) = tets[nearest].bounded_weights(p, closest);
+    e.distances[i] = std::sqrt(best);
+  }
+  return e;
+}
+
+SparseMatrix Embedding::matrix(Eigen::Index node_count) const {
+  std::vector<Eigen::Triplet<double>> entries;
+  entries.reserve(weights.size());
+  for (Eigen::Index i = 0; i < nodes.rows(); ++i)
+    for (int k = 0; k < 4; ++k) entries.emplace_back(i, nodes(i, k), weights(i, k));
+  SparseMatrix matrix(nodes.rows(), node_count);
+  matrix.setFromTriplets(entries.begin(), entries.end());
+  return matrix;
+}
+
+MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const MatrixXd& values) {
+  const SparseMatrix e = embedding.matrix(mesh.nodes.rows());
+  const SparseMatrix fit = e.transpose() * e, smooth = graph_laplacian(mesh);
+  const double scale = fit.diagonal().sum() / smooth.diagonal().sum();
+  SparseMatrix unit(mesh.nodes.rows(), mesh.nodes.rows());
+  unit.setIdentity();
+  // The last term only decides on a piece of mesh without surface points: zero there.
+  const SparseMatrix system = fit + 1e-2 * scale * smooth + 1e-12 * unit;
+  const Eigen::SimplicialLDLT<SparseMatrix> solver(system);
+  if (solver.info() != Eigen::Success)
+    throw Error("Surface values could not be extended into the cage. Change the cage resolution a little.");
+  return solver.solve(e.transpose() * values);
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,265 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/mesh/interior_graph.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <numeric>
+
+#include "dynamorph/mesh/closed_surface.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+std::pair<int, int> edge(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
+
+constexpr double slack = 1e-9;  // so that no line slips through between two triangles
+
+/// Distance along the line from p to triangle abc, infinite where it misses (Moller and Trumbore 1997).
+double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& a, const Vector3d& b,
+                  const Vector3d& c) {
+  const Vector3d ab = b - a, ac = c - a, normal = direction.cross(ac), from = p - a, q = from.cross(ab);
+  const double determinant = ab.dot(normal);
+  const double u = from.dot(normal) / determinant, v = direction.dot(q) / determinant, t = ac.dot(q) / determinant;
+  return u >= -slack && v >= -slack && u + v <= 1 + slack && t >= 0
+             ? t
+             : infinity;  // not so for NaN: a triangle along the line
+}
+
+using Cell = std::array<std::int64_t, 3>;
+
+/// Where each vertex is, on a grid of 1e-6 of the diagonal.
+std::vector<Cell> cells_of(const Points& vertices, const Triangles& triangles) {
+  Bvh::Box box;
+  for (int vertex : triangles.reshaped()) box.extend(Vector3d(vertices.row(vertex)));
+  const double diagonal = box.isEmpty() ? 0 : box.diagonal().norm();
+  std::vector<Cell> cells(vertices.rows(), Cell{});
+  if (diagonal == 0) return cells;
+  for (int vertex : triangles.reshaped()) {
+    const Vector3d p = vertices.row(vertex) / (1e-6 * diagonal);
+    cells[vertex] = {std::llround(p.x()), std::llround(p.y()), std::llround(p.z())};
+  }
+  return cells;
+}
+
+/// The vertices that are one with others at their place: those at open edges, and of triangles that are there twice,
+/// facing alike. Elsewhere equal vertices are parts that touch.
+std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cells) {
+  std::map<std::pair<int, int>, int> edges;
+  std::map<std::array<Cell, 3>, int> places;
+  const auto place = [&](Eigen::Index t) {
+    std::array<Cell, 3> corners{cells[triangles(t, 0)], cells[triangles(t, 1)], cells[triangles(t, 2)]};
+    std::rotate(corners.begin(), std::min_element(corners.begin(), corners.end()), corners.end());
+    return corners;
+  };
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
+    ++places[place(t)];
+    for (int k = 0; k < 3; ++k) ++edges[edge(triangles(t, k), triangles(t, (k + 1) % 3))];
+  }
+  std::vector<bool> seam(cells.size(), false);
+  for (const auto& [ends, count] : edges)
+    if (count == 1) seam[ends.first] = seam[ends.second] = true;
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t)
+    if (places[place(t)] > 1)
+      for (int vertex : triangles.row(t)) seam[vertex] = true;
+  return seam;
+}
+
+}  // namespace
+
+InteriorGraph::InteriorGraph(const Points& vertices, const Triangles& triangles, double spacing) {
+  check_triangles(vertices, triangles);
+  weld(vertices, triangles);
+  close(vertices, triangles);
+  refine(spacing);
+  connect();
+  find_parts();
+  find_normals();
+  find_buried(1e-3 * spacing);
+  look_through();
+}
+
+void InteriorGraph::weld(const Points& vertices, const Triangles& triangles) {
+  const std::vector<Cell> cells = cells_of(vertices, triangles);
+  const std::vector<bool> seam = seams(triangles, cells);
+  std::map<Cell, int> welded;
+  of_vertex_.assign(vertices.rows(), -1);
+  for (int vertex : triangles.reshaped<Eigen::RowMajor>()) {
+    if (of_vertex_[vertex] >= 0) continue;
+    const int point = seam[vertex] ? welded.emplace(cells[vertex], size()).first->second : size();
+    of_vertex_[vertex] = point;
+    if (point == size()) points_.push_back(vertices.row(vertex));
+  }
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t)
+    triangles_.push_back({of_vertex_[triangles(t, 0)], of_vertex_[triangles(t, 1)], of_vertex_[triangles(t, 2)]});
+}
+
+/// Turns the triangles outward, as those of the closed body are.
+void InteriorGraph::close(const Points& vertices, const Triangles& triangles) {
+  if (triangles.rows() == 0) return;
+  const ClosedSurface closed = close_surface(vertices, triangles);
+  body_ = Surface(closed.vertices, closed.triangles);
+  for (size_t t = 0; t < triangles_.size(); ++t)
+    if (closed.flipped[t]) std::swap(triangles_[t][1], triangles_[t][2]);
+}
+
+/// Triangles are halved at their longest edge; both triangles of an edge get the same middle.
+void InteriorGraph::refine(double spacing) {
+  std::map<std::pair<int, int>, int> middles;
+  for (size_t t = 0; t < triangles_.size();) {
+    const Triangle corners = triangles_[t];
+    const auto length = [&](int k) { return (points_[corners[k]] - points_[corners[(k + 1) % 3]]).norm(); };
+    const int longest = length(0) >= length(1) && length(0) >= length(2) ? 0 : length(1) >= length(2) ? 1 : 2;
+    if (!(length(longest) > spacing)) {
+      ++t;
+      continue;
+    }
+    const int a = corners[longest], b = corners[(longest + 1) % 3], c = corners[(longest + 2) % 3];
+    const auto [middle, is_new] = middles.emplace(edge(a, b), size());
+    if (is_new) points_.push_back((points_[a] + points_[b]) / 2);
+    triangles_[t] = {a, middle->second, c};
+    triangles_.push_back({middle->second, b, c});
+  }
+}
+
+void InteriorGraph::connect() {
+  steps_.resize(size());
+  const auto connected = [&](int a, int b) {
+    return std::any_of(steps_[a].begin(), steps_[a].end(), [&](const Step& step) { return step.to == b; });
+  };
+  for (const Triangle& corners : triangles_)
+    for (int k = 0; k < 3; ++k) {
+      const int a = corners[k], b = corners[(k + 1) % 3];
+      if (a == b || connected(a, b)) continue;
+      const double length = (points_[a] - points_[b]).norm();
+      steps_[a].push_back({b, length});
+      steps_[b].push_back({a, length});
+    }
+}
+
+void InteriorGraph::find_parts() {
+  part_.assign(size(), -1);
+  int parts = 0;
+  for (int seed = 0; seed < size(); ++seed) {
+    if (part_[seed] >= 0) continue;
+    std::vector<int> open{seed};
+    part_[seed] = parts;
+    while (!open.empty()) {
+      const int i = open.back();
+      open.pop_back();
+      for (const Step& step : steps_[i])
+        if (part_[step.to] < 0) {
+          part_[step.to] = parts;
+          open.push_back(step.to);
+        }
+    }
+    ++parts;
+  }
+}
+
+void InteriorGraph::find_normals() {
+  normals_.assign(size(), Vector3d::Zero());
+  for (const auto& [a, b, c] : triangles_) {
+    const Vector3d area = (points_[b] - points_[a]).cross(points_[c] - points_[a]);
+    for (int corner : {a, b, c}) normals_[corner] += area;
+  }
+  for (Vector3d& normal : normals_) normal.normalize();
+}
+
+/// By winding numbers, each part for itself: a body is not inside its clothes.
+void InteriorGraph::find_buried(double off) {
+  std::vector<std::vector<Triangle>> parts(part_.empty() ? 0 : 1 + *std::max_element(part_.begin(), part_.end()));
+  for (const Triangle& corners : triangles_) parts[part_[corners[0]]].push_back(corners);
+  std::vector<int> number(size());  // of each point within its part
+  std::vector<std::vector<int>> members(parts.size());
+  for (int i = 0; i < size(); ++i) {
+    number[i] = int(members[part_[i]].size());
+    members[part_[i]].push_back(i);
+  }
+  buried_.resize(size());
+  for (size_t part = 0; part < parts.size(); ++part) {
+    Points points(members[part].size(), 3);
+    for (int i : members[part]) points.row(number[i]) = points_[i];
+    Triangles triangles(parts[part].size(), 3);
+    for (size_t t = 0; t < parts[part].size(); ++t)
+      for (int k = 0; k < 3; ++k) triangles(t, k) = number[parts[part][t][k]];
+    const Surface surface(points, triangles);
+    for (int i : members[part]) buried_[i] = surface.winding_number(points_[i] + off * normals_[i]) > 0.5;
+  }
+}
+
+/// Joins what lies opposite through the flesh. Not from inside another part, which the line would leave instead.
+void InteriorGraph::look_through() {
+  std::vector<Bvh::Box> boxes(triangles_.size());
+  for (size_t t = 0; t < triangles_.size(); ++t)
+    for (int corner : triangles_[t]) boxes[t].extend(points_[corner]);
+  bvh_ = Bvh(boxes);
+  for (int i = 0; i < size(); ++i) {
+    const int other = buried_[i] ? -1 : opposite(i);
+    if (other < 0) continue;
+    const double length = (points_[i] - points_[other]).norm();
+    steps_[i].push_back({other, length});
+    steps_[other].push_back({i, length});
+  }
+}
+
+/// Where the line inward from a point leaves the body, through skin that faces the other way; -1 when it first enters
+/// it a second time.
+int InteriorGraph::opposite(int from) const {
+  const Vector3d inward = -normals_[from];
+  double nearest = infinity;
+  int crossed = -1;
+  bool leaves = false;
+  bvh_.along(points_[from], inward, nearest, [&](int t) {
+    const auto& [a, b, c] = triangles_[t];
+    if (part_[a] != part_[from] || a == from || b == from || c == from) return;
+    const bool out = (points_[b] - points_[a]).cross(points_[c] - points_[a]).dot(inward) > 0;
+    const double distance = along_line(points_[from], inward, points_[a], points_[b], points_[c]);
+    const double first = out ? distance * (1 - 1e-6) : distance;  // where parts touch it leaves before it enters
+    if (!(first < nearest)) return;
+    nearest = first;
+    crossed = t;
+    leaves = out;
+  });
+  const int other = leaves ? nearest_corner(crossed, points_[from]) : -1;
+  return other >= 0 && normals_[from].dot(normals_[other]) < -0.5 ? other : -1;
+}
+
+int InteriorGraph::nearest_corner(int triangle, const Vector3d& p) const {
+  const Triangle& corners = triangles_[triangle];
+  return *std::min_element(corners.begin(), corners.end(), [&](int a, int b) {
+    return (points_[a] - p).squaredNorm() < (points_[b] - p).squaredNorm();
+  });
+}
+
+int InteriorGraph::nearest(const Vector3d& p) const {
+  const Place any = nearest_place(p, false);
+  if (any.triangle < 0) return -1;
+  // Inside another part that overlaps this one: not this one's, although it is near.
+  const bool other = any.outside && body_.contains(p);
+  const Place own = other ? nearest_place(p, true) : any;
+  const Place& place = own.triangle < 0 ? any : own;
+  return nearest_corner(place.triangle, place.at);
+}
+
+InteriorGraph::Place InteriorGraph::nearest_place(const Vector3d& p, bool only_around) const {
+  double best = infinity;
+  Place place;
+  bvh_.nearest(p, best, [&](int t) {
+    const auto& [a, b, c] = triangles_[t];
+    if (buried_[a] || buried_[b] || buried_[c]) return;
+    const Vector3d q = closest_on_triangle(p, points_[a], points_[b], points_[c]);
+    if ((q - p).squaredNorm() >= best) return;
+    const bool outside = (points_[b] - points_[a]).cross(points_[c] - points_[a]).dot(p - q) > 0;
+    if (outside && only_around) return;
+    best = (q - p).squaredNorm();
+    place = {t, q, outside};
+  });
+  return place;
+}
+
+}  // namespace dynamorph

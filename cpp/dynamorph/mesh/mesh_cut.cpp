@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/mesh/mesh_cut.hpp"
+
+#include <algorithm>
+#include <array>
+#include <map>
+#include <numeric>
+
+namespace dynamorph {
+
+namespace {
+
+constexpr double kDetour = 3;  // a way longer than so many times the straight one,
+constexpr double kEdges = 4;   // and than so many times the longest edge, joins nothing
+constexpr int kRounds = 5;     // of giving back what would come off
+
+/// Longest edge of every tet.
+std::vector<double> sizes_of(const TetMesh& mesh) {
+  std::vector<double> sizes(mesh.tets.rows(), 0.0);
+  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t)
+    for (int a = 0; a < 4; ++a)
+      for (int b = 0; b < a; ++b)
+        sizes[t] = std::max(sizes[t], (mesh.nodes.row(mesh.tets(t, a)) - mesh.nodes.row(mesh.tets(t, b))).norm());
+  return sizes;
+}
+
+double mean(const std::vector<double>& values) {
+  return std::accumulate(values.begin(), values.end(), 0.0) / std::max<size_t>(values.size(), 1);
+}
+
+/// f(a, b) for any two tets that share a face.
+template <class Function>
+void for_neighbours(const Tets& tets, const Function& f) {
+  struct Face {
+    std::array<int, 3> nodes;
+    int tet;
+    bool operator<(const Face& other) const { return nodes < other.nodes; }
+  };
+  std::vector<Face> faces;
+  for (int t = 0; t < tets.rows(); ++t)
+    for (int k = 0; k < 4; ++k) {
+      Face face{{tets(t, (k + 1) % 4), tets(t, (k + 2) % 4), tets(t, (k + 3) % 4)}, t};
+      std::sort(face.nodes.begin(), face.nodes.end());
+      faces.push_back(face);
+    }
+  std::stable_sort(faces.begin(), faces.end());
+  for (size_t i = 1; i < faces.size(); ++i)
+    if (faces[i - 1].nodes == faces[i].nodes) f(faces[i - 1].tet, faces[i].tet);
+}
+
+bool has(const Tets& tets, int tet, int node) { return (tets.row(tet).array() == node).any(); }
+
+}  // namespace
+
+MeshCut::MeshCut(const TetMesh& mesh, const Points& vertices, const Triangles& triangles)
+    : mesh_(mesh), vertices_(vertices), sizes_(sizes_of(mesh)), graph_(vertices, triangles, mean(sizes_)) {
+  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
+    Vector3d center = Vector3d::Zero();
+    for (int node : mesh.tets.row(t)) center += mesh.nodes.row(node) / 4;
+    owner_.push_back(graph_.nearest(center));
+  }
+  for_neighbours(mesh.tets, [&](int a, int b) { pairs_.push_back({a, b}); });
+  find_glued();
+  for (int round = 0; round < kRounds && adopt_loose(); ++round) find_glued();
+}
+
+void MeshCut::find_glued() {
+  std::stable_sort(pairs_.begin(), pairs_.end(), [&](auto& p, auto& q) { return owner_[p.first] < owner_[q.first]; });
+  ShortestPaths paths(graph_);
+  glued_.clear();
+  beside_.assign(mesh_.tets.rows(), {});
+  for (const auto& [a, b] : pairs_)
+    if (far_apart(paths, owner_[a], owner_[b], std::max(sizes_[a], sizes_[b])))
+      glued_.push_back({a, b});
+    else {
+      beside_[a].push_back(b);
+      beside_[b].push_back(a);
+    }
+}
+
+/// A crack never takes anything off, as there is a path through the flesh. Where it would, a few tets in the thick of
+/// it belong to the wrong skin: they go to that of a neighbour. Returns whether there were any.
+bool MeshCut::adopt_loose() {
+  std::vector<int> group(mesh_.tets.rows(), -1), count;
+  for (int seed = 0; seed < mesh_.tets.rows(); ++seed) {
+    if (group[seed] >= 0) continue;
+    std::vector<int> members{seed};
+    group[seed] = int(count.size());
+    for (size_t i = 0; i < members.size(); ++i)
+      for (int other : beside_[members[i]])
+        if (group[other] < 0) {
+          group[other] = group[seed];
+          members.push_back(other);
+        }
+    count.push_back(int(members.size()));
+  }
+  std::map<int, int> adopted;  // group -> its new owner
+  for (auto [a, b] : glued_) {
+    if (group[a] == group[b]) continue;
+    if (count[group[a]] > count[group[b]]) std::swap(a, b);
+    adopted.emplace(group[a], owner_[b]);
+  }
+  for (size_t t = 0; t < owner_.size(); ++t)
+    if (const auto found = adopted.find(group[t]); found != adopted.end()) owner_[t] = found->second;
+  return !adopted.empty();
+}
+
+bool MeshCut::far_apart(ShortestPaths& paths, int a, int b, double size) const {
+  if (a < 0 || b < 0 || graph_.part(a) != graph_.part(b)) return false;
+  if (paths.from() != a) paths.start(a);
+  const double straight = (graph_.point(a) - graph_.point(b)).norm();
+  const double bound = std::max(kDetour * straight, kEdges * size);
+  return paths.to(b, bound) > bound;
+}
+
+std::vector<bool> MeshCut::glued() const {
+  std::vector<bool> glued(mesh_.tets.rows(), false);
+  for (const auto& [a, b] : glued_) glued[a] = glued[b] = true;
+  return glued;
+}
+
+TetMesh MeshCut::cut() const {
+  std::vector<std::vector<int>> around(mesh_.nodes.rows());  // the tets at each node of the crack
+  std::vector<bool> on_crack(mesh_.nodes.rows(), false);
+  for (const auto& [a, b] : glued_)
+    for (int node : mesh_.tets.row(a))
+      if (has(mesh_.tets, b, node)) on_crack[node] = true;
+  for (int t = 0; t < mesh_.tets.rows(); ++t)
+    for (int node : mesh_.tets.row(t))
+      if (on_crack[node]) around[node].push_back(t);
+
+  TetMesh out = mesh_;
+  std::vector<int> doubled;
+  for (int node = 0; node < mesh_.nodes.rows(); ++node)
+    for (bool first = true; !around[node].empty(); first = false) {
+      const int name = first ? node : int(mesh_.nodes.rows() + doubled.size());
+      if (!first) doubled.push_back(node);
+      for (int tet : take_connected(around[node]))
+        for (int k = 0; k < 4; ++k)
+          if (mesh_.tets(tet, k) == node) out.tets(tet, k) = name;
+    }
+  out.nodes.conservativeResize(mesh_.nodes.rows() + doubled.size(), 3);
+  for (size_t i = 0; i < doubled.size(); ++i) out.nodes.row(mesh_.nodes.rows() + i) = mesh_.nodes.row(doubled[i]);
+  return out;
+}
+
+/// Takes out of `tets` those that hang together with its first.
+std::vector<int> MeshCut::take_connected(std::vector<int>& tets) const {
+  std::vector<int> taken{tets.front()};
+  tets.erase(tets.begin());
+  for (size_t i = 0; i < taken.size(); ++i)
+    for (int other : beside_[taken[i]]) {
+      const auto found = std::find(tets.begin(), tets.end(), other);
+      if (found == tets.end()) continue;
+      taken.push_back(other);
+      tets.erase(found);
+    }
+  return taken;
+}
+
+Embedding MeshCut::embed(const TetMesh& cut) const {
+  if (cut.tets.rows() != mesh_.tets.rows()) throw std::invalid_argument("cut: is of another mesh");
+  ShortestPaths paths(graph_);
+  return dynamorph::embed(cut, vertices_, [&](Eigen::Index vertex, int tet) {
+    return !far_apart(paths, graph_.of_vertex(vertex), owner_[tet], sizes_[tet]);
+  });
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/mesh/shortest_paths.hpp"
+
+#include <limits>
+
+namespace dynamorph {
+
+namespace {
+
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+}  // namespace
+
+ShortestPaths::ShortestPaths(const InteriorGraph& graph) : graph_(graph), length_(graph.size(), infinity) {}
+
+void ShortestPaths::start(int from) {
+  for (int i : touched_) length_[i] = infinity;
+  touched_ = {from};
+  next_ = {};
+  next_.emplace(0.0, from);
+  length_[from] = 0;
+  from_ = from;
+}
+
+// Dijkstra's method, halted once the point is reached and taken up again with the next.
+double ShortestPaths::to(int point, double bound) {
+  while (!next_.empty() && next_.top().first <= bound && next_.top().first < length_[point]) {
+    const auto [length, i] = next_.top();
+    next_.pop();
+    if (length > length_[i]) continue;
+    for (const InteriorGraph::Step& step : graph_.steps(i)) {
+      const double longer = length + step.length;
+      if (!(longer < length_[step.to])) continue;
+      if (length_[step.to] == infinity) touched_.push_back(step.to);
+      length_[step.to] = longer;
+      next_.emplace(longer, step.to);
+    }
+  }
+  return length_[point] <= bound ? length_[point] : infinity;
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Distance to a triangle mesh, and whether a point is inside of it, however broken the mesh.
+//
+// Inside is where the generalised winding number w(q) = 1/(4 pi) sum_t Omega_t(q) exceeds 1/2 in size, with Omega_t the
+// solid angle of triangle t seen from q. Far triangles are summed as one dipole: w = sum_t a_t n_t . (c - q) / (4 pi
+// |c - q|^3), c their centroid (Barill, Dickson, Schmidt, Levin, Jacobson 2018, Fast winding numbers for soups and
+// clouds, doi 10.1145/3197517.3201337).
+#pragma once
+
+#include "dynamorph/core/types.hpp"
+#include "dynamorph/mesh/bvh.hpp"
+
+namespace dynamorph {
+
+/// Throws std::invalid_argument when a triangle names a vertex that does not exist.
+void check_triangles(const Points& vertices, const Triangles& triangles);
+
+/// The point of triangle abc nearest to p.
+Vector3d closest_on_triangle(const Vector3d& p, const Vector3d& a, const Vector3d& b, const Vector3d& c);
+
+class Surface {
+ public:
+  Surface(Points vertices, Triangles triangles);
+
+  /// Bounds of the vertices that have triangles.
+  Eigen::AlignedBox3d box() const { return bvh_.nodes.empty() ? Eigen::AlignedBox3d() : bvh_.nodes[0].box; }
+  /// Metres, unsigned; infinite without triangles.
+  double distance(const Vector3d& p) const { return (nearest(p) - p).norm(); }
+  /// The point of the surface nearest to p; infinite without triangles.
+  Vector3d nearest(const Vector3d& p) const;
+  /// About 1 inside a closed mesh of outward triangles, about 0 outside; between for open ones.
+  double winding_number(const Vector3d& p) const { return bvh_.nodes.empty() ? 0 : winding_number(0, p); }
+  /// Also for a mesh that is inside out.
+  bool contains(const Vector3d& p) const { return std::abs(winding_number(p)) > 0.5; }
+
+ private:
+  /// The triangles below a node of the tree, seen from afar.
+  struct Dipole {
+    Vector3d centroid = Vector3d::Zero(), area_vector = Vector3d::Zero();
+    double radius = 0;
+  };
+
+  Vector3d corner(int triangle, int k) const { return vertices_.row(triangles_(triangle, k)); }
+  double winding_number(int node, const Vector3d& p) const;
+  double solid_angle(int triangle, const Vector3d& p) const;
+  Dipole dipole(const Bvh::Node& node) const;
+
+  Points vertices_;
+  Triangles triangles_;
+  Bvh bvh_;
+  std::vector<Dipole> dipoles_;
+};
+
+}  // namespace dynamorph

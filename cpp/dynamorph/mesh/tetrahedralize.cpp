@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/mesh/tetrahedralize.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/mesh/surface.hpp"
+#include "tetgen.h"
+
+namespace dynamorph {
+
+namespace {
+
+/// What to do about TetGen's `reason` for giving up.
+std::string advice(const std::string& reason) {
+  const auto says = [&](const char* words) { return reason.find(words) != std::string::npos; };
+  if (says("Out of memory")) return "The mesher ran out of memory. Lower the cage resolution.";
+  if (says("self-intersection"))
+    return "The cage intersects itself. Remove the intersections, or use the automatic cage.";
+  if (says("coplanar") || says("collinear") || says("identical")) return "The cage is flat. Give it thickness.";
+  if (says("small input feature"))
+    return "The cage has details too small to mesh. Merge its vertices by distance, or change the cage resolution.";
+  return "The cage could not be filled with tetrahedra (" + reason +
+         "). Make it closed, or change the cage resolution a little.";
+}
+
+/// `in` is filled in place: a tetgenio owns its arrays but does not know how to be copied.
+void load(tetgenio& in, const Points& points, const Triangles& triangles) {
+  in.numberofpoints = static_cast<int>(points.rows());
+  in.pointlist = new REAL[points.size()];
+  std::copy_n(points.data(), points.size(), in.pointlist);
+  in.numberoffacets = static_cast<int>(triangles.rows());
+  in.facetlist = new tetgenio::facet[triangles.rows()];
+  for (int t = 0; t < triangles.rows(); ++t) {
+    tetgenio::facet& facet = in.facetlist[t];
+    tetgenio::init(&facet);
+    facet.numberofpolygons = 1;
+    facet.polygonlist = new tetgenio::polygon[1];
+    tetgenio::init(facet.polygonlist);
+    facet.polygonlist->numberofvertices = 3;
+    facet.polygonlist->vertexlist = new int[3]{triangles(t, 0), triangles(t, 1), triangles(t, 2)};
+  }
+}
+
+/// The mesh without tets of no volume, which between them and their neighbours leave no gap.
+TetMesh without_flat(const TetMesh& mesh) {
+  constexpr double flat = 1e-9;  // of the cube of the longest edge
+  const VectorXd volume = volumes(mesh);
+  std::vector<int> kept;
+  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
+    double longest = 0;
+    for (int a = 0; a < 4; ++a)
+      for (int b = 0; b < a; ++b)
+        longest = std::max(longest, (mesh.nodes.row(mesh.tets(t, a)) - mesh.nodes.row(mesh.tets(t, b))).norm());
+    if (volume[t] > flat * std::pow(longest, 3)) kept.push_back(static_cast<int>(t));
+  }
+  std::vector<int> number(mesh.nodes.rows(), -1), nodes;
+  for (int t : kept)
+    for (int node : mesh.tets.row(t)) number[node] = 0;
+  for (Eigen::Index i = 0; i < mesh.nodes.rows(); ++i)
+    if (number[i] == 0) {
+      number[i] = static_cast<int>(nodes.size());
+      nodes.push_back(static_cast<int>(i));
+    }
+  TetMesh clean{Points(nodes.size(), 3), Tets(kept.size(), 4)};
+  for (size_t i = 0; i < nodes.size(); ++i) clean.nodes.row(i) = mesh.nodes.row(nodes[i]);
+  for (size_t t = 0; t < kept.size(); ++t)
+    for (int k = 0; k < 4; ++k) clean.tets(t, k) = number[mesh.tets(kept[t], k)];
+  return clean;
+}
+
+/// volume_limit <= 0: none.
+TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
+  // p: fill a surface, Q: quiet, F: no files (it writes self-intersections), Y: add nothing on the surface, q:
+  // radius-edge ratio / dihedral angle, S: most nodes added, o: flips and smooths tets with wider dihedral angles (its
+  // own 165 leaves fifteen times as many angles under 5 degrees).
+  char switches[96];
+  std::snprintf(switches, sizeof switches, "pQFYq1.5/8o/150S%d", most_nodes);
+  std::string command = switches;
+  if (volume_limit > 0) {
+    std::snprintf(switches, sizeof switches, "a%.12f", volume_limit);  // TetGen reads no exponents
+    command += switches;
+  }
+  tetgenio out;
+  try {
+    ::tetrahedralize(command.data(), &in, &out);
+  } catch (const std::runtime_error& error) {
+    throw Error(advice(error.what()));
+  } catch (int code) {  // TetGen proper throws these; the sdist's edition has replaced most, not all
+    throw Error(advice(code == 1 ? "Out of memory" : "TetGen error " + std::to_string(code)));
+  }
+  if (out.numberoftetrahedra == 0) throw Error(advice("no tetrahedra inside"));
+  TetMesh mesh{Eigen::Map<Points>(out.pointlist, out.numberofpoints, 3),
+               Eigen::Map<Tets>(out.tetrahedronlist, out.numberoftetrahedra, 4)};
+  const VectorXd volume = volumes(mesh);
+  for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t)
+    if (volume[t] < 0) std::swap(mesh.tets(t, 2), mesh.tets(t, 3));
+  return without_flat(mesh);
+}
+
+/// Fewest nodes that give good tets, then a limit on their volume until there are about as many as wanted: nodes added
+/// go with limit^-1.4 (measured).
+TetMesh fill(tetgenio& in, int target_nodes, int most_nodes) {
+  constexpr double close_enough = 0.05;
+  constexpr int tries = 6;
+  TetMesh best = run_tetgen(in, 0, most_nodes);
+  const int fewest = static_cast<int>(best.nodes.rows());
+  double limit = volumes(best).sum() / (2.0 * target_nodes);
+  const auto error = [&](const TetMesh& mesh) { return std::abs(mesh.nodes.rows() / double(target_nodes) - 1); };
+  for (int i = 0; i < tries && fewest < target_nodes && error(best) > close_enough; ++i) {
+    TetMesh mesh = run_tetgen(in, limit, most_nodes);
+    const double added = std::max<double>(mesh.nodes.rows() - fewest, 1);
+    limit *= std::clamp(std::pow(added / (target_nodes - fewest), 0.7), 0.3, 3.0);
+    if (error(mesh) < error(best)) best = std::move(mesh);
+  }
+  return best;
+}
+
+}  // namespace
+
+TetMesh tetrahedralize(const Points& vertices, const Triangles& triangles, int target_nodes, const Points& inner) {
+  if (target_nodes < 4)
+    throw std::invalid_argument("target_nodes: expected at least 4, got " + std::to_string(target_nodes));
+  check_triangles(vertices, triangles);
+  if (triangles.rows() == 0) throw Error("The cage has no faces. Choose a closed mesh.");
+  if (!vertices.allFinite())
+    throw Error("The cage has a NaN or infinite coordinate. Delete that vertex.");  // TetGen hangs
+  const Eigen::AlignedBox3d box = Surface(vertices, triangles).box();
+  const double size = box.diagonal().norm();
+  if (!(size > 0)) throw Error("The cage is a single point. Scale it and apply the scale.");
+  // Points without facets are kept as nodes. (TetGen's own list of extra points, -i, crashes with -Y.)
+  Points unit(vertices.rows() + inner.rows(), 3);
+  unit << vertices, inner;
+  unit = ((unit.rowwise() - box.min().transpose()) / size).eval();  // TetGen's tolerances and 'a' want it
+
+  tetgenio in;
+  load(in, unit, triangles);
+  const int most_nodes = 4 * target_nodes;
+  TetMesh mesh = fill(in, target_nodes, most_nodes);
+  if (mesh.nodes.rows() > most_nodes)
+    throw Error("The cage needs " + std::to_string(mesh.nodes.rows()) + " nodes, many more than the " +
+                std::to_string(target_nodes) + " asked for. Raise the resolution, or simplify the cage mesh.");
+  mesh.nodes = (mesh.nodes * size).rowwise() + box.min().transpose();
+  return make_tet_mesh(std::move(mesh.nodes), std::move(mesh.tets));
+}
+
+}  // namespace dynamorph

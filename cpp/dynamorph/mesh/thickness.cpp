@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/mesh/thickness.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "dynamorph/core/parallel.hpp"
+#include "dynamorph/mesh/closed_surface.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr int kBalls = 6144;         // samples of the skin: fingers of a body get dozens
+constexpr int kBlock = 256;          // points or balls at a time
+constexpr double kCovered = 1.1;     // radii from its center within which a ball counts fully,
+constexpr double kUncovered = 1.35;  // and beyond which not at all: a fin at a body is thin
+constexpr double kThinnest = 5e-3;   // of the size: a sheet has no thickness, but something must divide
+constexpr double kFacet = 0.04;      // of the size: longer triangles may lie half inside the body, and are split
+constexpr double kOff = 1e-4;        // of the size: beside a face, to see what lies there
+
+/// 1 below `full`, 0 above `none`, smooth between.
+double fade(double x, double full, double none) {
+  const double t = std::clamp((none - x) / (none - full), 0.0, 1.0);
+  return t * t * (3 - 2 * t);
+}
+
+Vector3d area_vector(const Points& vertices, const Triangles& triangles, Eigen::Index t) {
+  const Vector3d a = vertices.row(triangles(t, 0)), b = vertices.row(triangles(t, 1)),
+                 c = vertices.row(triangles(t, 2));
+  return (b - a).cross(c - a) / 2;
+}
+
+/// Splits triangles across their longest edges until none is longer than `longest`.
+void refine(Points& vertices, Triangles& triangles, double longest) {
+  std::vector<Vector3d> points;
+  for (Eigen::Index i = 0; i < vertices.rows(); ++i) points.emplace_back(vertices.row(i));
+  std::vector<std::array<int, 3>> left, done;
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t)
+    left.push_back({triangles(t, 0), triangles(t, 1), triangles(t, 2)});
+  while (!left.empty()) {
+    const std::array<int, 3> t = left.back();
+    left.pop_back();
+    int edge = 0;
+    double length = 0;
+    for (int k = 0; k < 3; ++k) {
+      const double own = (points[t[(k + 1) % 3]] - points[t[k]]).norm();
+      if (own > length) length = own, edge = k;
+    }
+    if (length <= longest) {
+      done.push_back(t);
+      continue;
+    }
+    const int a = t[edge], b = t[(edge + 1) % 3], c = t[(edge + 2) % 3], middle = int(points.size());
+    points.push_back((points[a] + points[b]) / 2);
+    left.push_back({a, middle, c});
+    left.push_back({middle, b, c});
+  }
+  vertices.resize(Eigen::Index(points.size()), 3);
+  for (size_t i = 0; i < points.size(); ++i) vertices.row(Eigen::Index(i)) = points[i];
+  triangles.resize(Eigen::Index(done.size()), 3);
+  for (size_t t = 0; t < done.size(); ++t) triangles.row(Eigen::Index(t)) << done[t][0], done[t][1], done[t][2];
+}
+
+/// Points spread evenly over triangles by area, the same every time: additive recurrence with the plastic number
+/// within a triangle (Roberts 2018).
+struct Samples {
+  std::vector<Vector3d> points, normals;
+
+  Samples(const Points& vertices, const Triangles& triangles, int count) {
+    VectorXd area(triangles.rows());
+    for (Eigen::Index t = 0; t < area.size(); ++t) area(t) = area_vector(vertices, triangles, t).norm();
+    const double each = area.sum() / count;
+    double due = 0.5 * each;
+    for (Eigen::Index t = 0; t < area.size(); ++t) {
+      for (due -= area(t); due < 0; due += each) {
+        const double number = double(points.size() + 1);
+        double u = std::fmod(number * 0.7548776662466927, 1.0), v = std::fmod(number * 0.5698402909980532, 1.0);
+        if (u + v > 1) u = 1 - u, v = 1 - v;
+        points.push_back((1 - u - v) * vertices.row(triangles(t, 0)) + u * vertices.row(triangles(t, 1)) +
+                         v * vertices.row(triangles(t, 2)));
+        normals.push_back(area_vector(vertices, triangles, t) / area(t));
+      }
+    }
+  }
+};
+
+}  // namespace
+
+Thickness::Thickness(const Points& vertices, const Triangles& triangles, const ProgressFn& progress)
+    : body_(Points(0, 3), Triangles(0, 3)), skin_(body_) {
+  ClosedSurface closed = close_surface(vertices, triangles);
+  body_ = Surface(closed.vertices, closed.triangles);
+  size_ = body_.box().diagonal().norm();
+  refine(closed.vertices, closed.triangles, kFacet * size_);
+  const double off = kOff * size_;
+  std::vector<char> kept(closed.triangles.rows());
+  parallel_for(int((kept.size() + kBlock - 1) / kBlock), [&](int block) {
+    for (size_t t = size_t(block) * kBlock; t < std::min(kept.size(), size_t(block + 1) * kBlock); ++t) {
+      const Vector3d vector = area_vector(closed.vertices, closed.triangles, Eigen::Index(t));
+      if (!(vector.norm() > 0)) continue;
+      Vector3d center = Vector3d::Zero();
+      for (int k = 0; k < 3; ++k) center += closed.vertices.row(closed.triangles(Eigen::Index(t), k)) / 3;
+      kept[t] = !body_.contains(center + off * vector.normalized());
+    }
+  });
+  Triangles outside(std::count(kept.begin(), kept.end(), 1), 3);
+  for (Eigen::Index t = 0, next = 0; t < Eigen::Index(kept.size()); ++t)
+    if (kept[t]) outside.row(next++) = closed.triangles.row(t);
+  if (outside.rows() == 0) outside = closed.triangles;
+  skin_ = Surface(closed.vertices, outside);
+  find_balls(closed.vertices, outside, progress);
+}
+
+void Thickness::find_balls(const Points& vertices, const Triangles& triangles, const ProgressFn& progress) {
+  const Samples samples(vertices, triangles, kBalls);
+  const int count = int(samples.points.size());
+  balls_.resize(count);
+  run_tasks((count + kBlock - 1) / kBlock, progress, [&](int block, const ProgressFn& done) {
+    for (int i = block * kBlock; i < std::min(count, (block + 1) * kBlock); ++i) {
+      const Vector3d &p = samples.points[i], &normal = samples.normals[i];
+      double radius = 0.5 * size_;
+      for (int round = 0; round < 60; ++round) {
+        const Vector3d center = p - radius * normal, touched = skin_.nearest(center);
+        if ((touched - center).norm() >= (1 - 1e-4) * radius) break;
+        const double along = normal.dot(p - touched);  // above zero: what it touched lies inside the ball
+        const double smaller = along > 0 ? (p - touched).squaredNorm() / (2 * along) : 0;
+        if (!(smaller < (1 - 1e-6) * radius)) break;
+        radius = smaller;
+      }
+      const Vector3d center = p - radius * normal;
+      balls_[i] = {center, body_.contains(center) ? radius : 0};  // a sheet has its ball outside
+    }
+    report(done, 1);
+  });
+  std::stable_sort(balls_.begin(), balls_.end(), [](const Ball& a, const Ball& b) { return a.radius > b.radius; });
+}
+
+double Thickness::thickness(const Vector3d& p) const {
+  double best = kThinnest * size_;
+  for (const Ball& ball : balls_) {
+    if (ball.radius <= best) break;
+    const double distance = (p - ball.center).norm();
+    if (distance < kUncovered * ball.radius)
+      best = std::max(best, ball.radius * fade(distance / ball.radius, kCovered, kUncovered));
+  }
+  return best;
+}
+
+Thickness::Measures Thickness::at(const Points& points) const {
+  const Eigen::Index count = points.rows();
+  Measures out{VectorXd(count), VectorXd(count)};
+  parallel_for(int((count + kBlock - 1) / kBlock), [&](int block) {
+    for (Eigen::Index i = Eigen::Index(block) * kBlock; i < std::min(count, Eigen::Index(block + 1) * kBlock); ++i) {
+      const Vector3d p = points.row(i), nearest = skin_.nearest(p);
+      const bool inside = body_.contains(p);
+      out.depth(i) = inside ? (p - nearest).norm() : 0;
+      out.thickness(i) = std::max(thickness(inside ? p : nearest), out.depth(i));
+    }
+  });
+  return out;
+}
+
+}  // namespace dynamorph

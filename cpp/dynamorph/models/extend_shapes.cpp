@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/models/extend_shapes.hpp"
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/elastic/sparse_cholesky.hpp"
+#include "dynamorph/models/full_model.hpp"
+
+namespace dynamorph {
+
+MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces) {
+  // Unit material: the shape of the fill-in does not depend on the stiffness. The pull is 1e4 times the mean nodal
+  // stiffness per vertex, so the surface is met to about 1e-4 where the cage can carry it.
+  MorphTarget neutral;
+  neutral.displacement = VectorXd::Zero(3 * body.mesh.nodes.rows());
+  neutral.lame = {1, 1};
+  auto whole = std::make_shared<SoftBody>(body);
+  whole->region_weights.setOnes(body.mesh.tets.rows(), 1);
+  whole->holds.resize(0, 0);  // what is held is held in the target's shape, which is sought
+  const FullModel model(whole, {neutral}, Law::linear, Blending::forces);
+  SparseMatrix A = model.rest_stiffness(0);
+  const double pull = 1e4 * A.diagonal().mean();
+
+  check_size("surfaces", surfaces.rows(), 3 * embedding.nodes.rows());
+  if (!surfaces.allFinite()) throw Error("a target's shape is not finite: repair its shape key");
+  const SparseMatrix E = embedding.matrix(body.mesh.nodes.rows());
+  std::vector<Eigen::Triplet<double>> entries;
+  for (int node = 0; node < E.outerSize(); ++node)
+    for (SparseMatrix::InnerIterator it(E, node); it; ++it)
+      if (body.free_of_node[node] >= 0)
+        for (int c = 0; c < 3; ++c)
+          entries.emplace_back(3 * int(it.row()) + c, 3 * body.free_of_node[node] + c, it.value());
+  SparseMatrix B(surfaces.rows(), model.dofs());
+  B.setFromTriplets(entries.begin(), entries.end());
+  A += pull * SparseMatrix(B.transpose() * B);
+  BlockCholesky<double> solver;
+  if (!solver.factorize(A)) throw Error("a target's shape could not be carried into the cage: rebuild it");
+  MatrixXd solution = pull * (B.transpose() * surfaces);
+  solver.solve_in_place(solution);
+  MatrixXd out(3 * body.mesh.nodes.rows(), surfaces.cols());
+  for (Eigen::Index j = 0; j < out.cols(); ++j) out.col(j) = body.expand(solution.col(j));
+  return out;
+}
+
+}  // namespace dynamorph

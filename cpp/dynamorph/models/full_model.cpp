@@ -1,0 +1,201 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/models/full_model.hpp"
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/parallel.hpp"
+#include "dynamorph/elastic/sparse_solver.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr Eigen::Index kBlended = 2048;  // values blended at a time, so that the sums stay in the first cache
+
+}  // namespace
+
+FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending)
+    : body_(std::move(body)),
+      targets_(std::move(targets)),
+      law_(law),
+      blending_(blending),
+      assembly_(body_->mesh, body_->free_of_node) {
+  if (targets_.empty()) throw std::invalid_argument("targets: at least one is needed");
+  VectorXd force;
+  Matrix K = zero();
+  for (Eigen::Index i = 0; i < dofs(); ++i) diagonal_.push_back(&K.coeffRef(i, i) - K.valuePtr());
+  for (const MorphTarget& target : targets_) {
+    if (target.set < 0 || target.set >= body_->sets())
+      throw std::invalid_argument("targets: '" + target.name + "' is in set " + std::to_string(target.set) +
+                                  ", there are " + std::to_string(body_->sets()));
+    check_size("displacement", target.displacement.size(), body_->mesh.nodes.size());
+    if (!target.displacement.allFinite()) throw Error("target '" + target.name + "' has a shape that is not finite");
+    const double properties =
+        target.lame.mu + target.lame.lambda + target.density + target.mass_damping + target.stiffness_damping;
+    if (!(target.lame.mu > 0 && target.lame.lambda >= 0 && target.density > 0 && target.mass_damping >= 0 &&
+          target.stiffness_damping >= 0 && std::isfinite(properties)))
+      throw std::invalid_argument("targets: '" + target.name + "' needs finite stiffness and density above zero");
+    const VectorXd d = body_->restrict_to_free(target.displacement);
+    if (body_->expand(d) != target.displacement)
+      throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
+    rest_displacements_.push_back(d);
+    shapes_.push_back(rest_shape(body_->mesh, target.displacement,
+                                 body_->stiffness_scale.cwiseProduct(body_->region_weights.col(target.set)),
+                                 target.shifted));
+    elements_.push_back(assembly_.pack(shapes_.back(), false));
+    // The linear law's stiffness is StVK's at the rest shape.
+    const Law law = law_ == Law::linear ? Law::stvk : law_;
+    assembly_.linearize(law, {{1, target.lame, &elements_.back()}}, VectorXd::Zero(d.size()), force, K);
+    for (Eigen::Index i = 0; body_->holds.size() > 0 && i < dofs(); ++i)
+      K.valuePtr()[diagonal_[i]] += target.lame.mu * body_->holds(i / 3, target.set);
+    rest_stiffness_.push_back(values(K));
+    rest_pull_.push_back(K * d);
+    if (blending_ == Blending::forces) elements_.back() = assembly_.pack(shapes_.back(), true);
+  }
+}
+
+FullModel::Matrix FullModel::rest_stiffness(int target) const {
+  Matrix K = zero();
+  values(K) = rest_stiffness_[target];
+  return K;
+}
+
+void FullModel::blend(const VectorXd& w, Blend& out) const {
+  check_size("weights", w.size(), Eigen::Index(targets_.size()));
+  if (out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  out.weights = w;
+  out.mass.blend(targets_, body_->sets(), w);
+  const bool linear = law_ == Law::linear, even = blending_ == Blending::even;
+  if (out.damping.nonZeros() != assembly_.pattern().nonZeros()) out.damping = assembly_.pattern();
+  if (linear && out.stiffness.nonZeros() != assembly_.pattern().nonZeros()) out.stiffness = assembly_.pattern();
+  const Eigen::Index size = out.damping.nonZeros();
+  parallel_for(int((size + kBlended - 1) / kBlended), [&](int chunk) {
+    const Eigen::Index first = chunk * kBlended, some = std::min(kBlended, size - first);
+    auto damping = values(out.damping).segment(first, some);
+    damping.setZero();
+    if (linear) values(out.stiffness).segment(first, some).setZero();
+    for (Eigen::Index j = 0; j < w.size(); ++j) {
+      if (w(j) == 0) continue;
+      const auto rest = rest_stiffness_[j].segment(first, some);
+      damping += w(j) * targets_[j].stiffness_damping * rest;
+      if (linear) values(out.stiffness).segment(first, some) += w(j) * rest;
+    }
+  });
+  if (even) {
+    out.displacement.setZero(dofs());
+    for (Eigen::Index j = 0; j < w.size(); ++j)
+      if (w(j) != 0) out.displacement += w(j) * rest_displacements_[j];
+  }
+  if (!linear) return blend_hold(w, out);
+  out.energy = 0;
+  if (even) {
+    multiply_symmetric(out.stiffness, out.displacement, out.force);
+    out.force = -out.force;
+    out.energy = -0.5 * out.displacement.dot(out.force);
+    return;
+  }
+  out.force.setZero(dofs());
+  for (Eigen::Index j = 0; j < w.size(); ++j) {
+    if (w(j) == 0) continue;
+    out.force -= w(j) * rest_pull_[j];
+    out.energy += 0.5 * w(j) * rest_displacements_[j].dot(rest_pull_[j]);
+  }
+}
+
+std::vector<Assembly::Part> FullModel::parts(const Blend& blend) const {
+  std::vector<Assembly::Part> out;
+  for (size_t j = 0; j < targets_.size(); ++j)
+    if (blend.weights(j) != 0) out.push_back({blend.weights(j), targets_[j].lame, &elements_[j]});
+  return out;
+}
+
+VectorXd FullModel::displacement_from_shape(const Blend& blend, const VectorXd& q) const {
+  // Even blending: target j's displacement q - d(q) + d_j, which from its own shape is the same for all.
+  return blending_ == Blending::even ? VectorXd(q - blend.displacement) : q;
+}
+
+void FullModel::blend_hold(const VectorXd& w, Blend& out) const {
+  if (body_->holds.size() == 0) return;
+  out.hold.setZero(dofs());
+  out.hold_shapes.setZero(blending_ == Blending::even ? 0 : dofs());
+  out.hold_energy = 0;
+  for (Eigen::Index j = 0; j < w.size(); ++j) {
+    if (w(j) == 0) continue;
+    const VectorXd nodes = w(j) * targets_[j].lame.mu * body_->holds.col(targets_[j].set);
+    const VectorXd own = nodes.replicate(1, 3).transpose().reshaped();
+    out.hold += own;
+    if (blending_ == Blending::even) continue;  // about each target's own shape, which is where x is zero
+    out.hold_shapes += own.cwiseProduct(rest_displacements_[j]);
+    out.hold_energy += 0.5 * own.dot(rest_displacements_[j].cwiseAbs2());
+  }
+}
+
+double FullModel::hold_energy(const Blend& blend, const VectorXd& x, VectorXd& pull) const {
+  pull = blend.hold.cwiseProduct(x);
+  const double energy = 0.5 * x.dot(pull);
+  if (blending_ == Blending::even) return energy;
+  pull -= blend.hold_shapes;
+  return energy - x.dot(blend.hold_shapes) + blend.hold_energy;
+}
+
+double FullModel::energy(const Blend& blend, const VectorXd& q) const {
+  if (law_ == Law::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
+  const VectorXd x = displacement_from_shape(blend, q);
+  VectorXd pull;
+  const double held = body_->holds.size() > 0 ? hold_energy(blend, x, pull) : 0;
+  return assembly_.energy(law_, parts(blend), x) + held;
+}
+
+double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const {
+  if (stiffness.nonZeros() != assembly_.pattern().nonZeros()) stiffness = assembly_.pattern();
+  if (law_ != Law::linear) {
+    const VectorXd x = displacement_from_shape(blend, q);
+    const double energy = assembly_.linearize(law_, parts(blend), x, force, stiffness);
+    if (body_->holds.size() == 0) return energy;
+    VectorXd pull;
+    const double held = hold_energy(blend, x, pull);
+    force += pull;
+    for (Eigen::Index i = 0; i < dofs(); ++i) stiffness.valuePtr()[diagonal_[i]] += blend.hold(i);
+    return energy + held;
+  }
+  values(stiffness) = values(blend.stiffness);
+  multiply_symmetric(blend.stiffness, q, force);
+  force += blend.force;
+  return blend.energy + 0.5 * q.dot(force + blend.force);
+}
+
+void FullModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {
+  out.force.setZero(dofs());
+  out.frame.bones = *inertial.bones[0];
+  pose_nodes(body_->skin, out.frame);
+  for (int n = 0; n < InertialTarget::kPoses; ++n) {
+    if (inertial.coefficients.col(n).isZero(0)) continue;
+    if (n > 0) {
+      out.past.bones = *inertial.bones[n];
+      pose_nodes(body_->skin, out.past);
+    }
+    const double sum = inertial.coefficients.col(n).sum();
+    out.bind = sum * body_->rest;
+    for (int m = 0; m < InertialTarget::kMoments; ++m)
+      if (inertial.coefficients(m, n) != 0) out.bind += inertial.coefficients(m, n) * *inertial.q[m];
+    to_world(n > 0 ? out.past : out.frame, sum, out.bind, out.posed);
+    out.force += out.posed;
+  }
+  if (out.mass.nonZeros() != assembly_.pattern().nonZeros()) out.mass = out.damped = assembly_.pattern();
+  values(out.mass).setZero();
+  values(out.damped).setZero();
+  for (size_t i = 0; i < body_->free_nodes.size(); ++i) {
+    const auto A = transform(out.frame.nodes, Eigen::Index(i)).leftCols<3>();
+    const Matrix3d square = A.transpose() * A;
+    const double mass = body_->volumes.row(i).dot(densities.density);
+    const double damped = body_->volumes.row(i).dot(densities.damped);
+    for (int c = 0; c < 3; ++c)
+      for (int r = 0; r < 3; ++r) {
+        out.mass.coeffRef(3 * i + r, 3 * i + c) = mass * square(r, c);
+        out.damped.coeffRef(3 * i + r, 3 * i + c) = damped * square(r, c);
+      }
+    out.force.segment<3>(3 * i) = mass * (out.force.segment<3>(3 * i) - inertial.gravity_offset);
+  }
+  pull_back(out.frame, out.force);
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The unreduced soft skin: E(u, q) = sum_j w_j(q) E_j(u) over the free nodes of a tet mesh (thesis ch. 5).
+//
+// FullModel and ReducedModel have one interface, which step() is written against:
+//   Matrix, Blend                dense or sparse; the model at one set of target weights
+//   blend(w, out)                paid once per pose
+//   energy, linearize            E, F = dE/dq and K = dF/dq at coordinates q
+//   inertia(inertial, ...)       A^T M A, and the force that the moving rig exerts
+//   displacement, project_force  q -> u and its transpose
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "dynamorph/core/types.hpp"
+#include "dynamorph/elastic/assembly.hpp"
+#include "dynamorph/models/morph_target.hpp"
+#include "dynamorph/models/soft_body.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
+
+namespace dynamorph {
+
+class FullModel {
+ public:
+  using Matrix = SparseMatrix;
+
+  struct Blend {
+    VectorXd weights;
+    SetDensities mass;
+    Matrix damping;          ///< sum_j w_j beta_j K_j
+    VectorXd displacement;   ///< d(q) of even blending (3 free), else empty
+    VectorXd hold;           ///< sum_j w_j mu_j holds (3 free); empty when nothing is held so
+    VectorXd hold_shapes;    ///< of forces blending: the same times d_j
+    double hold_energy = 0;  ///< of forces blending, at u = 0
+    Matrix stiffness;        ///< linear law only: f = stiffness q + force, E = energy + ...
+    VectorXd force;
+    double energy = 0;
+  };
+
+  /// The flesh's inertia in one pose, and scratch.
+  struct Inertia {
+    Matrix mass;     ///< A^T M A
+    Matrix damped;   ///< the same with M times mass damping
+    VectorXd force;  ///< A^T M times the inertial target
+    SkinFrame frame, past;
+    VectorXd bind, posed;
+  };
+
+  FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending);
+
+  const SoftBody& body() const { return *body_; }
+  const std::shared_ptr<const SoftBody>& shared_body() const { return body_; }
+  const std::vector<MorphTarget>& targets() const { return targets_; }
+  Law law() const { return law_; }
+  Blending blending() const { return blending_; }
+  const RestShape& shape(int target) const { return shapes_[target]; }
+  int dofs() const { return int(3 * body_->free_nodes.size()); }
+
+  void blend(const VectorXd& w, Blend& out) const;
+  double energy(const Blend& blend, const VectorXd& q) const;
+  double linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const;
+  void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
+  void displacement(const VectorXd& q, VectorXd& u) const { u = q; }
+  void project_force(const VectorXd& f, VectorXd& out) const { out = f; }
+  VectorXd target(int j) const { return rest_displacements_[j]; }
+
+  /// K_j at u = d_j over the free degrees of freedom.
+  Matrix rest_stiffness(int target) const;
+  /// A zero matrix with this model's pattern.
+  Matrix zero() const { return assembly_.pattern(); }
+
+ private:
+  /// The targets that count, and the displacements they are given.
+  std::vector<Assembly::Part> parts(const Blend& blend) const;
+  VectorXd displacement_from_shape(const Blend& blend, const VectorXd& q) const;
+  void blend_hold(const VectorXd& w, Blend& out) const;
+  /// Energy of the hold at displacements x as `displacement_from_shape`; pull: its force.
+  double hold_energy(const Blend& blend, const VectorXd& x, VectorXd& pull) const;
+
+  std::shared_ptr<const SoftBody> body_;
+  std::vector<MorphTarget> targets_;
+  Law law_;
+  Blending blending_;
+  Assembly assembly_;
+  std::vector<RestShape> shapes_;
+  std::vector<Assembly::Elements> elements_;  ///< of each target; of even blending about its shape
+  std::vector<VectorXd> rest_displacements_;  ///< d_j over the free nodes
+  std::vector<VectorXd> rest_stiffness_;      ///< values of each K_j
+  std::vector<VectorXd> rest_pull_;           ///< K_j d_j
+  std::vector<Eigen::Index> diagonal_;        ///< where the pattern stores (i, i)
+};
+
+}  // namespace dynamorph

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "dynamorph/core/types.hpp"
+#include "dynamorph/elastic/elasticity.hpp"
+
+namespace dynamorph {
+
+/// forces: sum w_j F_j(u), the source's; even: sum w_j F_j(u - d(q) + d_j) with d = sum w_j d_j, halfway in pose is
+/// halfway in shape whatever the stiffness. Both are exact at the targets; of overlapping target sets, only even is.
+enum class Blending { forces, even };
+
+/// A dynamic morph target as the engine knows it.
+struct MorphTarget {
+  std::string name;
+  int set = 0;                   ///< index of its target set
+  VectorXd displacement;         ///< d_j (3n), metres, bind space, zero at pinned nodes
+  Lame lame{};                   ///< Pa
+  double density = 1000;         ///< kg/m^3
+  double mass_damping = 0;       ///< alpha, 1/s
+  double stiffness_damping = 0;  ///< beta, s
+  bool shifted = false;          ///< elastic as the neutral shape, moved by d: a shape alone (after Capell et al. 2005)
+};
+
+/// Density and mass damping of each target set at weights w: sum_j w_j rho_j and sum_j w_j alpha_j rho_j.
+struct SetDensities {
+  VectorXd density, damped;
+  void blend(const std::vector<MorphTarget>& targets, int sets, const VectorXd& w);
+};
+
+}  // namespace dynamorph

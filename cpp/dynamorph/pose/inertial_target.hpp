@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#pragma once
+
+#include <array>
+
+#include "dynamorph/core/types.hpp"
+#include "dynamorph/pose/skinning.hpp"
+
+namespace dynamorph {
+
+/// What inertia pulls the body towards, as a sum of posed positions: sum_mn coefficients(m, n) x(q_m, bones_n) -
+/// gravity_offset, in the pose of bones[0]. Models take it and turn it into a force. Nothing is owned.
+struct InertialTarget {
+  static constexpr int kMoments = 4, kPoses = 5;
+  std::array<const VectorXd*, kMoments> q{};      ///< coordinates, one step after another, newest first
+  std::array<const Transforms*, kPoses> bones{};  ///< (B), the first at the end of the step
+  /// Of each pair of coordinates and bones.
+  Eigen::Matrix<double, kMoments, kPoses> coefficients = Eigen::Matrix<double, kMoments, kPoses>::Zero();
+  Vector3d gravity_offset = Vector3d::Zero();  ///< metres, of every node
+};
+
+}  // namespace dynamorph

@@ -1,0 +1,201 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/pose/pose_space.hpp"
+
+#include <Eigen/Geometry>
+#include <Eigen/SVD>
+#include <algorithm>
+#include <cmath>
+
+#include "dynamorph/core/errors.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr double kHalfRound = 150 * kPi / 180;  // radians: beyond, angles the other way round come into play
+constexpr double kSamePose = 0.5 * kPi / 180;   // radians: closer poses make the interpolation ill-conditioned
+
+double kernel(Kernel kind, double width, double distance) {
+  const double d = distance / width;
+  switch (kind) {
+    case Kernel::gaussian:
+      return std::exp(-d * d);
+    case Kernel::thin_plate:
+      return d > 0 ? d * d * std::log(d) : 0;
+    default:
+      return d;
+  }
+}
+
+/// Rotation vector from the reference to the pose, the short way round.
+Vector3d rotation_vector(const Rotations& reference, const Eigen::Ref<const Rotations>& pose, int bone) {
+  const Eigen::Quaterniond a(reference(bone, 0), reference(bone, 1), reference(bone, 2), reference(bone, 3));
+  Eigen::Quaterniond q = a.conjugate() * Eigen::Quaterniond(pose(bone, 0), pose(bone, 1), pose(bone, 2), pose(bone, 3));
+  if (q.w() < 0) q.coeffs() = -q.coeffs();
+  const double sine = q.vec().norm();
+  return sine > 0 ? Vector3d(q.vec() * (2 * std::atan2(sine, q.w()) / sine)) : Vector3d::Zero();
+}
+
+/// How much of its weight a target keeps at a distance; a radius of 0 is none.
+double fade(double distance, double radius) {
+  const double t = radius > 0 ? std::clamp(2 * distance / radius - 1, 0.0, 1.0) : 0;
+  return 1 - t * t * (3 - 2 * t);
+}
+
+}  // namespace
+
+void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations) {
+  const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> m(transforms.row(bone).data());
+  if (!m.allFinite())
+    throw Error("bone " + std::to_string(bone) +
+                " has a transform that is not a number: check its drivers and constraints");
+  const Matrix3d A = m.topLeftCorner<3, 3>();
+  const Matrix3d square = A.transpose() * A;
+  const double scale = square.trace() / 3;
+  Eigen::Quaterniond q;
+  if ((square - scale * Matrix3d::Identity()).cwiseAbs().maxCoeff() < 1e-6 * scale && A.determinant() > 0) {
+    q = Eigen::Quaterniond(Matrix3d(A / std::sqrt(scale)));  // as nearly every bone: rotated and no more
+  } else {
+    const Eigen::JacobiSVD<Matrix3d> svd(A, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    Matrix3d U = svd.matrixU();
+    if (U.determinant() * svd.matrixV().determinant() < 0) U.col(2) *= -1;  // a mirrored bone: nearest proper rotation
+    q = Eigen::Quaterniond(Matrix3d(U * svd.matrixV().transpose()));
+  }
+  rotations.row(bone) << q.w(), q.x(), q.y(), q.z();
+}
+
+double pose_distance(const std::vector<int>& bones, const Rotations& a, const Eigen::Ref<const Rotations>& b,
+                     bool chordal) {
+  double sum = 0;
+  for (int bone : bones) {
+    const double angle = rotation_vector(a, b, bone).norm();
+    const double distance = chordal ? 2 * std::sin(angle / 2) : angle;
+    sum += distance * distance;
+  }
+  return std::sqrt(sum);
+}
+
+PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
+  if (sets.empty()) throw std::invalid_argument("sets: at least one target set is needed");
+  for (TargetSet& set : sets) {
+    if (set.poses.empty() || set.names.size() != set.poses.size())
+      throw std::invalid_argument("sets: every target set needs at least one target, and a name for each");
+    for (const Rotations& pose : set.poses)
+      for (int bone : set.bones)
+        if (bone < 0 || bone >= pose.rows())
+          throw std::invalid_argument("sets: bone index " + std::to_string(bone) + " is not in a pose of " +
+                                      std::to_string(pose.rows()) + " bones");
+    if (!set.radii.empty() && set.radii.size() != set.poses.size())
+      throw std::invalid_argument("sets: expected a radius for each of " + std::to_string(set.poses.size()) +
+                                  " targets, got " + std::to_string(set.radii.size()));
+    for (double radius : set.radii)
+      if (!(radius >= 0)) throw std::invalid_argument("sets: a radius must be 0, for unlimited, or more");
+    targets_ += int(set.poses.size());
+    bones_.insert(bones_.end(), set.bones.begin(), set.bones.end());
+    sets_.push_back(interpolate(std::move(set)));
+  }
+  std::sort(bones_.begin(), bones_.end());
+  bones_.erase(std::unique(bones_.begin(), bones_.end()), bones_.end());
+}
+
+PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
+  for (size_t j = 0; j < set.poses.size(); ++j)
+    for (size_t k = 0; k < j; ++k)
+      if (!(pose_distance(set.bones, set.poses[j], set.poses[k]) >= kSamePose))
+        throw Error("targets '" + set.names[k] + "' and '" + set.names[j] +
+                    "' have the same pose: pose the character differently and capture one of them again");
+  Interpolant in;
+  in.set = std::move(set);
+  double widest = 0;
+  for (const Rotations& a : in.set.poses)
+    for (const Rotations& b : in.set.poses)
+      for (int bone : in.set.bones) widest = std::max(widest, rotation_vector(a, b, bone).norm());
+  for (bool chordal : {false, true}) {
+    if (!chordal && widest > kHalfRound) continue;
+    in.chordal = chordal;
+    if (fit(in)) return in;
+  }
+  throw Error("the poses of targets '" + in.set.names.front() + "' to '" + in.set.names.back() +
+              "' cannot be interpolated: capture poses that differ more, or remove a target");
+}
+
+/// False when the kernel is not definite at these distances, or the system is too ill-conditioned to be cardinal.
+bool PoseSpace::fit(Interpolant& in) {
+  const TargetSet& set = in.set;
+  const int count = int(set.poses.size());
+  MatrixXd A = MatrixXd::Zero(count, count);
+  for (int j = 0; j < count; ++j)
+    for (int k = 0; k < count; ++k) A(j, k) = pose_distance(set.bones, set.poses[j], set.poses[k], in.chordal);
+  in.width = count > 1 ? A.sum() / (count * (count - 1.0)) : 1.0;
+  A = A.unaryExpr([&](double d) { return kernel(set.kernel, in.width, d); });
+
+  in.span.resize(3 * set.bones.size(), 0);
+  if (set.kernel == Kernel::thin_plate && count > 1) {
+    // Linear terms only where the poses have extent: elsewhere they could not be determined.
+    MatrixXd coordinates(3 * set.bones.size(), count);
+    for (int j = 0; j < count; ++j)
+      for (size_t i = 0; i < set.bones.size(); ++i)
+        coordinates.col(j).segment<3>(3 * i) = rotation_vector(set.poses[0], set.poses[j], set.bones[i]);
+    const Eigen::JacobiSVD<MatrixXd> svd(coordinates, Eigen::ComputeThinU);
+    const int rank = std::min<int>(count - 1, (svd.singularValues().array() > 1e-6).count());
+    in.span = svd.matrixU().leftCols(rank);
+  }
+  MatrixXd P = MatrixXd::Zero(count, 1 + in.span.cols());
+  P.col(0).setOnes();
+  for (int j = 0; j < count; ++j)
+    for (size_t i = 0; i < set.bones.size() && in.span.cols() > 0; ++i)
+      P.row(j).tail(in.span.cols()) +=
+          rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() * in.span.middleRows<3>(3 * i);
+
+  // Definite on the coefficients that the polynomial leaves, or weights overshoot and jump between the targets.
+  if (count > P.cols()) {
+    const MatrixXd Q = MatrixXd(Eigen::HouseholderQR<MatrixXd>(P).householderQ()).rightCols(count - P.cols());
+    const VectorXd values = Eigen::SelfAdjointEigenSolver<MatrixXd>(Q.transpose() * A * Q).eigenvalues();
+    const double sign = set.kernel == Kernel::linear ? -1 : 1;
+    if (set.kernel != Kernel::thin_plate && !((sign * values).minCoeff() > 0)) return false;
+  }
+  MatrixXd system = MatrixXd::Zero(count + P.cols(), count + P.cols());
+  system.topLeftCorner(count, count) = A;
+  system.topRightCorner(count, P.cols()) = P;
+  system.bottomLeftCorner(P.cols(), count) = P.transpose();
+  MatrixXd cardinal = MatrixXd::Zero(count + P.cols(), count);
+  cardinal.topRows(count).setIdentity();
+  const MatrixXd solution = system.fullPivLu().solve(cardinal);
+  in.coefficients = solution.topRows(count);
+  in.polynomial = solution.bottomRows(P.cols());
+  return solution.allFinite() && (system * solution - cardinal).cwiseAbs().maxCoeff() < 1e-8;
+}
+
+void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const {
+  Eigen::Index first = 0;
+  for (const Interpolant& in : sets_) {
+    const TargetSet& set = in.set;
+    auto out = w.segment(first, Eigen::Index(set.poses.size()));
+    out = in.polynomial.row(0).transpose();
+    for (size_t k = 0; k < set.poses.size(); ++k)
+      out += kernel(set.kernel, in.width, pose_distance(set.bones, set.poses[k], pose, in.chordal)) *
+             in.coefficients.row(k).transpose();
+    for (Eigen::Index term = 0; term < in.span.cols(); ++term) {
+      double coordinate = 0;
+      for (size_t i = 0; i < set.bones.size(); ++i)
+        coordinate += rotation_vector(set.poses[0], pose, set.bones[i]).dot(in.span.col(term).segment<3>(3 * i));
+      out += coordinate * in.polynomial.row(1 + term).transpose();
+    }
+    out = out.cwiseMax(0.0);
+    out /= out.sum();  // >= 1: clamping only adds to a sum of one
+    for (size_t k = 1; k < set.radii.size(); ++k) {
+      const double kept = out(k) * fade(pose_distance(set.bones, set.poses[k], pose), set.radii[k]);
+      out(0) += out(k) - kept;
+      out(k) = kept;
+    }
+    first += out.size();
+  }
+}
+
+void PoseSpace::distances(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> d) const {
+  Eigen::Index target = 0;
+  for (const Interpolant& in : sets_)
+    for (const Rotations& own : in.set.poses) d(target++) = pose_distance(in.set.bones, own, pose);
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Pose space: how much each dynamic morph target counts at a pose.
+//
+// Per target set, cardinal radial basis functions over the joint rotations q of the set's bones:
+//
+//   w(q) = C^T phi(q) + P^T p(q),   w_j(q_k) = delta_jk,   sum_j w_j = 1,
+//
+// then negatives are clamped and the rest renormalised, so that the blended stiffness stays positive definite. A target
+// of limited radius r_j fades out with its distance d_j, and the set's first target gets what is taken from it:
+//
+//   w_j <- w_j s(d_j / r_j),   s = 1 up to a half, then 1 - t^2 (3 - 2 t) with t = 2 d_j / r_j - 1, 0 from one on.
+//
+// Distances are joint angles, which make the linear kernel a driver's hat function. Poses right round a joint (0, 90,
+// 180, -90 degrees) are no set of points in a flat space by their angles, and weights would jump: those sets use
+// chords, which are. A radius is a joint angle there too.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "dynamorph/core/types.hpp"
+
+namespace dynamorph {
+
+/// One rotation a row, unit quaternion w x y z; bones in the skeleton's order.
+using Rotations = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::RowMajor>;
+
+/// linear: |q - q_k|, in one dimension the piecewise-linear hat of a driver. gaussian and thin_plate are smooth.
+enum class Kernel { linear, gaussian, thin_plate };
+
+/// Targets whose weights sum to one, placed by the local rotations of `bones` (indices into the skeleton).
+struct TargetSet {
+  std::vector<int> bones;
+  std::vector<std::string> names;  ///< of the targets, for messages
+  std::vector<Rotations> poses;    ///< per target, (bones of the skeleton, 4)
+  Kernel kernel = Kernel::linear;
+  std::vector<double> radii = {};  ///< per target, radians, 0 unlimited, or none at all; the first one's is ignored
+};
+
+/// Local transforms, one row-major 4 x 4 a row.
+using LocalTransforms = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>;
+
+/// The rotation of bone b's local transform, scale and shear removed, into row b.
+void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations);
+
+/// Distance in radians over the set's bones: sqrt(sum of squared joint angles), or of their chords 2 sin(angle / 2).
+/// Blind to quaternion sign.
+double pose_distance(const std::vector<int>& bones, const Rotations& a, const Eigen::Ref<const Rotations>& b,
+                     bool chordal = false);
+
+class PoseSpace {
+ public:
+  /// Throws Error, naming both, when two targets of a set have (nearly) the same pose.
+  explicit PoseSpace(std::vector<TargetSet> sets);
+
+  /// Number of targets of all sets.
+  int targets() const { return targets_; }
+
+  /// Bones that some set names, ascending: the only rows of a pose that count.
+  const std::vector<int>& bones() const { return bones_; }
+  int sets() const { return int(sets_.size()); }
+
+  /// Weights (J), set after set: each set's are >= 0 and sum to 1, and are a unit vector at a target's pose.
+  /// Allocates nothing. `pose` (B, 4).
+  void weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const;
+
+  /// Distances (J) in radians to each target's pose over the joint angles of its set. Allocates nothing.
+  void distances(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> d) const;
+
+ private:
+  struct Interpolant {
+    TargetSet set;
+    bool chordal;           ///< distances are chords instead of angles
+    double width;           ///< of the kernel, radians
+    MatrixXd coefficients;  ///< (J, J): row k times phi(|q - q_k|)
+    MatrixXd polynomial;    ///< (1 + dims, J): the constant, then the linear terms on the poses' span
+    MatrixXd span;          ///< (3 bones, dims) orthonormal, empty but for thin_plate
+  };
+  static Interpolant interpolate(TargetSet set);
+  static bool fit(Interpolant& in);
+
+  std::vector<Interpolant> sets_;
+  std::vector<int> bones_;
+  int targets_ = 0;
+};
+
+}  // namespace dynamorph

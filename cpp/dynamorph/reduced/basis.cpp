@@ -1,0 +1,308 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/basis.hpp"
+
+#include <Spectra/SymEigsShiftSolver.h>
+
+#include <Eigen/Eigenvalues>
+#include <Eigen/QR>
+#include <Eigen/SVD>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/parallel.hpp"
+#include "dynamorph/elastic/sparse_cholesky.hpp"
+#include "dynamorph/reduced/gram_kernels.hpp"
+#include "dynamorph/reduced/polynomials.hpp"
+#include "dynamorph/reduced/table_layout.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+/// Lumped mass of every degree of freedom for unit density, all sets together (3 free).
+VectorXd unit_mass(const SoftBody& body) {
+  const VectorXd nodes = body.volumes.rowwise().sum();
+  VectorXd mass(3 * nodes.size());
+  for (Eigen::Index i = 0; i < nodes.size(); ++i) mass.segment<3>(3 * i).setConstant(nodes(i));
+  return mass;
+}
+
+/// K_j + epsilon M, factored. A body without pins has rigid modes; the shift keeps K positive definite and is far
+/// below the first elastic frequency.
+struct Factored {
+  Factored(const FullModel& model, int target, std::function<void()> tick_ = {})
+      : mass(unit_mass(model.body()) * model.targets()[target].density), tick(std::move(tick_)) {
+    // Where the target's set has no share of a tet, the other sets' neutrals hold it.
+    const std::vector<MorphTarget>& targets = model.targets();
+    SparseMatrix K = model.rest_stiffness(target);
+    for (size_t j = 0; j < targets.size(); ++j)
+      if (targets[j].set != targets[target].set && (j == 0 || targets[j].set != targets[j - 1].set))
+        values(K) += values(model.rest_stiffness(int(j)));
+    shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
+    K.diagonal() += shift * mass;
+    if (!solver.factorize(K))
+      throw Error("target '" + model.targets()[target].name +
+                  "' has a shape with degenerate elements: smooth its sculpt or raise the cage resolution");
+  }
+  VectorXd solve(const VectorXd& load) const {
+    if (tick) tick();
+    return solver.solve(load);
+  }
+  MatrixXd solve_all(MatrixXd loads) const {
+    constexpr Eigen::Index kSome = 8;  // as many as the solver takes at a time
+    for (Eigen::Index first = 0; first < loads.cols(); first += kSome) {
+      const Eigen::Index some = std::min(kSome, loads.cols() - first);
+      solver.solve_in_place(loads.middleCols(first, some));
+      for (Eigen::Index c = 0; tick && c < some; ++c) tick();
+    }
+    return loads;
+  }
+  VectorXd mass;               ///< (3 free), kg
+  double shift;                ///< 1/s^2
+  std::function<void()> tick;  ///< called for every solve: reports progress, may throw Cancelled
+  BlockCholesky<double> solver;
+};
+
+/// (M^-1/2 (K + shift M) M^-1/2)^-1, the operator that Spectra iterates with.
+class InverseOperator {
+ public:
+  using Scalar = double;
+  explicit InverseOperator(const Factored& factored) : factored_(factored), root_(factored.mass.cwiseSqrt()) {}
+  Eigen::Index rows() const { return root_.size(); }
+  Eigen::Index cols() const { return root_.size(); }
+  void set_shift(double) {}  // the factorisation is already shifted
+  void perform_op(const double* x, double* y) const {
+    const Eigen::Map<const VectorXd> in(x, rows());
+    Eigen::Map<VectorXd>(y, rows()) = root_.cwiseProduct(factored_.solve(root_.cwiseProduct(in)));
+  }
+
+ private:
+  const Factored& factored_;
+  VectorXd root_;
+};
+
+LinearModes solve_modes(const Factored& factored, const std::string& name, int k) {
+  InverseOperator op(factored);
+  const int n = int(op.rows());
+  const int search = std::min(n, std::max(2 * k + 1, 20));
+  Spectra::SymEigsShiftSolver<InverseOperator> solver(op, k, search, -factored.shift);
+  solver.init();
+  const auto found = solver.compute(Spectra::SortRule::LargestMagn, 1000, 1e-10);
+  if (solver.info() != Spectra::CompInfo::Successful || found < k)
+    throw Error("the vibration modes of target '" + name + "' were not found (" + std::to_string(found) + " of " +
+                std::to_string(k) + "): ask for fewer modes or rebuild the cage");
+  LinearModes modes;
+  modes.omega = solver.eigenvalues().cwiseMax(0).cwiseSqrt().reverse();
+  modes.shapes = factored.mass.cwiseSqrt().cwiseInverse().asDiagonal() * solver.eigenvectors().rowwise().reverse();
+  return modes;
+}
+
+/// How far displacements (3 free, k) together move a node, at most, whatever the axes.
+double largest(const MatrixXd& u) {
+  VectorXd squares = u.rowwise().squaredNorm();
+  return std::sqrt(squares.reshaped(3, u.rows() / 3).colwise().sum().maxCoeff());
+}
+
+/// From end to end through the flesh's centre, metres, whatever the axes.
+double width(const SoftBody& body) {
+  double farthest = 0;
+  for (Eigen::Index i = 0; i < body.rest.size(); i += 3)
+    farthest = std::max(farthest, (body.rest.segment<3>(i) - body.centre).norm());
+  return 2 * farthest;
+}
+
+/// The inertial loads (3 free, at most kLoads) that bones put on the flesh for unit density: each bone accelerating
+/// along and about each axis, the strongest combinations of all bones by SVD, scaled by their strength.
+MatrixXd bone_loads(const SoftBody& body) {
+  constexpr Eigen::Index kLoads = 24;
+  const VectorXd mass = unit_mass(body);
+  // Nodes with transforms of their own are loaded as if one bone moved them.
+  const Eigen::Index nodes = body.skin.rows(), bones = body.own_transforms ? 1 : body.skin.cols();
+  const auto X = [&](Eigen::Index i) { return Vector3d(body.rest.segment<3>(3 * i)); };
+  MatrixXd centres = MatrixXd::Zero(3, bones);
+  VectorXd weight = VectorXd::Zero(bones), spread = weight;
+  const auto for_each = [&](const auto& visit) {
+    for (Eigen::Index i = 0; i < nodes; ++i)
+      for (SkinWeights::InnerIterator it(body.skin, i); it; ++it)
+        visit(i, bones > 1 ? it.col() : 0, it.value() * mass(3 * i));
+  };
+  for_each([&](Eigen::Index i, Eigen::Index b, double m) {
+    weight(b) += m;
+    centres.col(b) += m * X(i);
+  });
+  centres.array().rowwise() /= weight.transpose().array().max(1e-300);
+  for_each([&](Eigen::Index i, Eigen::Index b, double m) { spread(b) += m * (X(i) - centres.col(b)).squaredNorm(); });
+  spread = (spread.array() / weight.array().max(1e-300)).sqrt().max(1e-9 * body.size);
+
+  std::vector<Eigen::Triplet<double>> entries;
+  for_each([&](Eigen::Index i, Eigen::Index b, double m) {
+    for (int axis = 0; axis < 3; ++axis) {
+      entries.emplace_back(3 * i + axis, 6 * b + axis, m);
+      // Turning, as fast at the bone's radius as the translation.
+      const Vector3d turn = m / spread(b) * Vector3d::Unit(axis).cross(X(i) - centres.col(b));
+      for (int c = 0; c < 3; ++c) entries.emplace_back(3 * i + c, 6 * b + 3 + axis, turn(c));
+    }
+  });
+  SparseMatrix loads(3 * nodes, 6 * bones);
+  loads.setFromTriplets(entries.begin(), entries.end());
+  const SparseMatrix scaled = mass.cwiseSqrt().cwiseInverse().asDiagonal() * loads;
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(MatrixXd(scaled.transpose() * scaled));
+  return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
+}
+
+/// Second derivatives of target j's StVK force at its shape (3 free, pairs of modes).
+MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes) {
+  const SoftBody& body = model.body();
+  const Lame& lame = model.targets()[target].lame;
+  const Eigen::Index r = modes.cols(), pairs = r * (r + 1) / 2;
+  const RowMajor by_node = modes;
+  RowMajor G, stresses(6, r), forces(12, pairs), sum = RowMajor::Zero(modes.rows(), pairs);
+  for (Eigen::Index e = 0; e < body.mesh.tets.rows(); ++e) {
+    const Element& element = model.shape(target).elements[e];
+    if (element.weight == 0 || !mode_gradients(body, element, e, by_node, G)) continue;
+    for (int a = 0; a < 3; ++a) {
+      const int b = (a + 1) % 3;
+      stresses.row(a) = lame.lambda * (G.row(0) + G.row(4) + G.row(8)) + 2 * lame.mu * G.row(4 * a);
+      stresses.row(3 + a) = lame.mu * (G.row(3 * a + b) + G.row(3 * b + a));
+    }
+    curvatures_of_pairs(G.data(), stresses.data(), r, lame.lambda, lame.mu, element.gradients.data(), forces.data());
+    for (int a = 0; a < 4; ++a) {
+      const int i = body.free_of_node[body.mesh.tets(e, a)];
+      if (i >= 0) sum.middleRows<3>(3 * i) += element.weight * forces.middleRows<3>(3 * a);
+    }
+  }
+  return sum;
+}
+
+/// Candidate displacements about one target.
+struct Candidates {
+  MatrixXd modes;      ///< as each answers a slow load: phi_i / omega_i^2 (by 1 / omega_i high modes crowd the
+                       ///< derivatives out and large motions lock: docs/decisions)
+  MatrixXd bending;    ///< derivatives of pairs of those modes, quadratic in their scale
+  MatrixXd responses;  ///< static, to the bones' loads
+  double response;     ///< how far uniform accelerations move the flesh, in the scale of the responses
+};
+
+Candidates candidates(const FullModel& model, int target, int k, const MatrixXd& loads, const ProgressFn& progress) {
+  const int bent = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
+  const Eigen::Index pairs = bent * (bent + 1) / 2;
+  const double expected =
+      double(k + pairs + loads.cols() + 3 + 4 * k);  // solves: the eigensolver takes a few for a mode
+  double solves = 0;
+  const Factored factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
+  const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
+  // Rigid modes of an unpinned body would swamp all others.
+  const VectorXd frequencies = modes.omega.cwiseMax(1e-3 * modes.omega(k - 1));
+  Candidates out{modes.shapes * frequencies.cwiseAbs2().cwiseInverse().asDiagonal(), {}, {}, 0};
+  MatrixXd curvatures = -force_curvatures(model, target, out.modes.leftCols(bent));
+  for (int i = 0; i < bent; ++i) curvatures.col(pair_index(bent, i, i)) /= 2;
+  out.bending = factored.solve_all(std::move(curvatures));
+  out.responses = factored.solve_all(loads);
+  MatrixXd uniform = MatrixXd::Zero(factored.mass.size(), 3);
+  for (Eigen::Index i = 0; i < uniform.rows(); ++i)
+    uniform(i, i % 3) = factored.mass(i) / model.targets()[target].density;
+  out.response = largest(factored.solve_all(std::move(uniform))) / std::sqrt(3.0);
+  return out;
+}
+
+/// All targets' candidates as columns, times `root` by rows, in common units: the softest target's first mode moves by
+/// `amplitude` metres, the others' with about the same energy, and so far they would by a uniform acceleration: stiff
+/// targets move less, and so count less, but by the same loads they would hardly count.
+RowMajor in_common_units(const std::vector<Candidates>& found, double amplitude, const VectorXd& root) {
+  double softest = 0;
+  Eigen::Index columns = 0;
+  for (const Candidates& some : found) {
+    softest = std::max(softest, largest(some.modes.col(0)));
+    columns += some.modes.cols() + some.bending.cols() + some.responses.cols();
+  }
+  RowMajor all(root.size(), columns);
+  Eigen::Index column = 0;
+  const auto append = [&](const MatrixXd& some, double scale) {
+    all.middleCols(column, some.cols()) = (scale * root).asDiagonal() * some;
+    column += some.cols();
+  };
+  for (const Candidates& some : found) {
+    const double sway = largest(some.modes.col(0));
+    const double reach = amplitude * std::sqrt(sway / softest);
+    append(some.modes, reach / sway);
+    append(some.bending, reach / sway * reach / sway);
+    append(some.responses, reach / some.response);
+  }
+  return all;
+}
+
+/// A^T A, the lower triangle.
+MatrixXd gram(const RowMajor& A) {
+  GramAccumulator products(A.cols());
+  for (Eigen::Index i = 0; i < A.rows(); ++i) products.add(A.row(i).data());
+  products.finish();
+  MatrixXd out(A.cols(), A.cols());
+  for (Eigen::Index j = 0; j < A.cols(); ++j)
+    for (Eigen::Index i = j; i < A.cols(); ++i) out(i, j) = products(j, i);
+  return out;
+}
+
+/// Orthonormal basis of the columns' span, relative rank tolerance 1e-9.
+MatrixXd orthonormal(const MatrixXd& columns) {
+  MatrixXd unit = columns;
+  for (Eigen::Index c = 0; c < unit.cols(); ++c)
+    if (unit.col(c).norm() > 0) unit.col(c).normalize();
+  const Eigen::JacobiSVD<MatrixXd, Eigen::HouseholderQRPreconditioner> svd(unit, Eigen::ComputeThinU);
+  const Eigen::Index rank = (svd.singularValues().array() > 1e-9).count();
+  return svd.matrixU().leftCols(rank);
+}
+
+}  // namespace
+
+LinearModes linear_modes(const FullModel& model, int target, int k) {
+  if (k < 1 || k >= model.dofs())
+    throw std::invalid_argument("k: expected 1 to " + std::to_string(model.dofs() - 1) + " modes, got " +
+                                std::to_string(k));
+  return solve_modes(Factored(model, target), model.targets()[target].name, k);
+}
+
+Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
+  const int targets = int(model.targets().size());
+  const VectorXd root = unit_mass(model.body()).cwiseSqrt();  // all algebra below is in y = M^1/2 u
+
+  MatrixXd sculpted(model.dofs(), targets);
+  for (int j = 0; j < targets; ++j) sculpted.col(j) = root.cwiseProduct(model.target(j));
+  const MatrixXd shapes = orthonormal(sculpted);
+  if (r <= shapes.cols() || r >= model.dofs() / 2)
+    throw Error(std::to_string(r) + " modes: this model needs more than " + std::to_string(shapes.cols()) +
+                " (its targets' shapes) and fewer than " + std::to_string(model.dofs() / 2) +
+                " (half its degrees of freedom)");
+
+  Basis basis;
+  const int k = std::min(std::max(r, 8), model.dofs() / 3);
+  report(progress, 0);
+  const MatrixXd loads = bone_loads(model.body());
+  std::vector<int> distinct;  // each set's first target is the same neutral
+  for (int j = 0; j < targets; ++j)
+    if (j == 0 || model.targets()[j].set == model.targets()[j - 1].set) distinct.push_back(j);
+  std::vector<Candidates> found(distinct.size());
+  run_tasks(int(found.size()), progress,
+            [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
+  RowMajor all = in_common_units(found, 0.1 * width(model.body()), root);
+
+  // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.
+  const double total = all.squaredNorm();
+  all.noalias() -= shapes * (shapes.transpose() * all);
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(all));
+  const int motions = r - int(shapes.cols());
+  if (eigen.eigenvalues()(all.cols() - motions) <= 1e-14 * total)
+    throw Error(std::to_string(r) + " modes are more than this cage can move in: ask for fewer");
+  MatrixXd Y(model.dofs(), r);
+  Y.leftCols(shapes.cols()) = shapes;
+  Y.rightCols(motions) = all * eigen.eigenvectors().rightCols(motions).rowwise().reverse();
+  for (Eigen::Index c = shapes.cols(); c < r; ++c) Y.col(c).normalize();
+  // Householder QR leaves the span and makes the columns orthonormal to round-off.
+  const Eigen::HouseholderQR<MatrixXd> qr(Y);
+  Y = qr.householderQ() * MatrixXd::Identity(Y.rows(), r);
+  basis.explained_variance = 1 - std::max(0.0, eigen.eigenvalues().head(all.cols() - motions).sum()) / total;
+  basis.U = root.cwiseInverse().asDiagonal() * Y;
+  if (!basis.U.allFinite()) throw Error("the modes of this set-up are not finite: check its stiffness and rebuild");
+  report(progress, 1);
+  return basis;
+}
+
+}  // namespace dynamorph

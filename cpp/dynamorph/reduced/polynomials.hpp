@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Every law's energy is a polynomial of degree <= 4 in the modal coordinates (thesis eq. 5.7). About a target's own
+// coordinates z_j, with v = z - z_j, its tangent is, as packed pairs (k <= l),
+//
+//   H(v) = K0 + K1 v + K2 (v v),
+//   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,
+//   E = v . (1/2 K0 + 1/6 K1 v + 1/12 K2 (v v)) v
+//
+// so one table [K0 | K1 | K2] gives energy, force and tangent from one product.
+#pragma once
+
+#include "dynamorph/core/progress.hpp"
+#include "dynamorph/models/full_model.hpp"
+#include "dynamorph/reduced/table_layout.hpp"
+
+namespace dynamorph {
+
+/// What a built reduced model stores: geometry only. Each target's table for lambda = 1 Pa and mu = 1 Pa, so that
+/// changing a target's stiffness is a linear recombination and never a new precompute.
+struct ReducedTables {
+  Law law = Law::linear;
+  MatrixXd basis;                ///< U (3 free, r)
+  std::vector<VectorXd> lambda;  ///< per target, the distinct coefficients as `unfolded` takes them
+  std::vector<VectorXd> mu;
+
+  TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
+};
+
+/// G (9, r): column k is dF/dz_k of tet e for the modes (3 free, r), column-major 3 x 3. False if all its nodes are
+/// held.
+bool mode_gradients(const SoftBody& body, const Element& element, Eigen::Index e, const RowMajor& modes, RowMajor& G);
+
+/// Tables of every target of `model` in the basis U (3 free, r), orthonormal in unit-density mass.
+ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {});
+
+}  // namespace dynamorph

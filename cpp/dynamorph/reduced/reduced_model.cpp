@@ -1,0 +1,233 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/reduced_model.hpp"
+
+#include "dynamorph/reduced/kernels.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+void pack(const MatrixXd& symmetric, VectorXd& packed) {
+  const Eigen::Index r = symmetric.rows();
+  packed.resize(r * (r + 1) / 2);
+  for (Eigen::Index k = 0, p = 0; k < r; ++k)
+    for (Eigen::Index l = k; l < r; ++l, ++p) packed(p) = symmetric(k, l);
+}
+
+void unpack(const VectorXd& packed, MatrixXd& symmetric) {
+  const Eigen::Index r = symmetric.rows();
+  for (Eigen::Index k = 0, p = 0; k < r; ++k)
+    for (Eigen::Index l = k; l < r; ++l, ++p) symmetric(k, l) = symmetric(l, k) = packed(p);
+}
+
+/// y = S x for a packed symmetric S.
+void packed_product(const VectorXd& S, const VectorXd& x, VectorXd& y) {
+  const Eigen::Index r = x.size();
+  y.setZero(r);
+  for (Eigen::Index k = 0, p = 0; k < r; ++k) {
+    y(k) += S(p) * x(k);
+    ++p;
+    for (Eigen::Index l = k + 1; l < r; ++l, ++p) {
+      y(k) += S(p) * x(l);
+      y(l) += S(p) * x(k);
+    }
+  }
+}
+
+double packed_quadratic(const VectorXd& S, const VectorXd& x) {
+  double sum = 0;
+  for (Eigen::Index k = 0, p = 0; k < x.size(); ++k)
+    for (Eigen::Index l = k; l < x.size(); ++l, ++p) sum += (k == l ? 1 : 2) * S(p) * x(k) * x(l);
+  return sum;
+}
+
+const MatrixXd& checked_basis(const SoftBody& body, const MatrixXd& U) {
+  const Eigen::Index expected = Eigen::Index(3 * body.free_nodes.size());
+  if (U.rows() != expected)
+    throw std::invalid_argument("basis: expected " + std::to_string(expected) + " rows, got " +
+                                std::to_string(U.rows()));
+  return U;
+}
+
+std::variant<ModalInertia, NodalInertia> inertia_of(const std::shared_ptr<const SoftBody>& body, const MatrixXd& U) {
+  if (body->own_transforms) return NodalInertia(body, U);
+  return ModalInertia(*body, U);
+}
+
+/// Taylor shift of a table from v = z - z_j to z; the energy and force (r) there.
+double recentre(const TableLayout& layout, const VectorXd& coordinates, VectorXd& table, VectorXd& force) {
+  const Eigen::Index r = layout.r, pairs = layout.pairs();
+  VectorXd packed;
+  MatrixXd tangent;
+  const double energy = linearize(table, layout, -coordinates, force, tangent);
+  pack(tangent, packed);
+  table.head(pairs) = packed;
+  if (!layout.nonlinear) return energy;
+  Eigen::Map<MatrixXd> K1(table.data() + layout.linear(), pairs, r);
+  for (Eigen::Index m = 0, q = 0; m < r; ++m)
+    for (Eigen::Index n = m; n < r; ++n, ++q)
+      for (Eigen::Index p = 0; p < pairs; ++p) {
+        const double entry = table(layout.quadratic(p, q));
+        K1(p, m) -= 2 * coordinates(n) * entry;
+        if (n != m) K1(p, n) -= 2 * coordinates(m) * entry;
+      }
+  return energy;
+}
+
+/// [K1 | K2] in the order of table_layout.hpp.
+LaneVector<float> in_single_precision(const TableLayout& layout, const VectorXd& table) {
+  if (!layout.nonlinear) return {};
+  const Eigen::Index pairs = layout.pairs(), rows = whole_chunks(pairs);
+  LaneVector<float> out(rows * layout.r + symmetric_size(rows), 0.0F);
+  for (Eigen::Index m = 0; m < layout.r; ++m)
+    for (Eigen::Index p = 0; p < pairs; ++p) out[m * rows + p] = float(table(layout.linear() + m * pairs + p));
+  float* quadratic = out.data() + rows * layout.r;
+  for (Eigen::Index q = 0; q < pairs; ++q)
+    for (Eigen::Index p = q / kChunk * kChunk; p < pairs; ++p)
+      quadratic[symmetric_index(rows, p, q)] = float(table(layout.quadratic(p, q)));
+  return out;
+}
+
+}  // namespace
+
+double linearize(const VectorXd& table, const TableLayout& layout, const VectorXd& v, VectorXd& force,
+                 MatrixXd& stiffness) {
+  const Eigen::Index r = layout.r, pairs = layout.pairs();
+  const VectorXd constant = table.head(pairs);
+  VectorXd linear = VectorXd::Zero(pairs), quadratic = linear;
+  if (layout.nonlinear) {
+    linear = Eigen::Map<const MatrixXd>(table.data() + layout.linear(), pairs, r) * v;
+    for (Eigen::Index m = 0, q = 0; m < r; ++m)
+      for (Eigen::Index n = m; n < r; ++n, ++q)
+        for (Eigen::Index p = 0; p < pairs; ++p)
+          quadratic(p) += (m == n ? 1 : 2) * v(m) * v(n) * table(layout.quadratic(p, q));
+  }
+  packed_product(constant + linear / 2 + quadratic / 3, v, force);
+  stiffness.resize(r, r);
+  unpack(constant + linear + quadratic, stiffness);
+  return packed_quadratic(constant / 2 + linear / 6 + quadratic / 12, v);
+}
+
+ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets,
+                           const ReducedTables& tables, Blending blending)
+    : body_(std::move(body)),
+      targets_(std::move(targets)),
+      blending_(blending),
+      U_(checked_basis(*body_, tables.basis)),
+      layout_(tables.layout()),
+      padded_pairs_(whole_chunks(layout_.pairs())),
+      inertia_(inertia_of(body_, U_)) {
+  const Eigen::Index r = U_.cols();
+  if (tables.lambda.size() != targets_.size() || tables.mu.size() != targets_.size())
+    throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
+  const VectorXd mass = body_->volumes.rowwise().sum();
+  for (size_t j = 0; j < targets_.size(); ++j) {
+    if (tables.lambda[j].size() != layout_.distinct() || tables.mu[j].size() != layout_.distinct())
+      throw std::invalid_argument("tables: of '" + targets_[j].name + "' do not fit " + std::to_string(r) + " modes");
+    VectorXd momentum = body_->restrict_to_free(targets_[j].displacement);
+    for (Eigen::Index i = 0; i < mass.size(); ++i) momentum.segment<3>(3 * i) *= mass(i);
+    coordinates_.push_back(U_.transpose() * momentum);
+    VectorXd table = unfolded(targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j], layout_);
+    rest_stiffness_.push_back(table.head(layout_.pairs()));
+    forces_.push_back(VectorXd::Zero(r));
+    energies_.push_back(0);
+    if (blending_ == Blending::forces) energies_[j] = recentre(layout_, coordinates_[j], table, forces_[j]);
+    stiffness_.push_back(table.head(layout_.pairs()));
+    tables_.push_back(in_single_precision(layout_, table));
+  }
+}
+
+void ReducedModel::blend(const VectorXd& w, Blend& out) const {
+  if (w.size() != Eigen::Index(targets_.size()))
+    throw std::invalid_argument("weights: expected " + std::to_string(targets_.size()) + ", got " +
+                                std::to_string(w.size()));
+  if (out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  const Eigen::Index r = dofs(), pairs = layout_.pairs();
+  out.weights = w;
+  out.mass.blend(targets_, body_->sets(), w);
+  out.active.clear();
+  out.shares.clear();
+  out.stiffness.setZero(pairs);
+  out.packed_damping.setZero(pairs);
+  out.force.setZero(r);
+  out.centre.setZero(r);
+  out.energy = 0;
+  out.only = -1;
+  for (size_t j = 0; j < targets_.size(); ++j) {
+    if (w(j) == 0) continue;
+    out.only = out.active.empty() && w(j) == 1 ? int(j) : -1;
+    out.active.push_back(tables_[j].data());
+    out.shares.push_back(w(j));
+    out.stiffness += w(j) * stiffness_[j];
+    out.packed_damping += w(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
+    if (blending_ == Blending::even) {
+      out.centre += w(j) * coordinates_[j];
+    } else {
+      out.force += w(j) * forces_[j];
+      out.energy += w(j) * energies_[j];
+    }
+  }
+  out.damping.resize(r, r);
+  unpack(out.packed_damping, out.damping);
+  if (!layout_.nonlinear || out.only >= 0) return;
+  out.table.resize(tables_[0].size());
+  blend_tables(out.active.data(), out.shares.data(), int(out.active.size()), Eigen::Index(out.table.size()),
+               out.table.data());
+}
+
+void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
+  const Eigen::Index r = dofs(), rows = padded_pairs_;
+  blend.v = z - blend.centre;
+  if (!layout_.nonlinear && blend.linear.size() == rows) return;  // zero for good
+  blend.linear.setZero(rows);
+  blend.quadratic.setZero(rows);
+  if (!layout_.nonlinear) return;
+  blend.pairs.setZero(rows);
+  double* pair = blend.pairs.data();
+  for (Eigen::Index k = 0; k < r; ++k) {
+    *pair++ = blend.v(k) * blend.v(k);
+    for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * blend.v(k) * blend.v(l);
+  }
+  const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
+  add_product(table, rows, blend.v.data(), r, blend.linear.data());
+  add_symmetric_product(table + rows * r, rows, blend.pairs.data(), blend.quadratic.data());
+}
+
+double ReducedModel::energy(const Blend& blend, const VectorXd& z) const {
+  return linearize(blend, z, blend.unused_force, blend.unused_stiffness);
+}
+
+double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const {
+  expand(blend, z);
+  force.resize(dofs());
+  stiffness.resize(dofs(), dofs());
+  const double energy = contract_orders(blend.stiffness.data(), blend.linear.data(), blend.quadratic.data(),
+                                        blend.v.data(), dofs(), force.data(), stiffness.data());
+  force += blend.force;
+  return blend.energy + blend.force.dot(blend.v) + energy;
+}
+
+void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {
+  if (const auto* nodal = std::get_if<NodalInertia>(&inertia_))
+    nodal->evaluate(inertial, densities, out.nodes, out.mass, out.damped, out.force);
+  else
+    std::get<ModalInertia>(inertia_).evaluate(inertial, densities, out);
+}
+
+const ModalInertia& ReducedModel::modal_inertia() const {
+  if (body_->own_transforms)
+    throw std::invalid_argument("model: its nodes have transforms of their own, which a crowd's cannot");
+  return std::get<ModalInertia>(inertia_);
+}
+
+void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
+  u.setZero(U_.rows());
+  add_product(U_.data(), U_.rows(), z.data(), z.size(), u.data());
+}
+
+void ReducedModel::project_force(const VectorXd& f, VectorXd& out) const {
+  out.resize(dofs());
+  transposed_product(U_, f.data(), out.data());
+}
+
+}  // namespace dynamorph

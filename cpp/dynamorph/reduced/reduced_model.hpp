@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The soft skin in a modal subspace, u = U z, with the interface of FullModel.
+#pragma once
+
+#include <variant>
+
+#include "dynamorph/models/morph_target.hpp"
+#include "dynamorph/models/soft_body.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
+#include "dynamorph/reduced/modal_inertia.hpp"
+#include "dynamorph/reduced/nodal_inertia.hpp"
+#include "dynamorph/reduced/polynomials.hpp"
+#include "dynamorph/reduced/table_layout.hpp"
+
+namespace dynamorph {
+
+/// Energy of one table (TableLayout) at v, with its force (r) and tangent (r, r). In double and as it is written above:
+/// what ReducedModel's own evaluation is compared with.
+double linearize(const VectorXd& table, const TableLayout& layout, const VectorXd& v, VectorXd& force,
+                 MatrixXd& stiffness);
+
+class ReducedModel {
+ public:
+  using Matrix = MatrixXd;
+  struct Inertia : ModalInertia::Result {
+    NodalInertia::Scratch nodes;
+  };
+
+  struct Blend {
+    VectorXd weights;
+    SetDensities mass;
+    Matrix damping;           ///< sum_j w_j beta_j K_j (r, r)
+    VectorXd stiffness;       ///< K0, packed
+    LaneVector<float> table;  ///< sum_j w_j table_j, unless one target alone counts
+    int only = -1;            ///< that target
+    VectorXd force;           ///< f at v = 0
+    double energy = 0;        ///< E at v = 0
+    VectorXd centre;          ///< v = z - centre
+    /// Scratch: v, its pairs, the packed tangent's orders, what the energy alone does not need, the tables that count.
+    mutable VectorXd v, pairs, linear, quadratic, unused_force;
+    mutable Matrix unused_stiffness;
+    VectorXd packed_damping;
+    std::vector<const float*> active;
+    std::vector<double> shares;
+  };
+
+  ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, const ReducedTables& tables,
+               Blending blending);
+
+  const SoftBody& body() const { return *body_; }
+  const std::shared_ptr<const SoftBody>& shared_body() const { return body_; }
+  const std::vector<MorphTarget>& targets() const { return targets_; }
+  const MatrixXd& basis() const { return U_; }
+  int dofs() const { return int(U_.cols()); }
+
+  void blend(const VectorXd& w, Blend& out) const;
+  double energy(const Blend& blend, const VectorXd& z) const;
+  double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
+  void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
+  /// Throws std::invalid_argument when there is none, because the nodes have transforms of their own.
+  const ModalInertia& modal_inertia() const;
+  void displacement(const VectorXd& z, VectorXd& u) const;
+  void project_force(const VectorXd& f, VectorXd& out) const;
+  VectorXd target(int j) const { return coordinates_[j]; }
+  Matrix zero() const { return Matrix::Zero(dofs(), dofs()); }
+
+ private:
+  friend class Crowd;  // evaluates the same tables for eight characters at once
+
+  /// The orders of the tangent at v (in the scratch), packed.
+  void expand(const Blend& blend, const VectorXd& z) const;
+
+  std::shared_ptr<const SoftBody> body_;
+  std::vector<MorphTarget> targets_;
+  Blending blending_;
+  MatrixXd U_;
+  TableLayout layout_;
+  Eigen::Index padded_pairs_;
+  std::vector<VectorXd> coordinates_;  ///< z_j
+  /// Per target with its material, about z_j (even) or 0 (forces). K0 in double; [K1 | K2] in single precision, in the
+  /// order in which a step reads them: half the bytes, and forces to 1e-7 of the largest.
+  std::vector<VectorXd> stiffness_;
+  std::vector<LaneVector<float>> tables_;
+  std::vector<VectorXd> rest_stiffness_;  ///< packed K_j at z_j
+  std::vector<VectorXd> forces_;          ///< of forces blending, at z = 0
+  std::vector<double> energies_;
+  std::variant<ModalInertia, NodalInertia> inertia_;
+};
+
+}  // namespace dynamorph

@@ -1,0 +1,335 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/step/simulation.hpp"
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/progress.hpp"
+#include "dynamorph/elastic/dense_factor.hpp"
+#include "dynamorph/elastic/sparse_solver.hpp"
+#include "dynamorph/step/teleport.hpp"
+
+namespace dynamorph {
+
+namespace {
+
+constexpr int kStaticIterations = 200;  // paid once, and gravity on a soft body is far to go
+
+/// Solves H x = b; false when H is not positive definite.
+class DenseSolver {
+ public:
+  bool solve(const MatrixXd& H, const VectorXd& b, VectorXd& x) {
+    if (!factor_.compute(H)) return false;
+    factor_.solve(b, x);
+    return true;
+  }
+
+ private:
+  DenseFactor factor_;
+};
+
+/// Gravity (m/s^2, world) on the flesh at the bones, and nothing of the past.
+InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
+  InertialTarget inertial;
+  inertial.q.fill(&q);
+  inertial.bones.fill(&bones);
+  inertial.gravity_offset = gravity;
+  return inertial;
+}
+
+template <class Matrix>
+using TangentSolver = std::conditional_t<std::is_same_v<Matrix, MatrixXd>, DenseSolver, SparseSolver>;
+
+}  // namespace
+
+StepRule::StepRule(const StepOptions& options) {
+  const bool euler = options.scheme == Scheme::euler;
+  past = euler ? std::array<double, 4>{2, -1, 0, 0} : std::array<double, 4>{24 / 9., -22 / 9., 8 / 9., -1 / 9.};
+  velocity = euler ? std::array<double, 3>{1, -1, 0} : std::array<double, 3>{1.5, -2, 0.5};
+  square = options.h * options.h * (euler ? 1 : 4 / 9.);
+}
+
+Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> StepRule::coefficients() const {
+  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients;
+  coefficients.setZero();
+  coefficients(0, 0) = 2;
+  coefficients(1, 0) = -1;
+  for (int m = 0; m < InertialTarget::kMoments; ++m) coefficients(m, m + 1) = -past[m];
+  return coefficients;
+}
+
+void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights) {
+  if (weights.size() != Eigen::Index(targets.size()))
+    throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
+                                std::to_string(weights.size()));
+  for (int set = 0; set < sets; ++set) {
+    double sum = 0;
+    for (Eigen::Index j = 0; j < weights.size(); ++j)
+      if (targets[j].set == set) sum += weights(j);
+    if (!((weights.array() >= 0).all() && std::abs(sum - 1) < 1e-6))
+      throw std::invalid_argument("weights: every target set's must be >= 0 and sum to one");
+  }
+}
+
+template <class Model>
+class Simulation<Model>::Solver : public TangentSolver<typename Model::Matrix> {};
+
+template <class Model>
+Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions options)
+    : model_(std::move(model)), options_(options), solver_(std::make_shared<Solver>()) {
+  if (!(options_.h > 0) || !std::isfinite(options_.h))
+    throw std::invalid_argument("h: the step must be a positive number of seconds");
+  if (!options_.gravity.allFinite()) throw std::invalid_argument("gravity: must be finite");
+  damped_ = stiffness_ = tangent_ = quadratic_.H = model_->zero();
+}
+
+template <class Model>
+void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
+  if (bones.rows() != model_->body().skin.cols())
+    throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) + " transforms, got " +
+                                std::to_string(bones.rows()));
+  if (!bones.allFinite() || !weights.allFinite())
+    throw Error("the rig has a transform that is not a number: check its drivers and constraints at this frame");
+  model_->blend(weights, blend_);
+}
+
+template <class Model>
+void Simulation<Model>::pull(const InertialTarget& inertial, double square, const VectorXd& external) {
+  model_->inertia(inertial, blend_.mass, inertia_);
+  quadratic_.g = inertia_.force / square;
+  if (held_.size() > 0) quadratic_.g.noalias() += held_ * blend_.weights;
+  if (external.size() == 0) return;
+  const Eigen::Index size = model_->body().rest.size();
+  if (external.size() != size)
+    throw std::invalid_argument("external: expected " + std::to_string(size) + " values, got " +
+                                std::to_string(external.size()));
+  if (!external.allFinite()) throw std::invalid_argument("external: forces must be finite");
+  frame_.bones = *inertial.bones[0];
+  pose_nodes(model_->body().skin, frame_);
+  nodal_ = external;
+  pull_back(frame_, nodal_);
+  model_->project_force(nodal_, projected_);
+  quadratic_.g -= projected_;
+}
+
+template <class Model>
+void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
+  const auto& targets = model_->targets();
+  if (bones.size() != targets.size())
+    throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
+                                " targets, got " + std::to_string(bones.size()));
+  MatrixXd held(model_->dofs(), targets.size()), before;
+  before.swap(held_);  // does not count, and is back where a rig is refused
+  const VectorXd rest = VectorXd::Zero(model_->dofs());
+  try {
+    for (size_t j = 0; j < targets.size(); ++j) {
+      // The target alone, not even with the other sets': f_g^(j) = rho_j (A^(j))^T M1 g.
+      const VectorXd alone = VectorXd::Unit(targets.size(), j);
+      pose(bones[j], alone);
+      pull(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
+      held.col(j) = -quadratic_.g;
+    }
+  } catch (...) {
+    held_.swap(before);
+    throw;
+  }
+  held_ = held;
+}
+
+template <class Model>
+StepReport Simulation<Model>::solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
+                                           const VectorXd& external) {
+  check_weights(model_->targets(), model_->body().sets(), weights);
+  pose(bones, weights);
+  if (q.size() != model_->dofs()) {
+    // The blended targets are close to the answer, and often are it.
+    q.setZero(model_->dofs());
+    for (Eigen::Index j = 0; j < weights.size(); ++j)
+      if (weights(j) != 0) q += weights(j) * model_->target(int(j));
+  }
+  if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
+  pull(at_rest(q, bones, options_.gravity), 1, external);
+  values(quadratic_.H).setZero();
+  quadratic_.origin = VectorXd::Zero(model_->dofs());
+  quadratic_.round_off = 1e-15 * quadratic_.g.norm();
+  return minimize(q, kStaticIterations);
+}
+
+template <class Model>
+StepReport Simulation<Model>::start(const Transforms& now, const Transforms& next, const VectorXd& weights) {
+  if (next.rows() != now.rows() || !next.allFinite())
+    throw std::invalid_argument("next: expected " + std::to_string(now.rows()) + " finite transforms, got " +
+                                std::to_string(next.rows()));
+  VectorXd q;
+  const StepReport report = solve_static(now, weights, q);
+  for (int k = 0; k < InertialTarget::kMoments; ++k) {
+    state_.q[k] = q;
+    state_.bones[k] = extrapolate_back(now, next, k);
+  }
+  return report;
+}
+
+template <class Model>
+void Simulation<Model>::set_state(const State& state) {
+  for (const VectorXd& q : state.q)
+    if (q.size() != model_->dofs()) throw std::invalid_argument("state: is of another model");
+  for (const Transforms& bones : state.bones)
+    if (bones.rows() != model_->body().skin.cols()) throw std::invalid_argument("state: is of another model");
+  state_ = state;
+}
+
+template <class Model>
+double Simulation<Model>::farthest(const Transforms& bones) const {
+  return bones.rightCols<1>().cwiseAbs().maxCoeff() + bones.col(3).cwiseAbs().maxCoeff() +
+         bones.col(7).cwiseAbs().maxCoeff() + model_->body().centre.norm() + model_->body().size;
+}
+
+template <class Model>
+StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
+  if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
+  check_weights(model_->targets(), model_->body().sets(), weights);
+  pose(bones, weights);
+  const bool teleported = carry_past(model_->body(), options_.teleport, bones, state_.bones);
+
+  const StepRule rule(options_);
+  const double h = options_.h;
+  next_ = 2 * state_.q[0] - state_.q[1];
+  InertialTarget inertial;
+  inertial.bones[0] = &bones;
+  for (int m = 0; m < InertialTarget::kMoments; ++m) {
+    inertial.q[m] = &state_.q[m];
+    inertial.bones[m + 1] = &state_.bones[m];
+  }
+  inertial.coefficients = rule.coefficients();
+  inertial.gravity_offset = rule.square * options_.gravity;
+  pull(inertial, rule.square, external);
+
+  // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
+  values(damped_) = values(inertia_.damped) + values(blend_.damping);
+  values(quadratic_.H) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
+  velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
+  quadratic_.g.noalias() += damped_ * velocity_;
+  quadratic_.origin = next_;
+  // Far from the world's origin posed positions lose digits, and inertia multiplies the loss.
+  quadratic_.round_off =
+      1e-14 / rule.square * farthest(bones) *
+      std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
+
+  StepReport report = minimize(next_, options_.max_iterations);
+  report.teleported = teleported;
+
+  std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
+  std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
+  state_.q[0] = next_;
+  state_.bones[0] = bones;
+  return report;
+}
+
+template <class Model>
+void Simulation<Model>::require_pose() const {
+  if (state_.q[0].size() == 0 || blend_.weights.size() == 0)
+    throw std::invalid_argument("energy: start() comes first, or after setting a state a step");
+}
+
+template <class Model>
+void Simulation<Model>::descend(Matrix& H) {
+  // Indefinite under compression, or without inertia where a bone has collapsed.
+  const double unit = 1e-4 * values(H).cwiseAbs().maxCoeff();
+  double shift = 0;
+  while (!solver_->solve(H, gradient_, direction_)) {
+    const double more = shift == 0 ? unit : 4 * shift;
+    if (!(more > 0) || !(more < 1e12 * unit))
+      throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
+    H.diagonal().array() += more - shift;
+    shift = more;
+  }
+  direction_ = -direction_;
+}
+
+template <class Model>
+double Simulation<Model>::potential(const VectorXd& q, double elastic) {
+  trial_ = q - quadratic_.origin;
+  image_.noalias() = quadratic_.H * trial_;
+  return 0.5 * trial_.dot(image_) + trial_.dot(quadratic_.g) + elastic;
+}
+
+template <class Model>
+StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
+  const Quadratic& quadratic = quadratic_;
+  StepReport report;
+  elastic_ = model_->linearize(blend_, q, force_, stiffness_);
+  double reached = potential(q, elastic_);
+  for (;; ++report.iterations) {
+    if (options_.keep_going && !options_.keep_going()) throw Cancelled();
+    const double scale = image_.norm() + quadratic.g.norm() + force_.norm();
+    gradient_ = image_ + quadratic.g + force_;
+    // Terms as large as the stiffness times the displacement cancel in the elastic force.
+    const double displacement = q.norm() + quadratic.origin.norm() + 0.1 * model_->body().size;
+    const double round_off = quadratic.round_off + 1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * displacement;
+    if (!std::isfinite(scale))
+      throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
+    report.residual = gradient_.norm() / (scale + round_off / options_.tolerance);
+    report.energy = elastic_;
+    if (report.residual <= options_.tolerance || scale == 0) return report;
+    if (report.iterations == max_iterations) break;
+    values(tangent_) = values(quadratic.H) + values(stiffness_);
+    descend(tangent_);
+    if (!search(q, reached, round_off * displacement)) break;
+  }
+  report.converged = report.residual <= 100 * options_.tolerance;
+  return report;
+}
+
+template <class Model>
+bool Simulation<Model>::search(VectorXd& q, double& reached, double energy_round_off) {
+  const double slope = gradient_.dot(direction_), norm = gradient_.norm(), start = reached;
+  const double terms = std::abs(elastic_) + std::abs(start - elastic_);
+  const double slack = 1e-12 * terms + energy_round_off;
+  const auto descends = [&](double length) { return reached <= start + 1e-4 * length * slope + slack; };
+
+  // The whole step is nearly always taken, so its force and tangent are evaluated at once. Where the potential's digits
+  // run out, the gradient decides.
+  from_ = q;
+  q += direction_;
+  elastic_ = model_->linearize(blend_, q, force_, stiffness_);
+  reached = potential(q, elastic_);
+  trial_ = image_ + quadratic_.g + force_;
+  if (descends(1) || (trial_.norm() < 0.5 * norm && reached <= start + 1e-6 * terms + slack)) return true;
+  for (double length = 0.5; length > 1e-6; length /= 2) {
+    q = from_ + length * direction_;
+    reached = potential(q, model_->energy(blend_, q));
+    if (!descends(length)) continue;
+    elastic_ = model_->linearize(blend_, q, force_, stiffness_);
+    return true;
+  }
+  q = from_;
+  return false;
+}
+
+template <class Model>
+double Simulation<Model>::elastic_energy() const {
+  require_pose();
+  return model_->energy(blend_, state_.q[0]);
+}
+
+template <class Model>
+double Simulation<Model>::kinetic_energy() const {
+  require_pose();
+  const SoftBody& body = model_->body();
+  VectorXd velocity = VectorXd::Zero(body.rest.size()), u, x;
+  const double shares[] = {1.5, -2, 0.5};
+  for (int m = 0; m < 3; ++m) {
+    SkinFrame frame{state_.bones[m], {}};
+    pose_nodes(body.skin, frame);
+    model_->displacement(state_.q[m], u);
+    to_world(frame, 1, body.rest + u, x);
+    velocity += shares[m] / options_.h * x;
+  }
+  const VectorXd mass = body.volumes * blend_.mass.density;
+  double energy = 0;
+  for (Eigen::Index i = 0; i < mass.size(); ++i) energy += 0.5 * mass(i) * velocity.segment<3>(3 * i).squaredNorm();
+  return energy;
+}
+
+template class Simulation<FullModel>;
+template class Simulation<ReducedModel>;
+
+}  // namespace dynamorph

@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// One time step for every model. With posed positions x(q) = A (X + u(q)) + a, a step minimises
+//
+//   Phi(q) = 1/(2 h^2 c^2) |x(q) - x^|^2_M + E(q) + D(q) - f . x(q)
+//
+// over the bind-pose coordinates q. x^ is a fixed combination of past *posed* positions, so the moving bones' Euler,
+// Coriolis and centrifugal forces act without their accelerations ever being formed, and a velocity that jumps is a
+// finite impulse. D damps the bind-pose velocity, so a bone's rigid motion is not damped.
+//
+//   implicit Euler     x^ = 2 x(n) - x(n-1),                                           c = 1
+//   BDF2 twice         x^ = (24 x(n) - 22 x(n-1) + 8 x(n-2) - x(n-3)) / 9,             c = 2/3
+#pragma once
+
+#include <array>
+#include <functional>
+#include <memory>
+
+#include "dynamorph/models/full_model.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
+#include "dynamorph/reduced/reduced_model.hpp"
+
+namespace dynamorph {
+
+enum class Scheme { euler, bdf2 };
+
+struct StepOptions {
+  double h = 1.0 / 120;  ///< seconds
+  Scheme scheme = Scheme::bdf2;
+  Vector3d gravity = Vector3d::Zero();  ///< m/s^2, world
+  double tolerance = 1e-6;              ///< on the gradient, relative to the largest force term
+  int max_iterations = 30;
+  /// Jump of the skin off its course in one step, metres (root mean square), above which the past is carried along.
+  /// 0: never.
+  double teleport = 0;
+  /// Asked before every Newton iteration; false throws Cancelled, after which start() must come first again.
+  std::function<bool()> keep_going = {};
+};
+
+/// The numbers of a scheme at one step size.
+struct StepRule {
+  explicit StepRule(const StepOptions& options);
+  std::array<double, InertialTarget::kMoments> past;  ///< of x^
+  double square;                                      ///< h^2 c^2, s^2
+  std::array<double, 3> velocity;                     ///< h u' = sum velocity[m] u(n+1-m)
+  /// Of the motion that inertia acts on: 2 q(n) - q(n-1), as the bones pose it at the end of the step, less x^.
+  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients() const;
+};
+
+/// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps. Copy it to undo,
+/// resume or fork a simulation.
+struct State {
+  std::array<VectorXd, InertialTarget::kMoments> q;
+  std::array<Transforms, InertialTarget::kMoments> bones;
+};
+
+/// Throws std::invalid_argument unless every target set's weights are >= 0 and sum to one.
+void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights);
+
+struct StepReport {
+  int iterations = 0;     ///< of Newton's method
+  bool converged = true;  ///< when false the state is the best found, and finite
+  double residual = 0;    ///< gradient relative to the largest force term
+  double energy = 0;      ///< elastic energy, J
+  bool teleported = false;
+};
+
+template <class Model>
+class Simulation {
+ public:
+  Simulation(std::shared_ptr<const Model> model, StepOptions options);
+
+  /// Targets were sculpted as seen under gravity: from now on only the difference between gravity in a pose and gravity
+  /// in the targets' own poses acts, so that they do not sag. `bones` per target (B, 12), the skin frame of its pose.
+  void hold_targets(const std::vector<Transforms>& bones);
+
+  /// At rest with the bones `now`, the rig moving on to `next` at the end of the first step: u is the static solution
+  /// and the past follows the rig backward.
+  StepReport start(const Transforms& now, const Transforms& next, const VectorXd& weights);
+
+  /// One step to the bones and target weights at its end. `external` (3 free) newtons, world space, or empty.
+  StepReport step(const Transforms& bones, const VectorXd& weights, const VectorXd& external = VectorXd());
+
+  /// Static solution at fixed bones, from the coordinates q, or from the blended targets when q is empty. Does not
+  /// change the state.
+  StepReport solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
+                          const VectorXd& external = VectorXd());
+
+  const Model& model() const { return *model_; }
+  const std::shared_ptr<const Model>& shared_model() const { return model_; }
+  const StepOptions& options() const { return options_; }
+  const State& state() const { return state_; }
+  const MatrixXd& held() const { return held_; }  ///< what holds the targets (dofs, J), or empty
+  void set_state(const State& state);
+  const VectorXd& coordinates() const { return state_.q[0]; }
+  double kinetic_energy() const;
+  double elastic_energy() const;
+  const typename Model::Blend& blend() const { return blend_; }
+
+ private:
+  using Matrix = typename Model::Matrix;
+  class Solver;
+
+  /// The quadratic part of Phi: 1/2 d.H d + g.d with d = q - origin (inertia, damping, gravity, external forces).
+  /// About the predicted coordinates, so that g is a force and not the round-off of a large displacement.
+  struct Quadratic {
+    Matrix H;
+    VectorXd g, origin;
+    double round_off;  ///< of g: what no iteration can improve
+  };
+
+  void pose(const Transforms& bones, const VectorXd& weights);
+  /// Inertia's force on `inertial` divided by `square` s^2, the external forces and what holds the targets, in
+  /// quadratic_.g.
+  void pull(const InertialTarget& inertial, double square, const VectorXd& external);
+  StepReport minimize(VectorXd& q, int max_iterations);
+  /// Along direction_ from q: to where Phi descends, with elastic_, force_ and stiffness_ there; false when round-off
+  /// leaves no descent.
+  bool search(VectorXd& q, double& potential, double energy_round_off);
+  double potential(const VectorXd& q, double elastic);  ///< Phi, with trial_ and image_ there
+  void descend(Matrix& H);  ///< direction_ by the tangent, which is shifted until it is positive definite
+  void require_pose() const;
+  double farthest(const Transforms& bones) const;
+
+  std::shared_ptr<const Model> model_;
+  StepOptions options_;
+  State state_;
+  typename Model::Blend blend_;
+  typename Model::Inertia inertia_;
+  Matrix damped_, stiffness_, tangent_;
+  VectorXd force_, gradient_, direction_, from_;  ///< of the iteration
+  VectorXd trial_, image_;                        ///< a point less the origin, and H times that
+  VectorXd next_, velocity_;                      ///< coordinates of the step, and bind-pose velocity
+  double elastic_ = 0;
+  Quadratic quadratic_;
+  MatrixXd held_;    ///< gravity in each target's own pose (dofs, J), or empty
+  SkinFrame frame_;  ///< of the nodes, where external forces act
+  VectorXd nodal_, projected_;
+  std::shared_ptr<Solver> solver_;
+};
+
+extern template class Simulation<FullModel>;
+extern template class Simulation<ReducedModel>;
+
+}  // namespace dynamorph

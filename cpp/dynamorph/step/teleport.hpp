@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// A rig that is cut to another place: the past is carried along, so that the soft skin does not fly after it.
+#pragma once
+
+#include <array>
+
+#include "dynamorph/models/soft_body.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
+
+namespace dynamorph {
+
+/// x -> turn x + shift.
+struct RigidMotion {
+  Matrix3d turn;
+  Vector3d shift;
+};
+
+/// The rigid motion that carries the body best, in the mean square over its volume, from where `now` and `before`
+/// would take it in one more step to the bones `to`; all (B, 12). Kabsch 1976, doi 10.1107/S0567739476001873.
+RigidMotion fit_jump(const SoftBody& body, const Transforms& now, const Transforms& before, const Transforms& to);
+
+/// When the bones (B, 12) are further than `distance` (metres, root mean square over the body; 0: never) from where the
+/// last two of `past` (newest first) would take them, carries all of `past` by the rigid motion that fits the jump
+/// best. Whether it did.
+bool carry_past(const SoftBody& body, double distance, const Transforms& bones,
+                std::array<Transforms, InertialTarget::kMoments>& past);
+
+}  // namespace dynamorph

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Work on all cores: everything is done once, and what went wrong is what the caller hears.
+#include <doctest/doctest.h>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/parallel.hpp"
+#include "dynamorph/core/progress.hpp"
+
+using namespace dynamorph;
+
+TEST_CASE("every piece of work is done once, whatever the number of threads") {
+  std::vector<int> done(100);
+  run_tasks(100, {}, [&](int i, const ProgressFn& progress) {
+    report(progress, 0.5);
+    ++done[i];
+  });
+  CHECK(done == std::vector<int>(100, 1));
+}
+
+TEST_CASE("an error is rethrown, not what it stopped") {
+  const auto work = [](int i, const ProgressFn& progress) {
+    if (i == 1) throw Error("this one");
+    for (int k = 0; k < 100; ++k) {  // until it is told to stop; on one core it ends by itself
+      report(progress, 0);
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
+  };
+  CHECK_THROWS_WITH_AS(run_tasks(2, {}, work), "this one", Error);
+}
+
+TEST_CASE("false from progress stops the work, and its exceptions pass") {
+  const auto endless = [](int, const ProgressFn& progress) {
+    for (;;) report(progress, 0);
+  };
+  CHECK_THROWS_AS(run_tasks(3, [](double) { return false; }, endless), Cancelled);
+  CHECK_THROWS_AS(run_tasks(3, [](double) -> bool { throw Error("no"); }, endless), Error);
+}
+
+TEST_CASE("chunks are all done once, from several threads at a time and one loop after another") {
+  const auto many = [] {
+    for (int loop = 0; loop < 200; ++loop) {
+      std::vector<int> done(loop % 50);
+      parallel_for(int(done.size()), [&](int i) { ++done[i]; });
+      if (done != std::vector<int>(done.size(), 1)) return false;
+    }
+    return true;
+  };
+  bool other = false;
+  std::thread thread([&] { other = many(); });
+  CHECK(many());
+  thread.join();
+  CHECK(other);
+}
+
+TEST_CASE("a limit on the threads holds for both kinds of work, and can be raised again") {
+  const auto most_at_once = [](auto&& loop) {
+    std::atomic<int> now{0}, most{0};
+    loop([&](int) {
+      const int together = ++now;
+      for (int seen = most; seen < together && !most.compare_exchange_weak(seen, together);) {
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+      --now;
+    });
+    return int(most);
+  };
+  for (int limit : {1, 2, 0}) {
+    set_threads(limit);
+    CHECK(usable_cores() >= 1);
+    if (limit) CHECK(usable_cores() <= limit);
+    CHECK(most_at_once([](const auto& work) { parallel_for(20, work); }) <= usable_cores());
+    CHECK(most_at_once([](const auto& work) { run_tasks(20, {}, [&](int i, const ProgressFn&) { work(i); }); }) <=
+          usable_cores());
+  }
+  CHECK_THROWS_AS(set_threads(-1), std::invalid_argument);
+}

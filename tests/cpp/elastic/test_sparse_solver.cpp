@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Sparse factors and solves of stiffness matrices, against Eigen's.
+#include <doctest/doctest.h>
+
+#include <Eigen/SparseCholesky>
+#include <random>
+
+#include "dynamorph/elastic/sparse_solver.hpp"
+#include "scenes.hpp"
+
+using namespace dynamorph;
+
+namespace {
+
+/// Stiffness and mass of a bar with jittered nodes, those in the plane x = 0 held if asked.
+SparseMatrix jittered_stiffness(int length, int width, bool held, unsigned seed) {
+  TetMesh mesh = scenes::bar(length, width, width, 0.05);
+  std::mt19937 generator(seed);
+  std::uniform_real_distribution<double> uniform(-0.008, 0.008);
+  for (double& x : mesh.nodes.reshaped()) x += uniform(generator);
+  const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
+  std::vector<bool> pinned(n);
+  for (Eigen::Index i = 0; i < (width + 1) * (width + 1); ++i) pinned[i] = held;
+  const auto body = std::make_shared<SoftBody>(mesh, VectorXd::Ones(m), VectorXd::LinSpaced(m, 0.2, 3),
+                                               MatrixXd::Ones(m, 1), pinned, MatrixXd::Ones(n, 1));
+  const MorphTarget neutral{"neutral", 0, VectorXd::Zero(3 * n), {2e4, 1e4}};
+  SparseMatrix K = FullModel(body, {neutral}, Law::linear, Blending::forces).rest_stiffness(0);
+  for (Eigen::Index i = 0; i < K.rows(); ++i) K.coeffRef(i, i) += 1e3 * body->volumes(i / 3, 0);
+  return K;
+}
+
+}  // namespace
+
+TEST_CASE("block Cholesky: solves like Eigen's, in both precisions, for one and for several right-hand sides") {
+  for (bool held : {false, true})
+    for (int length : {1, 4, 17}) {
+      const int width = length == 17 ? 4 : length == 4 ? 2 : 1;
+      const SparseMatrix A = jittered_stiffness(length, width, held, 7 + length);
+      const MatrixXd B = MatrixXd::Random(A.rows(), 11);
+      const MatrixXd expected = Eigen::SimplicialLLT<SparseMatrix>(A).solve(B);
+      BlockCholesky<double> factor;
+      REQUIRE(factor.factorize(A));
+      MatrixXd X = B;
+      factor.solve_in_place(X);
+      CHECK((X - expected).norm() < 1e-9 * expected.norm());
+      CHECK((factor.solve(B.col(3)) - expected.col(3)).norm() < 1e-9 * expected.norm());
+
+      BlockCholesky<float> single(factor.symbolic());
+      REQUIRE(single.factorize(A));
+      CHECK(single.symbolic() == factor.symbolic());
+      X = B;
+      single.solve_in_place(X);
+      // The error of rounding the factor is the condition number's, so compare what is solved for.
+      CHECK((A * X - B).norm() < 1e-2 * B.norm());
+      CHECK((A * single.solve(B.col(3)) - B.col(3)).norm() < 1e-2 * B.col(3).norm());
+    }
+}
+
+TEST_CASE("block Cholesky: says when a matrix is not positive definite, and takes the next one") {
+  const SparseMatrix A = jittered_stiffness(6, 2, true, 3);
+  BlockCholesky<double> factor;
+  for (Eigen::Index i : {Eigen::Index(0), A.rows() / 2, A.rows() - 1}) {
+    SparseMatrix bad = A;
+    bad.coeffRef(i, i) = -1;
+    CHECK(!factor.factorize(bad));
+    bad.coeffRef(i, i) = std::numeric_limits<double>::quiet_NaN();
+    CHECK(!factor.factorize(bad));
+  }
+  SparseMatrix shifted = A;
+  const double lowest = Eigen::SelfAdjointEigenSolver<MatrixXd>(MatrixXd(A), Eigen::EigenvaluesOnly).eigenvalues()(0);
+  shifted.diagonal().array() -= 1.01 * lowest;
+  CHECK(!factor.factorize(shifted));
+  shifted.diagonal().array() += 0.02 * lowest;
+  CHECK(factor.factorize(shifted));
+
+  // Another pattern is analysed anew: here the nodes of A without its last ones, and one coupled to all others.
+  const Eigen::Index rows = A.rows() - 30;
+  MatrixXd dense = MatrixXd(A).topLeftCorner(rows, rows);
+  dense.row(4).setConstant(-0.01);
+  dense.col(4).setConstant(-0.01);
+  dense(4, 4) = dense.diagonal().maxCoeff();
+  const SparseMatrix other = dense.sparseView();
+  REQUIRE(factor.factorize(other));
+  const VectorXd b = VectorXd::LinSpaced(rows, -1, 2);
+  CHECK((other * factor.solve(b) - b).norm() < 1e-9 * b.norm());
+}
+
+TEST_CASE("sparse solver: the same accuracy with a fresh factor and with a stale one, and no indefinite matrix") {
+  const SparseMatrix A = jittered_stiffness(9, 3, true, 11);
+  SparseSolver solver;
+  for (int k = 0; k < 40; ++k) {
+    SparseMatrix H = (1 + 0.05 * k) * A;
+    for (Eigen::Index i = 0; i < H.rows() / 2; ++i) H.coeffRef(i, i) *= 1 + 0.02 * k;
+    const VectorXd b = VectorXd::LinSpaced(A.rows(), -1, 2 + k);
+    VectorXd x;
+    REQUIRE(solver.solve(H, b, x));
+    CHECK((H * x - b).norm() < 1e-3 * b.norm());
+  }
+  VectorXd x;
+  CHECK(!solver.solve(-A, VectorXd::Ones(A.rows()), x));
+  CHECK(solver.solve(A, VectorXd::Ones(A.rows()), x));
+}

@@ -1,0 +1,248 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Inertia in modes against the nodes' own.
+#include <doctest/doctest.h>
+
+#include <Eigen/Geometry>
+#include <map>
+
+#include "derivatives.hpp"
+#include "dynamorph/pose/inertial_target.hpp"
+#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/modal_terms.hpp"
+#include "dynamorph/step/simulation.hpp"
+#include "scenes.hpp"
+
+using namespace dynamorph;
+using namespace scenes;
+
+TEST_CASE("modal inertia is U^T A^T M (...) over the nodes: mass, and the force of any motion, rigid or stretched") {
+  const auto body = scenes::two_bone_bar(2);
+  const auto targets = scenes::targets(*body, 1);
+  const FullModel full(body, targets, Law::linear, Blending::forces);
+  const MatrixXd U = make_basis(full, 10).U;
+  const ReducedModel reduced(body, targets, reduce(full, U), Blending::forces);
+  VectorXd density(2), damped(2);
+  density << 700, 1300;
+  damped << 300, 0;
+  for (double stretch : {1.0, 1.3}) {
+    std::array<VectorXd, InertialTarget::kMoments> z, u;
+    std::array<Transforms, InertialTarget::kPoses> poses;
+    InertialTarget small, big;
+    for (int m = 0; m < InertialTarget::kMoments; ++m) {
+      z[m] = random_vector(10, 1e-3, 40 + m);
+      u[m] = U * z[m];
+      small.q[m] = &z[m];
+      big.q[m] = &u[m];
+    }
+    for (int n = 0; n < InertialTarget::kPoses; ++n) {
+      poses[n] = stretch * scenes::bent(1.2 - 0.2 * n);
+      small.bones[n] = big.bones[n] = &poses[n];
+      for (int m = 0; m < InertialTarget::kMoments; ++m)
+        small.coefficients(m, n) = big.coefficients(m, n) = 0.3 * m - 0.2 * n;
+    }
+    small.gravity_offset = big.gravity_offset = Vector3d(0.1, -0.2, 0.3);
+    FullModel::Inertia expected;
+    ReducedModel::Inertia found;
+    full.inertia(big, {density, damped}, expected);
+    reduced.inertia(small, {density, damped}, found);
+    const MatrixXd mass = U.transpose() * (expected.mass * U), less = U.transpose() * (expected.damped * U);
+    const VectorXd force = U.transpose() * expected.force;
+    CHECK((mass - found.mass).norm() < 1e-7 * mass.norm());  // stored in single precision
+    CHECK((less - found.damped).norm() < 1e-7 * less.norm());
+    CHECK((force - found.force).norm() < 1e-6 * force.norm());
+  }
+}
+
+TEST_CASE("modal inertia of many bones: the pairs that are simplified stay within the bounds that it states") {
+  for (int count : {1, 2, 4, 5, 20}) {
+    const auto body = scenes::chain_bar(count);
+    MorphTarget target;
+    target.displacement = VectorXd::Zero(3 * body->mesh.nodes.rows());
+    target.lame = {2e4, 1e4};
+    const FullModel full(body, {target}, Law::linear, Blending::even);
+    const MatrixXd U = make_basis(full, 10).U;
+    const ReducedModel reduced(body, {target}, reduce(full, U), Blending::even);
+    for (double bend : {0.0, 1e-3, 0.05, 0.5}) {
+      std::array<VectorXd, InertialTarget::kMoments> z, u;
+      std::array<Transforms, InertialTarget::kPoses> poses;
+      InertialTarget small, big;
+      small.coefficients = big.coefficients = StepRule(StepOptions{1 / 120.}).coefficients();
+      for (int m = 0; m < InertialTarget::kMoments; ++m) {
+        z[m] = VectorXd::LinSpaced(10, -1, 1) * 1e-3 * (m + 1);
+        u[m] = U * z[m];
+        small.q[m] = &z[m];
+        big.q[m] = &u[m];
+      }
+      for (int n = 0; n < InertialTarget::kPoses; ++n) {
+        poses[n].resize(count, 12);
+        for (int b = 0; b < count; ++b) {
+          Eigen::Matrix<double, 3, 4, Eigen::RowMajor> T;
+          const double angle = bend * (0.3 * b + 1) * (1 - 0.01 * n * n);
+          T.leftCols<3>() = Eigen::AngleAxisd(angle, Vector3d(0.2, 1, 0.3).normalized()).toRotationMatrix();
+          T.col(3) = Vector3d(0, 0, 0.01 * n * n * bend);
+          poses[n].row(b) = Eigen::Map<Eigen::Matrix<double, 1, 12>>(T.data());
+        }
+        small.bones[n] = big.bones[n] = &poses[n];
+      }
+      const SetDensities densities{VectorXd::Constant(1, 1000), VectorXd::Ones(1)};
+      FullModel::Inertia expected;
+      ReducedModel::Inertia found;
+      full.inertia(big, densities, expected);
+      reduced.inertia(small, densities, found);
+      const MatrixXd mass = U.transpose() * (expected.mass * U);
+      const VectorXd force = U.transpose() * expected.force;
+      CHECK((mass - found.mass).norm() <= (count < 3 ? 1e-6 : 1e-3) * mass.norm());
+      CHECK((force - found.force).norm() <= (count < 3 ? 1e-6 : 3e-5) * force.norm() + 1e-12);
+    }
+  }
+}
+
+TEST_CASE("inertia of nodes with transforms of their own: as if their bones had posed them, to round-off") {
+  for (int sets : {1, 2}) {
+    const auto body = scenes::two_bone_bar(sets);
+    const auto targets = scenes::targets(*body, sets - 1);
+    const FullModel full(body, targets, Law::linear, Blending::even);
+    const MatrixXd U = make_basis(full, 10).U;
+    std::vector<bool> pinned(body->free_of_node.size());
+    for (size_t i = 0; i < pinned.size(); ++i) pinned[i] = body->free_of_node[i] < 0;
+    const auto own = std::make_shared<SoftBody>(body->mesh, body->fill, VectorXd::Ones(body->fill.size()),
+                                                body->region_weights, pinned, MatrixXd(pinned.size(), 0));
+    const ReducedModel reduced(own, targets, reduce(full, U), Blending::even);
+    CHECK_THROWS_AS(reduced.modal_inertia(), std::invalid_argument);
+    CHECK(make_basis(FullModel(own, targets, Law::linear, Blending::even), 10).U.cols() == 10);
+    std::array<VectorXd, InertialTarget::kMoments> z, u;
+    std::array<SkinFrame, InertialTarget::kPoses> poses;
+    InertialTarget small, big;
+    small.coefficients = big.coefficients = StepRule(StepOptions{1 / 120.}).coefficients();
+    small.gravity_offset = big.gravity_offset = Vector3d(0.1, -0.2, 0.3);
+    for (int m = 0; m < InertialTarget::kMoments; ++m) {
+      z[m] = random_vector(10, 1e-3, 40 + m);
+      u[m] = U * z[m];
+      small.q[m] = &z[m];
+      big.q[m] = &u[m];
+    }
+    for (int n = 0; n < InertialTarget::kPoses; ++n) {
+      poses[n].bones = 1.1 * scenes::bent(1.2 - 0.2 * n);
+      pose_nodes(body->skin, poses[n]);
+      big.bones[n] = &poses[n].bones;
+      small.bones[n] = &poses[n].nodes;
+    }
+    const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::LinSpaced(sets, 300, 100)};
+    FullModel::Inertia expected;
+    ReducedModel::Inertia found;
+    full.inertia(big, densities, expected);
+    reduced.inertia(small, densities, found);
+    const MatrixXd mass = U.transpose() * (expected.mass * U), damped = U.transpose() * (expected.damped * U);
+    const VectorXd force = U.transpose() * expected.force;
+    CHECK((mass - found.mass).norm() < 1e-12 * mass.norm());
+    CHECK((damped - found.damped).norm() < 1e-12 * damped.norm());
+    CHECK((force - found.force).norm() < 1e-12 * force.norm());
+
+    for (int n = 0; n < InertialTarget::kPoses; ++n) small.bones[n] = &poses[n].bones;  // of the body with bones
+    ReducedModel::Inertia posed;
+    NodalInertia(body, U).evaluate(small, densities, posed.nodes, posed.mass, posed.damped, posed.force);
+    CHECK((posed.mass - found.mass).norm() < 1e-14 * mass.norm());
+    CHECK((posed.force - found.force).norm() < 1e-14 * force.norm());
+  }
+}
+
+namespace {
+
+/// Mass and force of the motion from the tensors of all bones and pairs of bones, in double throughout.
+void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialTarget& inertial,
+                        const SetDensities& densities, MatrixXd& mass, VectorXd& force) {
+  using namespace terms;
+  struct BoneMotion {
+    double values[1 + InertialTarget::kMoments][12];
+  };
+  const Index r = U.cols();
+  const Shares shares = shares_of_differences(inertial.coefficients);
+  std::vector<BoneMotion> bones(body.skin.cols());
+  for (Index b = 0; b < body.skin.cols(); ++b) {
+    const double* poses[InertialTarget::kPoses];
+    for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * b;
+    combine(poses, shares.data(), body.centre, inertial.gravity_offset, bones[b].values);
+  }
+  std::vector<double> y, slopes(9 * r);
+  take_differences(inertial, y);
+  mass.setZero(r, r);
+  force.setZero(r);
+  for (int s = 0; s < body.sets(); ++s) {
+    std::map<std::pair<int, int>, VectorXd> tensors;
+    VectorXd entry(entries(r)), own_force = VectorXd::Zero(r), change = VectorXd::Zero(r * (r + 1) / 2);
+    for_each_term(body, s, [&](Index i, const std::pair<int, int>& pair, double part) {
+      node_tensor(U.middleRows<3>(3 * i), body.rest.segment<3>(3 * i) - body.centre, entry);
+      tensors.try_emplace(pair, VectorXd::Zero(entries(r))).first->second += part * entry;
+    });
+    for (const auto& [pair, tensor] : tensors) {
+      const bool single = pair.first == pair.second;
+      double moved[1 + InertialTarget::kMoments][12];
+      for (int m = 0; m <= InertialTarget::kMoments; ++m)
+        for (int e = 0; e < 12; ++e)
+          moved[m][e] = bones[pair.first].values[m][e] - (single ? 0 : bones[pair.second].values[m][e]);
+      Coefficients<double> c;
+      contract_bones(moved, single ? 1.0 : -1.0, c);
+      take_slopes(c, y.data(), r, slopes.data());
+      add_terms<true>(tensor.data(), r, slopes.data(), c, own_force.data(), change.data());
+    }
+    const VectorXd volumes = body.volumes.col(s).replicate(1, 3).transpose().reshaped();
+    MatrixXd own_mass = U.transpose() * volumes.asDiagonal() * U;
+    for (Index k = 0, p = 0; k < r; ++k)
+      for (Index l = k; l < r; ++l, ++p) {
+        own_mass(l, k) += change(p);
+        own_mass(k, l) = own_mass(l, k);
+      }
+    mass += densities.density(s) * own_mass;
+    force += densities.density(s) * own_force;
+  }
+}
+
+}  // namespace
+
+TEST_CASE("tensors of bones and of their pairs are the sum over the nodes to 1e-10, before they are rounded") {
+  for (int count : {2, 4, 20})
+    for (int sets : {1, 3}) {
+      const auto body = scenes::chain_bar(count, sets);
+      MorphTarget target;
+      target.displacement = VectorXd::Zero(3 * body->mesh.nodes.rows());
+      target.lame = {2e4, 1e4};
+      const FullModel full(body, std::vector<MorphTarget>(1, target), Law::linear, Blending::even);
+      const MatrixXd U = make_basis(full, 10).U;
+      const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::Ones(sets)};
+      for (double bend : {0.0, 0.05, 0.5})
+        for (double stretch : {1.0, 1.2}) {
+          std::array<VectorXd, InertialTarget::kMoments> z, u;
+          std::array<Transforms, InertialTarget::kPoses> poses;
+          InertialTarget small, big;
+          small.coefficients = big.coefficients = StepRule(StepOptions{1 / 120.}).coefficients();
+          small.gravity_offset = big.gravity_offset = Vector3d(0, 0, 7e-4);
+          for (int m = 0; m < InertialTarget::kMoments; ++m) {
+            z[m] = random_vector(10, 1e-3, 60 + m);
+            u[m] = U * z[m];
+            small.q[m] = &z[m];
+            big.q[m] = &u[m];
+          }
+          for (int n = 0; n < InertialTarget::kPoses; ++n) {
+            poses[n].resize(count, 12);
+            for (int b = 0; b < count; ++b) {
+              Eigen::Matrix<double, 3, 4, Eigen::RowMajor> T;
+              const double angle = bend * (0.3 * b + 1) * (1 - 0.01 * n * n);
+              T.leftCols<3>() =
+                  stretch * Eigen::AngleAxisd(angle, Vector3d(0.2, 1, 0.3 - 0.1 * b).normalized()).toRotationMatrix();
+              T.col(3) = Vector3d(5 + 0.1 * b, -3, 0.01 * n * n);
+              poses[n].row(b) = Eigen::Map<Eigen::Matrix<double, 1, 12>>(T.data());
+            }
+            small.bones[n] = big.bones[n] = &poses[n];
+          }
+          FullModel::Inertia expected;
+          full.inertia(big, densities, expected);
+          MatrixXd mass;
+          VectorXd force;
+          contract_in_double(*body, U, small, densities, mass, force);
+          const MatrixXd dense = U.transpose() * (expected.mass * U);
+          const VectorXd pull = U.transpose() * expected.force;
+          CHECK((mass - dense).norm() <= 1e-10 * dense.norm());
+          CHECK((force - pull).norm() <= 1e-10 * pull.norm());
+        }
+    }
+}

@@ -1,0 +1,95 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What a time step costs in memory.
+#include <doctest/doctest.h>
+
+#include <Eigen/Geometry>
+#include <cstdlib>
+
+#include "dynamorph/pose/pose_space.hpp"
+#include "dynamorph/step/crowd.hpp"
+#include "dynamorph/step/simulation.hpp"
+#include "scenes.hpp"
+
+using namespace dynamorph;
+
+#ifdef __GLIBC__
+
+static int allocations = 0;
+
+// Every allocation of the program passes here: operator new and Eigen call malloc.
+extern "C" void* __libc_malloc(size_t size);
+extern "C" void* malloc(size_t size) {
+  ++allocations;
+  return __libc_malloc(size);
+}
+
+TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the pose and the way they change") {
+  const auto body = scenes::two_bone_bar(2);
+  const auto targets = scenes::targets(*body, 1);
+  for (Law law : {Law::linear, Law::stvk, Law::stable_stvk})
+    for (Blending blending : {Blending::forces, Blending::even}) {
+      const auto model = scenes::reduced_model(body, targets, law, blending, 12);
+      StepOptions options{1 / 240., Scheme::bdf2, Vector3d(0, 0, -9.81)};
+      options.teleport = 10;
+      Simulation<ReducedModel> simulation(model, options);
+      VectorXd w(3);
+      w << 1, 0, 1;
+      Transforms rig = scenes::bent(0);
+      const Transforms next = scenes::bent(0.01);
+      simulation.hold_targets({rig, rig, rig});
+      allocations = 0;
+      simulation.start(rig, next, w);
+      CHECK(allocations > 0);  // they are seen
+      for (int i = 1; i <= 20; ++i) {
+        w(1) = i % 5 == 0 ? 0 : 0.02 * i;  // one target alone, and a blend
+        w(0) = 1 - w(1);
+        rig = scenes::bent(0.01 * i);
+        allocations = 0;
+        CHECK(simulation.step(rig, w).converged);
+        if (i > 6) CHECK(allocations == 0);  // once it has seen what there is to allocate for
+      }
+    }
+}
+
+TEST_CASE("weights and distances in pose space allocate nothing, with radii or without") {
+  Rotations rest(1, 4), bent(1, 4), turned(1, 4);
+  rest << 1, 0, 0, 0;
+  bent << std::sqrt(0.5), std::sqrt(0.5), 0, 0;
+  turned << std::sqrt(0.5), 0, std::sqrt(0.5), 0;
+  for (Kernel kernel : {Kernel::linear, Kernel::gaussian, Kernel::thin_plate}) {
+    const PoseSpace space({{{0}, {"rest", "bent", "turned"}, {rest, bent, turned}, kernel, {0, 1, 2}}});
+    VectorXd out(3);
+    allocations = 0;
+    space.weights(bent, out);
+    space.distances(turned, out);
+    CHECK(allocations == 0);
+  }
+}
+
+TEST_CASE("a step of a crowd allocates nothing") {
+  const auto body = scenes::two_bone_bar(2);
+  const auto model = scenes::reduced_model(body, scenes::targets(*body, 1), Law::stvk, Blending::even, 12);
+  constexpr int kCharacters = 11;
+  Crowd crowd(model, {1 / 240., Scheme::bdf2, Vector3d(0, 0, -9.81)}, kCharacters);
+  std::vector<double> bones, weights;
+  const auto pose = [&](int step) {
+    bones.clear();
+    weights.clear();
+    for (int i = 0; i < kCharacters; ++i) {
+      const Transforms rig = scenes::bent(0.01 * step + 0.05 * i);
+      bones.insert(bones.end(), rig.data(), rig.data() + rig.size());
+      for (double w : {1 - 0.02 * (step + i), 0.02 * (step + i), 1.0}) weights.push_back(w);
+    }
+  };
+  pose(0);
+  crowd.start(bones.data(), bones.data(), weights.data());
+  for (int step = 1; step <= 12; ++step) {
+    pose(step);
+    allocations = 0;
+    const CrowdReport report = crowd.step(bones.data(), weights.data());
+    CHECK(report.alone == 0);
+    if (step > 2) CHECK(allocations == 0);
+  }
+}
+
+#endif
