@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/reduced_model.hpp"
 
+#include "dynamorph/reduced/eight_kernels.hpp"
 #include "dynamorph/reduced/kernels.hpp"
 
 namespace dynamorph {
@@ -205,6 +206,55 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
                                         blend.v.data(), dofs(), force.data(), stiffness.data());
   force += blend.force;
   return blend.energy + blend.force.dot(blend.v) + energy;
+}
+
+void ReducedModel::blend(EightBlend& out) const {
+  const Eigen::Index r = dofs(), pairs = layout_.pairs();
+  out.density.assign(body_->sets(), Doubles{});
+  out.density_damping.assign(body_->sets(), Doubles{});
+  out.centre.assign(r, Doubles{});
+  out.rest_force.assign(r, Doubles{});
+  out.stiffness.assign(pairs, Doubles{});
+  out.damping.assign(pairs, Doubles{});
+  out.rest_energy = Doubles{};
+  for (size_t j = 0; j < targets_.size(); ++j) {
+    const Doubles& w = out.weights[j];
+    if (all_zero(w)) continue;
+    const MorphTarget& target = targets_[j];
+    out.density[target.set] += w * target.density;
+    out.density_damping[target.set] += w * target.density * target.mass_damping;
+    add_scaled(w, stiffness_[j].data(), pairs, out.stiffness.data());
+    add_scaled(w * target.stiffness_damping, rest_stiffness_[j].data(), pairs, out.damping.data());
+    if (blending_ == Blending::even) {
+      add_scaled(w, coordinates_[j].data(), r, out.centre.data());
+    } else {
+      add_scaled(w, forces_[j].data(), r, out.rest_force.data());
+      out.rest_energy += w * energies_[j];
+    }
+  }
+}
+
+void ReducedModel::linearize(EightBlend& blend, const LaneVector<Doubles>& z, Doubles& energy,
+                             LaneVector<Doubles>& force, LaneVector<Doubles>& stiffness) const {
+  const Eigen::Index r = dofs(), rows = padded_pairs_;
+  blend.v.resize(r);
+  blend.pairs.assign(rows, Floats{});
+  blend.linear.assign(rows, Floats{});
+  blend.quadratic.assign(rows, Floats{});
+  blend.product.resize(rows);
+  force.resize(r);
+  stiffness.resize(layout_.pairs());
+  dynamorph::expand(z.data(), blend.centre.data(), r, blend.v.data(), blend.pairs.data());
+  for (size_t j = 0; j < targets_.size() && layout_.nonlinear; ++j) {
+    if (all_zero(blend.weights[j])) continue;
+    alignas(64) Floats w;
+    to_single(blend.weights[j], w);
+    add_orders(tables_[j].data(), rows, r, w, blend.v.data(), blend.pairs.data(), blend.product.data(),
+               blend.linear.data(), blend.quadratic.data());
+  }
+  contract(blend.stiffness.data(), blend.linear.data(), blend.quadratic.data(), z.data(), blend.centre.data(),
+           blend.rest_force.data(), r, force.data(), stiffness.data(), energy);
+  energy += blend.rest_energy;
 }
 
 void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {

@@ -44,6 +44,14 @@ class ReducedModel {
     std::vector<double> shares;
   };
 
+  /// The same of eight characters, one a lane; matrices are packed upper triangles.
+  struct EightBlend {
+    LaneVector<Doubles> weights, density, density_damping;  ///< (J), and of each set, mass damping times density
+    LaneVector<Doubles> centre, rest_force, stiffness, damping;
+    Doubles rest_energy;
+    LaneVector<Floats> v, pairs, product, linear, quadratic;  ///< scratch
+  };
+
   ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, const ReducedTables& tables,
                Blending blending);
 
@@ -56,6 +64,10 @@ class ReducedModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
+  /// By out.weights, which are set before.
+  void blend(EightBlend& out) const;
+  void linearize(EightBlend& blend, const LaneVector<Doubles>& z, Doubles& energy, LaneVector<Doubles>& force,
+                 LaneVector<Doubles>& stiffness) const;
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   /// Throws std::invalid_argument when there is none, because the nodes have transforms of their own.
   const ModalInertia& modal_inertia() const;
@@ -65,8 +77,6 @@ class ReducedModel {
   Matrix zero() const { return Matrix::Zero(dofs(), dofs()); }
 
  private:
-  friend class Crowd;  // evaluates the same tables for eight characters at once
-
   /// The orders of the tangent at v (in the scratch), packed.
   void expand(const Blend& blend, const VectorXd& z) const;
 

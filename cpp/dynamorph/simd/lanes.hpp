@@ -48,6 +48,12 @@ DYNAMORPH_INLINE Doubles operator+(double a, const Doubles& b) { return b + a; }
 DYNAMORPH_INLINE Doubles operator*(double a, const Doubles& b) { return b * a; }
 DYNAMORPH_INLINE Doubles operator/(double a, const Doubles& b) { return {a / b.low, a / b.high}; }
 
+inline bool all_zero(const Doubles& v) {
+  for (int lane = 0; lane < kLanes; ++lane)
+    if (v[lane] != 0) return false;
+  return true;
+}
+
 /// Of lanes, aligned as every instruction set wants it: the baseline alone would ask for less.
 template <class T>
 struct CacheAligned {

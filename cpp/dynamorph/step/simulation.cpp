@@ -3,8 +3,6 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/progress.hpp"
-#include "dynamorph/elastic/dense_factor.hpp"
-#include "dynamorph/elastic/sparse_solver.hpp"
 #include "dynamorph/step/teleport.hpp"
 
 namespace dynamorph {
@@ -12,19 +10,6 @@ namespace dynamorph {
 namespace {
 
 constexpr int kStaticIterations = 200;  // paid once, and gravity on a soft body is far to go
-
-/// Solves H x = b; false when H is not positive definite.
-class DenseSolver {
- public:
-  bool solve(const MatrixXd& H, const VectorXd& b, VectorXd& x) {
-    if (!factor_.compute(H)) return false;
-    factor_.solve(b, x);
-    return true;
-  }
-
- private:
-  DenseFactor factor_;
-};
 
 /// Gravity (m/s^2, world) on the flesh at the bones, and nothing of the past.
 InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
@@ -34,9 +19,6 @@ InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3
   inertial.gravity_offset = gravity;
   return inertial;
 }
-
-template <class Matrix>
-using TangentSolver = std::conditional_t<std::is_same_v<Matrix, MatrixXd>, DenseSolver, SparseSolver>;
 
 }  // namespace
 
@@ -70,15 +52,12 @@ void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eige
 }
 
 template <class Model>
-class Simulation<Model>::Solver : public TangentSolver<typename Model::Matrix> {};
-
-template <class Model>
 Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions options)
-    : model_(std::move(model)), options_(options), solver_(std::make_shared<Solver>()) {
+    : model_(std::move(model)), options_(options) {
   if (!(options_.h > 0) || !std::isfinite(options_.h))
     throw std::invalid_argument("h: the step must be a positive number of seconds");
   if (!options_.gravity.allFinite()) throw std::invalid_argument("gravity: must be finite");
-  damped_ = stiffness_ = tangent_ = quadratic_.H = model_->zero();
+  damped_ = elastic_.hessian = newton_.tangent = quadratic_.hessian = model_->zero();
 }
 
 template <class Model>
@@ -92,7 +71,7 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
 }
 
 template <class Model>
-void Simulation<Model>::pull(const InertialTarget& inertial, double square, const VectorXd& external) {
+void Simulation<Model>::load(const InertialTarget& inertial, double square, const VectorXd& external) {
   model_->inertia(inertial, blend_.mass, inertia_);
   quadratic_.g = inertia_.force / square;
   if (held_.size() > 0) quadratic_.g.noalias() += held_ * blend_.weights;
@@ -124,7 +103,7 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
       // The target alone, not even with the other sets': f_g^(j) = rho_j (A^(j))^T M1 g.
       const VectorXd alone = VectorXd::Unit(targets.size(), j);
       pose(bones[j], alone);
-      pull(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
+      load(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
       held.col(j) = -quadratic_.g;
     }
   } catch (...) {
@@ -146,8 +125,8 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
       if (weights(j) != 0) q += weights(j) * model_->target(int(j));
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
-  pull(at_rest(q, bones, options_.gravity), 1, external);
-  values(quadratic_.H).setZero();
+  load(at_rest(q, bones, options_.gravity), 1, external);
+  values(quadratic_.hessian).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
   quadratic_.round_off = 1e-15 * quadratic_.g.norm();
   return minimize(q, kStaticIterations);
@@ -200,11 +179,11 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   }
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
-  pull(inertial, rule.square, external);
+  load(inertial, rule.square, external);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
-  values(quadratic_.H) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
+  values(quadratic_.hessian) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
   velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
   quadratic_.g.noalias() += damped_ * velocity_;
   quadratic_.origin = next_;
@@ -230,78 +209,24 @@ void Simulation<Model>::require_pose() const {
 }
 
 template <class Model>
-void Simulation<Model>::descend(Matrix& H) {
-  // Indefinite under compression, or without inertia where a bone has collapsed.
-  const double unit = 1e-4 * values(H).cwiseAbs().maxCoeff();
-  double shift = 0;
-  while (!solver_->solve(H, gradient_, direction_)) {
-    const double more = shift == 0 ? unit : 4 * shift;
-    if (!(more > 0) || !(more < 1e12 * unit))
-      throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
-    H.diagonal().array() += more - shift;
-    shift = more;
-  }
-  direction_ = -direction_;
-}
-
-template <class Model>
-double Simulation<Model>::potential(const VectorXd& q, double elastic) {
-  trial_ = q - quadratic_.origin;
-  image_.noalias() = quadratic_.H * trial_;
-  return 0.5 * trial_.dot(image_) + trial_.dot(quadratic_.g) + elastic;
-}
-
-template <class Model>
 StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
-  const Quadratic& quadratic = quadratic_;
-  StepReport report;
-  elastic_ = model_->linearize(blend_, q, force_, stiffness_);
-  double reached = potential(q, elastic_);
-  for (;; ++report.iterations) {
+  elastic_.model = model_.get();
+  elastic_.blend = &blend_;
+  elastic_.reference = quadratic_.origin.norm();
+  Potential<Arithmetic, decltype(quadratic_), decltype(elastic_)> potential(quadratic_, elastic_);
+  const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
-    const double scale = image_.norm() + quadratic.g.norm() + force_.norm();
-    gradient_ = image_ + quadratic.g + force_;
-    // Terms as large as the stiffness times the displacement cancel in the elastic force.
-    const double displacement = q.norm() + quadratic.origin.norm() + 0.1 * model_->body().size;
-    const double round_off = quadratic.round_off + 1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * displacement;
-    if (!std::isfinite(scale))
-      throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
-    report.residual = gradient_.norm() / (scale + round_off / options_.tolerance);
-    report.energy = elastic_;
-    if (report.residual <= options_.tolerance || scale == 0) return report;
-    if (report.iterations == max_iterations) break;
-    values(tangent_) = values(quadratic.H) + values(stiffness_);
-    descend(tangent_);
-    if (!search(q, reached, round_off * displacement)) break;
-  }
-  report.converged = report.residual <= 100 * options_.tolerance;
+  };
+  const NewtonLimits limits{options_.tolerance, max_iterations};
+  const NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
+  if (found.broken)
+    throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
+  StepReport report;
+  report.iterations = found.iterations;
+  report.converged = !found.open;
+  report.residual = found.residual;
+  report.energy = elastic_.energy;
   return report;
-}
-
-template <class Model>
-bool Simulation<Model>::search(VectorXd& q, double& reached, double energy_round_off) {
-  const double slope = gradient_.dot(direction_), norm = gradient_.norm(), start = reached;
-  const double terms = std::abs(elastic_) + std::abs(start - elastic_);
-  const double slack = 1e-12 * terms + energy_round_off;
-  const auto descends = [&](double length) { return reached <= start + 1e-4 * length * slope + slack; };
-
-  // The whole step is nearly always taken, so its force and tangent are evaluated at once. Where the potential's digits
-  // run out, the gradient decides.
-  from_ = q;
-  q += direction_;
-  elastic_ = model_->linearize(blend_, q, force_, stiffness_);
-  reached = potential(q, elastic_);
-  trial_ = image_ + quadratic_.g + force_;
-  if (descends(1) || (trial_.norm() < 0.5 * norm && reached <= start + 1e-6 * terms + slack)) return true;
-  for (double length = 0.5; length > 1e-6; length /= 2) {
-    q = from_ + length * direction_;
-    reached = potential(q, model_->energy(blend_, q));
-    if (!descends(length)) continue;
-    elastic_ = model_->linearize(blend_, q, force_, stiffness_);
-    return true;
-  }
-  q = from_;
-  return false;
 }
 
 template <class Model>

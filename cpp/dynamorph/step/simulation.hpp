@@ -18,6 +18,8 @@
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
+#include "dynamorph/step/one.hpp"
+#include "dynamorph/step/terms.hpp"
 
 namespace dynamorph {
 
@@ -97,27 +99,14 @@ class Simulation {
   const typename Model::Blend& blend() const { return blend_; }
 
  private:
-  using Matrix = typename Model::Matrix;
-  class Solver;
-
-  /// The quadratic part of Phi: 1/2 d.H d + g.d with d = q - origin (inertia, damping, gravity, external forces).
-  /// About the predicted coordinates, so that g is a force and not the round-off of a large displacement.
-  struct Quadratic {
-    Matrix H;
-    VectorXd g, origin;
-    double round_off;  ///< of g: what no iteration can improve
-  };
+  using Arithmetic = One<typename Model::Matrix>;
 
   void pose(const Transforms& bones, const VectorXd& weights);
-  /// Inertia's force on `inertial` divided by `square` s^2, the external forces and what holds the targets, in
-  /// quadratic_.g.
-  void pull(const InertialTarget& inertial, double square, const VectorXd& external);
+  /// The forces at the origin of the quadratic term, in its g: inertia's towards `inertial` divided by `square` s^2,
+  /// the external ones, and what holds the targets.
+  void load(const InertialTarget& inertial, double square, const VectorXd& external);
+  /// To the minimum of the sum of the terms, from q on.
   StepReport minimize(VectorXd& q, int max_iterations);
-  /// Along direction_ from q: to where Phi descends, with elastic_, force_ and stiffness_ there; false when round-off
-  /// leaves no descent.
-  bool search(VectorXd& q, double& potential, double energy_round_off);
-  double potential(const VectorXd& q, double elastic);  ///< Phi, with trial_ and image_ there
-  void descend(Matrix& H);  ///< direction_ by the tangent, which is shifted until it is positive definite
   void require_pose() const;
   double farthest(const Transforms& bones) const;
 
@@ -126,16 +115,14 @@ class Simulation {
   State state_;
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
-  Matrix damped_, stiffness_, tangent_;
-  VectorXd force_, gradient_, direction_, from_;  ///< of the iteration
-  VectorXd trial_, image_;                        ///< a point less the origin, and H times that
-  VectorXd next_, velocity_;                      ///< coordinates of the step, and bind-pose velocity
-  double elastic_ = 0;
-  Quadratic quadratic_;
+  typename Model::Matrix damped_;
+  VectorXd next_, velocity_;  ///< coordinates of the step, and bind-pose velocity
+  QuadraticTerm<Arithmetic> quadratic_;
+  ElasticTerm<Model, Arithmetic, const typename Model::Blend> elastic_;
+  NewtonScratch<Arithmetic> newton_;
   MatrixXd held_;    ///< gravity in each target's own pose (dofs, J), or empty
   SkinFrame frame_;  ///< of the nodes, where external forces act
   VectorXd nodal_, projected_;
-  std::shared_ptr<Solver> solver_;
 };
 
 extern template class Simulation<FullModel>;
