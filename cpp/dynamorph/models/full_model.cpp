@@ -61,7 +61,8 @@ FullModel::Matrix FullModel::rest_stiffness(int target) const {
 
 void FullModel::blend(const VectorXd& w, Blend& out) const {
   check_size("weights", w.size(), Eigen::Index(targets_.size()));
-  if (out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  out.of = this;
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);
   const bool linear = law_ == Law::linear, even = blending_ == Blending::even;

@@ -25,6 +25,7 @@ class FullModel {
   using Matrix = SparseMatrix;
 
   struct Blend {
+    const FullModel* of = nullptr;  ///< whose it is
     VectorXd weights;
     SetDensities mass;
     Matrix damping;          ///< sum_j w_j beta_j K_j

@@ -142,7 +142,8 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   if (w.size() != Eigen::Index(targets_.size()))
     throw std::invalid_argument("weights: expected " + std::to_string(targets_.size()) + ", got " +
                                 std::to_string(w.size()));
-  if (out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  out.of = this;
   const Eigen::Index r = dofs(), pairs = layout_.pairs();
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);

@@ -27,6 +27,7 @@ class ReducedModel {
   };
 
   struct Blend {
+    const ReducedModel* of = nullptr;  ///< whose it is
     VectorXd weights;
     SetDensities mass;
     Matrix damping;           ///< sum_j w_j beta_j K_j (r, r)

@@ -139,6 +139,7 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
                                 std::to_string(next.rows()));
   VectorXd q;
   const StepReport report = solve_static(now, weights, q);
+  weights_ = weights;
   for (int k = 0; k < InertialTarget::kMoments; ++k) {
     state_.q[k] = q;
     state_.bones[k] = extrapolate_back(now, next, k);
@@ -166,8 +167,22 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
   check_weights(model_->targets(), model_->body().sets(), weights);
   pose(bones, weights);
-  const bool teleported = carry_past(model_->body(), options_.teleport, bones, state_.bones);
+  const bool teleported = jumps(model_->body(), options_.teleport, bones, state_.bones);
+  if (!teleported) return advance(bones, weights, external);
+  before_ = state_.bones;
+  carry_past(model_->body(), bones, state_.bones);
+  try {
+    StepReport report = advance(bones, weights, external);
+    report.teleported = true;
+    return report;
+  } catch (...) {
+    state_.bones = before_;
+    throw;
+  }
+}
 
+template <class Model>
+StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
   const StepRule rule(options_);
   const double h = options_.h;
   next_ = 2 * state_.q[0] - state_.q[1];
@@ -192,19 +207,18 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
       1e-14 / rule.square * farthest(bones) *
       std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
 
-  StepReport report = minimize(next_, options_.max_iterations);
-  report.teleported = teleported;
-
+  const StepReport report = minimize(next_, options_.max_iterations);
   std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
   state_.bones[0] = bones;
+  weights_ = weights;
   return report;
 }
 
 template <class Model>
 void Simulation<Model>::require_pose() const {
-  if (state_.q[0].size() == 0 || blend_.weights.size() == 0)
+  if (state_.q[0].size() == 0 || weights_.size() == 0)
     throw std::invalid_argument("energy: start() comes first, or after setting a state a step");
 }
 
@@ -232,7 +246,9 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
 template <class Model>
 double Simulation<Model>::elastic_energy() const {
   require_pose();
-  return model_->energy(blend_, state_.q[0]);
+  typename Model::Blend blend;  // that of the iterations may be of another pose
+  model_->blend(weights_, blend);
+  return model_->energy(blend, state_.q[0]);
 }
 
 template <class Model>
@@ -240,7 +256,7 @@ double Simulation<Model>::kinetic_energy() const {
   require_pose();
   const SoftBody& body = model_->body();
   VectorXd velocity = VectorXd::Zero(body.rest.size()), u, x;
-  const double shares[] = {1.5, -2, 0.5};
+  const std::array<double, 3> shares = StepRule(options_).velocity;
   for (int m = 0; m < 3; ++m) {
     SkinFrame frame{state_.bones[m], {}};
     pose_nodes(body.skin, frame);
@@ -248,7 +264,9 @@ double Simulation<Model>::kinetic_energy() const {
     to_world(frame, 1, body.rest + u, x);
     velocity += shares[m] / options_.h * x;
   }
-  const VectorXd mass = body.volumes * blend_.mass.density;
+  SetDensities densities;
+  densities.blend(model_->targets(), body.sets(), weights_);
+  const VectorXd mass = body.volumes * densities.density;
   double energy = 0;
   for (Eigen::Index i = 0; i < mass.size(); ++i) energy += 0.5 * mass(i) * velocity.segment<3>(3 * i).squaredNorm();
   return energy;

@@ -94,6 +94,7 @@ class Simulation {
   const MatrixXd& held() const { return held_; }  ///< what holds the targets (dofs, J), or empty
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
+  /// J, of the state at the target weights of the last start() or step(); kinetic by the scheme's own velocity.
   double kinetic_energy() const;
   double elastic_energy() const;
   const typename Model::Blend& blend() const { return blend_; }
@@ -102,6 +103,8 @@ class Simulation {
   using Arithmetic = One<typename Model::Matrix>;
 
   void pose(const Transforms& bones, const VectorXd& weights);
+  /// A step, posed and checked, off which the rig does not jump.
+  StepReport advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external);
   /// The forces at the origin of the quadratic term, in its g: inertia's towards `inertial` divided by `square` s^2,
   /// the external ones, and what holds the targets.
   void load(const InertialTarget& inertial, double square, const VectorXd& external);
@@ -113,6 +116,8 @@ class Simulation {
   std::shared_ptr<const Model> model_;
   StepOptions options_;
   State state_;
+  VectorXd weights_;  ///< of the last start() or step()
+  std::array<Transforms, InertialTarget::kMoments> before_;  ///< a jump, should the step fail
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
   typename Model::Matrix damped_;
