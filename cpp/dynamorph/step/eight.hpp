@@ -20,6 +20,8 @@ struct EightLanes {
   static constexpr int kHalvings = 4;     // who needs more is stepped alone
   static constexpr double kNoise = 1e-6;  // of an energy from tables in single precision
 
+  static constexpr double kSmallest = 1e-6;  ///< of the largest scale
+
   /// Solves H x = b; returns the lanes whose H is not positive definite.
   class Solver {
    public:
@@ -99,8 +101,20 @@ struct EightLanes {
     out.resize(from.size());
     for (size_t k = 0; k < from.size(); ++k) out[k] = from[k] + length * direction[k];
   }
-  static void add_to_diagonal(Matrix& A, const Number& more) {
-    for (size_t p = 0, row = order(A); row > 0; p += row, --row) A[p] += more;
+  /// Sizes of the entries of A's diagonal.
+  static void scales(const Matrix& A, Vector& out) {
+    Number most{};
+    out.clear();
+    for (size_t p = 0, row = order(A); row > 0; p += row, --row) {
+      out.push_back(size(A[p]));
+      widen(most, A[p]);
+    }
+    for (Number& own : out)
+      for (int lane = 0; lane < kLanes; ++lane) own[lane] = std::max(own[lane], kSmallest * most[lane]);
+  }
+  static void add_to_diagonal(Matrix& A, const Number& more, const Vector& scales) {
+    if (all_zero(more)) return;
+    for (size_t k = 0, p = 0; k < scales.size(); p += scales.size() - k, ++k) A[p] += more * scales[k];
   }
   template <class... Others>
   static void sum(Vector& out, const Vector& first, const Others&... others) {

@@ -116,7 +116,7 @@ class Simulation {
   std::shared_ptr<const Model> model_;
   StepOptions options_;
   State state_;
-  VectorXd weights_;  ///< of the last start() or step()
+  VectorXd weights_;                                         ///< of the last start() or step()
   std::array<Transforms, InertialTarget::kMoments> before_;  ///< a jump, should the step fail
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
