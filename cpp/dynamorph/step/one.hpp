@@ -71,9 +71,11 @@ struct One {
   static void sum(Vector& out, const Parts&... parts) {
     out = (... + parts);
   }
-  template <class... Parts>
-  static void sum(Matrix& out, const Parts&... parts) {
-    values(out) = (... + values(parts));
+  /// Matrices of one pattern.
+  template <class... Others>
+  static void sum(Matrix& out, const Matrix& first, const Others&... others) {
+    if (out.rows() != first.rows()) out = first;
+    values(out) = (values(first) + ... + values(others));
   }
 };
 
