@@ -61,6 +61,8 @@ class ReducedModel {
   const std::vector<MorphTarget>& targets() const { return targets_; }
   const MatrixXd& basis() const { return U_; }
   int dofs() const { return int(U_.cols()); }
+  /// Norm of the coordinates of a body that is moved by one metre as a whole, as far as the modes can.
+  double metre() const { return std::sqrt(body_->volume); }
 
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;

@@ -223,7 +223,8 @@ Lanes Crowd::minimize(Lanes moving, CrowdReport& report) {
   s.elastic.reference = EightLanes::norm(s.quadratic.origin);
   s.q = s.quadratic.origin;
   Potential<EightLanes, decltype(s.quadratic), decltype(s.elastic)> potential(s.quadratic, s.elastic);
-  const NewtonLimits limits{options().tolerance, options().max_iterations};
+  const double nothing = options().tolerance * model().body().size * model().metre();
+  const NewtonLimits limits{options().tolerance, nothing, options().max_iterations};
   const auto found = dynamorph::minimize(potential, s.newton, s.q, moving, limits, [] {});
   report.iterations += found.iterations;
   return found.open | found.broken;

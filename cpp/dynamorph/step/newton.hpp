@@ -84,6 +84,7 @@ struct NewtonScratch {
 
 struct NewtonLimits {
   double tolerance;  ///< on the gradient, relative to the forces in it
+  double step;       ///< coordinates that are nothing: where no more than that is to be gained, it has converged
   int iterations;
 };
 
@@ -183,18 +184,15 @@ NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic
     const Value<Arithmetic>& value = scratch.value;
     report.broken |= moving & ~Arithmetic::finite(value.forces);
     report.residual = relative_residual(value, limits.tolerance);
-    const Lanes near = Arithmetic::below(report.residual, typename Arithmetic::Number() + 100 * limits.tolerance);
     moving &= ~report.broken & ~Arithmetic::below(report.residual, typename Arithmetic::Number() + limits.tolerance);
     if (!moving) return report;
-    if (iteration == limits.iterations) {
-      report.open |= moving & ~near;
-      return report;
-    }
     report.broken |= descend(potential, scratch, moving);
-    moving &= ~report.broken;
-    if (near) moving &= ~(near & Arithmetic::below(Arithmetic::norm(scratch.direction), value.resolution));
-    const Lanes stuck = moving ? search(potential, scratch, moving, q) : 0;
-    report.open |= stuck & ~near;
+    const auto step = Arithmetic::norm(scratch.direction);
+    moving &= ~report.broken & ~Arithmetic::below(step, value.resolution);
+    const Lanes far = ~Arithmetic::below(step, value.resolution + limits.step);
+    const bool last = iteration == limits.iterations;
+    const Lanes stuck = last ? moving : moving ? search(potential, scratch, moving, q) : 0;
+    report.open |= stuck & far;
     moving &= ~stuck;
     for (Lanes rest = moving; rest; rest &= rest - 1) ++report.iterations;
     if (!moving) return report;

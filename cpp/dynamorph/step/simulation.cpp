@@ -231,7 +231,8 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
-  const NewtonLimits limits{options_.tolerance, max_iterations};
+  const double nothing = options_.tolerance * model_->body().size * model_->metre();
+  const NewtonLimits limits{options_.tolerance, nothing, max_iterations};
   const NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
   if (found.broken)
     throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");

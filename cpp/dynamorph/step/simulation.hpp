@@ -59,10 +59,12 @@ struct State {
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights);
 
 struct StepReport {
-  int iterations = 0;     ///< of Newton's method
-  bool converged = true;  ///< when false the state is the best found, and finite
-  double residual = 0;    ///< gradient relative to the largest force term
-  double energy = 0;      ///< elastic energy, J
+  int iterations = 0;  ///< of Newton's method
+  /// The gradient was within the tolerance of the forces, or Newton's next step within that of the body's size (root
+  /// mean square). When false the state is the best found, and finite.
+  bool converged = true;
+  double residual = 0;  ///< gradient relative to the largest force term
+  double energy = 0;    ///< elastic energy, J
   bool teleported = false;
 };
 

@@ -61,7 +61,7 @@ struct Hills {
   }
 };
 
-const NewtonLimits kLimits{1e-10, 60};
+const NewtonLimits kLimits{1e-10, 1e-12, 60};
 const auto kAsk = [] {};
 
 LaneVector<Doubles> lanes(std::initializer_list<double> first, double step) {
@@ -109,6 +109,16 @@ TEST_CASE("Newton: from where the Hessian is indefinite it goes downhill, to a m
   CHECK((q.cwiseAbs() - VectorXd::Ones(3)).norm() < 1e-8);
   CHECK(q(0) > 0);
   CHECK(q(1) < 0);
+}
+
+TEST_CASE("Newton: when it is stopped it has converged only if what is left is nothing") {
+  Hills<Dense> hills;
+  Potential<Dense, Hills<Dense>> potential(hills);
+  NewtonScratch<Dense> scratch;
+  VectorXd q = VectorXd::Constant(1, 0.1);
+  CHECK(minimize(potential, scratch, q, 1, {1e-15, 1e-6, 1}, kAsk).open);  // the second step is some 1e-4
+  q(0) = 0.1;
+  CHECK(!minimize(potential, scratch, q, 1, {1e-15, 1e-2, 1}, kAsk).open);
 }
 
 TEST_CASE("Newton: what is stiff in one place does not hold back what is indefinite in another") {
@@ -183,7 +193,7 @@ TEST_CASE("Newton: no step is longer than a term admits") {
   Potential<Dense, Hills<Dense>> potential(hills);
   NewtonScratch<Dense> scratch;
   VectorXd q = VectorXd::Constant(1, 3.0);
-  minimize(potential, scratch, q, 1, {1e-10, 200}, kAsk);
+  minimize(potential, scratch, q, 1, {1e-10, 1e-12, 200}, kAsk);
   CHECK(q(0) >= 0.5);
   CHECK(q(0) < 0.5 + 1e-6);
 }
