@@ -160,9 +160,12 @@ MatrixXd bone_loads(const SoftBody& body) {
 /// Adds one element law's part of `force_curvatures`, that of target j.
 void add_curvatures(const FullModel& model, int j, const RowMajor& modes, RowMajor& sum) {
   const SoftBody& body = model.body();
-  const Lame& lame = model.targets()[j].lame;
+  // Stable StVK is StVK with (lambda + mu, 0) less mu det F, whose second derivative is the cross product.
+  const bool stable = model.law() == Law::stable_stvk;
+  const double mu = model.targets()[j].lame.mu;
+  const Lame lame = stable ? Lame{model.targets()[j].lame.lambda + mu, 0} : model.targets()[j].lame;
   const Eigen::Index r = modes.cols(), pairs = r * (r + 1) / 2;
-  RowMajor G, stresses(6, r), forces(12, pairs);
+  RowMajor G, stresses(6, r), forces(12, pairs), crosses(stable ? 9 : 0, pairs);
   for (Eigen::Index e = 0; e < body.mesh.tets.rows(); ++e) {
     const Element& element = model.shape(j).elements[e];
     if (element.weight == 0 || !mode_gradients(body, element, e, modes, G)) continue;
@@ -172,6 +175,12 @@ void add_curvatures(const FullModel& model, int j, const RowMajor& modes, RowMaj
       stresses.row(3 + a) = lame.mu * (G.row(3 * a + b) + G.row(3 * b + a));
     }
     curvatures_of_pairs(G.data(), stresses.data(), r, lame.lambda, lame.mu, element.gradients.data(), forces.data());
+    if (stable) {
+      crosses_of_pairs(G.data(), r, crosses.data());
+      for (int a = 0; a < 4; ++a)
+        for (int i = 0; i < 3; ++i)
+          forces.middleRows<3>(3 * a) -= mu * element.gradients(i, a) * crosses.middleRows<3>(3 * i);
+    }
     for (int a = 0; a < 4; ++a) {
       const int i = body.free_of_node[body.mesh.tets(e, a)];
       if (i >= 0) sum.middleRows<3>(3 * i) += element.weight * forces.middleRows<3>(3 * a);
@@ -263,6 +272,7 @@ MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& mo
   const RowMajor by_node = modes;
   const Eigen::Index pairs = modes.cols() * (modes.cols() + 1) / 2;
   RowMajor sum = RowMajor::Zero(modes.rows(), pairs);
+  if (model.law() == Law::linear) return sum;
   for (int j : summed_at(model.targets(), target)) add_curvatures(model, j, by_node, sum);
   return sum;
 }
