@@ -42,12 +42,10 @@ double packed_quadratic(const VectorXd& S, const VectorXd& x) {
   return sum;
 }
 
-const MatrixXd& checked_basis(const SoftBody& body, const MatrixXd& U) {
-  const Eigen::Index expected = Eigen::Index(3 * body.free_nodes.size());
-  if (U.rows() != expected)
-    throw std::invalid_argument("basis: expected " + std::to_string(expected) + " rows, got " +
-                                std::to_string(U.rows()));
-  return U;
+std::vector<VectorXd> checked_coordinates(const SoftBody& body, const std::vector<MorphTarget>& targets,
+                                          const MatrixXd& U) {
+  check_targets(body, targets);
+  return target_coordinates(body, targets, U);
 }
 
 std::variant<ModalInertia, NodalInertia> inertia_of(const std::shared_ptr<const SoftBody>& body, const MatrixXd& U) {
@@ -114,20 +112,21 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
     : body_(std::move(body)),
       targets_(std::move(targets)),
       blending_(blending),
-      U_(checked_basis(*body_, tables.basis)),
+      U_(tables.basis),
+      coordinates_(checked_coordinates(*body_, targets_, U_)),
       layout_(tables.layout()),
       padded_pairs_(whole_chunks(layout_.pairs())),
       inertia_(inertia_of(body_, U_)) {
+  check(tables.law);
+  check(blending_);
   const Eigen::Index r = U_.cols();
   if (tables.lambda.size() != targets_.size() || tables.mu.size() != targets_.size())
     throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
-  const VectorXd mass = body_->volumes.rowwise().sum();
   for (size_t j = 0; j < targets_.size(); ++j) {
     if (tables.lambda[j].size() != layout_.distinct() || tables.mu[j].size() != layout_.distinct())
       throw std::invalid_argument("tables: of '" + targets_[j].name + "' do not fit " + std::to_string(r) + " modes");
-    VectorXd momentum = body_->restrict_to_free(targets_[j].displacement);
-    for (Eigen::Index i = 0; i < mass.size(); ++i) momentum.segment<3>(3 * i) *= mass(i);
-    coordinates_.push_back(U_.transpose() * momentum);
+    if (!tables.lambda[j].allFinite() || !tables.mu[j].allFinite())
+      throw std::invalid_argument("tables: of '" + targets_[j].name + "' must be finite");
     VectorXd table = unfolded(targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j], layout_);
     rest_stiffness_.push_back(table.head(layout_.pairs()));
     forces_.push_back(VectorXd::Zero(r));

@@ -87,9 +87,9 @@ class ReducedModel {
   std::vector<MorphTarget> targets_;
   Blending blending_;
   MatrixXd U_;
+  std::vector<VectorXd> coordinates_;  ///< z_j
   TableLayout layout_;
   Eigen::Index padded_pairs_;
-  std::vector<VectorXd> coordinates_;  ///< z_j
   /// Per target with its material, about z_j (even) or 0 (forces). K0 in double; [K1 | K2] in single precision, in the
   /// order in which a step reads them: half the bytes, and forces to 1e-7 of the largest.
   std::vector<VectorXd> stiffness_;

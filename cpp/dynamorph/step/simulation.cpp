@@ -22,22 +22,6 @@ InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3
 
 }  // namespace
 
-StepRule::StepRule(const StepOptions& options) {
-  const bool euler = options.scheme == Scheme::euler;
-  past = euler ? std::array<double, 4>{2, -1, 0, 0} : std::array<double, 4>{24 / 9., -22 / 9., 8 / 9., -1 / 9.};
-  velocity = euler ? std::array<double, 3>{1, -1, 0} : std::array<double, 3>{1.5, -2, 0.5};
-  square = options.h * options.h * (euler ? 1 : 4 / 9.);
-}
-
-Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> StepRule::coefficients() const {
-  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients;
-  coefficients.setZero();
-  coefficients(0, 0) = 2;
-  coefficients(1, 0) = -1;
-  for (int m = 0; m < InertialTarget::kMoments; ++m) coefficients(m, m + 1) = -past[m];
-  return coefficients;
-}
-
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights) {
   if (weights.size() != Eigen::Index(targets.size()))
     throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
@@ -54,9 +38,7 @@ void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eige
 template <class Model>
 Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions options)
     : model_(std::move(model)), options_(options) {
-  if (!(options_.h > 0) || !std::isfinite(options_.h))
-    throw std::invalid_argument("h: the step must be a positive number of seconds");
-  if (!options_.gravity.allFinite()) throw std::invalid_argument("gravity: must be finite");
+  check(options_);
   damped_ = elastic_.hessian = newton_.tangent = quadratic_.hessian = model_->zero();
 }
 

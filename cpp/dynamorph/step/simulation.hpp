@@ -12,41 +12,16 @@
 #pragma once
 
 #include <array>
-#include <functional>
 #include <memory>
 
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
 #include "dynamorph/step/one.hpp"
+#include "dynamorph/step/step_options.hpp"
 #include "dynamorph/step/terms.hpp"
 
 namespace dynamorph {
-
-enum class Scheme { euler, bdf2 };
-
-struct StepOptions {
-  double h = 1.0 / 120;  ///< seconds
-  Scheme scheme = Scheme::bdf2;
-  Vector3d gravity = Vector3d::Zero();  ///< m/s^2, world
-  double tolerance = 1e-6;              ///< on the gradient, relative to the largest force term
-  int max_iterations = 30;
-  /// Jump of the skin off its course in one step, metres (root mean square), above which the past is carried along.
-  /// 0: never.
-  double teleport = 0;
-  /// Asked before every Newton iteration; false throws Cancelled, after which start() must come first again.
-  std::function<bool()> keep_going = {};
-};
-
-/// The numbers of a scheme at one step size.
-struct StepRule {
-  explicit StepRule(const StepOptions& options);
-  std::array<double, InertialTarget::kMoments> past;  ///< of x^
-  double square;                                      ///< h^2 c^2, s^2
-  std::array<double, 3> velocity;                     ///< h u' = sum velocity[m] u(n+1-m)
-  /// Of the motion that inertia acts on: 2 q(n) - q(n-1), as the bones pose it at the end of the step, less x^.
-  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients() const;
-};
 
 /// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps. Copy it to undo,
 /// resume or fork a simulation.
