@@ -7,7 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -619,6 +619,10 @@ def fill_fractions(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayL
     Fraction (m,) of each tet that the body fills, 0.05 .. 1; any soup, which is closed first.
     
     vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
+    """
+def instruction_set() -> str:
+    """
+    The instruction set that the engine's loops use: 'baseline', 'avx2' or 'avx512', the best that the processor has or what the environment variable DYNAMORPH_ISA named at the import. Results are the same bytes on all machines that use the same one.
     """
 def make_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> Basis:
     """

@@ -12,6 +12,7 @@
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/elastic/sparse_cholesky.hpp"
+#include "dynamorph/reduced/gram_accumulator.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
 #include "dynamorph/reduced/polynomials.hpp"
 #include "dynamorph/reduced/table_layout.hpp"

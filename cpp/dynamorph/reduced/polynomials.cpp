@@ -6,6 +6,7 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
+#include "dynamorph/reduced/gram_accumulator.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
 
 namespace dynamorph {

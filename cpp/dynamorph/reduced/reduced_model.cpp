@@ -2,7 +2,7 @@
 #include "dynamorph/reduced/reduced_model.hpp"
 
 #include "dynamorph/reduced/eight_kernels.hpp"
-#include "dynamorph/reduced/kernels.hpp"
+#include "dynamorph/reduced/polynomial_kernels.hpp"
 
 namespace dynamorph {
 
@@ -22,7 +22,7 @@ void unpack(const VectorXd& packed, MatrixXd& symmetric) {
 }
 
 /// y = S x for a packed symmetric S.
-void packed_product(const VectorXd& S, const VectorXd& x, VectorXd& y) {
+void multiply_packed(const VectorXd& S, const VectorXd& x, VectorXd& y) {
   const Eigen::Index r = x.size();
   y.setZero(r);
   for (Eigen::Index k = 0, p = 0; k < r; ++k) {
@@ -101,7 +101,7 @@ double linearize(const VectorXd& table, const TableLayout& layout, const VectorX
         for (Eigen::Index p = 0; p < pairs; ++p)
           quadratic(p) += (m == n ? 1 : 2) * v(m) * v(n) * table(layout.quadratic(p, q));
   }
-  packed_product(constant + linear / 2 + quadratic / 3, v, force);
+  multiply_packed(constant + linear / 2 + quadratic / 3, v, force);
   stiffness.resize(r, r);
   unpack(constant + linear + quadratic, stiffness);
   return packed_quadratic(constant / 2 + linear / 6 + quadratic / 12, v);
@@ -190,7 +190,7 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
     for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * blend.v(k) * blend.v(l);
   }
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
-  add_product(table, rows, blend.v.data(), r, blend.linear.data());
+  add_single_product(table, rows, blend.v.data(), r, blend.linear.data());
   add_symmetric_product(table + rows * r, rows, blend.pairs.data(), blend.quadratic.data());
 }
 
@@ -247,7 +247,7 @@ void ReducedModel::linearize(EightBlend& blend, const LaneVector<Doubles>& z, Do
   dynamorph::expand(z.data(), blend.centre.data(), r, blend.v.data(), blend.pairs.data());
   for (size_t j = 0; j < targets_.size() && layout_.nonlinear; ++j) {
     if (all_zero(blend.weights[j])) continue;
-    alignas(64) Floats w;
+    Floats w;
     to_single(blend.weights[j], w);
     add_orders(tables_[j].data(), rows, r, w, blend.v.data(), blend.pairs.data(), blend.product.data(),
                blend.linear.data(), blend.quadratic.data());
@@ -277,7 +277,7 @@ void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
 
 void ReducedModel::project_force(const VectorXd& f, VectorXd& out) const {
   out.resize(dofs());
-  transposed_product(U_, f.data(), out.data());
+  transposed_product(U_.data(), U_.rows(), U_.cols(), f.data(), out.data());
 }
 
 }  // namespace dynamorph

@@ -170,8 +170,8 @@ Lanes Crowd::jumps(const Eight& eight) const {
   Doubles jump = {};
   for (size_t b = 0; b < used.size(); ++b) {
     const Eigen::Matrix4d& moments = body.moments[used[b]];
-    add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(), body.centre,
-             jump);
+    add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(),
+             body.centre.data(), jump);
   }
   Lanes out = 0;
   for (int lane = 0; lane < kLanes; ++lane)

@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include "dynamorph/reduced/eight_kernels.hpp"
-#include "dynamorph/simd/lanes.hpp"
+#include "dynamorph/simd/lane_vector.hpp"
 #include "dynamorph/step/newton.hpp"
 
 namespace dynamorph {
@@ -26,7 +26,7 @@ struct EightLanes {
   class Solver {
    public:
     Lanes solve(const Matrix& H, const Vector& b, Vector& x) {
-      const Eigen::Index r = Eigen::Index(b.size());
+      const Index r = Index(b.size());
       factor_ = H;
       inverse_.resize(r);
       factorize(factor_.data(), r, inverse_.data());
@@ -70,7 +70,7 @@ struct EightLanes {
 
   static Number dot(const Vector& a, const Vector& b) {
     Number out;
-    dynamorph::dot(a.data(), b.data(), Eigen::Index(a.size()), out);
+    dynamorph::dot(a.data(), b.data(), Index(a.size()), out);
     return out;
   }
   static Number norm(const Vector& a) { return root(dot(a, a)); }
@@ -81,7 +81,7 @@ struct EightLanes {
   }
   static void multiply(const Matrix& A, const Vector& x, Vector& y) {
     y.resize(x.size());
-    packed_product(A.data(), x.data(), Eigen::Index(x.size()), y.data());
+    packed_product(A.data(), x.data(), Index(x.size()), y.data());
   }
   static void subtract(const Vector& a, const Vector& b, Vector& out) {
     out.resize(a.size());
