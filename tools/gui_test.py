@@ -35,10 +35,10 @@ PACKAGES = (
     "blender xvfb xauth imagemagick libgl1-mesa-dri "
     "python3-numpy python3-cattr python3-requests python3-urllib3 python3-zstandard "  # what its extensions import
     "g++ cmake ninja-build python3-dev python3-pip python3-scikit-build-core python3-pybind11 pybind11-dev "
-    "libeigen3-dev libspectra-dev libcgal-dev"
+    "libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev"
 )
 ENGINE_SOURCES = ("cpp", "cmake", "CMakeLists.txt", "pyproject.toml", "tools/tetgen.txt")
-LONGEST = 900  # seconds that the window may take
+LONGEST = 1800  # seconds that the window may take, on a busy machine
 
 # Mounts in a namespace of their own: whatever happens, nothing stays mounted in a folder that may be deleted.
 # The shell stays: an X server tells nobody that it is ready if its parent is process 1.

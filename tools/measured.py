@@ -30,7 +30,7 @@ PAGES = {
                 "tools/farm_demo.py"),
     "materials.md": ("addon/dynamic_morph_targets/materials.py",),
 }  # fmt: skip
-WRITTEN = ("architecture.md", "decisions/", "file_format.md", "theory.md", "user_guide.md")  # by hand
+WRITTEN = ("architecture.md", "cpp.md", "decisions/", "file_format.md", "theory.md", "user_guide.md")  # by hand
 
 
 def measured_at(page: str) -> str:

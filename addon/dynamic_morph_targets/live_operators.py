@@ -19,7 +19,7 @@ from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
-from . import comparison, events, extract, jobs, live, live_key, properties
+from . import comparison, events, extract, jobs, live, live_key, properties, sinks
 from .extract import SceneError
 from .operators import JobOperator, SoftSkinOperator, guarded, press
 from .scene_data import Material, RigSamples
@@ -107,6 +107,7 @@ class Preview:
         self.flesh = live.Flesh(obj, bpy.context.scene)
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
+        self._sculpt = obj.dynamorph.sculpt.shown.name
         if not self._was_live:
             self.flesh.add_keys(obj)
         live.lent.add(self.session_uid)
@@ -132,6 +133,7 @@ class Preview:
                 live.refresh(obj)
             else:
                 live_key.remove(obj)
+                sinks.show_target(obj, self._sculpt)
 
 
 class _Mover:

@@ -159,15 +159,16 @@ def draw_problem(layout, problem, icon: str):
 def draw_feel(layout, obj):
     """How soft the skin feels: the presets, how much of the motion shows, and how far it may go."""
     simulation = obj.dynamorph.simulation
-    column = layout.column(align=True)
-    column.enabled = jobs.running is None
+    sliders = layout.column()
+    sliders.enabled = jobs.running is None
+    sliders.use_property_split = False  # beside them there is no room for the names
+    column = sliders.column(align=True)
     row = column.row(align=True)
     chosen = feel.active(obj.dynamorph.targets[0], simulation)
     for key, preset in feel.FEELS.items():
         row.operator("dynamorph.apply_feel", text=preset.label, depress=key == chosen).feel = key
     column.prop(simulation, "amount", slider=True)
-    column = layout.column(align=True)
-    column.enabled = jobs.running is None
+    column = sliders.column(align=True)
     column.prop(simulation, "max_displacement")
     column.prop(simulation, "max_thickness")
     if simulation.rehearsed:
@@ -195,10 +196,10 @@ def draw_cage(layout, context, obj):
     column.prop(settings.model, "separate")
     column.prop(settings.model, "one_cage")
     draw_painted_group(column, obj, "SOFT")
-    row = column.row(align=True)
-    row.use_property_split = False
-    row.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
-    row.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
+    pair = column.column(align=True)  # side by side their names are cut
+    pair.use_property_split = False
+    pair.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
+    pair.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
     draw_painted_group(column, obj, "STIFFNESS")
     if settings.stiffness_group:
         column.prop(settings, "stiffness_factor")
@@ -444,7 +445,7 @@ def draw_modes(layout, obj):
         row.operator("dynamorph.reset_gains", icon="LOOP_BACK")
     body.operator("dynamorph.check_targets", icon="CHECKMARK")
     for line in filter(None, settings.live.checks.split("\n")):
-        body.label(text=line, translate=False)
+        draw_message(body, line, icon="DOT")
 
 
 def draw_live(layout, obj):
@@ -538,7 +539,8 @@ def draw_bake(layout, context, obj):
             row.prop(*influence, text="Influence", slider=True)
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
-            draw_warnings(layout, settings.bake.warnings)
+            found = verdict.parsed(settings.bake.verdict)
+            draw_warnings(layout, settings.bake.warnings, said=found.text if found else "")
         draw_verdict(layout, context, obj)
         layout.operator("dynamorph.free_bake", icon="X")
     draw_export(layout, obj)
@@ -602,9 +604,11 @@ def draw_outdated(layout, reasons: list[str]):
         draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))
 
 
-def draw_warnings(layout, warnings: str):
+def draw_warnings(layout, warnings: str, said=""):
+    """said: what the panel says elsewhere; a warning that begins so is left out."""
     for warning in filter(None, warnings.split("\n")):
-        draw_message(layout, warning)
+        if not (said and warning.startswith(said)):
+            draw_message(layout, warning)
 
 
 def draw_message(layout, text: str, icon="ERROR", width=LINE):

@@ -283,6 +283,28 @@ def learn_from_sculpt(obj):
             regions.update(obj)
 
 
+def hide_out_of_pose(obj, depsgraph):
+    """Turn off the sculpt that Finish Sculpting or Go to Pose shows when the armature is not in its pose any more.
+
+    depsgraph: where it is evaluated.
+    """
+    name = obj.dynamorph.sculpt.shown.name
+    target = name and next((target for target in obj.dynamorph.targets[1:] if target.name == name), None)
+    if target and _is_in_pose(obj, target, depsgraph):
+        return
+    show_target(obj, "")
+
+
+def _is_in_pose(obj, target, depsgraph) -> bool:
+    try:
+        skeleton, local, _ = extract.current_pose(obj, depsgraph)
+    except SceneError:  # no armature, or one without a pose that could be captured
+        return False
+    bones = target.bone_names() or skeleton.names
+    used = [name in bones for name in skeleton.names]
+    return checks.same_pose(target.local(skeleton)[used], local[used])
+
+
 def _with_sets(obj, name: str, own: bool) -> Character:
     """The character without a target; and, unless `own`, without the whole set of it."""
     character, sets = extract.character(obj), []

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from . import changes, events, extract, jobs, properties, sinks
+from . import changes, events, extract, jobs, live, properties, sinks, targets
 
 PATIENCE = 1.0  # seconds without an edit, after which it is looked at
 OWNER = object()  # of the subscriptions
@@ -57,6 +57,16 @@ def _look_at_animations():
 
 
 @persistent
+def _leave_pose(scene, depsgraph):
+    """frame_change_post: a sculpt belongs to one pose, and the frame may have brought another."""
+    if scene != bpy.context.scene or live.holds_still(scene):  # reading a rig changes frames too, elsewhere
+        return
+    for obj in properties.soft_skins(scene.objects):
+        if obj.dynamorph.sculpt.shown.name and obj.library is None:
+            targets.hide_out_of_pose(obj, depsgraph)
+
+
+@persistent
 def _watch_influence(*_args):
     """load_post too: a file that is opened ends all subscriptions."""
     bpy.msgbus.clear_by_owner(OWNER)
@@ -74,6 +84,7 @@ HANDLERS = {
     "undo_post": _after_undo,
     "redo_post": _after_undo,
     "depsgraph_update_post": _check_changed,
+    "frame_change_post": _leave_pose,
 }
 
 

@@ -26,4 +26,5 @@ PYBIND11_MODULE(_core, m) {
   bind_models(m);
   bind_reduced(m);
   bind_step(m);
+  bind_file(m);
 }

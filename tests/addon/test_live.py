@@ -785,6 +785,19 @@ def test_saving_and_loading_end_a_preview(shaken, tmp_path):
     assert deltas(rig_of(bpy.data.objects["Arm"])) == stood
 
 
+def test_a_preview_puts_the_shown_sculpt_back(live_arm):
+    bpy.context.scene.frame_set(20)
+    live_arm.dynamorph.active_target_index = 1
+    bpy.ops.dynamorph.go_to_pose()
+    flexed, still = live_arm.data.shape_keys.key_blocks["flexed"], evaluated_points(live_arm)
+    assert flexed.value == 1.0
+    assert bpy.ops.dynamorph.play_mode() == {"FINISHED"}
+    assert flexed.value == 1.0 and apart(evaluated_points(live_arm), still) == 0.0
+    live_arm.dynamorph.active_target_index = 0
+    bpy.ops.dynamorph.go_to_pose()
+    assert flexed.value == 0.0
+
+
 def test_a_mode_plays_alone(live_arm, shown):
     bpy.context.scene.frame_set(20)
     before = fingerprint(live_arm)

@@ -507,6 +507,29 @@ def test_a_sculpt_shows_in_its_pose_until_something_else_does(bar):
     assert value(bar, "other") == 0.0
 
 
+def test_a_sculpt_is_hidden_by_the_frames_that_have_another_pose(bar):
+    """Else it would show all over the timeline, in whatever pose."""
+    bone = rig_of(bar).pose.bones["lower"]
+    bone.rotation_mode = "XYZ"
+    for frame, angle in ((1, 0.0), (5, 1.0), (8, 1.0), (10, 0.0)):
+        bone.rotation_euler.y = angle
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    bpy.context.scene.frame_set(5)
+    OPS.new_from_pose(key="flexed")
+    sculpt(bar, "flexed", 1.0)
+    OPS.finish_sculpt()
+    for frame in (5, 6, 8):  # the pose is held, and something else moves
+        bpy.context.scene.frame_set(frame)
+        assert value(bar, "flexed") == 1.0
+    bpy.context.scene.frame_set(10)
+    assert value(bar, "flexed") == 0.0 and bar.dynamorph.sculpt.shown.name == ""
+    bpy.context.scene.frame_set(5)
+    assert value(bar, "flexed") == 0.0
+    bar.data.shape_keys.key_blocks["flexed"].value = 1.0  # the artist's own look
+    bpy.context.scene.frame_set(10)
+    assert value(bar, "flexed") == 1.0
+
+
 def test_live_shows_a_new_sculpt_too(bar):
     """Add Soft Skin ends with Live on, so that most targets come to be beside it."""
     OPS.build()

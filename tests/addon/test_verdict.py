@@ -98,6 +98,14 @@ def test_one_button_mends_it(baked, remedy, button):
     assert "Show Frame 7" in drawn(baked) and "heat" in drawn(baked)
 
 
+def test_what_the_verdict_says_is_said_once(baked):
+    baked.dynamorph.bake.warnings = f"{BAD['text']}. Raise Bounce\nThe sleeve is torn"
+    text = text_of(baked)
+    assert text.count("The skin moves by up to") == 1 and "The sleeve is torn" in text
+    baked.dynamorph.bake.verdict = ""
+    assert "The skin moves by up to" in text_of(baked)
+
+
 def test_a_bake_that_goes_takes_its_verdict_along(baked):
     assert "The skin moves by up to 9.0%" in text_of(baked)
     OPS.free_bake()

@@ -128,6 +128,65 @@ def test_hostile_header_is_refused_at_once(buffer):
     assert time.perf_counter() - began < 1.0
 
 
+def signed(text):
+    """A file without arrays whose header is `text`, by somebody who computes its hash correctly."""
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    text = text.replace('"header_hash": ""', f'"header_hash": "{digest}"').encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text
+
+
+METADATA = '{"format": "dynamorph model", "version": "4", "meta": "{}", "hashes": "{}", "header_hash": ""}'
+
+
+def test_signing_helper_is_right():
+    assert unpack(signed('{"__metadata__": ' + METADATA + "}")) == ({}, {})
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        '{"__metadata__":' + METADATA + "}",
+        '{ "__metadata__": ' + METADATA + "}",
+        '{"__metadata__": ' + METADATA + "} ",
+        '{"__metadata__": ' + METADATA + ', "__metadata__": ' + METADATA + "}",
+        '{"__metadata__": ' + METADATA + ', "a": {"dtype": "F64", "shape": [0], "data_offsets": [0, 0]}}',
+        '{"__metadata__": ' + METADATA.replace('"meta"', '"more": "", "meta"') + "}",
+        '{"__metadata__": ' + METADATA.replace('"meta": "{}", "hashes": "{}"', '"hashes": "{}", "meta": "{}"') + "}",
+        '{"__metadata__": ' + METADATA.replace('"meta": "{}"', '"meta": "{\\u007d"') + "}",
+        '{"__metadata__": ' + METADATA.replace('"meta": "{}"', '"meta": "{\\"a\\": \\u00221\\"}"') + "}",
+    ],
+)
+def test_a_header_spelled_otherwise_is_refused(header):
+    """Else a file could change, its hashes with it, and still be taken for one that was written here."""
+    with pytest.raises(ModelFileError):
+        unpack(signed(header))
+
+
+@pytest.mark.parametrize(
+    "part, count",
+    [('"k%d": 0, ', 10**6), ('"k%d": {"dtype": "F64", "shape": [0], "data_offsets": [0, 0]}, ', 10**5)],
+)
+def test_a_table_without_end_is_refused_at_once(part, count):
+    header = "{" + "".join(part % k for k in range(count)) + '"__metadata__": ' + METADATA + "}"
+    began = time.perf_counter()
+    with pytest.raises(ModelFileError):
+        unpack(signed(header))
+    assert time.perf_counter() - began < 2.0
+
+
+def test_hashes_are_strings_for_every_array():
+    entry = {"a": {"dtype": "F64", "shape": [1], "data_offsets": [0, 8]}}
+    for hashes in ("{}", "[]", "", '{"a": 1}', '{"a": ""}', "[" * 10**5):
+        with pytest.raises(ModelFileError):
+            unpack(forged(entry, bytes(8), hashes=hashes))
+
+
+def test_a_buffer_may_be_any_bytes(packed):
+    for buffer in (bytearray(packed), memoryview(packed), np.frombuffer(packed, np.uint8)):
+        assert unpack(buffer)[1] == META
+
+
 def test_newer_version_says_so():
     with pytest.raises(ModelFileError, match=r"version 9.*update"):
         unpack(forged({}, version="9"))

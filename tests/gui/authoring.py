@@ -7,11 +7,13 @@ import math
 
 import bpy
 import driver
+import frames
 import limb
 import numpy as np
 from driver import measure, step, until
 from editors import (
     addon,
+    differing,
     from_menu,
     job_done,
     key_points,
@@ -62,8 +64,7 @@ def cage():
     before = driver.pixels(viewport.box)
     yield from sidebar.press("dynamorph.cage")
     yield from driver.drawn()
-    changed = (np.abs(driver.pixels(viewport.box) - before).max(axis=-1) > 0.1).mean()
-    assert changed > 0.005, "the viewport shows no cage"
+    assert differing(before) > 0.005, "the viewport shows no cage"
 
 
 @step("Paint where it is soft", picture=view)
@@ -130,8 +131,9 @@ def sculpt():
     """A stroke across the elbow, which lands where the brush is and moves the posed skin outwards."""
     settings_of = bpy.context.scene.tool_settings.sculpt.unified_paint_settings
     settings_of.size = 2 * BRUSH
+    yield from driver.settled(viewport)  # the brushes slide in below, and the tools at the left
     posed, bind = shown(), key_points()
-    stroke = [on_screen(point) for point in np.linspace((0.28, -0.04, 0.0), (0.33, -0.04, 0.0), 8)]
+    stroke = [on_screen(point) for point in front_of_elbow(posed).tolist()]
     yield from driver.drag(stroke)
     yield from until(lambda: np.abs(key_points() - bind).max() > 1e-3, "the stroke to land in the shape key")
     yield from driver.drawn()
@@ -154,6 +156,15 @@ def sculpt():
     measure("Sculpted in a pose", f"stroke of {1e3 * length.max():.1f} mm, off by {1e3 * error:.3f} mm in the pose")
 
 
+def front_of_elbow(posed: np.ndarray) -> np.ndarray:
+    """Of the rings of vertices about the elbow that vertex which is nearest to the eye, posed: (R, 3)."""
+    eye = view.area.spaces.active.region_3d.view_matrix.inverted().translation
+    elbow = limb.RINGS // 2
+    rings = posed.reshape(limb.RINGS, limb.AROUND, 3)[elbow - 2 : elbow + 3]
+    nearest = np.linalg.norm(rings - np.array(eye), axis=2).argmin(axis=1)
+    return rings[np.arange(len(rings)), nearest]
+
+
 def turns() -> np.ndarray:
     """How the armature turns what moves at each vertex: (V, 3, 3)."""
     found = np.zeros((len(skin().data.vertices), 3, 3))
@@ -170,6 +181,11 @@ def finish_sculpting():
     yield from sidebar.press("dynamorph.finish_sculpt")
     yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
     assert not skin().show_only_shape_key and np.abs(key_points()).max() > 0
+    sculpt = skin().active_shape_key
+    assert sculpt.value == 1.0, "the sculpt does not show in its pose"
+    yield from frames.click(limb.FLEXED)
+    assert sculpt.value == 0.0, "the sculpt shows in another pose"
+    yield from frames.click(limb.TURNED)
 
 
 @step("Suggest from Drivers")

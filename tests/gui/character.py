@@ -85,7 +85,7 @@ def live():
     with frames.timed(addon("live"), "follow") as follow:
         yield from measured("Live")
     measure("Live's own share of a frame", f"{np.median(follow):.1f} ms, mean {np.mean(follow):.1f} ms")
-    seconds, problem = yield from frames.latency(skin(), settings().targets[0], 6000.0)
+    seconds, problem = yield from frames.latency(skin(), settings().targets[0], 2.0 * settings().targets[0].stiffness)
     assert not problem
     measure("Stiffness to the next picture", f"{seconds:.2f} s")
     yield from sidebar.press("dynamorph.live")

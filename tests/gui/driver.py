@@ -31,7 +31,7 @@ HEADER = 21  # pixels from one closed section's header to the next
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
 TABS = 30  # pixels: the tabs beside a sidebar
 END = 500  # no buttons for so many pixels: there are none below
-NEAR = 300  # pixels: no section is higher
+NEAR = 400  # pixels: no section is higher
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
 
 result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
@@ -113,6 +113,15 @@ def drawn(passes=3):
         area.tag_redraw()
     for _ in range(passes):
         yield 0.05
+
+
+def settled(region: Region):
+    """Wait until a region has kept its place for some turns: those around it slide in and out."""
+    before, same = None, 0
+    while same < 5:
+        yield from drawn(passes=1)
+        same = same + 1 if region.box == before else 0
+        before = region.box
 
 
 def drawn_smoothly():
@@ -233,6 +242,15 @@ class Region:
                 further = yield from self.scroll("WHEELDOWNMOUSE", 6)
         raise AssertionError(f"no button {wanted} in {self.editor}, only {', '.join(self.known) or 'nothing'}")
 
+    def beside(self, wanted: str, neighbor: str):
+        """Find a button in the row of another, which is quicker to find."""
+        x, _, width, _ = self.box
+        _, row = yield from self.find(neighbor)
+        for column in COLUMNS:
+            if is_button((yield from self.look((x + int(width * column), row))), wanted):
+                return self.seen(wanted)
+        raise AssertionError(f"no button {wanted} beside {neighbor}")
+
     def near(self, wanted: str):
         """Look where the button was last, then as far from there as the one before it was, then below and above."""
         x, y = self.seen(wanted)
@@ -314,17 +332,18 @@ class Region:
         raise AssertionError(f"no section with {wanted} above {above}")
 
     def unfold_last(self, wanted: str, below: str):
-        """Open the last section, whose header is the first below a button."""
+        """Open the last section, whose header is the lowest thing below a button."""
         global actions
         actions += 1
         _, row = yield from self.find(below)
-        for height in range(row - ROW, max(row - 14 * ROW, self.box[1]), -ROW // 2):
+        lowest = int(max(row - 14 * ROW, self.box[1] + ROW))
+        for height in range(lowest, int(row) - ROW, ROW // 2):  # from below: there are menus above it
             header = (self.box[0] + ASIDE, height)
             if (yield from self.look(header)):
                 continue
             yield from self._toggle(header)
             if (yield from self.scan_down(wanted, height)):
-                return Section(self, wanted, height - HEADER // 4 - (yield from self.top_of(wanted)))
+                return Section(self, wanted, height + HEADER // 4 - (yield from self.top_of(wanted)))
         raise AssertionError(f"no section with {wanted} below {below}")
 
     def fold(self, wanted: str):
@@ -444,6 +463,7 @@ def run():
     """Take the steps, write WORK/result.json and leave Blender."""
     preferences = bpy.context.preferences
     preferences.view.show_splash = False
+    preferences.view.show_tooltips = False  # on a busy machine they get into pictures
     preferences.system.use_region_overlap = False  # pictures of panels, not of what lies behind them
     preferences.system.viewport_aa = "OFF"  # there is no graphics card
     walk = _take_steps()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import importlib
 
 import bpy
+import driver
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 from driver import Region, click, tap, until
@@ -85,6 +86,11 @@ def key_points() -> np.ndarray:
     points = np.empty((len(block.points), 3), np.float32)
     block.points.foreach_get("co", points.ravel())
     return points
+
+
+def differing(before: np.ndarray) -> float:
+    """The share of the viewport's pixels that are clearly others than in a picture of it from before."""
+    return float((np.abs(driver.pixels(viewport.box) - before).max(axis=-1) > 0.1).mean())
 
 
 def on_screen(point) -> tuple[float, float]:

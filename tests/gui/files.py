@@ -4,19 +4,22 @@
 from __future__ import annotations
 
 import json
+import struct
 
 import bpy
 import driver
-from driver import WORK, Region, step, until
-from editors import addon, baked, select_target, settings, sidebar
+from driver import WORK, Region, measure, step, until
+from editors import addon, baked, select_target, settings, sidebar, viewport
 
 browser = Region("FILE_BROWSER", "WINDOW")
-SETUP = WORK / "arm.json"
+SETUP, GLB = WORK / "arm.json", WORK / "arm.glb"
+EXPORT = 38  # pixels: the middle of its menu, from the top of the button above
 sections = {}  # that a later step closes
 
 
 @step("A measured material")
 def material():
+    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
     yield from select_target(1)
     yield from driver.drawn()  # its properties have come
     x, y, width, _ = sidebar.box
@@ -36,6 +39,30 @@ def material():
     yield from driver.rest()
 
 
+@step("Export the bake as glTF")
+def export():
+    GLB.unlink(missing_ok=True)
+    yield from choose_file(export_menu(), GLB)
+    yield from until(GLB.exists, "the file")
+    data = GLB.read_bytes()
+    (length,) = struct.unpack_from("<I", data, 12)  # of the JSON in it, after two headers
+    document = json.loads(data[20 : 20 + length])
+    (mesh,) = document["meshes"]
+    assert len(mesh["primitives"][0]["targets"]) >= len(baked()) > 0 and len(document["animations"]) == 1
+    measure("Arm as glTF", f"{len(data) / 1e6:.1f} MB")
+    yield from driver.tap("ESC", viewport.middle)  # close what the export says, which lies over the sidebar
+
+
+def export_menu():
+    """Choose glTF by its letter in the menu below Free Bake, which has no name that could be looked for."""
+    top = yield from sidebar.top_of("dynamorph.free_bake")
+    x, _ = sidebar.seen("dynamorph.free_bake")
+    menu = (x, top - EXPORT)
+    yield from driver.click(menu)
+    yield 0.2
+    yield from driver.tap("G", menu)
+
+
 @step("Save Setup")
 def save_setup():
     yield from sidebar.press("dynamorph.free_bake")
@@ -44,7 +71,7 @@ def save_setup():
     sections["setup"] = yield from sidebar.unfold_last("dynamorph.save_setup", below="dynamorph.bake_all")
     yield from sections["setup"].keep("setup")
     SETUP.unlink(missing_ok=True)
-    yield from choose_file("dynamorph.save_setup")
+    yield from choose_file(sidebar.press("dynamorph.save_setup"), SETUP)
     yield from until(SETUP.exists, "the file")
     assert len(json.loads(SETUP.read_text())["targets"]) == len(settings().targets)
 
@@ -54,21 +81,21 @@ def load_setup():
     target = settings().targets[1]
     stiffness = target.stiffness
     target.stiffness = 4 * stiffness
-    yield from choose_file("dynamorph.load_setup")
+    yield from choose_file(sidebar.press("dynamorph.load_setup"), SETUP)
     yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup of the file")
     yield from sections["setup"].fold()
     yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
 
 
-def choose_file(button: str):
-    """Press a button, and choose SETUP in the file browser that it opens."""
+def choose_file(opening, path):
+    """Open the file browser by a generator, and choose a file in it."""
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"  # nobody is here to manage another window
-    yield from sidebar.press(button)
+    yield from opening
     opened = lambda: any(area.type == "FILE_BROWSER" for area in driver.window().screen.areas)  # noqa: E731
     yield from until(lambda: opened() and browser.area.spaces.active.params, "the file browser")
     chosen = browser.area.spaces.active.params
-    chosen.directory = str(SETUP.parent).encode()
-    chosen.filename = SETUP.name
+    chosen.directory = str(path.parent).encode()
+    chosen.filename = path.name
     yield from driver.drawn()
     yield from browser.key("RET")
     yield from until(lambda: not opened(), "the file browser to close")

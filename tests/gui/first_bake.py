@@ -149,10 +149,3 @@ def play():
     measure("Playback of the bake", f"{played.fps:.0f} of {bpy.context.scene.render.fps} frames/s")
     measure("Evaluation of a baked frame", f"{played.milliseconds:.1f} ms")
     bpy.context.scene.frame_set(limb.FLEXED + 1)  # the same picture each time
-
-
-@step("Free Bake")
-def free_bake():
-    yield from sidebar.press("dynamorph.free_bake")
-    yield from until(lambda: not baked(), "the bake to be freed")
-    assert keys() == ["Basis", "flexed"] and wobble() == 0.0

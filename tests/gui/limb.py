@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import scenes
 
+RINGS, AROUND = 49, 32  # of vertices, and how many in each
 LENGTH = 0.3  # of a bone, metres
 FIRST, FLEXED, HELD, LAST = 10, 20, 40, 72  # frames: begins to flex, is flexed, begins to stretch, end of the scene
 TURNED = 60  # frame: the palm is turned up, which no sculpted key is for
@@ -16,10 +17,10 @@ BONES = ("upper arm", "forearm")
 OUTLINE = ((0.0, 0.062), (0.35, 0.052), (0.9, 0.04), (1.15, 0.046), (1.8, 0.03), (2.0, 0.02))  # height in bones, radius
 
 
-def make_limb(rings=49, around=32):
+def make_limb():
     """An arm along x with two bones, a sculpted key 'flexed' and an animation; its armature is active, not selected."""
     bpy.data.batch_remove(list(bpy.data.objects))
-    tube, faces = scenes.tube(rings, around, radius=1.0)
+    tube, faces = scenes.tube(RINGS, AROUND, radius=1.0)
     bulge = scenes.bulge(tube, centre=0.55, width=0.25, amount=0.3) * (0.5 + 0.5 * tube[:, :1])  # on the inner side
     radius = np.interp(tube[:, 2], *np.transpose(OUTLINE))[:, None]
 

@@ -12,7 +12,7 @@ sys.path[:0] = [str(TESTS), str(TESTS / "gui"), str(TESTS / "addon")]
 
 import driver  # noqa: E402
 
-parts = ["first_bake", "authoring", "trying", "baking", "files"]
+parts = ["first_bake", "judging", "authoring", "trying", "baking", "files"]
 if (driver.WORK / "character.blend").exists():
     parts.append("character")
 else:

@@ -7,7 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -666,4 +666,8 @@ def tetrahedralize(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.floa
     
     vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. inner (k, 3): points
     inside that become nodes. Raises Error when it cannot be filled. Crashes or hangs on some input: `mesh_body` contains that.
+    """
+def unpack_model(buffer: collections.abc.Buffer) -> tuple[dict, str]:
+    """
+    (arrays by name, description as JSON) of a model file's bytes. Raises Error when they are damaged, or of a version that cannot be read.
     """

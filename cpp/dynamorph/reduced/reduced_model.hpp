@@ -27,6 +27,7 @@ class ReducedModel {
   };
 
   struct Blend {
+    const ReducedModel* of = nullptr;  ///< whose it is
     VectorXd weights;
     SetDensities mass;
     Matrix damping;           ///< sum_j w_j beta_j K_j (r, r)
@@ -44,6 +45,14 @@ class ReducedModel {
     std::vector<double> shares;
   };
 
+  /// The same of eight characters, one a lane; matrices are packed upper triangles.
+  struct EightBlend {
+    LaneVector<Doubles> weights, density, density_damping;  ///< (J), and of each set, mass damping times density
+    LaneVector<Doubles> centre, rest_force, stiffness, damping;
+    Doubles rest_energy;
+    LaneVector<Floats> v, pairs, product, linear, quadratic;  ///< scratch
+  };
+
   ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, const ReducedTables& tables,
                Blending blending);
 
@@ -52,10 +61,16 @@ class ReducedModel {
   const std::vector<MorphTarget>& targets() const { return targets_; }
   const MatrixXd& basis() const { return U_; }
   int dofs() const { return int(U_.cols()); }
+  /// Norm of the coordinates of a body that is moved by one metre as a whole, as far as the modes can.
+  double metre() const { return std::sqrt(body_->volume); }
 
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
+  /// By out.weights, which are set before.
+  void blend(EightBlend& out) const;
+  void linearize(EightBlend& blend, const LaneVector<Doubles>& z, Doubles& energy, LaneVector<Doubles>& force,
+                 LaneVector<Doubles>& stiffness) const;
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   /// Throws std::invalid_argument when there is none, because the nodes have transforms of their own.
   const ModalInertia& modal_inertia() const;
@@ -65,8 +80,6 @@ class ReducedModel {
   Matrix zero() const { return Matrix::Zero(dofs(), dofs()); }
 
  private:
-  friend class Crowd;  // evaluates the same tables for eight characters at once
-
   /// The orders of the tangent at v (in the scratch), packed.
   void expand(const Blend& blend, const VectorXd& z) const;
 
@@ -74,9 +87,9 @@ class ReducedModel {
   std::vector<MorphTarget> targets_;
   Blending blending_;
   MatrixXd U_;
+  std::vector<VectorXd> coordinates_;  ///< z_j
   TableLayout layout_;
   Eigen::Index padded_pairs_;
-  std::vector<VectorXd> coordinates_;  ///< z_j
   /// Per target with its material, about z_j (even) or 0 (forces). K0 in double; [K1 | K2] in single precision, in the
   /// order in which a step reads them: half the bytes, and forces to 1e-7 of the largest.
   std::vector<VectorXd> stiffness_;

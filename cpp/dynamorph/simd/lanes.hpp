@@ -189,6 +189,12 @@ DYNAMORPH_INLINE Doubles operator+(double a, const Doubles& b) { return b + a; }
 DYNAMORPH_INLINE Doubles operator*(double a, const Doubles& b) { return b * a; }
 DYNAMORPH_INLINE Doubles operator/(double a, const Doubles& b) { return {a / b.low, a / b.high}; }
 
+DYNAMORPH_INLINE bool all_zero(const Doubles& v) {
+  for (int lane = 0; lane < kLanes; ++lane)
+    if (v[lane] != 0) return false;
+  return true;
+}
+
 DYNAMORPH_INLINE Floats mul_add(const Floats& c, const Floats& a, const Floats& b) {
   return {mul_add(c.all, a.all, b.all)};
 }

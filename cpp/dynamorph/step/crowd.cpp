@@ -6,48 +6,13 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/progress.hpp"
-#include "dynamorph/step/crowd_kernels.hpp"
+#include "dynamorph/reduced/eight_kernels.hpp"
 
 namespace dynamorph {
 
 namespace {
 
 using Eigen::Index;
-
-DYNAMORPH_INLINE bool all_zero(const Doubles& v) {
-  for (int lane = 0; lane < kLanes; ++lane)
-    if (v[lane] != 0) return false;
-  return true;
-}
-
-DYNAMORPH_INLINE Doubles root_of(const Doubles& v) {
-  Doubles out;
-  for (int lane = 0; lane < kLanes; ++lane) out[lane] = std::sqrt(v[lane]);
-  return out;
-}
-
-DYNAMORPH_INLINE Doubles norm(const LaneVector<Doubles>& v) {
-  Doubles square;
-  dot(v.data(), v.data(), Index(v.size()), square);
-  return root_of(square);
-}
-
-DYNAMORPH_INLINE unsigned lanes_below(const Doubles& v, double limit) {
-  unsigned out = 0;
-  for (int lane = 0; lane < kLanes; ++lane)
-    if (v[lane] <= limit) out |= 1U << lane;
-  return out;
-}
-
-DYNAMORPH_INLINE void widen(Doubles& most, const Doubles& v) {
-  for (int lane = 0; lane < kLanes; ++lane) most[lane] = std::max(most[lane], std::abs(v[lane]));
-}
-
-DYNAMORPH_INLINE Doubles largest(const LaneVector<Doubles>& values) {
-  Doubles most = {};
-  for (const Doubles& v : values) widen(most, v);
-  return most;
-}
 
 }  // namespace
 
@@ -154,11 +119,11 @@ void Crowd::check(const double* bones, const double* weights) const {
 void Crowd::step_eight(int index, const double* bones, const double* weights, CrowdReport& report) {
   Eight& eight = eights_[index];
   gather(index, bones, weights);
-  blend();
-  pull(eight);
+  model().blend(scratch_.blend);
+  load(eight);
   const int count = std::min(kLanes, size_ - index * kLanes);
-  const unsigned present = (1U << count) - 1, cut = jumps(eight) & present;
-  const unsigned need = cut | minimize(present & ~cut, report);
+  const Lanes present = (1U << count) - 1, cut = jumps(eight) & present;
+  const Lanes need = cut | minimize(present & ~cut, report);
   std::array<State, kLanes> before;
   for (int i = 0; i < count; ++i)
     if (need >> i & 1) before[i] = lane(eight, i);
@@ -188,17 +153,17 @@ void Crowd::gather(int index, const double* bones, const double* weights) {
   const std::vector<int>& used = model().modal_inertia().used_bones();
   const Index count = model().body().skin.cols(), targets = Index(model().targets().size());
   Scratch& s = scratch_;
-  s.weights.resize(targets);
+  s.blend.weights.resize(targets);
   s.bones.resize(12 * used.size());
   for (int lane = 0; lane < kLanes; ++lane) {
     const Index character = std::min(index * kLanes + lane, size_ - 1);
-    for (Index j = 0; j < targets; ++j) s.weights[j][lane] = weights[character * targets + j];
+    for (Index j = 0; j < targets; ++j) s.blend.weights[j][lane] = weights[character * targets + j];
     for (size_t b = 0; b < used.size(); ++b)
       for (int e = 0; e < 12; ++e) s.bones[12 * b + e][lane] = bones[(character * count + used[b]) * 12 + e];
   }
 }
 
-unsigned Crowd::jumps(const Eight& eight) const {
+Lanes Crowd::jumps(const Eight& eight) const {
   if (options().teleport <= 0) return 0;
   const SoftBody& body = model().body();
   const std::vector<int>& used = model().modal_inertia().used_bones();
@@ -208,43 +173,17 @@ unsigned Crowd::jumps(const Eight& eight) const {
     add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(),
              body.centre.data(), jump);
   }
-  unsigned out = 0;
+  Lanes out = 0;
   for (int lane = 0; lane < kLanes; ++lane)
     if (!(jump[lane] < options().teleport * options().teleport * body.volume)) out |= 1U << lane;
   return out;
 }
 
-void Crowd::blend() {
-  const ReducedModel& m = model();
-  const Index r = m.dofs(), pairs = r * (r + 1) / 2;
-  Scratch& s = scratch_;
-  s.density.assign(m.body().sets(), Doubles{});
-  s.density_damping.assign(m.body().sets(), Doubles{});
-  s.centre.assign(r, Doubles{});
-  s.rest_force.assign(r, Doubles{});
-  s.stiffness.assign(pairs, Doubles{});
-  s.damping.assign(pairs, Doubles{});
-  s.rest_energy = Doubles{};
-  for (size_t j = 0; j < m.targets().size(); ++j) {
-    const Doubles w = s.weights[j];
-    if (all_zero(w)) continue;
-    const MorphTarget& target = m.targets()[j];
-    s.density[target.set] += w * target.density;
-    s.density_damping[target.set] += w * target.density * target.mass_damping;
-    add_scaled(w, m.stiffness_[j].data(), pairs, s.stiffness.data());
-    add_scaled(w * target.stiffness_damping, m.rest_stiffness_[j].data(), pairs, s.damping.data());
-    if (m.blending_ == Blending::even) {
-      add_scaled(w, m.coordinates_[j].data(), r, s.centre.data());
-    } else {
-      add_scaled(w, m.forces_[j].data(), r, s.rest_force.data());
-      s.rest_energy += w * m.energies_[j];
-    }
-  }
-}
-
-void Crowd::pull(const Eight& eight) {
+void Crowd::load(const Eight& eight) {
   const Index r = model().dofs(), pairs = r * (r + 1) / 2;
   Scratch& s = scratch_;
+  ReducedModel::EightBlend& blend = s.blend;
+  QuadraticTerm<EightLanes>& quadratic = s.quadratic;
   const StepRule rule(options());
   ModalInertia::EightInertialTarget inertial;
   for (int m = 0; m < InertialTarget::kMoments; ++m) inertial.q[m] = eight.q[m].data();
@@ -252,139 +191,43 @@ void Crowd::pull(const Eight& eight) {
   for (int m = 0; m < InertialTarget::kMoments; ++m) inertial.bones[m + 1] = eight.bones[m].data();
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options().gravity;
-  model().modal_inertia().evaluate(inertial, s.density.data(), s.density_damping.data(), s.inertia);
+  model().modal_inertia().evaluate(inertial, blend.density.data(), blend.density_damping.data(), s.inertia);
 
-  s.H.resize(pairs);
-  for (LaneVector<Doubles>* v : {&s.g, &s.q, &s.origin, &s.velocity, &s.force, &s.gradient, &s.trial, &s.image})
-    v->resize(r);
+  quadratic.hessian.resize(pairs);
+  for (LaneVector<Doubles>* v : {&quadratic.g, &quadratic.origin, &s.velocity}) v->resize(r);
   add_up(s.inertia.mass.data(), s.inertia.damped.data(), 1 / rule.square, rule.velocity[0] / options().h, pairs,
-         s.damping.data(), s.H.data());
+         blend.damping.data(), quadratic.hessian.data());
   for (Index k = 0; k < r; ++k) {
     const Doubles &q0 = eight.q[0][k], &q1 = eight.q[1][k];
-    s.q[k] = s.origin[k] = 2 * q0 - q1;
-    s.velocity[k] = (rule.velocity[0] * s.q[k] + rule.velocity[1] * q0 + rule.velocity[2] * q1) / options().h;
+    quadratic.origin[k] = 2 * q0 - q1;
+    s.velocity[k] =
+        (rule.velocity[0] * quadratic.origin[k] + rule.velocity[1] * q0 + rule.velocity[2] * q1) / options().h;
   }
-  packed_product(s.damping.data(), s.velocity.data(), r, s.g.data());
-  for (Index k = 0; k < r; ++k) s.g[k] += s.inertia.force[k] / rule.square;
-  for (Index j = 0; j < alone_.held().cols(); ++j) add_scaled(s.weights[j], alone_.held().col(j).data(), r, s.g.data());
+  EightLanes::multiply(blend.damping, s.velocity, quadratic.g);
+  for (Index k = 0; k < r; ++k) quadratic.g[k] += s.inertia.force[k] / rule.square;
+  for (Index j = 0; j < alone_.held().cols(); ++j)
+    add_scaled(blend.weights[j], alone_.held().col(j).data(), r, quadratic.g.data());
 
   Doubles farthest = {}, density = {};
-  for (size_t e = 3; e < s.bones.size(); e += 4) widen(farthest, s.bones[e]);
-  for (const Doubles& d : s.density) widen(density, d);
+  for (size_t e = 3; e < s.bones.size(); e += 4) EightLanes::widen(farthest, s.bones[e]);
+  for (const Doubles& d : blend.density) EightLanes::widen(density, d);
   const SoftBody& body = model().body();
-  s.round_off = 1e-14 / rule.square * (farthest + (body.centre.norm() + body.size)) *
-                root_of(body.volume * density * largest(s.inertia.mass));
+  quadratic.round_off = 1e-14 / rule.square * (farthest + (body.centre.norm() + body.size)) *
+                        EightLanes::root(body.volume * density * EightLanes::largest(s.inertia.mass));
 }
 
-void Crowd::linearize() {
-  const ReducedModel& m = model();
-  const Index r = m.dofs(), rows = m.padded_pairs_;
+Lanes Crowd::minimize(Lanes moving, CrowdReport& report) {
   Scratch& s = scratch_;
-  s.v.resize(r);
-  s.pairs.assign(rows, Floats{});
-  s.linear.assign(rows, Floats{});
-  s.quadratic.assign(rows, Floats{});
-  s.product.resize(rows);
-  s.tangent.resize(r * (r + 1) / 2);
-  expand(s.q.data(), s.centre.data(), r, s.v.data(), s.pairs.data());
-  for (size_t j = 0; j < m.targets().size() && m.layout_.nonlinear; ++j) {
-    if (all_zero(s.weights[j])) continue;
-    Floats w;
-    to_single(s.weights[j], w);
-    add_orders(m.tables_[j].data(), rows, r, w, s.v.data(), s.pairs.data(), s.product.data(), s.linear.data(),
-               s.quadratic.data());
-  }
-  contract(s.stiffness.data(), s.linear.data(), s.quadratic.data(), s.q.data(), s.centre.data(), s.rest_force.data(), r,
-           s.force.data(), s.tangent.data(), s.energy);
-  s.energy += s.rest_energy;
-  for (Index k = 0; k < r; ++k) s.trial[k] = s.q[k] - s.origin[k];
-  packed_product(s.H.data(), s.trial.data(), r, s.image.data());
-  Doubles half, linear;
-  dot(s.trial.data(), s.image.data(), r, half);
-  dot(s.trial.data(), s.g.data(), r, linear);
-  s.potential = 0.5 * half + linear + s.energy;
-  for (Index k = 0; k < r; ++k) s.gradient[k] = s.image[k] + s.g[k] + s.force[k];
-}
-
-void Crowd::residual(Doubles& out) {
-  Scratch& s = scratch_;
-  const Doubles scale = norm(s.image) + norm(s.g) + norm(s.force);
-  const Doubles displacement = norm(s.q) + norm(s.origin) + 0.1 * model().body().size;
-  const Doubles round_off = s.round_off + 1e-14 * largest(s.tangent) * displacement;
-  out = norm(s.gradient) / (scale + round_off / options().tolerance + 1e-300);
-}
-
-void Crowd::descend(unsigned moving) {
-  Scratch& s = scratch_;
-  const Index r = model().dofs();
-  const Doubles unit = 1e-4 * (largest(s.tangent) + largest(s.H));
-  Doubles shift = {};
-  s.inverse.resize(r);
-  for (int attempt = 0; attempt < 20; ++attempt) {
-    s.factor = s.tangent;
-    for (size_t p = 0; p < s.factor.size(); ++p) s.factor[p] += s.H[p];
-    for (Index k = 0, p = 0; k < r; p += r - k, ++k) s.factor[p] += shift;
-    factorize(s.factor.data(), r, s.inverse.data());
-    unsigned indefinite = 0;
-    for (const Doubles& d : s.inverse)
-      for (int lane = 0; lane < kLanes; ++lane)
-        if (!(d[lane] > 0)) indefinite |= 1U << lane;
-    if (!(indefinite & moving)) break;
-    for (int lane = 0; lane < kLanes; ++lane)
-      if (indefinite >> lane & 1) shift[lane] = shift[lane] == 0 ? unit[lane] : 4 * shift[lane];
-  }
-  s.direction = s.gradient;
-  substitute(s.factor.data(), s.inverse.data(), r, s.direction.data());
-}
-
-unsigned Crowd::minimize(unsigned moving, CrowdReport& report) {
-  Scratch& s = scratch_;
-  const double tolerance = options().tolerance;
-  linearize();
-  unsigned alone = 0;
-  for (int iteration = 0; moving; ++iteration) {
-    Doubles reached;
-    residual(reached);
-    const unsigned close = lanes_below(reached, 100 * tolerance);  // as Simulation counts convergence
-    moving &= ~lanes_below(reached, tolerance);
-    if (iteration == options().max_iterations) return alone | (moving & ~close);
-    descend(moving);
-    // Displacements in single precision have no more digits.
-    for (size_t k = 0; k < s.q.size(); ++k) s.trial[k] = s.q[k] - s.centre[k];
-    moving &= ~(close & lanes_below(norm(s.direction) - 1e-6 * norm(s.trial), 0));
-    if (!moving) break;
-    for (int i = 0; i < kLanes; ++i) report.iterations += moving >> i & 1;
-    const unsigned stuck = search(moving);
-    alone |= stuck & ~close;
-    moving &= ~stuck;
-  }
-  return alone;
-}
-
-unsigned Crowd::search(unsigned moving) {
-  Scratch& s = scratch_;
-  const Index r = model().dofs();
-  Doubles slope, length = {};
-  dot(s.gradient.data(), s.direction.data(), r, slope);
-  const Doubles start = s.potential, elastic = s.energy;
-  s.from = s.q;
-  for (int lane = 0; lane < kLanes; ++lane) length[lane] = moving >> lane & 1;
-  // The whole step is nearly always taken; who would not descend by it halves it, and stays in the end.
-  constexpr int kHalvings = 4;
-  unsigned rising = moving, stuck = 0;
-  for (int halving = 0; rising; ++halving) {
-    for (Index k = 0; k < r; ++k) s.q[k] = s.from[k] - length * s.direction[k];
-    linearize();
-    rising &= ~stuck;
-    for (int lane = 0; lane < kLanes; ++lane) {
-      const double noise = 1e-6 * (std::abs(elastic[lane]) + std::abs(start[lane] - elastic[lane]));
-      if (s.potential[lane] <= start[lane] - 1e-4 * length[lane] * slope[lane] + noise) rising &= ~(1U << lane);
-    }
-    if (halving == kHalvings) stuck = rising;
-    for (int lane = 0; lane < kLanes; ++lane)
-      if (rising >> lane & 1) length[lane] = stuck ? 0 : 0.5 * length[lane];
-  }
-  return stuck;
+  s.elastic.model = &model();
+  s.elastic.blend = &s.blend;
+  s.elastic.reference = EightLanes::norm(s.quadratic.origin);
+  s.q = s.quadratic.origin;
+  Potential<EightLanes, decltype(s.quadratic), decltype(s.elastic)> potential(s.quadratic, s.elastic);
+  const double nothing = options().tolerance * model().body().size * model().metre();
+  const NewtonLimits limits{options().tolerance, nothing, options().max_iterations};
+  const auto found = dynamorph::minimize(potential, s.newton, s.q, moving, limits, [] {});
+  report.iterations += found.iterations;
+  return found.open | found.broken;
 }
 
 }  // namespace dynamorph

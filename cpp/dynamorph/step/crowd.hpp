@@ -7,8 +7,9 @@
 #include <memory>
 #include <vector>
 
-#include "dynamorph/simd/lanes.hpp"
+#include "dynamorph/step/eight.hpp"
 #include "dynamorph/step/simulation.hpp"
+#include "dynamorph/step/terms.hpp"
 
 namespace dynamorph {
 
@@ -44,15 +45,15 @@ class Crowd {
   struct Eight {
     std::array<LaneVector<Doubles>, InertialTarget::kMoments> q, bones;
   };
-  /// As Simulation's members of these names; matrices are packed upper triangles.
+  /// As Simulation's members of these names.
   struct Scratch {
-    LaneVector<Doubles> weights, bones;  ///< at the end of the step: (J), (12 used)
-    LaneVector<Doubles> density, density_damping, centre, rest_force, stiffness, damping;
-    LaneVector<Doubles> H, g, q, from, origin, velocity, force, tangent, gradient, direction, trial, image, factor,
-        inverse;
-    LaneVector<Floats> v, pairs, product, linear, quadratic;
+    ReducedModel::EightBlend blend;
+    LaneVector<Doubles> bones;  ///< at the end of the step (12 used)
+    LaneVector<Doubles> q, velocity;
     ModalInertia::EightInertia inertia;
-    Doubles rest_energy, energy, potential, round_off;
+    QuadraticTerm<EightLanes> quadratic;
+    ElasticTerm<ReducedModel, EightLanes, ReducedModel::EightBlend> elastic;
+    NewtonScratch<EightLanes> newton;
   };
 
   State lane(const Eight& eight, int lane) const;
@@ -62,14 +63,9 @@ class Crowd {
   void add(CrowdReport& report, int character, const Step& step);  ///< one that is started or stepped alone
   void step_eight(int eight, const double* bones, const double* weights, CrowdReport& report);
   void gather(int eight, const double* bones, const double* weights);
-  unsigned jumps(const Eight& eight) const;  ///< lanes whose rig jumps off its course further than options.teleport
-  void blend();
-  void pull(const Eight& eight);
-  void linearize();
-  unsigned minimize(unsigned moving, CrowdReport& report);  ///< of these, the lanes that need to be stepped alone
-  void residual(Doubles& out);                              ///< as StepReport's
-  void descend(unsigned moving);     ///< `direction` of the moving lanes, their tangents made positive definite
-  unsigned search(unsigned moving);  ///< moves them; lanes that did not descend, and stay where they were
+  Lanes jumps(const Eight& eight) const;  ///< lanes whose rig jumps off its course further than options.teleport
+  void load(const Eight& eight);
+  Lanes minimize(Lanes moving, CrowdReport& report);  ///< of these, the lanes that need to be stepped alone
 
   int size_;
   Simulation<ReducedModel> alone_;

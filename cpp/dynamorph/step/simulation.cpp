@@ -3,8 +3,6 @@
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/progress.hpp"
-#include "dynamorph/elastic/dense_factor.hpp"
-#include "dynamorph/elastic/sparse_solver.hpp"
 #include "dynamorph/step/teleport.hpp"
 
 namespace dynamorph {
@@ -12,19 +10,6 @@ namespace dynamorph {
 namespace {
 
 constexpr int kStaticIterations = 200;  // paid once, and gravity on a soft body is far to go
-
-/// Solves H x = b; false when H is not positive definite.
-class DenseSolver {
- public:
-  bool solve(const MatrixXd& H, const VectorXd& b, VectorXd& x) {
-    if (!factor_.compute(H)) return false;
-    factor_.solve(b, x);
-    return true;
-  }
-
- private:
-  DenseFactor factor_;
-};
 
 /// Gravity (m/s^2, world) on the flesh at the bones, and nothing of the past.
 InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
@@ -35,26 +20,7 @@ InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3
   return inertial;
 }
 
-template <class Matrix>
-using TangentSolver = std::conditional_t<std::is_same_v<Matrix, MatrixXd>, DenseSolver, SparseSolver>;
-
 }  // namespace
-
-StepRule::StepRule(const StepOptions& options) {
-  const bool euler = options.scheme == Scheme::euler;
-  past = euler ? std::array<double, 4>{2, -1, 0, 0} : std::array<double, 4>{24 / 9., -22 / 9., 8 / 9., -1 / 9.};
-  velocity = euler ? std::array<double, 3>{1, -1, 0} : std::array<double, 3>{1.5, -2, 0.5};
-  square = options.h * options.h * (euler ? 1 : 4 / 9.);
-}
-
-Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> StepRule::coefficients() const {
-  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients;
-  coefficients.setZero();
-  coefficients(0, 0) = 2;
-  coefficients(1, 0) = -1;
-  for (int m = 0; m < InertialTarget::kMoments; ++m) coefficients(m, m + 1) = -past[m];
-  return coefficients;
-}
 
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights) {
   if (weights.size() != Eigen::Index(targets.size()))
@@ -70,15 +36,10 @@ void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eige
 }
 
 template <class Model>
-class Simulation<Model>::Solver : public TangentSolver<typename Model::Matrix> {};
-
-template <class Model>
 Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions options)
-    : model_(std::move(model)), options_(options), solver_(std::make_shared<Solver>()) {
-  if (!(options_.h > 0) || !std::isfinite(options_.h))
-    throw std::invalid_argument("h: the step must be a positive number of seconds");
-  if (!options_.gravity.allFinite()) throw std::invalid_argument("gravity: must be finite");
-  damped_ = stiffness_ = tangent_ = quadratic_.H = model_->zero();
+    : model_(std::move(model)), options_(options) {
+  check(options_);
+  damped_ = elastic_.hessian = newton_.tangent = quadratic_.hessian = model_->zero();
 }
 
 template <class Model>
@@ -92,7 +53,7 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
 }
 
 template <class Model>
-void Simulation<Model>::pull(const InertialTarget& inertial, double square, const VectorXd& external) {
+void Simulation<Model>::load(const InertialTarget& inertial, double square, const VectorXd& external) {
   model_->inertia(inertial, blend_.mass, inertia_);
   quadratic_.g = inertia_.force / square;
   if (held_.size() > 0) quadratic_.g.noalias() += held_ * blend_.weights;
@@ -124,7 +85,7 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
       // The target alone, not even with the other sets': f_g^(j) = rho_j (A^(j))^T M1 g.
       const VectorXd alone = VectorXd::Unit(targets.size(), j);
       pose(bones[j], alone);
-      pull(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
+      load(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
       held.col(j) = -quadratic_.g;
     }
   } catch (...) {
@@ -146,8 +107,8 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
       if (weights(j) != 0) q += weights(j) * model_->target(int(j));
   }
   if (!q.allFinite()) throw std::invalid_argument("q: coordinates must be finite");
-  pull(at_rest(q, bones, options_.gravity), 1, external);
-  values(quadratic_.H).setZero();
+  load(at_rest(q, bones, options_.gravity), 1, external);
+  values(quadratic_.hessian).setZero();
   quadratic_.origin = VectorXd::Zero(model_->dofs());
   quadratic_.round_off = 1e-15 * quadratic_.g.norm();
   return minimize(q, kStaticIterations);
@@ -160,6 +121,7 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
                                 std::to_string(next.rows()));
   VectorXd q;
   const StepReport report = solve_static(now, weights, q);
+  weights_ = weights;
   for (int k = 0; k < InertialTarget::kMoments; ++k) {
     state_.q[k] = q;
     state_.bones[k] = extrapolate_back(now, next, k);
@@ -187,8 +149,22 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
   check_weights(model_->targets(), model_->body().sets(), weights);
   pose(bones, weights);
-  const bool teleported = carry_past(model_->body(), options_.teleport, bones, state_.bones);
+  const bool teleported = jumps(model_->body(), options_.teleport, bones, state_.bones);
+  if (!teleported) return advance(bones, weights, external);
+  before_ = state_.bones;
+  carry_past(model_->body(), bones, state_.bones);
+  try {
+    StepReport report = advance(bones, weights, external);
+    report.teleported = true;
+    return report;
+  } catch (...) {
+    state_.bones = before_;
+    throw;
+  }
+}
 
+template <class Model>
+StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
   const StepRule rule(options_);
   const double h = options_.h;
   next_ = 2 * state_.q[0] - state_.q[1];
@@ -200,11 +176,11 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   }
   inertial.coefficients = rule.coefficients();
   inertial.gravity_offset = rule.square * options_.gravity;
-  pull(inertial, rule.square, external);
+  load(inertial, rule.square, external);
 
   // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
-  values(quadratic_.H) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
+  values(quadratic_.hessian) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
   velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
   quadratic_.g.noalias() += damped_ * velocity_;
   quadratic_.origin = next_;
@@ -213,101 +189,49 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
       1e-14 / rule.square * farthest(bones) *
       std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
 
-  StepReport report = minimize(next_, options_.max_iterations);
-  report.teleported = teleported;
-
+  const StepReport report = minimize(next_, options_.max_iterations);
   std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
   state_.bones[0] = bones;
+  weights_ = weights;
   return report;
 }
 
 template <class Model>
 void Simulation<Model>::require_pose() const {
-  if (state_.q[0].size() == 0 || blend_.weights.size() == 0)
+  if (state_.q[0].size() == 0 || weights_.size() == 0)
     throw std::invalid_argument("energy: start() comes first, or after setting a state a step");
 }
 
 template <class Model>
-void Simulation<Model>::descend(Matrix& H) {
-  // Indefinite under compression, or without inertia where a bone has collapsed.
-  const double unit = 1e-4 * values(H).cwiseAbs().maxCoeff();
-  double shift = 0;
-  while (!solver_->solve(H, gradient_, direction_)) {
-    const double more = shift == 0 ? unit : 4 * shift;
-    if (!(more > 0) || !(more < 1e12 * unit))
-      throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
-    H.diagonal().array() += more - shift;
-    shift = more;
-  }
-  direction_ = -direction_;
-}
-
-template <class Model>
-double Simulation<Model>::potential(const VectorXd& q, double elastic) {
-  trial_ = q - quadratic_.origin;
-  image_.noalias() = quadratic_.H * trial_;
-  return 0.5 * trial_.dot(image_) + trial_.dot(quadratic_.g) + elastic;
-}
-
-template <class Model>
 StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
-  const Quadratic& quadratic = quadratic_;
-  StepReport report;
-  elastic_ = model_->linearize(blend_, q, force_, stiffness_);
-  double reached = potential(q, elastic_);
-  for (;; ++report.iterations) {
+  elastic_.model = model_.get();
+  elastic_.blend = &blend_;
+  elastic_.reference = quadratic_.origin.norm();
+  Potential<Arithmetic, decltype(quadratic_), decltype(elastic_)> potential(quadratic_, elastic_);
+  const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
-    const double scale = image_.norm() + quadratic.g.norm() + force_.norm();
-    gradient_ = image_ + quadratic.g + force_;
-    // Terms as large as the stiffness times the displacement cancel in the elastic force.
-    const double displacement = q.norm() + quadratic.origin.norm() + 0.1 * model_->body().size;
-    const double round_off = quadratic.round_off + 1e-14 * values(stiffness_).cwiseAbs().maxCoeff() * displacement;
-    if (!std::isfinite(scale))
-      throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
-    report.residual = gradient_.norm() / (scale + round_off / options_.tolerance);
-    report.energy = elastic_;
-    if (report.residual <= options_.tolerance || scale == 0) return report;
-    if (report.iterations == max_iterations) break;
-    values(tangent_) = values(quadratic.H) + values(stiffness_);
-    descend(tangent_);
-    if (!search(q, reached, round_off * displacement)) break;
-  }
-  report.converged = report.residual <= 100 * options_.tolerance;
+  };
+  const double nothing = options_.tolerance * model_->body().size * model_->metre();
+  const NewtonLimits limits{options_.tolerance, nothing, max_iterations};
+  const NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
+  if (found.broken)
+    throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
+  StepReport report;
+  report.iterations = found.iterations;
+  report.converged = !found.open;
+  report.residual = found.residual;
+  report.energy = elastic_.energy;
   return report;
-}
-
-template <class Model>
-bool Simulation<Model>::search(VectorXd& q, double& reached, double energy_round_off) {
-  const double slope = gradient_.dot(direction_), norm = gradient_.norm(), start = reached;
-  const double terms = std::abs(elastic_) + std::abs(start - elastic_);
-  const double slack = 1e-12 * terms + energy_round_off;
-  const auto descends = [&](double length) { return reached <= start + 1e-4 * length * slope + slack; };
-
-  // The whole step is nearly always taken, so its force and tangent are evaluated at once. Where the potential's digits
-  // run out, the gradient decides.
-  from_ = q;
-  q += direction_;
-  elastic_ = model_->linearize(blend_, q, force_, stiffness_);
-  reached = potential(q, elastic_);
-  trial_ = image_ + quadratic_.g + force_;
-  if (descends(1) || (trial_.norm() < 0.5 * norm && reached <= start + 1e-6 * terms + slack)) return true;
-  for (double length = 0.5; length > 1e-6; length /= 2) {
-    q = from_ + length * direction_;
-    reached = potential(q, model_->energy(blend_, q));
-    if (!descends(length)) continue;
-    elastic_ = model_->linearize(blend_, q, force_, stiffness_);
-    return true;
-  }
-  q = from_;
-  return false;
 }
 
 template <class Model>
 double Simulation<Model>::elastic_energy() const {
   require_pose();
-  return model_->energy(blend_, state_.q[0]);
+  typename Model::Blend blend;  // that of the iterations may be of another pose
+  model_->blend(weights_, blend);
+  return model_->energy(blend, state_.q[0]);
 }
 
 template <class Model>
@@ -315,7 +239,7 @@ double Simulation<Model>::kinetic_energy() const {
   require_pose();
   const SoftBody& body = model_->body();
   VectorXd velocity = VectorXd::Zero(body.rest.size()), u, x;
-  const double shares[] = {1.5, -2, 0.5};
+  const std::array<double, 3> shares = StepRule(options_).velocity;
   for (int m = 0; m < 3; ++m) {
     SkinFrame frame{state_.bones[m], {}};
     pose_nodes(body.skin, frame);
@@ -323,7 +247,9 @@ double Simulation<Model>::kinetic_energy() const {
     to_world(frame, 1, body.rest + u, x);
     velocity += shares[m] / options_.h * x;
   }
-  const VectorXd mass = body.volumes * blend_.mass.density;
+  SetDensities densities;
+  densities.blend(model_->targets(), body.sets(), weights_);
+  const VectorXd mass = body.volumes * densities.density;
   double energy = 0;
   for (Eigen::Index i = 0; i < mass.size(); ++i) energy += 0.5 * mass(i) * velocity.segment<3>(3 * i).squaredNorm();
   return energy;

@@ -12,39 +12,16 @@
 #pragma once
 
 #include <array>
-#include <functional>
 #include <memory>
 
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
+#include "dynamorph/step/one.hpp"
+#include "dynamorph/step/step_options.hpp"
+#include "dynamorph/step/terms.hpp"
 
 namespace dynamorph {
-
-enum class Scheme { euler, bdf2 };
-
-struct StepOptions {
-  double h = 1.0 / 120;  ///< seconds
-  Scheme scheme = Scheme::bdf2;
-  Vector3d gravity = Vector3d::Zero();  ///< m/s^2, world
-  double tolerance = 1e-6;              ///< on the gradient, relative to the largest force term
-  int max_iterations = 30;
-  /// Jump of the skin off its course in one step, metres (root mean square), above which the past is carried along.
-  /// 0: never.
-  double teleport = 0;
-  /// Asked before every Newton iteration; false throws Cancelled, after which start() must come first again.
-  std::function<bool()> keep_going = {};
-};
-
-/// The numbers of a scheme at one step size.
-struct StepRule {
-  explicit StepRule(const StepOptions& options);
-  std::array<double, InertialTarget::kMoments> past;  ///< of x^
-  double square;                                      ///< h^2 c^2, s^2
-  std::array<double, 3> velocity;                     ///< h u' = sum velocity[m] u(n+1-m)
-  /// Of the motion that inertia acts on: 2 q(n) - q(n-1), as the bones pose it at the end of the step, less x^.
-  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients() const;
-};
 
 /// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps. Copy it to undo,
 /// resume or fork a simulation.
@@ -57,10 +34,12 @@ struct State {
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights);
 
 struct StepReport {
-  int iterations = 0;     ///< of Newton's method
-  bool converged = true;  ///< when false the state is the best found, and finite
-  double residual = 0;    ///< gradient relative to the largest force term
-  double energy = 0;      ///< elastic energy, J
+  int iterations = 0;  ///< of Newton's method
+  /// The gradient was within the tolerance of the forces, or Newton's next step within that of the body's size (root
+  /// mean square). When false the state is the best found, and finite.
+  bool converged = true;
+  double residual = 0;  ///< gradient relative to the largest force term
+  double energy = 0;    ///< elastic energy, J
   bool teleported = false;
 };
 
@@ -92,50 +71,40 @@ class Simulation {
   const MatrixXd& held() const { return held_; }  ///< what holds the targets (dofs, J), or empty
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
+  /// J, of the state at the target weights of the last start() or step(); kinetic by the scheme's own velocity.
   double kinetic_energy() const;
   double elastic_energy() const;
   const typename Model::Blend& blend() const { return blend_; }
 
  private:
-  using Matrix = typename Model::Matrix;
-  class Solver;
-
-  /// The quadratic part of Phi: 1/2 d.H d + g.d with d = q - origin (inertia, damping, gravity, external forces).
-  /// About the predicted coordinates, so that g is a force and not the round-off of a large displacement.
-  struct Quadratic {
-    Matrix H;
-    VectorXd g, origin;
-    double round_off;  ///< of g: what no iteration can improve
-  };
+  using Arithmetic = One<typename Model::Matrix>;
 
   void pose(const Transforms& bones, const VectorXd& weights);
-  /// Inertia's force on `inertial` divided by `square` s^2, the external forces and what holds the targets, in
-  /// quadratic_.g.
-  void pull(const InertialTarget& inertial, double square, const VectorXd& external);
+  /// A step, posed and checked, off which the rig does not jump.
+  StepReport advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external);
+  /// The forces at the origin of the quadratic term, in its g: inertia's towards `inertial` divided by `square` s^2,
+  /// the external ones, and what holds the targets.
+  void load(const InertialTarget& inertial, double square, const VectorXd& external);
+  /// To the minimum of the sum of the terms, from q on.
   StepReport minimize(VectorXd& q, int max_iterations);
-  /// Along direction_ from q: to where Phi descends, with elastic_, force_ and stiffness_ there; false when round-off
-  /// leaves no descent.
-  bool search(VectorXd& q, double& potential, double energy_round_off);
-  double potential(const VectorXd& q, double elastic);  ///< Phi, with trial_ and image_ there
-  void descend(Matrix& H);  ///< direction_ by the tangent, which is shifted until it is positive definite
   void require_pose() const;
   double farthest(const Transforms& bones) const;
 
   std::shared_ptr<const Model> model_;
   StepOptions options_;
   State state_;
+  VectorXd weights_;                                         ///< of the last start() or step()
+  std::array<Transforms, InertialTarget::kMoments> before_;  ///< a jump, should the step fail
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
-  Matrix damped_, stiffness_, tangent_;
-  VectorXd force_, gradient_, direction_, from_;  ///< of the iteration
-  VectorXd trial_, image_;                        ///< a point less the origin, and H times that
-  VectorXd next_, velocity_;                      ///< coordinates of the step, and bind-pose velocity
-  double elastic_ = 0;
-  Quadratic quadratic_;
+  typename Model::Matrix damped_;
+  VectorXd next_, velocity_;  ///< coordinates of the step, and bind-pose velocity
+  QuadraticTerm<Arithmetic> quadratic_;
+  ElasticTerm<Model, Arithmetic, const typename Model::Blend> elastic_;
+  NewtonScratch<Arithmetic> newton_;
   MatrixXd held_;    ///< gravity in each target's own pose (dofs, J), or empty
   SkinFrame frame_;  ///< of the nodes, where external forces act
   VectorXd nodal_, projected_;
-  std::shared_ptr<Solver> solver_;
 };
 
 extern template class Simulation<FullModel>;

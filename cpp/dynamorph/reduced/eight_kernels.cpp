@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-#include "dynamorph/step/crowd_kernels.hpp"
+#include "dynamorph/reduced/eight_kernels.hpp"
 
 #include "dynamorph/reduced/polynomial_kernels.hpp"
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The loops that a crowd's step spends its time in, beside those of modal_inertia: of eight characters, one a lane.
+// The loops that a step of eight characters spends its time in, beside those of modal_inertia: one character a lane.
 // Symmetric matrices are packed upper triangles.
 #pragma once
 

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# An importable package `dynamorph` in the build directory, with one module for each Python in DYNAMORPH_PYTHONS.
+# Not by pybind11's own CMake package: it serves one Python a build directory, and each would compile the engine again.
+
+file(GLOB binding_sources CONFIGURE_DEPENDS cpp/bindings/*.cpp)
+file(GLOB package_files CONFIGURE_DEPENDS cpp/bindings/dynamorph/*.py cpp/bindings/dynamorph/*.pyi
+     cpp/bindings/dynamorph/py.typed)
+set(package_dir ${PROJECT_BINARY_DIR}/python/dynamorph) # links to the sources, modules beside them
+file(REMOVE_RECURSE ${package_dir}/__pycache__)
+file(MAKE_DIRECTORY ${package_dir})
+foreach(file ${package_files})
+  get_filename_component(name ${file} NAME)
+  file(CREATE_LINK ${file} ${package_dir}/${name} SYMBOLIC COPY_ON_ERROR) # Windows may refuse links
+endforeach()
+
+function(add_module python)
+  describe_python(${python})
+  set(target core_${python_version})
+  add_library(${target} MODULE ${binding_sources})
+  target_compile_options(${target} PRIVATE ${options})
+  target_include_directories(${target} SYSTEM PRIVATE ${python_include} ${python_pybind11_include})
+  if(WIN32)
+    target_link_directories(${target} PRIVATE ${python_prefix}/libs) # Python.h names the library
+  elseif(APPLE)
+    target_link_options(${target} PRIVATE LINKER:-undefined,dynamic_lookup)
+  else()
+    # No dependency on the artist's libstdc++; symbols of the static engine stay inside the module.
+    target_link_options(${target} PRIVATE LINKER:--exclude-libs,ALL)
+    if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+      target_link_options(${target} PRIVATE -static-libstdc++ -static-libgcc)
+    endif()
+  endif()
+  target_link_libraries(${target} PRIVATE dynamorph)
+  set_target_properties(${target} PROPERTIES PREFIX "" OUTPUT_NAME _core SUFFIX ${python_suffix}
+                        LIBRARY_OUTPUT_DIRECTORY ${package_dir})
+  install(TARGETS ${target} LIBRARY DESTINATION dynamorph COMPONENT python)
+endfunction()
+
+foreach(python ${DYNAMORPH_PYTHONS})
+  add_module(${python})
+endforeach()

@@ -1,0 +1,249 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/file/model_file.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <fstream>
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "dynamorph/core/sha256.hpp"
+#include "dynamorph/reduced/table_layout.hpp"
+
+namespace dynamorph::file {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+const std::string kFormat = "dynamorph model";
+constexpr int kOldest = 2, kVersion = 4;
+constexpr std::uint64_t kMaxHeader = 16 << 20;  ///< bytes
+constexpr int kMaxDepth = 8;                    ///< of JSON
+constexpr int kMaxParts = 1 << 14;              ///< of JSON, which is a thousand arrays; a model has twenty
+constexpr std::size_t kMaxDimensions = 8;       ///< of an array
+constexpr std::int64_t kMaxModes = 10000;       ///< whose number of coefficients does not overflow
+
+Error damaged(const std::string& how) { return Error("The model is damaged: " + how + ". Build it again"); }
+
+/// The JSON object that `text` is.
+Json parsed(const char* begin, const char* end) {
+  int parts = 0;
+  const auto limited = [&parts](int depth, Json::parse_event_t, Json&) {
+    if (depth > kMaxDepth || ++parts > kMaxParts) throw damaged("its header is not readable");
+    return true;
+  };
+  try {
+    Json value = Json::parse(begin, end, limited);
+    if (value.is_object()) return value;
+  } catch (const Json::exception&) {
+  }
+  throw damaged("its header is not readable");
+}
+
+const std::string& text_of(const Json& value) {
+  if (!value.is_string()) throw damaged("its header is not readable");
+  return value.get_ref<const std::string&>();
+}
+
+/// As Python's json.dumps writes it.
+std::string spelled(const Json& value) {
+  if (!value.is_structured()) return value.dump(-1, ' ', true);
+  std::string text = value.is_object() ? "{" : "[", separator;
+  for (auto entry = value.begin(); entry != value.end(); ++entry, separator = ", ") {
+    text += separator;
+    if (value.is_object()) text += Json(entry.key()).dump(-1, ' ', true) + ": ";
+    text += spelled(*entry);
+  }
+  return text + (value.is_object() ? "}" : "]");
+}
+
+/// Whether `raw` is exactly what is written for these arrays and this metadata.
+bool is_as_written(const std::string& raw, Json arrays, const Json& metadata) {
+  Json& written = arrays["__metadata__"];
+  for (const char* name : {"format", "version", "meta", "hashes"}) {
+    if (!metadata.contains(name)) return false;
+    written[name] = metadata[name];
+  }
+  written["header_hash"] = "";
+  const std::string unsigned_text = spelled(arrays);
+  written["header_hash"] = sha256(unsigned_text.data(), unsigned_text.size());
+  std::string text = spelled(arrays);
+  text.append((8 - text.size() % 8) % 8, ' ');
+  return text == raw;
+}
+
+struct Header {
+  Json arrays, metadata;
+  std::size_t end;  ///< where the data begin
+};
+
+Header read_header(const unsigned char* bytes, std::size_t size) {
+  if (size < 8) throw Error("The model is cut off: build it again");
+  std::uint64_t length = 0;
+  for (int i = 0; i < 8; ++i) length |= std::uint64_t(bytes[i]) << 8 * i;
+  if (length > kMaxHeader)
+    throw Error("This is not a Dynamorph model, or it is damaged: its header has an impossible length");
+  if (length > size - 8) throw Error("The model is cut off: build it again");
+  const std::string raw(reinterpret_cast<const char*>(bytes) + 8, std::size_t(length));
+  Header header{parsed(raw.data(), raw.data() + raw.size()), {}, 8 + raw.size()};
+  header.metadata = header.arrays.value("__metadata__", Json());
+  header.arrays.erase("__metadata__");
+  if (!header.metadata.is_object() || header.metadata.value("format", Json()) != kFormat)
+    throw Error("This is not a Dynamorph model");
+  const Json version = header.metadata.value("version", Json());
+  bool known = false;
+  for (int readable = kOldest; readable <= kVersion; ++readable) known |= version == std::to_string(readable);
+  if (!known)
+    throw Error("The model has version " + (version.is_string() ? version.get<std::string>() : spelled(version)) +
+                ", this add-on reads " + std::to_string(kOldest) + " to " + std::to_string(kVersion) +
+                ": update, or build it again");
+  if (!is_as_written(raw, header.arrays, header.metadata)) throw damaged("its header has changed");
+  return header;
+}
+
+/// Bytes of a number, 0 of an unknown type.
+std::uint64_t size_of(const std::string& dtype) {
+  if (dtype == "BOOL") return 1;
+  for (const char* kind : {"F64", "F32", "I64", "I32", "I16", "I8", "U64", "U32", "U16", "U8"})
+    if (dtype == kind) return std::stoull(dtype.substr(1)) / 8;
+  return 0;
+}
+
+/// Numbers >= 0.
+bool are_counts(const Json& value) {
+  return value.is_array() &&
+         std::all_of(value.begin(), value.end(), [](const Json& n) { return n.is_number_unsigned(); });
+}
+
+/// The array without its bytes, which are as many as `size` is set to, and begin at `begin` of the `available` ones.
+Array described(const std::string& name, const Json& entry, std::uint64_t begin, std::uint64_t available,
+                std::uint64_t& size) {
+  const Error wrong = damaged("the table entry of array '" + name + "' is wrong");
+  if (!entry.is_object() || entry.size() != 3) throw wrong;
+  for (const char* key : {"dtype", "shape", "data_offsets"})
+    if (!entry.contains(key)) throw wrong;
+  const Json &dtype = entry["dtype"], &shape = entry["shape"], &offsets = entry["data_offsets"];
+  if (!dtype.is_string() || !are_counts(shape) || !are_counts(offsets)) throw wrong;
+  if (offsets.size() != 2 || shape.size() > kMaxDimensions) throw wrong;
+  Array array{dtype.get<std::string>(), {}, {}};
+  if (!size_of(array.dtype)) throw wrong;
+
+  // Of an empty array the product of what is not 0 is bounded too: strides are such products.
+  std::uint64_t product = size_of(array.dtype);
+  bool empty = false, impossible = false;
+  for (const Json& value : shape) {
+    const auto count = value.get<std::uint64_t>();
+    empty |= count == 0;
+    impossible |= count > std::uint64_t(std::numeric_limits<std::int64_t>::max()) / product;
+    if (!impossible) product *= std::max<std::uint64_t>(count, 1);
+    array.shape.push_back(std::int64_t(count));
+  }
+  if (!empty && (impossible || product > available - begin)) throw wrong;
+  size = empty ? 0 : product;
+  if (offsets[0] != begin || offsets[1] != begin + size) throw wrong;
+  if (impossible) throw damaged("array '" + name + "' has an impossible shape");
+  return array;
+}
+
+// --- Older versions --------------------------------------------------------------------------------------------------
+
+/// For each coefficient that version 3 stores (`unfolded`), where version 2 had it. That stored K0 as pairs k <= l of
+/// modes, rows first, then K1 (modes, pairs), then the upper triangle of K2 (pairs, pairs), rows first.
+std::vector<Eigen::Index> distinct_of_version_2(const TableLayout& layout) {
+  const Eigen::Index r = layout.r;
+  std::vector<Eigen::Index> places;
+  for_pairs(r, [&](auto k, auto l) { places.push_back(pair_index(r, k, l)); });
+  for_triples(
+      r, [&](auto k, auto l, auto m) { places.push_back(layout.linear() + m * layout.pairs() + pair_index(r, k, l)); });
+  for_quadruples(r, [&](auto k, auto l, auto m, auto n) {
+    places.push_back(layout.quadratic(pair_index(r, k, l), pair_index(r, m, n)));
+  });
+  return places;
+}
+
+/// The table of version 2 as version 3 stores it, bit for bit. modes: columns of the basis.
+void keep_distinct(const std::string& name, std::int64_t modes, Array& table) {
+  const Error wrong = Error("The model is damaged: '" + name + "' does not fit its " + std::to_string(modes) +
+                            " modes. Build it again");
+  if (table.shape.empty() || modes > kMaxModes) throw wrong;
+  const TableLayout layout{Eigen::Index(modes), true};
+  if (table.shape.back() <= layout.pairs()) return;  // of the linear law, or none
+  if (table.shape.size() != 2 || table.shape[1] != layout.size()) throw wrong;
+  const auto size = std::ptrdiff_t(size_of(table.dtype));
+  std::vector<unsigned char> kept;
+  if (table.shape[0]) {
+    kept.reserve(std::size_t(table.shape[0] * layout.distinct() * size));
+    const std::vector<Eigen::Index> places = distinct_of_version_2(layout);
+    for (std::int64_t row = 0; row < table.shape[0]; ++row)
+      for (Eigen::Index place : places) {
+        const auto number = table.bytes.begin() + (row * layout.size() + place) * size;
+        kept.insert(kept.end(), number, number + size);
+      }
+  }
+  table.shape[1] = layout.distinct();
+  table.bytes = std::move(kept);
+}
+
+void bring_up_to_date(int version, Content& content) {
+  const auto find = [&content](const char* name) {
+    return std::find_if(content.arrays.begin(), content.arrays.end(), [&](const auto& a) { return a.first == name; });
+  };
+  if (version == 2) {
+    const Array* basis = content.find("basis");
+    const std::int64_t modes = basis && basis->shape.size() > 1 ? basis->shape[1] : 0;
+    for (const char* name : {"table_lambda", "table_mu"})
+      if (const auto table = find(name); table != content.arrays.end()) keep_distinct(name, modes, table->second);
+  }
+  const Array* tets = content.find("tets");
+  if (version > 3 || !tets || tets->shape.empty()) return;
+  const std::vector<double> ones(tets->bytes.empty() ? 0 : std::size_t(tets->shape[0]), 1.0);  // nothing was painted
+  Array stiffness{"F64", {std::int64_t(ones.size())}, {}};
+  stiffness.bytes.resize(sizeof(double) * ones.size());
+  if (!ones.empty()) std::memcpy(stiffness.bytes.data(), ones.data(), stiffness.bytes.size());
+  if (const auto present = find("stiffness"); present != content.arrays.end())
+    present->second = std::move(stiffness);
+  else
+    content.arrays.emplace_back("stiffness", std::move(stiffness));
+}
+
+}  // namespace
+
+const Array* Content::find(const std::string& name) const {
+  for (const auto& [own, array] : arrays)
+    if (own == name) return &array;
+  return nullptr;
+}
+
+Content unpack(const unsigned char* bytes, std::size_t size) {
+  const Header header = read_header(bytes, size);
+  const unsigned char* data = bytes + header.end;
+  const std::uint64_t available = size - header.end;
+  const std::string& hash_text = text_of(header.metadata["hashes"]);
+  const Json hashes = parsed(hash_text.data(), hash_text.data() + hash_text.size());
+  Content content{{}, text_of(header.metadata["meta"])};
+  std::uint64_t begin = 0, count = 0;
+  for (const auto& entry : header.arrays.items()) {
+    Array array = described(entry.key(), entry.value(), begin, available, count);
+    array.bytes.assign(data + begin, data + begin + count);
+    if (hashes.value(entry.key(), Json()) != sha256(array.bytes.data(), array.bytes.size()))
+      throw damaged("array '" + entry.key() + "' has changed");
+    content.arrays.emplace_back(entry.key(), std::move(array));
+    begin += count;
+  }
+  if (begin != available) throw damaged("there are bytes after its end");
+  bring_up_to_date(std::stoi(header.metadata["version"].get<std::string>()), content);
+  return content;
+}
+
+Content read(const std::filesystem::path& path) {
+  std::error_code unknown;
+  const std::uintmax_t size = std::filesystem::file_size(path, unknown);
+  std::ifstream stream(path, std::ios::binary);
+  std::vector<unsigned char> bytes(unknown ? 0 : std::size_t(size));
+  stream.read(reinterpret_cast<char*>(bytes.data()), std::streamsize(bytes.size()));
+  if (unknown || !stream) throw Error("The model file '" + path.u8string() + "' cannot be read");
+  return unpack(bytes.data(), bytes.size());
+}
+
+}  // namespace dynamorph::file

@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/file/soft_skin.hpp"
+
+#include <initializer_list>
+#include <map>
+#include <nlohmann/json.hpp>
+
+#include "dynamorph/mesh/tet_mesh.hpp"
+
+namespace dynamorph::file {
+
+namespace {
+
+template <class Number>
+using Table = Eigen::Map<const Eigen::Matrix<Number, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
+
+Error incomplete(const std::string& what) {
+  return Error("The stored model is incomplete (" + what + "): build it again");
+}
+
+constexpr const char* dtype_of(double) { return "F64"; }
+constexpr const char* dtype_of(std::int32_t) { return "I32"; }
+constexpr const char* dtype_of(std::uint8_t) { return "BOOL"; }
+
+/// An array (first dimension, all others) of the content, in which it stays. -1 in `shape` is any size.
+template <class Number>
+Table<Number> table(const Content& content, const std::string& name, std::initializer_list<Eigen::Index> shape) {
+  const Array* array = content.find(name);
+  if (!array || array->dtype != dtype_of(Number()) || array->shape.size() != shape.size()) throw incomplete(name);
+  Eigen::Index rows = array->shape[0], columns = 1, axis = 0;
+  for (Eigen::Index expected : shape) {
+    const Eigen::Index size = array->shape[std::size_t(axis)];
+    if (expected >= 0 && size != expected) throw incomplete(name);
+    if (axis++ > 0) columns *= size;
+  }
+  const Table<Number> out(reinterpret_cast<const Number*>(array->bytes.data()), rows, columns);
+  if (std::is_floating_point_v<Number> && !out.allFinite()) throw incomplete(name);
+  return out;
+}
+
+/// The same of an array that older models lack, and that may be empty.
+VectorXd optional_column(const Content& content, const std::string& name, Eigen::Index size) {
+  const Array* array = content.find(name);
+  return array && !array->bytes.empty() ? VectorXd(table<double>(content, name, {size})) : VectorXd();
+}
+
+std::shared_ptr<const SoftBody> soft_body(const Content& content) {
+  const auto nodes = table<double>(content, "nodes", {-1, 3});
+  const auto tets = table<std::int32_t>(content, "tets", {-1, 4});
+  const Eigen::Index n = nodes.rows(), m = tets.rows();
+  const auto held = table<std::uint8_t>(content, "pinned", {n});
+  std::vector<bool> pinned;
+  for (Eigen::Index i = 0; i < n; ++i) pinned.push_back(held(i, 0));
+  const auto weights = table<double>(content, "node_weights", {n, -1});
+  if (weights.cols() == 0) throw incomplete("node_weights");
+  try {
+    return std::make_shared<SoftBody>(
+        make_tet_mesh(nodes, tets), table<double>(content, "fill", {m}), table<double>(content, "stiffness", {m}),
+        table<double>(content, "shares", {m, -1}), pinned, MatrixXd(weights), optional_column(content, "held", m));
+  } catch (const std::invalid_argument& error) {
+    throw incomplete(error.what());
+  }
+}
+
+/// What the description says of how the model was built.
+struct Built {
+  Law law;
+  bool shifted;
+  std::vector<std::string> bone_names;
+};
+
+Built built(const std::string& meta) {
+  static const std::map<std::string, Law> laws{
+      {"LINEAR", Law::linear}, {"STVK", Law::stvk}, {"STABLE_STVK", Law::stable_stvk}};
+  try {
+    const auto description = nlohmann::json::parse(meta);
+    const auto& settings = description.at("settings");
+    if (settings.at("method") == "STATIC" || settings.at("solver") != "REDUCED")
+      throw Error("The model has no modes to step: build it with the solver Reduced");
+    const auto law = laws.find(settings.at("law").get<std::string>());
+    if (law == laws.end()) throw incomplete("its law is unknown");
+    return {law->second, settings.at("method") == "SHAPE", description.at("bone_names")};
+  } catch (const nlohmann::json::exception& error) {
+    throw incomplete(error.what());
+  }
+}
+
+/// The modes at the surface, (3V, r) local space: what `embedding_weights` and the inverse of `to_bind` make of them.
+MatrixXd surface_modes(const Content& content, const SoftBody& body, const MatrixXd& basis) {
+  const auto nodes = table<std::int32_t>(content, "embedding_nodes", {-1, 4});
+  const auto weights = table<double>(content, "embedding_weights", {nodes.rows(), 4});
+  const Matrix3d from_bind = table<double>(content, "to_bind", {3, 3}).inverse();
+  if (!from_bind.allFinite()) throw incomplete("to_bind");
+  MatrixXd modes = MatrixXd::Zero(3 * nodes.rows(), basis.cols());
+  for (Eigen::Index v = 0; v < nodes.rows(); ++v)
+    for (int corner = 0; corner < 4; ++corner) {
+      const std::int32_t node = nodes(v, corner);
+      if (node < 0 || node >= body.mesh.nodes.rows()) throw incomplete("embedding_nodes");
+      const int free = body.free_of_node[std::size_t(node)];
+      if (free >= 0) modes.middleRows<3>(3 * v) += weights(v, corner) * (from_bind * basis.middleRows<3>(3 * free));
+    }
+  return modes;
+}
+
+}  // namespace
+
+SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets, Blending blending) {
+  const Built how = built(content.meta);
+  if (const Array* basis = content.find("basis"); !basis || basis->bytes.empty())
+    throw Error("The model has no modes to step: only its cage is built");
+  const auto body = soft_body(content);
+  const auto J = Eigen::Index(targets.size()), V = table<std::int32_t>(content, "embedding_nodes", {-1, 4}).rows();
+  const auto shapes = table<double>(content, "displacements", {-1, body->mesh.nodes.rows(), 3});
+  if (J != shapes.rows())
+    throw std::invalid_argument("targets: expected " + std::to_string(shapes.rows()) + ", got " + std::to_string(J));
+  ReducedTables tables{
+      how.law, table<double>(content, "basis", {3 * Eigen::Index(body->free_nodes.size()), -1}), {}, {}};
+  const Eigen::Index size = tables.layout().distinct();
+  const auto lambda = table<double>(content, "table_lambda", {J, size});
+  const auto mu = table<double>(content, "table_mu", {J, size});
+  for (Eigen::Index j = 0; j < J; ++j) {
+    MorphTarget& target = targets[std::size_t(j)];
+    target.displacement = shapes.row(j);
+    target.shifted = how.shifted;
+    tables.lambda.push_back(lambda.row(j));
+    tables.mu.push_back(mu.row(j));
+  }
+  auto model = std::make_shared<ReducedModel>(body, std::move(targets), tables, blending);
+  return {std::move(model), how.bone_names, surface_modes(content, *body, tables.basis),
+          table<double>(content, "details", {J, V, 3}).transpose()};
+}
+
+}  // namespace dynamorph::file

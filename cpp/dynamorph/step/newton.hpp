@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Newton's method with a line search for the potential of a step, Phi(q) = sum of terms: for one character, whose
+// numbers are doubles, and for eight of them, one a lane of every number.
+//
+// A term is what has, after evaluate(q),
+//
+//   energy (J), gradient and hessian (of the energy by q),
+//   forces      sum of the norms of what cancels in its gradient
+//   round_off   of its gradient: what no iteration can improve
+//   length      of the displacements that its energy is made of, for the round-off of that
+//   resolution  of the coordinates: smaller steps change nothing
+//   longest(q, direction)  the longest admissible step, 1 for most: what must not be passed is beyond
+//
+// An `Arithmetic` says what numbers, vectors and matrices are, and what can be done to them: one.hpp, eight.hpp.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <tuple>
+
+namespace dynamorph {
+
+/// A bit for each character: one, or eight.
+using Lanes = unsigned;
+
+/// What the terms add up to at some q.
+template <class Arithmetic>
+struct Value {
+  using Number = typename Arithmetic::Number;
+  typename Arithmetic::Vector gradient;
+  Number potential, magnitude;  ///< J; magnitude: sum of the energies' sizes
+  Number forces, round_off, length, resolution;
+};
+
+/// The sum of some terms, which must outlive it.
+template <class Arithmetic, class... Terms>
+class Potential {
+ public:
+  using Number = typename Arithmetic::Number;
+  using Vector = typename Arithmetic::Vector;
+
+  explicit Potential(Terms&... terms) : terms_(terms...) {}
+
+  void evaluate(const Vector& q, Value<Arithmetic>& out) {
+    std::apply(
+        [&](Terms&... terms) {
+          (terms.evaluate(q), ...);
+          Arithmetic::sum(out.gradient, terms.gradient...);
+          out.potential = (... + terms.energy);
+          out.magnitude = (... + Arithmetic::size(terms.energy));
+          out.forces = (... + terms.forces);
+          out.round_off = (... + terms.round_off);
+          out.length = (... + terms.length);
+          out.resolution = (... + terms.resolution);
+        },
+        terms_);
+  }
+
+  /// Where it was evaluated last.
+  void hessian(typename Arithmetic::Matrix& out) const {
+    std::apply([&](const Terms&... terms) { Arithmetic::sum(out, terms.hessian...); }, terms_);
+  }
+
+  /// Of a step along `direction`, at most 1.
+  Number longest(const Vector& q, const Vector& direction) const {
+    Number out = Number() + 1.0;
+    std::apply([&](const Terms&... terms) { (Arithmetic::shorten(out, terms.longest(q, direction)), ...); }, terms_);
+    return out;
+  }
+
+ private:
+  std::tuple<Terms&...> terms_;
+};
+
+/// What Newton's method works with. Keep it: nothing is allocated after the first time, and factors are used again.
+template <class Arithmetic>
+struct NewtonScratch {
+  Value<Arithmetic> value;
+  typename Arithmetic::Vector from, direction, scales;
+  typename Arithmetic::Matrix tangent;
+  typename Arithmetic::Number shift{};  ///< of the last tangent, in parts of its scales
+  typename Arithmetic::Solver solver;
+};
+
+struct NewtonLimits {
+  double tolerance;  ///< on the gradient, relative to the forces in it
+  double step;       ///< coordinates that are nothing: where no more than that is to be gained, it has converged
+  int iterations;
+};
+
+template <class Arithmetic>
+struct NewtonReport {
+  int iterations = 0;                      ///< of all characters
+  Lanes open = 0;                          ///< neither converged nor near it, 100 times the tolerance
+  Lanes broken = 0;                        ///< a force is not finite
+  typename Arithmetic::Number residual{};  ///< gradient relative to the forces in it
+};
+
+/// Size of the gradient relative to the forces in it, which know how much of them is round-off.
+template <class Arithmetic>
+typename Arithmetic::Number relative_residual(const Value<Arithmetic>& value, double tolerance) {
+  return Arithmetic::norm(value.gradient) / (value.forces + value.round_off / tolerance + 1e-300);
+}
+
+/// scratch.direction downhill, by the tangent at scratch.value. Under compression, and without inertia where a bone has
+/// collapsed, it is not positive definite: then each entry of its diagonal is raised by a part of its own size, so that
+/// the stiffest place does not hold back the softest (Marquardt 1963, doi 10.1137/0111030). Returns the lanes for which
+/// there is no direction.
+template <class Arithmetic, class Potential>
+Lanes descend(const Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving) {
+  using Number = typename Arithmetic::Number;
+  constexpr int kShifts = 20;
+  constexpr double kLeast = 1e-4;  // of an entry
+  potential.hessian(scratch.tangent);
+  Arithmetic::scales(scratch.tangent, scratch.scales);
+  Number more{};  // who needed a shift in the last iteration needs less of it now
+  for (int lane = 0; lane < Arithmetic::kLanes; ++lane) {
+    double& shift = Arithmetic::at(scratch.shift, lane);
+    shift = shift < 8 * kLeast ? 0 : shift / 8;
+    Arithmetic::at(more, lane) = shift;
+  }
+  Lanes indefinite = 0;
+  for (int attempt = 0; attempt <= kShifts; ++attempt) {
+    Arithmetic::add_to_diagonal(scratch.tangent, more, scratch.scales);
+    indefinite = scratch.solver.solve(scratch.tangent, scratch.value.gradient, scratch.direction) & moving;
+    if (!indefinite) break;
+    for (int lane = 0; lane < Arithmetic::kLanes; ++lane) {
+      double& shift = Arithmetic::at(scratch.shift, lane);
+      const double next = indefinite >> lane & 1 ? std::max(kLeast, 4 * shift) : shift;
+      Arithmetic::at(more, lane) = next - shift;
+      shift = next;
+    }
+  }
+  Arithmetic::negate(scratch.direction, moving & ~indefinite);
+  return indefinite;
+}
+
+/// Moves q of the moving lanes along scratch.direction to where the potential descends, and evaluates it there. The
+/// whole step is nearly always taken; who would not descend by it halves it. Returns the lanes that stay where they
+/// were, because round-off leaves no descent.
+template <class Arithmetic, class Potential>
+Lanes search(Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving, typename Arithmetic::Vector& q) {
+  using Number = typename Arithmetic::Number;
+  Value<Arithmetic>& value = scratch.value;
+  const Number slope = Arithmetic::dot(value.gradient, scratch.direction), steep = Arithmetic::norm(value.gradient);
+  const Number start = value.potential, magnitude = value.magnitude;
+  const Number slack = Arithmetic::kNoise * magnitude + value.round_off * value.length;
+  Number length = potential.longest(q, scratch.direction);
+  for (int lane = 0; lane < Arithmetic::kLanes; ++lane)
+    if (!(moving >> lane & 1)) Arithmetic::at(length, lane) = 0;
+  scratch.from = q;
+  Lanes rising = moving;
+  for (int halving = 0;; ++halving) {
+    Arithmetic::move(scratch.from, length, scratch.direction, q);
+    potential.evaluate(q, value);
+    const Number limit = start + 1e-4 * (length * slope) + slack;
+    rising &= ~Arithmetic::below(value.potential, limit);
+    if (rising && halving == 0) {  // where the potential's digits run out, the gradient decides
+      const Lanes flatter = Arithmetic::below(Arithmetic::norm(value.gradient), 0.5 * steep);
+      rising &= ~(flatter & Arithmetic::below(value.potential, start + 1e-6 * magnitude + slack));
+    }
+    if (!rising) return 0;
+    const bool last = halving == Arithmetic::kHalvings;
+    for (int lane = 0; lane < Arithmetic::kLanes; ++lane)
+      if (rising >> lane & 1) Arithmetic::at(length, lane) *= last ? 0 : 0.5;
+    if (last) break;
+  }
+  Arithmetic::move(scratch.from, length, scratch.direction, q);
+  potential.evaluate(q, value);
+  return rising;
+}
+
+/// Minimises the potential from q on, for the lanes that are `moving`; the others stay. Before every iteration it calls
+/// `ask`, which may throw.
+template <class Arithmetic, class Potential, class Ask>
+NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic>& scratch,
+                                  typename Arithmetic::Vector& q, Lanes moving, const NewtonLimits& limits,
+                                  const Ask& ask) {
+  NewtonReport<Arithmetic> report;
+  scratch.shift = typename Arithmetic::Number();
+  potential.evaluate(q, scratch.value);
+  for (int iteration = 0;; ++iteration) {
+    ask();
+    const Value<Arithmetic>& value = scratch.value;
+    report.broken |= moving & ~Arithmetic::finite(value.forces);
+    report.residual = relative_residual(value, limits.tolerance);
+    moving &= ~report.broken & ~Arithmetic::below(report.residual, typename Arithmetic::Number() + limits.tolerance);
+    if (!moving) return report;
+    report.broken |= descend(potential, scratch, moving);
+    const auto step = Arithmetic::norm(scratch.direction);
+    moving &= ~report.broken & ~Arithmetic::below(step, value.resolution);
+    const Lanes far = ~Arithmetic::below(step, value.resolution + limits.step);
+    const bool last = iteration == limits.iterations;
+    const Lanes stuck = last ? moving : moving ? search(potential, scratch, moving, q) : 0;
+    report.open |= stuck & far;
+    moving &= ~stuck;
+    for (Lanes rest = moving; rest; rest &= rest - 1) ++report.iterations;
+    if (!moving) return report;
+  }
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How soft it feels and how believable it looks: plain against soft, the verdict and its buttons, presets, Amount."""
+
+from __future__ import annotations
+
+import json
+
+import bpy
+import driver
+import limb
+import numpy as np
+from driver import measure, step, until
+from editors import addon, baked, differing, job_done, keys, moved, settings, shown, sidebar, skin, view, viewport
+
+HEAT = "dynamorph.heat"
+PLAIN = "dynamorph.show_plain"
+
+
+def wobble() -> float:
+    """How far the skin moves after the rig has stopped, metres."""
+    return moved(limb.FLEXED + 1, limb.FLEXED + 4)
+
+
+def bake():
+    yield from sidebar.press("dynamorph.bake")
+    yield from job_done()
+
+
+def found():
+    """What the panel says of the bake."""
+    return addon("verdict").parsed(settings().bake.verdict)
+
+
+def displacement() -> float:
+    """The largest of the bake, of the body's size."""
+    return json.loads(settings().bake.verdict)["displacement"]
+
+
+# Plain against soft --------------------------------------------------------------------------------------------------
+
+
+@step("Show Plain Skinning, and the soft skin again")
+def plain():
+    bpy.context.scene.frame_set(limb.FLEXED + 1)
+    yield from driver.drawn()
+    pictured, soft = driver.pixels(viewport.box), shown()
+    yield from sidebar.press(PLAIN)
+    yield from until(lambda: addon("comparison").is_plain(skin()), "plain skinning")
+    yield from driver.drawn()
+    changed = differing(pictured)
+    assert changed > 0.002 and np.abs(shown() - soft).max() > 1e-3, f"the viewport shows no difference: {changed}"
+    yield from driver.keep("plain", view)
+    yield from sidebar.press(PLAIN)
+    yield from until(lambda: not addon("comparison").is_plain(skin()), "the soft skin")
+    yield from driver.drawn()
+    assert np.array_equal(shown(), soft)
+    assert differing(pictured) < 0.1 * changed, f"the viewport shows something else: {differing(pictured)} of {changed}"
+
+
+# The verdict ---------------------------------------------------------------------------------------------------------
+
+
+@step("Show the worst frame", picture=view)
+def heat():
+    measure("Verdict on the bake", found().text)
+    assert found().ok and not found().remedy and found().figures
+    yield from sidebar.press("dynamorph.show_worst")
+    yield from until(lambda: bpy.context.window_manager.dynamorph.heat, "the heat map")
+    assert bpy.context.scene.frame_current == found().frame
+    chosen = [vertex.index for vertex in skin().data.vertices if vertex.select]
+    assert chosen == sorted(found().vertices)
+
+
+@step("Heat Map off and on")
+def heat_toggle():
+    yield from driver.drawn()
+    hot = driver.pixels(viewport.box)
+    yield from sidebar.beside(HEAT, "dynamorph.show_worst")
+    yield from sidebar.press(HEAT)
+    yield from driver.drawn()
+    assert differing(hot) > 0.02, "the heat map does not color the skin"
+    yield from sidebar.press(HEAT)
+    yield from driver.drawn()
+    assert differing(hot) < 0.002
+    yield from sidebar.press(HEAT)
+
+
+@step("A bake that goes too far, and the button that mends it")
+def remedy():
+    far, before = displacement(), settings().targets[0].frequency
+    yield from sidebar.enter("simulation.max_displacement", f"{0.6 * far:.3f}")
+    yield from bake()
+    assert not found().ok and found().remedy == "REHEARSE"
+    yield from sidebar.find("dynamorph.free_bake")  # below the verdict
+    yield from driver.keep("verdict", sidebar)
+    yield from sidebar.press("dynamorph.rehearse")
+    yield from job_done()
+    assert found().ok and displacement() < far and settings().targets[0].frequency > before
+    assert "Bounce raised" in settings().simulation.rehearsed
+
+
+# Presets and Amount --------------------------------------------------------------------------------------------------
+
+
+@step("Cartoon, Subtle and Natural")
+def presets():
+    swings, feel = {}, addon("feel")
+    chosen = lambda: feel.active(settings().targets[0], settings().simulation)  # noqa: E731
+    for key in ("CARTOON", "SUBTLE", "NATURAL"):
+        yield from sidebar.press(f"dynamorph.apply_feel(feel='{key}')")
+        yield from until(lambda key=key: chosen() == key, f"the preset {key}")
+        assert abs(settings().targets[0].frequency - feel.FEELS[key].frequency) < 1e-5
+        yield from bake()
+        swings[key] = wobble()
+    assert swings["CARTOON"] > swings["NATURAL"] > swings["SUBTLE"] > 0.0
+
+
+@step("Amount")
+def amount():
+    simulation, whole = settings().simulation, wobble()
+    x, row = yield from sidebar.find("simulation.amount")
+    yield from driver.drag([(x + away, row) for away in range(0, 60, 10)])
+    yield from until(lambda: simulation.amount > 1.1, "the slider to follow the mouse")
+    for value, expected in ((0.5, 0.5), (1.0, 1.0)):
+        yield from sidebar.enter("simulation.amount", str(value))
+        assert simulation.amount == value
+        yield from bake()
+        assert abs(wobble() - expected * whole) < 0.02 * whole
+
+
+@step("Free Bake")
+def free_bake():
+    yield from sidebar.press("dynamorph.free_bake")
+    yield from until(lambda: not baked(), "the bake to be freed")
+    assert keys() == ["Basis", "flexed"] and wobble() == 0.0
