@@ -595,7 +595,9 @@ def test_a_step_that_fails_leaves_the_past_where_it_was():
     away = rig[4].copy()
     away[:, 0, 3] += 50.0
     with pytest.raises(ValueError, match="finite"):
-        simulation.advance(away[None], weights[4][None], np.full((len(model.displacement(np.zeros(model.dofs))), 3), np.nan))
+        simulation.advance(
+            away[None], weights[4][None], np.full((len(model.displacement(np.zeros(model.dofs))), 3), np.nan)
+        )
     after, still = simulation.state
     assert all(map(np.array_equal, coordinates, after)) and all(map(np.array_equal, posed, still))
     assert simulation.advance(away[None], weights[4][None])["teleported"]

@@ -7,6 +7,7 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
+import typing_extensions
 __all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
@@ -42,7 +43,7 @@ class Embedding:
     """
     Where V surface points sit in a TetMesh.
     """
-    def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, 4]"], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 4]"]) -> None:
+    def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 4]"]) -> None:
         """
         One that was kept: nodes, weights (V, 4); its distances are not known.
         """
@@ -667,7 +668,7 @@ def tetrahedralize(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.floa
     vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. inner (k, 3): points
     inside that become nodes. Raises Error when it cannot be filled. Crashes or hangs on some input: `mesh_body` contains that.
     """
-def unpack_model(buffer: collections.abc.Buffer) -> tuple[dict, str]:
+def unpack_model(buffer: typing_extensions.Buffer) -> tuple[dict, str]:
     """
     (arrays by name, description as JSON) of a model file's bytes. Raises Error when they are damaged, or of a version that cannot be read.
     """
