@@ -13,12 +13,12 @@
 
 using namespace dynamorph;
 
-#if defined(__has_feature)
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define SANITIZED
+#elif defined(__has_feature)
 #if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
 #define SANITIZED
 #endif
-#elif defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define SANITIZED
 #endif
 
 #ifdef __GLIBC__
@@ -27,7 +27,8 @@ static std::atomic<int> allocations{0};
 
 // Every allocation of the program passes here: operator new and Eigen call malloc.
 #ifdef SANITIZED  // which have a malloc of their own
-#include <sanitizer/allocator_interface.h>
+extern "C" int __sanitizer_install_malloc_and_free_hooks(void (*)(const volatile void*, size_t),
+                                                         void (*)(const volatile void*));
 static const int hooked = __sanitizer_install_malloc_and_free_hooks([](const volatile void*, size_t) { ++allocations; },
                                                                     [](const volatile void*) {});
 #else
