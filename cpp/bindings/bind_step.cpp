@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include <chrono>
+#include <memory>
+#include <mutex>
 
 #include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
@@ -9,13 +11,28 @@ using namespace dynamorph;
 
 namespace {
 
-/// Of a Simulation or a Crowd, bones (J, B, 3, 4).
+/// A Simulation or a Crowd as Python holds it: threads take turns, each for a whole call, as the engine works without
+/// the GIL.
 template <class Stepper>
-void held_in(Stepper& stepper, const FloatArray& bones) {
+struct InTurn : Stepper {
+  explicit InTurn(Stepper&& stepper) : Stepper(std::move(stepper)) {}
+  mutable std::recursive_mutex turn;  ///< recursive: keep_going may look at the simulation that asks it
+};
+
+template <class Stepper, class Function>
+auto in_turn(const InTurn<Stepper>& stepper, const Function& function) {
+  py::gil_scoped_release release;
+  const std::lock_guard<std::recursive_mutex> lock(stepper.turn);
+  return function();
+}
+
+/// bones (J, B, 3, 4).
+template <class Stepper>
+void held_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
   check_shape("bones", bones, {-1, -1, 3, 4});
   std::vector<Transforms> frames;
   for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data(j, 0, 0, 0), bones.shape(1)));
-  stepper.hold_targets(frames);
+  in_turn(stepper, [&] { stepper.hold_targets(frames); });
 }
 
 py::dict summary(const StepReport& worst, int steps, double seconds) {
@@ -26,7 +43,7 @@ py::dict summary(const StepReport& worst, int steps, double seconds) {
 
 template <class Model>
 void bind_simulation_of(py::module_& m, const char* name) {
-  using Sim = Simulation<Model>;
+  using Sim = InTurn<Simulation<Model>>;
   py::class_<Sim>(m, name, "Steps a model through time. World space, SI.")
       .def(
           py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
@@ -37,7 +54,8 @@ void bind_simulation_of(py::module_& m, const char* name) {
                 py::gil_scoped_acquire gil;
                 return keep_going().cast<bool>();
               };
-            return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked});
+            return std::make_unique<Sim>(
+                Simulation<Model>(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked}));
           }),
           "model"_a.none(false), "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
@@ -45,18 +63,13 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, "
           "False "
           "raises Cancelled.")
-      .def("hold_targets", &held_in<Sim>, "bones"_a,
+      .def("hold_targets", &held_in<Simulation<Model>>, "bones"_a,
            "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
       .def(
           "start",
           [](Sim& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights) {
             const Transforms a = transforms("now", now), b = transforms("next", next);
-            StepReport report;
-            {
-              py::gil_scoped_release release;
-              report = s.start(a, b, weights);
-            }
-            return summary(report, 0, 0);
+            return summary(in_turn(s, [&] { return s.start(a, b, weights); }), 0, 0);
           },
           "now"_a, "next"_a, "weights"_a,
           "Static solution at the bones `now` (B, 3, 4); the past follows the rig backward from its motion to `next`.")
@@ -71,8 +84,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
             StepReport worst;
             const py::ssize_t steps = bones.shape(0), count = bones.shape(1);
             const auto begin = std::chrono::steady_clock::now();
-            {
-              py::gil_scoped_release release;
+            in_turn(s, [&] {
               Transforms frame;
               VectorXd w;
               for (py::ssize_t i = 0; i < steps; ++i) {
@@ -85,7 +97,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
                 worst.energy = report.energy;
                 worst.teleported |= report.teleported;
               }
-            }
+            });
             const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
             return summary(worst, int(steps), elapsed.count());
           },
@@ -103,30 +115,35 @@ void bind_simulation_of(py::module_& m, const char* name) {
                                                   "external", *external, s.model().body().mesh.nodes.rows()))
                                             : VectorXd();
             const Transforms frame = transforms("bones", bones);
-            StepReport report;
-            {
-              py::gil_scoped_release release;
-              report = s.solve_static(frame, weights, q, force);
-            }
+            const StepReport report = in_turn(s, [&] { return s.solve_static(frame, weights, q, force); });
             return py::make_tuple(q, summary(report, 0, 0));
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(),
           "(coordinates, report) of the static solution, sought from `guess` or from the blended targets.")
       .def_property_readonly("model", &Sim::shared_model)
       .def_property_readonly(
-          "coordinates", [](const Sim& s) { return VectorXd(s.coordinates()); },
+          "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },
           "Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.")
-      .def_property_readonly("kinetic_energy", &Sim::kinetic_energy, "J, of the posed nodes.")
-      .def_property_readonly("elastic_energy", &Sim::elastic_energy, "J.")
+      .def_property_readonly(
+          "kinetic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.kinetic_energy(); }); },
+          "J, of the posed nodes, by the scheme's own velocity.")
+      .def_property_readonly(
+          "elastic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.elastic_energy(); }); },
+          "J, at the target weights of the last step.")
       .def_property(
-          "state", [](const Sim& s) { return py::make_tuple(s.state().q, s.state().bones); },
+          "state",
+          [](const Sim& s) {
+            const State state = in_turn(s, [&] { return State(s.state()); });
+            return py::make_tuple(state.q, state.bones);
+          },
           [](Sim& s, const std::pair<std::array<VectorXd, 4>, std::array<Transforms, 4>>& state) {
-            s.set_state({state.first, state.second});
+            in_turn(s, [&] { s.set_state({state.first, state.second}); });
           },
           "(coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.");
 }
 
 void bind_crowd(py::module_& m) {
+  using Held = InTurn<Crowd>;
   const auto poses = [](const Crowd& crowd, const char* name, const FloatArray& bones, py::ssize_t axes) {
     std::vector<py::ssize_t> shape(axes - 4, -1);
     shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().body().skin.cols()), 3, 4});
@@ -136,10 +153,11 @@ void bind_crowd(py::module_& m) {
     shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().targets().size())});
     check_shape("weights", weights, shape);
   };
-  py::class_<Crowd>(m, "Crowd", "Many characters of one reduced model, stepped together. World space, SI.")
+  py::class_<Held>(m, "Crowd", "Many characters of one reduced model, stepped together. World space, SI.")
       .def(py::init([](std::shared_ptr<ReducedModel> model, double h, int size, Scheme scheme, const Vector3d& gravity,
                        double tolerance, int max_iterations, double teleport) {
-             return Crowd(model, {h, scheme, gravity, tolerance, max_iterations, teleport, {}}, size);
+             return std::make_unique<Held>(
+                 Crowd(model, {h, scheme, gravity, tolerance, max_iterations, teleport, {}}, size));
            }),
            "model"_a.none(false), "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2,
            "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
@@ -148,12 +166,11 @@ void bind_crowd(py::module_& m) {
            "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
       .def(
           "start",
-          [poses, shares](Crowd& crowd, const FloatArray& now, const FloatArray& next, const FloatArray& weights) {
+          [poses, shares](Held& crowd, const FloatArray& now, const FloatArray& next, const FloatArray& weights) {
             poses(crowd, "now", now, 4);
             poses(crowd, "next", next, 4);
             shares(crowd, weights, {});
-            py::gil_scoped_release release;
-            return crowd.start(now.data(), next.data(), weights.data()).converged;
+            return in_turn(crowd, [&] { return crowd.start(now.data(), next.data(), weights.data()).converged; });
           },
           "now"_a, "next"_a, "weights"_a,
           "Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past "
@@ -161,14 +178,13 @@ void bind_crowd(py::module_& m) {
           "their rigs backward from their motion to `next`. False where one did not converge.")
       .def(
           "advance",
-          [poses, shares](Crowd& crowd, const FloatArray& bones, const FloatArray& weights) {
+          [poses, shares](Held& crowd, const FloatArray& bones, const FloatArray& weights) {
             poses(crowd, "bones", bones, 5);
             shares(crowd, weights, {bones.shape(0)});
             const py::ssize_t steps = bones.shape(0);
             CrowdReport all;
             const auto begin = std::chrono::steady_clock::now();
-            {
-              py::gil_scoped_release release;
+            in_turn(crowd, [&] {
               for (py::ssize_t i = 0; i < steps; ++i) {
                 const CrowdReport report =
                     crowd.step(bones.data() + i * bones.size() / steps, weights.data() + i * weights.size() / steps);
@@ -176,7 +192,7 @@ void bind_crowd(py::module_& m) {
                 all.alone += report.alone;
                 all.converged &= report.converged;
               }
-            }
+            });
             const std::chrono::duration<double> elapsed = std::chrono::steady_clock::now() - begin;
             return py::dict("steps"_a = steps, "iterations"_a = all.iterations, "alone"_a = all.alone,
                             "converged"_a = all.converged, "seconds"_a = elapsed.count());
@@ -186,10 +202,12 @@ void bind_crowd(py::module_& m) {
           "the steps did: iterations in all, steps of characters that had to be taken alone, converged, seconds.")
       .def_property_readonly(
           "coordinates",
-          [](const Crowd& crowd) {
-            MatrixXd out(crowd.size(), crowd.model().dofs());
-            for (int i = 0; i < crowd.size(); ++i) out.row(i) = crowd.coordinates(i);
-            return out;
+          [](const Held& crowd) {
+            return in_turn(crowd, [&] {
+              MatrixXd out(crowd.size(), crowd.model().dofs());
+              for (int i = 0; i < crowd.size(); ++i) out.row(i) = crowd.coordinates(i);
+              return out;
+            });
           },
           "(N, r) of the last step, a copy.");
 }

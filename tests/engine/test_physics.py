@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The engine against analytic solutions, invariants and an independent integrator."""
 
+import threading
+
 import dynamorph
 import numpy as np
 import pytest
@@ -582,6 +584,24 @@ def test_kinetic_energy_has_the_scheme_s_velocity(scheme, stencil):
     mass = 1000.0 * np.bincount(tets.ravel(), np.repeat(quarters, 4)) * (nodes[:, 0] > 1e-9)  # what is free
     expected = 0.5 * (mass * (velocity**2).sum(axis=1)).sum()
     assert simulation.kinetic_energy == pytest.approx(expected, rel=1e-9)
+
+
+def test_threads_take_turns_with_one_simulation():
+    """What four of them step together is a whole number of steps of one."""
+    model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, True)
+    rig, weights = swing(model, 2)
+    alone, shared = simulation_of(model), simulation_of(model)
+    for simulation in (alone, shared):
+        simulation.start(rig[0], rig[1], weights[0])
+    still, same = np.repeat(rig[1:], 50, axis=0), np.repeat(weights[1:], 50, axis=0)
+    for _ in range(12):
+        alone.advance(still, same)
+    threads = [threading.Thread(target=lambda: [shared.advance(still, same) for _ in range(3)]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        assert np.isfinite(shared.coordinates).all() and np.isfinite(shared.elastic_energy)
+    assert np.array_equal(shared.coordinates, alone.coordinates)
 
 
 def test_a_step_that_fails_leaves_the_past_where_it_was():
