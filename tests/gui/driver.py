@@ -314,6 +314,7 @@ class Region:
         """Open the section that holds a button. Its header is one of those next above the button `above`."""
         global actions
         actions += 1
+        yield from self.scroll("WHEELUPMOUSE", 40)  # from below, all would move when another section is closed
         top = yield from self.top_of(above)
         left, height = self.box[0] + ASIDE, top
         while height < min(top + 14 * ROW, self.ceiling):
