@@ -29,6 +29,7 @@ from editors import (
 )
 
 BRUSH = 40  # pixels, the radius
+PROBLEM = 107  # pixels: the height of its five lines
 
 
 @step("A problem, with its Fix")
@@ -37,9 +38,8 @@ def problem():
     modifier.use_bone_envelopes = True  # not by hand
     yield from driver.drawn()
     fix = "dynamorph.fix(problem='ENVELOPES')"
-    x, row = yield from sidebar.find(fix)
     left, y, width, height = sidebar.box
-    bottom = int(row) - 110
+    bottom = (yield from sidebar.top_of(fix)) - PROBLEM
     yield from driver.keep("problem", sidebar, (left, bottom, width, y + height - bottom))
     yield from sidebar.press(fix)
     yield from until(lambda: not modifier.use_bone_envelopes, "the problem to be fixed")

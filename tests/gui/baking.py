@@ -66,6 +66,7 @@ def out_of_date():
     yield from sidebar.enter("targets[1].stiffness", str(round(2.0 * settings().targets[1].stiffness)))
     assert addon("changes").outdated(skin()) == ['stiffness of "flexed" changed']
     yield from sidebar.fold("targets[1].stiffness")
+    yield from sidebar.scroll("WHEELDOWNMOUSE", 40)  # to what the panel says of it
 
 
 @step("Bake All")

@@ -49,6 +49,7 @@ def plain():
     yield from driver.drawn()
     changed = differing(pictured)
     assert changed > 0.002 and np.abs(shown() - soft).max() > 1e-3, f"the viewport shows no difference: {changed}"
+    yield from sidebar.scroll("WHEELDOWNMOUSE", 40)  # to what the panel says of it
     yield from driver.keep("plain", view)
     yield from sidebar.press(PLAIN)
     yield from until(lambda: not addon("comparison").is_plain(skin()), "the soft skin")
