@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first.
 .PHONY: setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs \
-	convergence bakes farm-demo fuzz stubs format lint wheel extension clean
+	convergence bakes farm-demo fuzz sanitize stubs format lint wheel extension clean
 
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
@@ -94,6 +94,10 @@ farm-demo: build
 examples ?= 2000
 fuzz: build
 	@DYNAMORPH_FUZZ=$(examples) $(python) -m pytest --hypothesis-show-statistics tests/engine/test_defects.py
+
+# The engine's tests under gcc's sanitizers, with asserts; takes about 15 minutes, most of it the first build.
+sanitize: setup
+	@tools/sanitize.sh $(python) $(jobs)
 
 stubs: build
 	@$(stubgen) -o cpp/bindings

@@ -17,7 +17,7 @@ function(add_module python)
   describe_python(${python})
   set(target core_${python_version})
   add_library(${target} MODULE ${binding_sources})
-  target_compile_options(${target} PRIVATE ${warnings})
+  target_compile_options(${target} PRIVATE ${options})
   target_include_directories(${target} SYSTEM PRIVATE ${python_include} ${python_pybind11_include})
   if(WIN32)
     target_link_directories(${target} PRIVATE ${python_prefix}/libs) # Python.h names the library

@@ -7,7 +7,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 supported=(3.11 3.13) # Blender 4.5 LTS, Blender 5.2 LTS
-packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev doctest-dev
+packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev doctest-dev qemu-user
           libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
 [[ ${1:-} != bench ]] || packages+=(libbenchmark-dev)
 [[ ${1:-} != farm ]] || packages+=(slurmctld slurmd slurm-client munge)

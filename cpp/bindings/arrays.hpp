@@ -5,6 +5,8 @@
 #include <pybind11/numpy.h>
 
 #include <Eigen/Dense>
+#include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -15,7 +17,11 @@ namespace py = pybind11;
 namespace dynamorph {
 
 using FloatArray = py::array_t<double, py::array::c_style | py::array::forcecast>;
-using IntArray = py::array_t<std::int32_t, py::array::c_style | py::array::forcecast>;
+
+/// An argument of node or vertex indices, which `to_indices` reads: of any type, so that it can say what is wrong.
+struct IndexArray : py::array {
+  using py::array::array;
+};
 
 /// "(4, 3)"
 inline std::string shape_of(const py::array& array) { return py::repr(array.attr("shape")).cast<std::string>(); }
@@ -31,6 +37,26 @@ Matrix to_matrix(const Array& array, const char* name) {
                                 shape_of(array));
   using Stored = Eigen::Matrix<typename Matrix::Scalar, Eigen::Dynamic, columns, Eigen::RowMajor>;
   return Eigen::Map<const Stored>(array.data(), array.shape(0), array.shape(1));
+}
+
+/// Indices as a row-major Matrix of 32-bit integers. Throws std::invalid_argument as `to_matrix`, and where a number is
+/// not whole by its type or does not fit: NumPy would cut off or wrap it.
+template <class Matrix>
+Matrix to_indices(const IndexArray& array, const char* name) {
+  const char kind = array.dtype().kind();
+  if (array.size() > 0 && kind != 'i' && kind != 'u')
+    throw std::invalid_argument(std::string(name) + ": expected integers, got " +
+                                py::str(array.dtype()).cast<std::string>());
+  using Wide = Eigen::Matrix<std::int64_t, Eigen::Dynamic, Matrix::ColsAtCompileTime, Eigen::RowMajor>;
+  const py::array_t<std::int64_t, py::array::c_style | py::array::forcecast> whole(array);
+  const Wide wide = to_matrix<Wide>(whole, name);
+  const bool wraps = kind == 'u' && array.itemsize() == 8;  // 2^63 and more become negative
+  constexpr std::int64_t most = std::numeric_limits<std::int32_t>::max();
+  if (wide.size() > 0 && (wide.maxCoeff() > most || wide.minCoeff() < (wraps ? 0 : -most)))
+    throw std::invalid_argument(std::string(name) + ": expected indices up to " + std::to_string(most) + ", got " +
+                                py::str(array.attr("min")()).cast<std::string>() + " to " +
+                                py::str(array.attr("max")()).cast<std::string>());
+  return wide.template cast<std::int32_t>();
 }
 
 /// -1 in `expected` stands for any size.
@@ -60,3 +86,18 @@ inline Transforms transforms(const char* name, const FloatArray& array) {
 }
 
 }  // namespace dynamorph
+
+namespace pybind11::detail {
+
+/// Takes what NumPy takes: arrays of any type, lists.
+template <>
+struct type_caster<dynamorph::IndexArray> {
+  using Narrow = type_caster<array_t<std::int32_t, array::c_style | array::forcecast>>;
+  PYBIND11_TYPE_CASTER(dynamorph::IndexArray, Narrow::name);
+  bool load(handle source, bool) {
+    value = reinterpret_steal<dynamorph::IndexArray>(array::ensure(source).release());
+    return bool(value);
+  }
+};
+
+}  // namespace pybind11::detail

@@ -17,7 +17,7 @@ using namespace dynamorph;
 namespace {
 
 Points points(const FloatArray& array, const char* name) { return to_matrix<Points>(array, name); }
-Triangles triangles(const IntArray& array) { return to_matrix<Triangles>(array, "triangles"); }
+Triangles triangles(const IndexArray& array) { return to_indices<Triangles>(array, "triangles"); }
 
 void check_rows(const FloatArray& array, const char* name, Eigen::Index expected) {
   if (array.shape(0) != expected)
@@ -33,8 +33,8 @@ py::array_t<bool> to_array(const std::vector<bool>& flags) {
 
 void bind_tet_mesh(py::module_& m) {
   py::class_<TetMesh>(m, "TetMesh", "Tetrahedra: n nodes, m tets.")
-      .def(py::init([](const FloatArray& nodes, const IntArray& tets) {
-             return make_tet_mesh(points(nodes, "nodes"), to_matrix<Tets>(tets, "tets"));
+      .def(py::init([](const FloatArray& nodes, const IndexArray& tets) {
+             return make_tet_mesh(points(nodes, "nodes"), to_indices<Tets>(tets, "tets"));
            }),
            "nodes"_a, "tets"_a, R"(A mesh from stored arrays.
 
@@ -45,7 +45,8 @@ tet that is flat or inside out, or a node of no tet.)")
       .def_property_readonly("volumes", &volumes, "Volumes (m,), cubic metres.");
 
   py::class_<Embedding>(m, "Embedding", "Where V surface points sit in a TetMesh.")
-      .def(py::init([](const Tets& nodes, const decltype(Embedding::weights)& weights) {
+      .def(py::init([](const IndexArray& array, const decltype(Embedding::weights)& weights) {
+             const Tets nodes = to_indices<Tets>(array, "nodes");
              if (nodes.rows() != weights.rows() || (nodes.size() > 0 && nodes.minCoeff() < 0))
                throw std::invalid_argument("nodes, weights: expected one row a point, and no negative node");
              return Embedding{nodes, weights, VectorXd::Zero(nodes.rows())};
@@ -75,7 +76,7 @@ py::dict to_dict(const Defects& d) {
 void bind_meshers(py::module_& m) {
   m.def(
       "closed_surface",
-      [](const FloatArray& vertices, const IntArray& faces) {
+      [](const FloatArray& vertices, const IndexArray& faces) {
         const Points v = points(vertices, "vertices");
         const Triangles f = triangles(faces);
         const ClosedSurface closed = without_gil([&] { return close_surface(v, f); });
@@ -88,7 +89,7 @@ twice dropped, faces turned outward, holes capped. Returns the vertices (W, 3), 
 what was wrong: counts by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.)");
   m.def(
       "make_cage",
-      [](const FloatArray& vertices, const IntArray& faces, int target_vertices, double thickness,
+      [](const FloatArray& vertices, const IndexArray& faces, int target_vertices, double thickness,
          const py::object& progress) {
         const Points v = points(vertices, "vertices");
         const Triangles f = triangles(faces);
@@ -104,7 +105,7 @@ Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the inpu
 between 1e-6 and 1e6 m across.)");
   m.def(
       "tetrahedralize",
-      [](const FloatArray& vertices, const IntArray& faces, int target_nodes, const FloatArray& inner) {
+      [](const FloatArray& vertices, const IndexArray& faces, int target_nodes, const FloatArray& inner) {
         const Points v = points(vertices, "vertices"), more = points(inner, "inner");
         const Triangles f = triangles(faces);
         return without_gil([&] { return tetrahedralize(v, f, target_nodes, more); });
@@ -128,7 +129,7 @@ void bind_body_in_mesh(py::module_& m) {
 A point outside takes the nearest tet, extrapolating as far as weights of -1/2.)");
   m.def(
       "fill_fractions",
-      [](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces, const py::object& progress) {
+      [](const TetMesh& mesh, const FloatArray& vertices, const IndexArray& faces, const py::object& progress) {
         const Points v = points(vertices, "vertices");
         const Triangles f = triangles(faces);
         const ProgressFn report = with_gil(progress);
@@ -153,7 +154,7 @@ Least squares at the points, smooth inside. Constants stay constant; overshoots 
 and normalising.)");
   m.def(
       "points_on_bones",
-      [](const FloatArray& vertices, const IntArray& faces, const FloatArray& skin, const IntArray& skin_faces,
+      [](const FloatArray& vertices, const IndexArray& faces, const FloatArray& skin, const IndexArray& skin_faces,
          const FloatArray& heads, const FloatArray& tails, double ratio) {
         const Points v = points(vertices, "vertices"), s = points(skin, "skin"), h = points(heads, "heads"),
                      t = points(tails, "tails");
@@ -169,7 +170,7 @@ within what it holds (ratio, as for pinned), so that the body cannot spin about 
 skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.)");
   m.def(
       "pinned",
-      [](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces, const FloatArray& heads,
+      [](const TetMesh& mesh, const FloatArray& vertices, const IndexArray& faces, const FloatArray& heads,
          const FloatArray& tails, double ratio) {
         const Points v = points(vertices, "vertices"), h = points(heads, "heads"), t = points(tails, "tails");
         const Triangles f = triangles(faces);
@@ -189,7 +190,7 @@ void bind_thickness(py::module_& m) {
                         R"(How thick a body is: the radius of the largest ball in it that covers a point.
 
 Wide in a belly, narrow in a finger; continuous. Skin that lies inside other skin does not count.)")
-      .def(py::init([](const FloatArray& vertices, const IntArray& faces, const py::object& progress) {
+      .def(py::init([](const FloatArray& vertices, const IndexArray& faces, const py::object& progress) {
              const Points v = points(vertices, "vertices");
              const Triangles f = triangles(faces);
              const ProgressFn report = with_gil(progress);
@@ -216,7 +217,7 @@ void bind_mesh_cut(py::module_& m) {
 
 Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
 distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.)")
-      .def(py::init([](const TetMesh& mesh, const FloatArray& vertices, const IntArray& faces) {
+      .def(py::init([](const TetMesh& mesh, const FloatArray& vertices, const IndexArray& faces) {
              const Points v = points(vertices, "vertices");
              const Triangles f = triangles(faces);
              return without_gil([&] { return std::make_unique<MeshCut>(mesh, v, f); });

@@ -72,8 +72,8 @@ void bind_soft_body(py::module_& m) {
 
 void bind_full_model(py::module_& m) {
   py::class_<FullModel, std::shared_ptr<FullModel>> full(m, "FullModel", "The unreduced soft skin.");
-  full.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, Law, Blending>(), "body"_a, "targets"_a,
-           "law"_a, "blending"_a)
+  full.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, Law, Blending>(), "body"_a.none(false),
+           "targets"_a, "law"_a, "blending"_a)
       .def(
           "linear_modes",
           [](const FullModel& model, int target, int k) {

@@ -38,7 +38,7 @@ void bind_reduced(py::module_& m) {
       "model"_a, "U"_a, "progress"_a = py::none(), "Energy polynomials of every target in the basis U (3 free, r).");
 
   py::class_<ReducedModel, std::shared_ptr<ReducedModel>> reduced(m, "ReducedModel", "The soft skin in r modes.");
-  reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(), "body"_a,
-              "targets"_a, "tables"_a, "blending"_a);
+  reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(),
+              "body"_a.none(false), "targets"_a, "tables"_a, "blending"_a);
   bind_model(reduced);
 }

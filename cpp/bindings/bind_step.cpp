@@ -39,7 +39,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
               };
             return Sim(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked});
           }),
-          "model"_a, "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
+          "model"_a.none(false), "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
           "h: seconds a step; gravity (3,) m/s^2; teleport: jump of the skin off its course in one step, metres, above "
           "which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, "
@@ -141,8 +141,9 @@ void bind_crowd(py::module_& m) {
                        double tolerance, int max_iterations, double teleport) {
              return Crowd(model, {h, scheme, gravity, tolerance, max_iterations, teleport, {}}, size);
            }),
-           "model"_a, "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
-           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "As ReducedSimulation; size: characters.")
+           "model"_a.none(false), "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2,
+           "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
+           "As ReducedSimulation; size: characters.")
       .def("hold_targets", &held_in<Crowd>, "bones"_a,
            "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
       .def(

@@ -6,6 +6,7 @@
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/core/progress.hpp"
 #include "dynamorph/core/types.hpp"
+#include "dynamorph/simd/dispatch.hpp"
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "Dynamorph engine: soft skins from dynamic morph targets.";
@@ -13,6 +14,13 @@ PYBIND11_MODULE(_core, m) {
   py::register_exception<dynamorph::Cancelled>(m, "Cancelled", PyExc_RuntimeError);
   m.def("set_threads", &dynamorph::set_threads, py::arg("most"),
         "Use at most so many cores from now on; 0: all that the process may use. Results do not depend on it.");
+  dynamorph::instruction_set();  // a bad DYNAMORPH_ISA is an error of the import, not of the first call
+  m.def(
+      "instruction_set", [] { return dynamorph::name_of(dynamorph::instruction_set()); },
+      "The instruction set that the engine's loops use: 'baseline', 'avx2' or 'avx512', the best that the processor "
+      "has "
+      "or what the environment variable DYNAMORPH_ISA named at the import. Results are the same bytes on all machines "
+      "that use the same one.");
   bind_mesh(m);
   bind_pose(m);
   bind_models(m);

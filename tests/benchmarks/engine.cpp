@@ -17,11 +17,11 @@
 #include "dynamorph/elastic/dense_factor.hpp"
 #include "dynamorph/pose/pose_space.hpp"
 #include "dynamorph/reduced/basis.hpp"
-#include "dynamorph/reduced/kernels.hpp"
+#include "dynamorph/reduced/polynomial_kernels.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
-#include "dynamorph/simd/multiversion.hpp"
 #include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
+#include "machine_kernels.hpp"
 #ifdef __linux__
 #include <sched.h>
 #endif
@@ -252,36 +252,6 @@ void measure_steps(State& state, const std::shared_ptr<const Model>& model, cons
 
 // --- The machine -----------------------------------------------------------------------------------------------------
 
-constexpr int kChains = 12;  // of dependent operations: enough to fill the latency of two units
-
-template <class Lane>
-DYNAMORPH_INLINE double multiply_and_add(int rounds) {
-  Lane sums[kChains] = {}, factor, term;
-  for (size_t i = 0; i < sizeof(Lane) / sizeof factor[0]; ++i) factor[i] = 0.5, term[i] = 1;
-  for (int k = 0; k < kChains; ++k) sums[k][0] = k;  // or the compiler would find that they are all the same
-  for (int k = 0; k < rounds; ++k)
-    for (Lane& sum : sums) sum = sum * factor + term;
-  double total = 0;
-  for (Lane& sum : sums) total += sum[0];
-  return total;
-}
-
-using EightFloats = float __attribute__((vector_size(32)));
-using FourDoubles = double __attribute__((vector_size(32)));
-
-DYNAMORPH_MULTIVERSION double operate_on_floats(int rounds) { return multiply_and_add<EightFloats>(rounds); }
-DYNAMORPH_MULTIVERSION double operate_on_doubles(int rounds) { return multiply_and_add<FourDoubles>(rounds); }
-
-DYNAMORPH_MULTIVERSION
-double read_through(const double* data, size_t size) {
-  FourDoubles sums[8] = {};
-  for (size_t i = 0; i + 32 <= size; i += 32)
-    for (int k = 0; k < 8; ++k) sums[k] += *reinterpret_cast<const FourDoubles*>(data + i + 4 * k);
-  double total = 0;
-  for (const FourDoubles& sum : sums) total += sum[0] + sum[1] + sum[2] + sum[3];
-  return total;
-}
-
 void operations(State& state) {
   const OneCore pinned;
   const bool single = state.range(0) == 4;
@@ -482,7 +452,7 @@ void surface(State& state) {
   for (auto _ : state) {
     out.setZero();
     for (Eigen::Index b = 0; b < blocks; ++b)
-      add_product(modes.data() + b * kBlock * r, kBlock, z.data(), r, out.data() + b * kBlock);
+      add_single_product(modes.data() + b * kBlock * r, kBlock, z.data(), r, out.data() + b * kBlock);
     benchmark::ClobberMemory();
   }
   state.counters["bytes"] = double(modes.size()) * sizeof(float);

@@ -7,6 +7,7 @@ from pathlib import Path
 import dynamorph
 import numpy as np
 import pytest
+from dynamorph import meshing
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 BOX_TRIANGLES = np.array([*map(int, "021123456576014154263367042246135375")]).reshape(-1, 3)
@@ -268,6 +269,13 @@ def test_another_cage_is_tried(monkeypatch, fault):
     monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", fault)
     *_, mesh = dynamorph.mesh_body(*box(), 300, time_limit=6)
     assert abs(len(mesh.nodes) / 300 - 1) < 0.2
+
+
+@pytest.mark.parametrize(("code", "name"), [(-11, "SIGSEGV"), (0xC0000005, "0xc0000005"), (0xC00000FD, "0xc00000fd")])
+def test_a_crash_is_known_by_its_exit_code(code, name):
+    """Of POSIX and of Windows: another resolution is tried after it."""
+    with pytest.raises(meshing._MesherFailed, match=rf"crashed on this mesh \({name}\)"):
+        meshing._raise_failure(code, "", 1)
 
 
 def test_an_own_cage_takes_the_place_of_the_wrap():

@@ -540,3 +540,64 @@ def test_cancel_stops_a_long_call():
     model, _, _ = sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
     with pytest.raises(dynamorph.Cancelled):
         dynamorph.make_basis(model, 12, lambda fraction: fraction < 0.3)
+
+
+# Energies ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("reduced", [True, False])
+def test_energies_are_those_of_the_state_whatever_was_asked_between(reduced):
+    """Static solutions and held targets pose the model elsewhere; that is not where the simulation is."""
+    model, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, reduced)
+    rig, weights = swing(model, 12)
+    simulation = simulation_of(model)
+    simulation.start(rig[0], rig[1], weights[0])
+    simulation.advance(rig[1:], weights[1:])
+    before = simulation.elastic_energy, simulation.kinetic_energy
+    assert before[0] > 0.0
+    simulation.solve_static(rig[3], np.eye(3)[1])
+    assert (simulation.elastic_energy, simulation.kinetic_energy) == before
+    simulation.hold_targets(np.array([rig[0]] * 3))
+    assert (simulation.elastic_energy, simulation.kinetic_energy) == before
+    assert simulation.elastic_energy == pytest.approx(model.energy(weights[-1], simulation.coordinates), rel=1e-12)
+
+
+@pytest.mark.parametrize(("scheme", "stencil"), [(EULER, (1.0, -1.0, 0.0)), (BDF2, (1.5, -2.0, 0.5))])
+def test_kinetic_energy_has_the_scheme_s_velocity(scheme, stencil):
+    """A bar that is thrown and turned by its bone: 1/2 sum m |v|^2 of the posed nodes."""
+    model, nodes = cantilever((3, 1, 1), (0.3, 0.1, 0.1), young=4e4)
+    h = 1 / 60
+    frames = np.array([bones(Rotation.from_rotvec([0, 0.04 * k**2, 0]), (0.1 * k, 0, 0.02 * k**2)) for k in range(6)])
+    simulation = dynamorph.FullSimulation(model, h, scheme=scheme)
+    simulation.start(frames[0], frames[1], ONE)
+    simulation.advance(frames[1:], np.ones((5, 1)))
+    coordinates, posed = simulation.state
+    velocity = 0.0
+    for share, q, bone in zip(stencil, coordinates, posed, strict=False):
+        matrix = np.reshape(bone, (3, 4))
+        velocity = velocity + share / h * ((nodes + model.displacement(q)) @ matrix[:, :3].T + matrix[:, 3])
+    _, tets = bar((3, 1, 1), (0.3, 0.1, 0.1))
+    corners = nodes[tets]
+    quarters = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 24.0
+    mass = 1000.0 * np.bincount(tets.ravel(), np.repeat(quarters, 4)) * (nodes[:, 0] > 1e-9)  # what is free
+    expected = 0.5 * (mass * (velocity**2).sum(axis=1)).sum()
+    assert simulation.kinetic_energy == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_step_that_fails_leaves_the_past_where_it_was():
+    """Even where the rig jumps, and the past would have been carried along."""
+    model, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)
+    rig, weights = swing(model, 6)
+    simulation = dynamorph.ReducedSimulation(model, 1 / 60, teleport=0.2)
+    simulation.start(rig[0], rig[1], weights[0])
+    simulation.advance(rig[1:4], weights[1:4])
+    coordinates, posed = simulation.state
+    away = rig[4].copy()
+    away[:, 0, 3] += 50.0
+    with pytest.raises(ValueError, match="finite"):
+        simulation.advance(
+            away[None], weights[4][None], np.full((len(model.displacement(np.zeros(model.dofs))), 3), np.nan)
+        )
+    after, still = simulation.state
+    assert all(map(np.array_equal, coordinates, after)) and all(map(np.array_equal, posed, still))
+    assert simulation.advance(away[None], weights[4][None])["teleported"]

@@ -7,7 +7,8 @@ import numpy
 import numpy.typing
 import scipy.sparse
 import typing
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+import typing_extensions
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MorphTarget', 'Parting', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -42,7 +43,7 @@ class Embedding:
     """
     Where V surface points sit in a TetMesh.
     """
-    def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, 4]"], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 4]"]) -> None:
+    def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 4]"]) -> None:
         """
         One that was kept: nodes, weights (V, 4); its distances are not known.
         """
@@ -620,6 +621,10 @@ def fill_fractions(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayL
     
     vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
     """
+def instruction_set() -> str:
+    """
+    The instruction set that the engine's loops use: 'baseline', 'avx2' or 'avx512', the best that the processor has or what the environment variable DYNAMORPH_ISA named at the import. Results are the same bytes on all machines that use the same one.
+    """
 def make_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> Basis:
     """
     r modes: the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool, False raises Cancelled.
@@ -663,7 +668,7 @@ def tetrahedralize(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.floa
     vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. inner (k, 3): points
     inside that become nodes. Raises Error when it cannot be filled. Crashes or hangs on some input: `mesh_body` contains that.
     """
-def unpack_model(buffer: collections.abc.Buffer) -> tuple[dict, str]:
+def unpack_model(buffer: typing_extensions.Buffer) -> tuple[dict, str]:
     """
     (arrays by name, description as JSON) of a model file's bytes. Raises Error when they are damaged, or of a version that cannot be read.
     """

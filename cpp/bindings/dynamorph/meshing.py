@@ -23,6 +23,7 @@ from dynamorph._core import Cancelled, Error, TetMesh, closed_surface, make_cage
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
 EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER = 2, 3, 4, 5
+WINDOWS_CRASH = 0xC0000000  # from here on an exit code is an exception's; elsewhere a signal's is negative
 # Where TetGen fails, crashes or hangs is a matter of luck: another cage, a little coarser or finer, mostly gets by.
 RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
 # For tests only: makes the child crash, hang or allocate without end; "crash once": at the first resolution.
@@ -150,8 +151,9 @@ def _run_child(arguments: list, request, answer, progress: Callable[[float], boo
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves memory, which is limited
     try:
         child = subprocess.Popen(
-            command, stdin=request, stdout=answer, stderr=subprocess.PIPE, text=True, env=environment
-        )
+            command, stdin=request, stdout=answer, stderr=subprocess.PIPE, text=True, env=environment,
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # Windows would flash a console
+        )  # fmt: skip
     except OSError as error:
         raise Error(f"The mesher could not be started ({error}). Re-install the add-on.") from error
     fraction, message = [0.0], []
@@ -192,8 +194,9 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
         raise ValueError(message)
     if code == EXIT_MEMORY:
         raise Error(f"Meshing needed more than {memory_limit_gb:g} GB of memory. Lower the cage resolution.")
-    if code < 0:
-        raise _MesherFailed(f"The mesher crashed on this mesh ({signal.Signals(-code).name}). {TRY_THIS}")
+    if code < 0 or code >= WINDOWS_CRASH:
+        name = signal.Signals(-code).name if code < 0 else f"{code:#x}"
+        raise _MesherFailed(f"The mesher crashed on this mesh ({name}). {TRY_THIS}")
     last_line = message.rpartition("\n")[2]
     raise Error(f"The mesher failed on this mesh (exit code {code}: {last_line}). {TRY_THIS}")
 

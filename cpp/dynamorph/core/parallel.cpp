@@ -21,7 +21,10 @@ class Helpers {
       for (int i = 0; i < count; ++i) work(i);
       return;
     }
-    for (; threads_ < most; ++threads_) std::thread([this] { help(); }).detach();
+    try {
+      for (; threads_ < most; ++threads_) std::thread([this] { help(); }).detach();
+    } catch (const std::exception&) {  // the system has no more: it is tried again with the next loop
+    }
     work_ = &work;
     count_ = count;
     next_ = 0;

@@ -25,7 +25,8 @@ int usable_cores();
 void set_threads(int most);
 
 /// work(i, progress) for i = 0..count-1, each with a progress of its own that asks to stop once a work has failed. The
-/// caller's `progress` hears the mean and is called from the calling thread alone. Rethrows what a work threw.
+/// caller's `progress` hears the mean and is called from the calling thread alone. Rethrows what a work threw. Where
+/// the system gives fewer threads than cores, those it gives do all the work; where none, the calling thread.
 template <class Work>
 void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   std::vector<std::atomic<double>> done(count);
@@ -34,35 +35,49 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   std::atomic<bool> stop{false};
   std::mutex mutex;
   std::condition_variable ended;
-  int running = std::clamp(usable_cores(), 1, std::max(count, 1));
-  std::vector<std::thread> threads;
-  for (int t = running; t > 0; --t)
-    threads.emplace_back([&] {
-      for (int i; (i = next++) < count && !stop;) try {
-          work(i, [&done, &stop, i](double fraction) {
-            done[i] = fraction;
-            return !stop;
-          });
-        } catch (const Cancelled&) {  // told to stop: the caller's wish or another's error is the reason
-          stop = true;
-        } catch (...) {
-          errors[i] = std::current_exception();
-          stop = true;
-        }
-      const std::lock_guard lock(mutex);
-      --running;
-      ended.notify_one();
-    });
   std::exception_ptr cancelled;
-  std::unique_lock lock(mutex);
-  while (!ended.wait_for(lock, std::chrono::milliseconds(20), [&] { return running == 0; })) {
-    lock.unlock();
+  const auto take = [&](const auto& heard) {
+    for (int i; (i = next++) < count && !stop;) try {
+        work(i, [&, i](double fraction) {
+          done[i] = fraction;
+          heard();
+          return !stop;
+        });
+      } catch (const Cancelled&) {  // told to stop: the caller's wish or another's error is the reason
+        stop = true;
+      } catch (...) {
+        errors[i] = std::current_exception();
+        stop = true;
+      }
+  };
+  const auto tell = [&] {  // the caller
     try {
       if (!cancelled) report(progress, std::accumulate(done.begin(), done.end(), 0.0) / count);
     } catch (...) {
       cancelled = std::current_exception();
       stop = true;
     }
+  };
+
+  const int wanted = std::clamp(usable_cores(), 1, std::max(count, 1));
+  int ended_threads = 0;
+  std::vector<std::thread> threads;
+  threads.reserve(wanted);
+  try {
+    while (int(threads.size()) < wanted)
+      threads.emplace_back([&] {
+        take([] {});
+        const std::lock_guard lock(mutex);
+        ++ended_threads;
+        ended.notify_one();
+      });
+  } catch (const std::exception&) {  // the system has no more
+    if (threads.empty()) take(tell);
+  }
+  std::unique_lock lock(mutex);
+  while (!ended.wait_for(lock, std::chrono::milliseconds(20), [&] { return ended_threads == int(threads.size()); })) {
+    lock.unlock();
+    tell();
     lock.lock();
   }
   lock.unlock();

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "dynamorph/core/types.hpp"
+#include "dynamorph/elastic/assembly_kernels.hpp"
 #include "dynamorph/elastic/elasticity.hpp"
 #include "dynamorph/mesh/tet_mesh.hpp"
 
@@ -17,19 +18,11 @@ namespace dynamorph {
 
 class Assembly {
  public:
-  static constexpr int kGroupSize = 4;  ///< tetrahedra in the lanes of a register
-
-  /// One target's elements in the assembly's order. Nodes 1 to 3 have gradients, that of node 0 is minus their sum.
+  /// One target's elements in the assembly's order.
   struct Elements {
-    struct alignas(32) Group {
-      double gradients[3][3][kGroupSize];  ///< node, component
-      double volumes[kGroupSize];
-    };
-    struct alignas(32) Origins {
-      double values[3][3][kGroupSize];  ///< F0 - I, row, column
-    };
-    std::vector<Group> groups;
-    std::vector<Origins> origins;  ///< empty where displacements are given from the target's shape, about which F = I
+    std::vector<ElementGroup> groups;
+    std::vector<OriginGroup>
+        origins;  ///< empty where displacements are given from the target's shape, about which F = I
   };
   /// What a target counts at some target weights.
   struct Part {
@@ -53,14 +46,6 @@ class Assembly {
   double linearize(Law law, const std::vector<Part>& parts, const VectorXd& x, VectorXd& force,
                    SparseMatrix& stiffness) const;
 
-  /// Four tetrahedra, their nodes in ascending order of free nodes and held ones last.
-  struct Group {
-    int tets[kGroupSize];        ///< -1 in the lanes that the last group leaves empty
-    int order[4][kGroupSize];    ///< the tetrahedron's own number of each node
-    int nodes[4][kGroupSize];    ///< its first degree of freedom; that of held nodes reads zeros
-    int blocks[10][kGroupSize];  ///< where in the chunk's store blocks (a, a), then (a, b) for a < b, are summed
-  };
-
  private:
   struct Chunk {
     int first, last;  ///< groups
@@ -80,7 +65,7 @@ class Assembly {
   void build_pattern();
 
   int free_ = 0;
-  std::vector<Group> groups_;
+  std::vector<TetGroup> groups_;
   std::vector<Chunk> chunks_;
   std::vector<Block> blocks_;  ///< by columns
   std::vector<int> addends_;   ///< where in the stores

@@ -2,6 +2,8 @@
 #include "dynamorph/elastic/elasticity.hpp"
 
 #include <Eigen/SVD>
+#include <stdexcept>
+#include <string>
 
 namespace dynamorph {
 
@@ -50,6 +52,11 @@ Matrix3d cross_matrix(const Vector3d& c) {
 }
 
 }  // namespace
+
+void check(Law law) {
+  if (law != Law::linear && law != Law::stvk && law != Law::stable_stvk)
+    throw std::invalid_argument("law: expected one of Law's values, got " + std::to_string(int(law)));
+}
 
 RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale, bool shifted) {
   const Points& X = mesh.nodes;

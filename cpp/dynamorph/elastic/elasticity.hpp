@@ -19,6 +19,9 @@ namespace dynamorph {
 
 enum class Law { linear, stvk, stable_stvk };
 
+/// Throws std::invalid_argument unless it is one of the enumeration's values.
+void check(Law law);
+
 /// Lame's parameters, Pa.
 struct Lame {
   double lambda;

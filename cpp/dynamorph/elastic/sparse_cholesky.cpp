@@ -3,9 +3,9 @@
 
 #include <Eigen/OrderingMethods>
 #include <algorithm>
-#include <cmath>
+#include <type_traits>
 
-#include "dynamorph/simd/multiversion.hpp"
+#include "dynamorph/elastic/sparse_kernels.hpp"
 
 namespace dynamorph {
 
@@ -53,7 +53,6 @@ struct SymbolicCholesky {
 
 namespace {
 
-constexpr int kStrip = 12;  // scalar rows of a packed strip and of a register tile: three vectors of four doubles
 constexpr int kDepth = 48;  // scalar columns eliminated between two updates of the rest: four strips stay in cache
 
 /// Scalar rows with room for a tile that begins at the last of them.
@@ -262,67 +261,6 @@ void SymbolicCholesky::place_entries(const SparseMatrix& A) {
 
 namespace {
 
-using Vector4 = double __attribute__((vector_size(32), aligned(8), may_alias));
-
-/// Column-major scalars, `stride` from one column to the next.
-struct Dense {
-  double* data;
-  Eigen::Index stride;
-  double* at(Eigen::Index row, Eigen::Index column) const { return data + column * stride + row; }
-};
-
-/// C (12, 3) -= A B^T, depth columns: A (12, depth) and B (3, depth), `a` and `b` from one column to the next.
-DYNAMORPH_INLINE void subtract_tile(const double* __restrict A, Eigen::Index a, const double* __restrict B,
-                                    Eigen::Index b, Eigen::Index depth, Dense C) {
-  Vector4 sums[3][3] = {};
-  for (Eigen::Index d = 0; d < depth; ++d, A += a, B += b) {
-    const Vector4* rows = reinterpret_cast<const Vector4*>(A);
-    for (int j = 0; j < 3; ++j)
-      for (int v = 0; v < 3; ++v) sums[j][v] += rows[v] * B[j];
-  }
-  for (int j = 0; j < 3; ++j)
-    for (int v = 0; v < 3; ++v) *reinterpret_cast<Vector4*>(C.at(4 * v, j)) -= sums[j][v];
-}
-
-/// C -= A B^T from strips of rows; A's and B's rows are multiples of 3. Of a symmetric product (A is B) the lower
-/// triangle, and somewhat more.
-DYNAMORPH_MULTIVERSION
-void subtract_product(const double* A, Eigen::Index a_rows, const double* B, Eigen::Index b_rows, Eigen::Index depth,
-                      bool symmetric, Dense C) {
-  for (Eigen::Index i = 0; i < a_rows; i += kStrip, A += kStrip * depth) {
-    const Eigen::Index columns = symmetric ? std::min(b_rows, i + kStrip) : b_rows;
-    for (Eigen::Index j = 0; j < columns; j += 3)
-      subtract_tile(A, kStrip, B + j / kStrip * kStrip * depth + j % kStrip, kStrip, depth, {C.at(i, j), C.stride});
-  }
-}
-
-/// Factors columns first .. last - 1 of a panel whose earlier columns' products are subtracted from them already,
-/// leaving 1 / L_ii on the diagonal.
-DYNAMORPH_MULTIVERSION
-bool eliminate_columns(Dense panel, Eigen::Index rows, Eigen::Index first, Eigen::Index last) {
-  for (Eigen::Index c = first; c < last; c += 3) {
-    for (Eigen::Index i = c; i < rows; i += kStrip)
-      subtract_tile(panel.at(i, first), panel.stride, panel.at(c, first), panel.stride, c - first,
-                    {panel.at(i, c), panel.stride});
-    double *x = panel.at(0, c), *y = panel.at(0, c + 1), *z = panel.at(0, c + 2);
-    if (!(x[c] > 0)) return false;
-    const double xx = 1 / std::sqrt(x[c]), xy = x[c + 1] * xx, xz = x[c + 2] * xx, y2 = y[c + 1] - xy * xy;
-    if (!(y2 > 0)) return false;
-    const double yy = 1 / std::sqrt(y2), yz = (y[c + 2] - xy * xz) * yy, z2 = z[c + 2] - xz * xz - yz * yz;
-    if (!(z2 > 0)) return false;
-    const double zz = 1 / std::sqrt(z2);
-    for (Eigen::Index i = c + 3; i < rows; ++i) {
-      x[i] *= xx;
-      y[i] = (y[i] - xy * x[i]) * yy;
-      z[i] = (z[i] - xz * x[i] - yz * y[i]) * zz;
-    }
-    x[c] = xx, x[c + 1] = xy, x[c + 2] = xz;
-    y[c + 1] = yy, y[c + 2] = yz;
-    z[c + 2] = zz;
-  }
-  return std::isfinite(*panel.at(last - 1, last - 1));
-}
-
 /// Rows of `depth` columns in strips of kStrip, each column after column, padded with zeros.
 void pack_strips(Dense columns, Eigen::Index rows, Eigen::Index depth, double* strips) {
   for (Eigen::Index i = 0; i < rows; i += kStrip)
@@ -402,151 +340,21 @@ bool BlockCholesky<Real>::factorize(const SparseMatrix& A) {
 
 namespace {
 
-template <class Real>
-struct Lanes;
-template <>
-struct Lanes<double> {
-  using Vector = double __attribute__((vector_size(32), aligned(8), may_alias));
-};
-template <>
-struct Lanes<float> {
-  using Vector = float __attribute__((vector_size(32), aligned(4), may_alias));
-};
-
-/// x = L^-1 x for a supernode's columns, minus what they contribute below.
-template <class Real>
-DYNAMORPH_INLINE void forward_one(const Real* __restrict L, Eigen::Index rows, Eigen::Index columns,
-                                  Real* __restrict x) {
-  for (Eigen::Index c = 0; c < columns; c += 3, L += 3 * rows) {
-    const Real *a = L, *b = L + rows, *d = b + rows;
-    const Real x0 = x[c] * a[c], x1 = (x[c + 1] - a[c + 1] * x0) * b[c + 1],
-               x2 = (x[c + 2] - a[c + 2] * x0 - b[c + 2] * x1) * d[c + 2];
-    x[c] = x0, x[c + 1] = x1, x[c + 2] = x2;
-    for (Eigen::Index i = c + 3; i < rows; ++i) x[i] -= a[i] * x0 + b[i] * x1 + d[i] * x2;
-  }
-}
-
-/// x = L^-T x for a supernode's columns, given what is below.
-template <class Real>
-DYNAMORPH_INLINE void backward_one(const Real* __restrict L, Eigen::Index rows, Eigen::Index columns,
-                                   Real* __restrict x) {
-  using Vector = typename Lanes<Real>::Vector;
-  constexpr Eigen::Index kWidth = sizeof(Vector) / sizeof(Real);
-  L += columns * rows;
-  for (Eigen::Index c = columns - 3; c >= 0; c -= 3) {
-    L -= 3 * rows;
-    const Real *a = L, *b = L + rows, *d = b + rows;
-    Vector sums[3] = {};
-    Eigen::Index i = c + 3;
-    for (; i + kWidth <= rows; i += kWidth) {
-      const Vector& some = *reinterpret_cast<const Vector*>(x + i);
-      sums[0] += *reinterpret_cast<const Vector*>(a + i) * some;
-      sums[1] += *reinterpret_cast<const Vector*>(b + i) * some;
-      sums[2] += *reinterpret_cast<const Vector*>(d + i) * some;
-    }
-    Real s[3] = {x[c], x[c + 1], x[c + 2]};
-    for (; i < rows; ++i) s[0] -= a[i] * x[i], s[1] -= b[i] * x[i], s[2] -= d[i] * x[i];
-    for (int k = 0; k < 3; ++k)
-      for (int l = 0; l < kWidth; ++l) s[k] -= sums[k][l];
-    x[c + 2] = s[2] * d[c + 2];
-    x[c + 1] = (s[1] - b[c + 2] * x[c + 2]) * b[c + 1];
-    x[c] = (s[0] - a[c + 1] * x[c + 1] - a[c + 2] * x[c + 2]) * a[c];
-  }
-}
-
-DYNAMORPH_MULTIVERSION
-void forward(const double* L, Eigen::Index rows, Eigen::Index columns, double* x) { forward_one(L, rows, columns, x); }
-DYNAMORPH_MULTIVERSION
-void forward(const float* L, Eigen::Index rows, Eigen::Index columns, float* x) { forward_one(L, rows, columns, x); }
-DYNAMORPH_MULTIVERSION
-void backward(const double* L, Eigen::Index rows, Eigen::Index columns, double* x) {
-  backward_one(L, rows, columns, x);
-}
-DYNAMORPH_MULTIVERSION
-void backward(const float* L, Eigen::Index rows, Eigen::Index columns, float* x) { backward_one(L, rows, columns, x); }
-
-constexpr int kSides = 8;  // right-hand sides at a time, a row of them contiguous
-
-/// out (3, kSides) = sum over d of three values of L, `across` apart, times a row of X: row(d) points to it. L moves on
-/// by `step`.
-template <class Real, class Row>
-DYNAMORPH_INLINE void outer_products(const Real* L, Eigen::Index step, Eigen::Index across, Eigen::Index depth,
-                                     const Row& row, Real* out) {
-  using Vector = typename Lanes<Real>::Vector;
-  constexpr int kVectors = kSides * sizeof(Real) / sizeof(Vector);
-  Vector sums[3][kVectors] = {};
-  for (Eigen::Index d = 0; d < depth; ++d, L += step) {
-    const Vector* x = reinterpret_cast<const Vector*>(row(d));
-    for (int i = 0; i < 3; ++i)
-      for (int v = 0; v < kVectors; ++v) sums[i][v] += L[i * across] * x[v];
-  }
-  for (int i = 0; i < 3; ++i)
-    for (int v = 0; v < kVectors; ++v) reinterpret_cast<Vector*>(out + i * kSides)[v] = sums[i][v];
-}
-
-/// As forward_one, in place for kSides right-hand sides. X is of the whole matrix, `below` the supernode's rows below.
-template <class Real>
-DYNAMORPH_INLINE void forward_all(const Real* L, const int* below, Eigen::Index first, Eigen::Index rows,
-                                  Eigen::Index columns, Real* X) {
-  const Real* own = X + first * kSides;
-  Real sums[3 * kSides];
-  for (Eigen::Index r = 0; r < rows; r += 3) {
-    outer_products(L + r, rows, 1, std::min(r, columns), [&](Eigen::Index d) { return own + d * kSides; }, sums);
-    Real* x = X + (r < columns ? first + r : 3 * below[(r - columns) / 3]) * kSides;
-    for (int k = 0; k < 3 * kSides; ++k) x[k] -= sums[k];
-    if (r >= columns) continue;
-    const Real *a = L + r * rows + r, *b = a + rows, *d = b + rows;
-    for (int k = 0; k < kSides; ++k) {
-      const Real x0 = x[k] * a[0], x1 = (x[kSides + k] - a[1] * x0) * b[1];
-      x[2 * kSides + k] = (x[2 * kSides + k] - a[2] * x0 - b[2] * x1) * d[2];
-      x[k] = x0, x[kSides + k] = x1;
-    }
-  }
-}
-
-template <class Real>
-DYNAMORPH_INLINE void backward_all(const Real* L, const int* below, Eigen::Index first, Eigen::Index rows,
-                                   Eigen::Index columns, Real* X) {
-  Real sums[3 * kSides], more[3 * kSides];
-  for (Eigen::Index c = columns - 3; c >= 0; c -= 3) {
-    const Real *a = L + c * rows, *b = a + rows, *d = b + rows;
-    Real* x = X + (first + c) * kSides;
-    outer_products(a + c + 3, 1, rows, columns - c - 3, [&](Eigen::Index i) { return x + (3 + i) * kSides; }, sums);
-    outer_products(
-        a + columns, 1, rows, rows - columns, [&](Eigen::Index i) { return X + (3 * below[i / 3] + i % 3) * kSides; },
-        more);
-    for (int k = 0; k < 3 * kSides; ++k) x[k] -= sums[k] + more[k];
-    for (int k = 0; k < kSides; ++k) {
-      const Real x2 = x[2 * kSides + k] * d[c + 2], x1 = (x[kSides + k] - b[c + 2] * x2) * b[c + 1];
-      x[k] = (x[k] - a[c + 1] * x1 - a[c + 2] * x2) * a[c];
-      x[kSides + k] = x1, x[2 * kSides + k] = x2;
-    }
-  }
-}
-
-DYNAMORPH_MULTIVERSION
-void forward(const double* L, const int* below, Eigen::Index first, Eigen::Index rows, Eigen::Index columns,
-             double* X) {
-  forward_all(L, below, first, rows, columns, X);
-}
-DYNAMORPH_MULTIVERSION
-void forward(const float* L, const int* below, Eigen::Index first, Eigen::Index rows, Eigen::Index columns, float* X) {
-  forward_all(L, below, first, rows, columns, X);
-}
-DYNAMORPH_MULTIVERSION
-void backward(const double* L, const int* below, Eigen::Index first, Eigen::Index rows, Eigen::Index columns,
-              double* X) {
-  backward_all(L, below, first, rows, columns, X);
-}
-DYNAMORPH_MULTIVERSION
-void backward(const float* L, const int* below, Eigen::Index first, Eigen::Index rows, Eigen::Index columns, float* X) {
-  backward_all(L, below, first, rows, columns, X);
+/// The kernel for factors of type Real.
+template <class Real, class OfDouble, class OfSingle>
+constexpr const auto& either(const OfDouble& of_double, const OfSingle& of_single) {
+  if constexpr (std::is_same_v<Real, double>)
+    return of_double;
+  else
+    return of_single;
 }
 
 }  // namespace
 
 template <class Real>
 void BlockCholesky<Real>::solve(const VectorXd& b, VectorXd& x, std::vector<Real>& scratch) const {
+  const auto &forward = either<Real>(forward_double, forward_single),
+             &backward = either<Real>(backward_double, backward_single);
   const SymbolicCholesky& S = *symbolic_;
   const size_t n = S.order.size();
   scratch.resize(3 * (n + S.most_rows));
@@ -585,6 +393,8 @@ VectorXd BlockCholesky<Real>::solve(const VectorXd& b) const {
 
 template <class Real>
 void BlockCholesky<Real>::solve_in_place(Eigen::Ref<MatrixXd> X) const {
+  const auto &forward = either<Real>(forward_sides_double, forward_sides_single),
+             &backward = either<Real>(backward_sides_double, backward_sides_single);
   const SymbolicCholesky& S = *symbolic_;
   const size_t n = S.order.size();
   std::vector<Real> sides(3 * n * kSides);

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "dynamorph/simd/multiversion.hpp"
+#include "dynamorph/elastic/sparse_kernels.hpp"
 
 namespace dynamorph {
 
@@ -13,33 +13,6 @@ constexpr double kAccuracy = 1e-4;  // an iteration costs much less than one of 
 // An iteration waits for memory: per multiplication it takes about this many times as long as a factorisation.
 constexpr double kWait = 2;
 constexpr int kMostIterations = 100;  // with H's own factor, rounded; what is found so far is then good enough
-
-using Vector4 = double __attribute__((vector_size(32), aligned(8), may_alias));
-
-/// y of three columns at a time: a sum over their common rows, whose values of x are first brought together.
-DYNAMORPH_MULTIVERSION
-void multiply_blocks(const int* outer, const int* inner, const double* values, Eigen::Index columns,
-                     const double* __restrict x, double* __restrict gathered, double* __restrict y) {
-  for (Eigen::Index c = 0; c < columns; c += 3) {
-    const Eigen::Index rows = outer[c + 1] - outer[c];
-    const int* row = inner + outer[c];
-    for (Eigen::Index i = 0; i < rows; i += 3)
-      for (int k = 0; k < 3; ++k) gathered[i + k] = x[row[i] + k];
-    const double *h0 = values + outer[c], *h1 = h0 + rows, *h2 = h1 + rows;
-    Vector4 sums[3] = {};
-    Eigen::Index i = 0;
-    for (; i + 4 <= rows; i += 4) {
-      const Vector4& some = *reinterpret_cast<const Vector4*>(gathered + i);
-      sums[0] += *reinterpret_cast<const Vector4*>(h0 + i) * some;
-      sums[1] += *reinterpret_cast<const Vector4*>(h1 + i) * some;
-      sums[2] += *reinterpret_cast<const Vector4*>(h2 + i) * some;
-    }
-    double rest[3] = {};
-    for (; i < rows; ++i)
-      rest[0] += h0[i] * gathered[i], rest[1] += h1[i] * gathered[i], rest[2] += h2[i] * gathered[i];
-    for (int k = 0; k < 3; ++k) y[c + k] = rest[k] + (sums[k][0] + sums[k][1] + (sums[k][2] + sums[k][3]));
-  }
-}
 
 }  // namespace
 

@@ -97,11 +97,16 @@ Cage to_cage(const Wrap& wrap, const UnitBox& box) {
 
 Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness,
                const ProgressFn& progress) {
-  if (target_vertices < 4)
-    throw std::invalid_argument("target_vertices: expected at least 4, got " + std::to_string(target_vertices));
-  if (!(thickness >= 0)) throw std::invalid_argument("thickness: expected 0 or more, got " + std::to_string(thickness));
+  constexpr int most = 1000000;  // takes minutes
+  if (target_vertices < 4 || target_vertices > most)
+    throw std::invalid_argument("target_vertices: expected 4 to " + std::to_string(most) + ", got " +
+                                std::to_string(target_vertices));
   const ClosedSurface closed = close_surface(vertices, triangles);
   const UnitBox box = unit_box(closed.vertices, closed.triangles);
+  // Balls of the size that the target asks for would be legion on a surface so far out.
+  if (!(thickness >= 0 && thickness <= box.size))
+    throw std::invalid_argument("thickness: expected 0 to " + std::to_string(box.size) +
+                                " m, the size of the mesh, got " + std::to_string(thickness));
   const Wrap wrap = wrap_with_vertices(to_unit(closed, box), target_vertices, thickness / box.size, progress);
   if (wrap.number_of_faces() == 0)
     throw Error("No closed cage could be wrapped around the mesh. Raise the cage resolution, or thicken the mesh.");

@@ -2,6 +2,7 @@
 #include "dynamorph/mesh/embedding.hpp"
 
 #include <Eigen/SparseCholesky>
+#include <cassert>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -51,6 +52,8 @@ SparseMatrix graph_laplacian(const TetMesh& mesh) {
 
 Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_carry) {
   if (!points.allFinite()) throw Error("The surface has a NaN or infinite coordinate. Fix or delete that vertex.");
+  if (points.size() > 0 && points.cwiseAbs().maxCoeff() > kFarthest)
+    throw Error("The surface has a vertex too far away to compute with. Fix or delete that vertex.");
   if (mesh.tets.rows() == 0) throw std::invalid_argument("mesh: expected at least one tet");
   const std::vector<Tet> tets = prepare(mesh);
   const Bvh tree = tree_of(tets);
@@ -73,6 +76,7 @@ Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_c
     };
     search(true);
     if (may_carry && !may_carry(i, nearest) && !search(false)) search(true);
+    assert(nearest >= 0);
     e.nodes.row(i) = mesh.tets.row(nearest);
     e.weights.row(i) = tets[nearest].bounded_weights(p, closest);
     e.distances[i] = std::sqrt(best);

@@ -30,7 +30,7 @@ double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& 
              : infinity;  // not so for NaN: a triangle along the line
 }
 
-using Cell = std::array<std::int64_t, 3>;
+using Cell = std::array<double, 3>;  // whole numbers, which far from the origin are too large for integers
 
 /// Where each vertex is, on a grid of 1e-6 of the diagonal.
 std::vector<Cell> cells_of(const Points& vertices, const Triangles& triangles) {
@@ -41,7 +41,7 @@ std::vector<Cell> cells_of(const Points& vertices, const Triangles& triangles) {
   if (diagonal == 0) return cells;
   for (int vertex : triangles.reshaped()) {
     const Vector3d p = vertices.row(vertex) / (1e-6 * diagonal);
-    cells[vertex] = {std::llround(p.x()), std::llround(p.y()), std::llround(p.z())};
+    cells[vertex] = {std::round(p.x()), std::round(p.y()), std::round(p.z())};
   }
   return cells;
 }
@@ -73,6 +73,8 @@ std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cel
 
 InteriorGraph::InteriorGraph(const Points& vertices, const Triangles& triangles, double spacing) {
   check_triangles(vertices, triangles);
+  if (triangles.rows() > 0) unit_box(vertices, triangles);  // throws where it could not be closed
+  if (!(spacing > 0)) throw std::invalid_argument("spacing: expected more than 0, got " + std::to_string(spacing));
   weld(vertices, triangles);
   close(vertices, triangles);
   refine(spacing);

@@ -24,8 +24,10 @@ std::vector<double> sizes_of(const TetMesh& mesh) {
   return sizes;
 }
 
-double mean(const std::vector<double>& values) {
-  return std::accumulate(values.begin(), values.end(), 0.0) / std::max<size_t>(values.size(), 1);
+/// The mean of the tets' sizes, which the skin is refined to.
+double spacing_of(const std::vector<double>& sizes) {
+  if (sizes.empty()) throw std::invalid_argument("mesh: expected at least one tet");
+  return std::accumulate(sizes.begin(), sizes.end(), 0.0) / double(sizes.size());
 }
 
 /// f(a, b) for any two tets that share a face.
@@ -53,7 +55,7 @@ bool has(const Tets& tets, int tet, int node) { return (tets.row(tet).array() ==
 }  // namespace
 
 MeshCut::MeshCut(const TetMesh& mesh, const Points& vertices, const Triangles& triangles)
-    : mesh_(mesh), vertices_(vertices), sizes_(sizes_of(mesh)), graph_(vertices, triangles, mean(sizes_)) {
+    : mesh_(mesh), vertices_(vertices), sizes_(sizes_of(mesh)), graph_(vertices, triangles, spacing_of(sizes_)) {
   for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
     Vector3d center = Vector3d::Zero();
     for (int node : mesh.tets.row(t)) center += mesh.nodes.row(node) / 4;

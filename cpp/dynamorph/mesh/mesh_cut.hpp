@@ -18,7 +18,7 @@ namespace dynamorph {
 
 class MeshCut {
  public:
-  /// vertices (V), triangles: the skin in the mesh, as for InteriorGraph.
+  /// vertices (V), triangles: the skin in the mesh, as for InteriorGraph. Throws std::invalid_argument without tets.
   MeshCut(const TetMesh& mesh, const Points& vertices, const Triangles& triangles);
 
   /// Which tets (m) join skin that is far apart.

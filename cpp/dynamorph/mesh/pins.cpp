@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/mesh/closed_surface.hpp"
 #include "dynamorph/mesh/surface.hpp"
 
@@ -14,6 +15,7 @@ namespace dynamorph {
 namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
+constexpr int kMostPieces = 1000000;  // of a bone; one of a rig has hundreds
 
 double distance_to_segment(const Vector3d& p, const Vector3d& a, const Vector3d& b) {
   const Vector3d ab = b - a;
@@ -22,16 +24,23 @@ double distance_to_segment(const Vector3d& p, const Vector3d& a, const Vector3d&
   return (a + t * ab - p).norm();
 }
 
+void check_bones(const Points& heads, const Points& tails) {
+  if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
+  if (!heads.allFinite() || !tails.allFinite())
+    throw std::invalid_argument("heads, tails: expected finite coordinates");
+}
+
 }  // namespace
 
 Points points_on_bones(const Points& cage, const Triangles& triangles, const Points& skin, const Triangles& faces,
                        const Points& heads, const Points& tails, double ratio) {
-  if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
+  check_bones(heads, tails);
   const Surface surface(cage, triangles), body(skin, faces);
   double spacing = 0;
   for (Eigen::Index t = 0; t < triangles.rows(); ++t)
     spacing += (cage.row(triangles(t, 0)) - cage.row(triangles(t, 1))).norm() / double(triangles.rows());
-  const double room = 0.4 * spacing;  // nodes nearer to the cage or to each other make slivers
+  if (!(spacing > 0)) return Points(0, 3);  // nothing is inside
+  const double room = 0.4 * spacing;        // nodes nearer to the cage or to each other make slivers
   std::vector<Vector3d> kept;
   const auto keep = [&](const Vector3d& p) {
     const auto crowds = [&](const Vector3d& other) { return (other - p).norm() < room; };
@@ -43,7 +52,11 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
   for (Eigen::Index b = 0; b < heads.rows(); ++b) {
     const Vector3d head = heads.row(b), along = Vector3d(tails.row(b)) - head;
     const Eigen::Quaterniond frame = Eigen::Quaterniond::FromTwoVectors(Vector3d::UnitZ(), along);
-    const int pieces = std::max(1, int(std::round(along.norm() / spacing)));
+    const double length = along.norm() / spacing;
+    if (!(length < kMostPieces))
+      throw Error("a bone is more than " + std::to_string(kMostPieces) +
+                  " times as long as the cage's edges: check the scale of the armature");
+    const int pieces = std::max(1, int(std::round(length)));
     for (int i = 0; i <= pieces; ++i) {
       const Vector3d p = head + along * i / pieces;
       // Well within what is held, and away from the cage too.
@@ -64,7 +77,7 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
 
 std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Triangles& triangles, const Points& heads,
                          const Points& tails, double ratio) {
-  if (heads.rows() != tails.rows()) throw std::invalid_argument("tails: expected as many as heads");
+  check_bones(heads, tails);
   const ClosedSurface closed = close_surface(vertices, triangles);
   const Surface body(closed.vertices, closed.triangles);
   const Surface skin(closed.vertices, closed.triangles.topRows(closed.authored));

@@ -22,7 +22,8 @@ double determinant(const TetMesh& mesh, Eigen::Index tet) {
 
 TetMesh make_tet_mesh(Points nodes, Tets tets) {
   TetMesh mesh{std::move(nodes), std::move(tets)};
-  if (!mesh.nodes.allFinite()) throw std::invalid_argument("nodes: expected finite coordinates");
+  if (!(mesh.nodes.array().abs() <= kFarthest).all())
+    throw std::invalid_argument("nodes: expected finite coordinates within 1e100 m");
   if (mesh.tets.size() && (mesh.tets.minCoeff() < 0 || mesh.tets.maxCoeff() >= mesh.nodes.rows()))
     throw std::invalid_argument("tets: expected node indices from 0 to " + std::to_string(mesh.nodes.rows() - 1));
   std::vector<bool> used(mesh.nodes.rows(), false);

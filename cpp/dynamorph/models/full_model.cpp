@@ -19,24 +19,14 @@ FullModel::FullModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarg
       law_(law),
       blending_(blending),
       assembly_(body_->mesh, body_->free_of_node) {
-  if (targets_.empty()) throw std::invalid_argument("targets: at least one is needed");
+  check(law_);
+  check(blending_);
+  check_targets(*body_, targets_);
   VectorXd force;
   Matrix K = zero();
   for (Eigen::Index i = 0; i < dofs(); ++i) diagonal_.push_back(&K.coeffRef(i, i) - K.valuePtr());
   for (const MorphTarget& target : targets_) {
-    if (target.set < 0 || target.set >= body_->sets())
-      throw std::invalid_argument("targets: '" + target.name + "' is in set " + std::to_string(target.set) +
-                                  ", there are " + std::to_string(body_->sets()));
-    check_size("displacement", target.displacement.size(), body_->mesh.nodes.size());
-    if (!target.displacement.allFinite()) throw Error("target '" + target.name + "' has a shape that is not finite");
-    const double properties =
-        target.lame.mu + target.lame.lambda + target.density + target.mass_damping + target.stiffness_damping;
-    if (!(target.lame.mu > 0 && target.lame.lambda >= 0 && target.density > 0 && target.mass_damping >= 0 &&
-          target.stiffness_damping >= 0 && std::isfinite(properties)))
-      throw std::invalid_argument("targets: '" + target.name + "' needs finite stiffness and density above zero");
     const VectorXd d = body_->restrict_to_free(target.displacement);
-    if (body_->expand(d) != target.displacement)
-      throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
     rest_displacements_.push_back(d);
     shapes_.push_back(rest_shape(body_->mesh, target.displacement,
                                  body_->stiffness_scale.cwiseProduct(body_->region_weights.col(target.set)),
@@ -61,7 +51,8 @@ FullModel::Matrix FullModel::rest_stiffness(int target) const {
 
 void FullModel::blend(const VectorXd& w, Blend& out) const {
   check_size("weights", w.size(), Eigen::Index(targets_.size()));
-  if (out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  out.of = this;
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);
   const bool linear = law_ == Law::linear, even = blending_ == Blending::even;

@@ -9,6 +9,7 @@
 //   displacement, project_force  q -> u and its transpose
 #pragma once
 
+#include <cmath>
 #include <memory>
 #include <vector>
 
@@ -25,6 +26,7 @@ class FullModel {
   using Matrix = SparseMatrix;
 
   struct Blend {
+    const FullModel* of = nullptr;  ///< whose it is
     VectorXd weights;
     SetDensities mass;
     Matrix damping;          ///< sum_j w_j beta_j K_j
@@ -55,6 +57,8 @@ class FullModel {
   Blending blending() const { return blending_; }
   const RestShape& shape(int target) const { return shapes_[target]; }
   int dofs() const { return int(3 * body_->free_nodes.size()); }
+  /// Norm of the coordinates of a body that is moved by one metre as a whole.
+  double metre() const { return std::sqrt(double(body_->free_nodes.size())); }
 
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& q) const;

@@ -1,7 +1,34 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/models/morph_target.hpp"
 
+#include <cmath>
+
+#include "dynamorph/core/errors.hpp"
+
 namespace dynamorph {
+
+void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets) {
+  if (targets.empty()) throw std::invalid_argument("targets: at least one is needed");
+  for (const MorphTarget& target : targets) {
+    if (target.set < 0 || target.set >= body.sets())
+      throw std::invalid_argument("targets: '" + target.name + "' is in set " + std::to_string(target.set) +
+                                  ", there are " + std::to_string(body.sets()));
+    check_size("displacement", target.displacement.size(), body.mesh.nodes.size());
+    if (!target.displacement.allFinite()) throw Error("target '" + target.name + "' has a shape that is not finite");
+    if (body.expand(body.restrict_to_free(target.displacement)) != target.displacement)
+      throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
+    const double properties =
+        target.lame.mu + target.lame.lambda + target.density + target.mass_damping + target.stiffness_damping;
+    if (!(target.lame.mu > 0 && target.lame.lambda >= 0 && target.density > 0 && target.mass_damping >= 0 &&
+          target.stiffness_damping >= 0 && std::isfinite(properties)))
+      throw std::invalid_argument("targets: '" + target.name + "' needs finite stiffness and density above zero");
+  }
+}
+
+void check(Blending blending) {
+  if (blending != Blending::forces && blending != Blending::even)
+    throw std::invalid_argument("blending: expected one of Blending's values, got " + std::to_string(int(blending)));
+}
 
 void SetDensities::blend(const std::vector<MorphTarget>& targets, int sets, const VectorXd& w) {
   density.setZero(sets);

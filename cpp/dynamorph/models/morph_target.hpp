@@ -6,6 +6,7 @@
 
 #include "dynamorph/core/types.hpp"
 #include "dynamorph/elastic/elasticity.hpp"
+#include "dynamorph/models/soft_body.hpp"
 
 namespace dynamorph {
 
@@ -24,6 +25,14 @@ struct MorphTarget {
   double stiffness_damping = 0;  ///< beta, s
   bool shifted = false;          ///< elastic as the neutral shape, moved by d: a shape alone (after Capell et al. 2005)
 };
+
+/// Throws std::invalid_argument, or Error for what an artist can mend, unless a model of `body` can have these targets:
+/// at least one, each of a set that the body has, with a finite displacement of every node that is zero at pins, and
+/// with finite properties.
+void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets);
+
+/// Throws std::invalid_argument unless it is one of the enumeration's values.
+void check(Blending blending);
 
 /// Density and mass damping of each target set at weights w: sum_j w_j rho_j and sum_j w_j alpha_j rho_j.
 struct SetDensities {

@@ -36,10 +36,29 @@ Vector3d rotation_vector(const Rotations& reference, const Eigen::Ref<const Rota
   return sine > 0 ? Vector3d(q.vec() * (2 * std::atan2(sine, q.w()) / sine)) : Vector3d::Zero();
 }
 
+/// The rotation matrix from the reference to the pose less the identity, its columns one below the other.
+Eigen::Matrix<double, 9, 1> turn(const Rotations& reference, const Eigen::Ref<const Rotations>& pose, int bone) {
+  const Eigen::Quaterniond a(reference(bone, 0), reference(bone, 1), reference(bone, 2), reference(bone, 3));
+  const Eigen::Quaterniond b(pose(bone, 0), pose(bone, 1), pose(bone, 2), pose(bone, 3));
+  const Matrix3d matrix = (a.conjugate() * b).toRotationMatrix() - Matrix3d::Identity();
+  return Eigen::Map<const Eigen::Matrix<double, 9, 1>>(matrix.data());
+}
+
+/// 0 up to 0, 1 from 1 on.
+double smooth_step(double t) {
+  t = std::clamp(t, 0.0, 1.0);
+  return t * t * (3 - 2 * t);
+}
+
 /// How much of its weight a target keeps at a distance; a radius of 0 is none.
-double fade(double distance, double radius) {
-  const double t = radius > 0 ? std::clamp(2 * distance / radius - 1, 0.0, 1.0) : 0;
-  return 1 - t * t * (3 - 2 * t);
+double fade(double distance, double radius) { return radius > 0 ? 1 - smooth_step(2 * distance / radius - 1) : 1; }
+
+/// 0 where every joint is less than 150 degrees from the set's first pose, 1 where one is at 180.
+double turned_round(const TargetSet& set, const Eigen::Ref<const Rotations>& pose) {
+  double kept = 1;
+  for (int bone : set.bones)
+    kept *= 1 - smooth_step((rotation_vector(set.poses[0], pose, bone).norm() - kHalfRound) / (kPi - kHalfRound));
+  return 1 - kept;
 }
 
 }  // namespace
@@ -98,54 +117,59 @@ PoseSpace::PoseSpace(std::vector<TargetSet> sets) {
   bones_.erase(std::unique(bones_.begin(), bones_.end()), bones_.end());
 }
 
-PoseSpace::Interpolant PoseSpace::interpolate(TargetSet set) {
+PoseSpace::Interpolated PoseSpace::interpolate(TargetSet set) {
   for (size_t j = 0; j < set.poses.size(); ++j)
     for (size_t k = 0; k < j; ++k)
       if (!(pose_distance(set.bones, set.poses[j], set.poses[k]) >= kSamePose))
         throw Error("targets '" + set.names[k] + "' and '" + set.names[j] +
                     "' have the same pose: pose the character differently and capture one of them again");
-  Interpolant in;
+  Interpolated in;
   in.set = std::move(set);
+  if (in.set.kernel == Kernel::thin_plate) {
+    Interpolant turned;
+    turned.chordal = turned.matrices = true;
+    if (turned.fit(in.set)) in.turned = turned;
+  }
   double widest = 0;
   for (const Rotations& a : in.set.poses)
     for (const Rotations& b : in.set.poses)
       for (int bone : in.set.bones) widest = std::max(widest, rotation_vector(a, b, bone).norm());
   for (bool chordal : {false, true}) {
     if (!chordal && widest > kHalfRound) continue;
-    in.chordal = chordal;
-    if (fit(in)) return in;
+    in.usual.chordal = chordal;
+    if (in.usual.fit(in.set)) return in;
   }
   throw Error("the poses of targets '" + in.set.names.front() + "' to '" + in.set.names.back() +
               "' cannot be interpolated: capture poses that differ more, or remove a target");
 }
 
 /// False when the kernel is not definite at these distances, or the system is too ill-conditioned to be cardinal.
-bool PoseSpace::fit(Interpolant& in) {
-  const TargetSet& set = in.set;
+bool PoseSpace::Interpolant::fit(const TargetSet& set) {
   const int count = int(set.poses.size());
   MatrixXd A = MatrixXd::Zero(count, count);
   for (int j = 0; j < count; ++j)
-    for (int k = 0; k < count; ++k) A(j, k) = pose_distance(set.bones, set.poses[j], set.poses[k], in.chordal);
-  in.width = count > 1 ? A.sum() / (count * (count - 1.0)) : 1.0;
-  A = A.unaryExpr([&](double d) { return kernel(set.kernel, in.width, d); });
+    for (int k = 0; k < count; ++k) A(j, k) = pose_distance(set.bones, set.poses[j], set.poses[k], chordal);
+  width = count > 1 ? A.sum() / (count * (count - 1.0)) : 1.0;
+  A = A.unaryExpr([&](double d) { return kernel(set.kernel, width, d); });
 
-  in.span.resize(3 * set.bones.size(), 0);
+  const Eigen::Index entries = matrices ? 9 : 3;  // of a bone
+  span.resize(entries * set.bones.size(), 0);
+  MatrixXd P = MatrixXd::Ones(count, 1);
   if (set.kernel == Kernel::thin_plate && count > 1) {
     // Linear terms only where the poses have extent: elsewhere they could not be determined.
-    MatrixXd coordinates(3 * set.bones.size(), count);
+    MatrixXd coordinates(span.rows(), count);
     for (int j = 0; j < count; ++j)
       for (size_t i = 0; i < set.bones.size(); ++i)
-        coordinates.col(j).segment<3>(3 * i) = rotation_vector(set.poses[0], set.poses[j], set.bones[i]);
+        if (matrices)
+          coordinates.col(j).segment<9>(9 * i) = turn(set.poses[0], set.poses[j], set.bones[i]);
+        else
+          coordinates.col(j).segment<3>(3 * i) = rotation_vector(set.poses[0], set.poses[j], set.bones[i]);
     const Eigen::JacobiSVD<MatrixXd> svd(coordinates, Eigen::ComputeThinU);
     const int rank = std::min<int>(count - 1, (svd.singularValues().array() > 1e-6).count());
-    in.span = svd.matrixU().leftCols(rank);
+    span = svd.matrixU().leftCols(rank);
+    P.conservativeResize(count, 1 + rank);
+    P.rightCols(rank) = coordinates.transpose() * span;
   }
-  MatrixXd P = MatrixXd::Zero(count, 1 + in.span.cols());
-  P.col(0).setOnes();
-  for (int j = 0; j < count; ++j)
-    for (size_t i = 0; i < set.bones.size() && in.span.cols() > 0; ++i)
-      P.row(j).tail(in.span.cols()) +=
-          rotation_vector(set.poses[0], set.poses[j], set.bones[i]).transpose() * in.span.middleRows<3>(3 * i);
 
   // Definite on the coefficients that the polynomial leaves, or weights overshoot and jump between the targets.
   if (count > P.cols()) {
@@ -161,26 +185,35 @@ bool PoseSpace::fit(Interpolant& in) {
   MatrixXd cardinal = MatrixXd::Zero(count + P.cols(), count);
   cardinal.topRows(count).setIdentity();
   const MatrixXd solution = system.fullPivLu().solve(cardinal);
-  in.coefficients = solution.topRows(count);
-  in.polynomial = solution.bottomRows(P.cols());
+  coefficients = solution.topRows(count);
+  polynomial = solution.bottomRows(P.cols());
   return solution.allFinite() && (system * solution - cardinal).cwiseAbs().maxCoeff() < 1e-8;
+}
+
+void PoseSpace::Interpolant::add_weights(const TargetSet& set, const Eigen::Ref<const Rotations>& pose, double share,
+                                         Eigen::Ref<VectorXd> w) const {
+  w += share * polynomial.row(0).transpose();
+  for (size_t k = 0; k < set.poses.size(); ++k)
+    w += share * kernel(set.kernel, width, pose_distance(set.bones, set.poses[k], pose, chordal)) *
+         coefficients.row(k).transpose();
+  for (Eigen::Index term = 0; term < span.cols(); ++term) {
+    double coordinate = 0;
+    for (size_t i = 0; i < set.bones.size(); ++i)
+      coordinate += matrices ? turn(set.poses[0], pose, set.bones[i]).dot(span.col(term).segment<9>(9 * i))
+                             : rotation_vector(set.poses[0], pose, set.bones[i]).dot(span.col(term).segment<3>(3 * i));
+    w += share * coordinate * polynomial.row(1 + term).transpose();
+  }
 }
 
 void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const {
   Eigen::Index first = 0;
-  for (const Interpolant& in : sets_) {
+  for (const Interpolated& in : sets_) {
     const TargetSet& set = in.set;
     auto out = w.segment(first, Eigen::Index(set.poses.size()));
-    out = in.polynomial.row(0).transpose();
-    for (size_t k = 0; k < set.poses.size(); ++k)
-      out += kernel(set.kernel, in.width, pose_distance(set.bones, set.poses[k], pose, in.chordal)) *
-             in.coefficients.row(k).transpose();
-    for (Eigen::Index term = 0; term < in.span.cols(); ++term) {
-      double coordinate = 0;
-      for (size_t i = 0; i < set.bones.size(); ++i)
-        coordinate += rotation_vector(set.poses[0], pose, set.bones[i]).dot(in.span.col(term).segment<3>(3 * i));
-      out += coordinate * in.polynomial.row(1 + term).transpose();
-    }
+    out.setZero();
+    const double turned = in.turned ? turned_round(set, pose) : 0;
+    if (turned < 1) in.usual.add_weights(set, pose, 1 - turned, out);
+    if (turned > 0) in.turned->add_weights(set, pose, turned, out);
     out = out.cwiseMax(0.0);
     out /= out.sum();  // >= 1: clamping only adds to a sum of one
     for (size_t k = 1; k < set.radii.size(); ++k) {
@@ -194,7 +227,7 @@ void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<Vect
 
 void PoseSpace::distances(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> d) const {
   Eigen::Index target = 0;
-  for (const Interpolant& in : sets_)
+  for (const Interpolated& in : sets_)
     for (const Rotations& own : in.set.poses) d(target++) = pose_distance(in.set.bones, own, pose);
 }
 

@@ -13,8 +13,13 @@
 // Distances are joint angles, which make the linear kernel a driver's hat function. Poses right round a joint (0, 90,
 // 180, -90 degrees) are no set of points in a flat space by their angles, and weights would jump: those sets use
 // chords, which are. A radius is a joint angle there too.
+//
+// The thin plate's linear terms p(q) are the rotation vectors from the set's first pose, which turn round at 180
+// degrees. From 150 degrees on the weights pass over to a second interpolant without that jump: chords for distances,
+// and the entries of the rotation matrices for p(q), which is the thin plate in the space where chords are distances.
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -69,17 +74,26 @@ class PoseSpace {
 
  private:
   struct Interpolant {
-    TargetSet set;
-    bool chordal;           ///< distances are chords instead of angles
-    double width;           ///< of the kernel, radians
+    bool chordal = false;   ///< distances are chords instead of angles
+    bool matrices = false;  ///< linear terms are entries of rotation matrices instead of rotation vectors
+    double width = 1;       ///< of the kernel, radians
     MatrixXd coefficients;  ///< (J, J): row k times phi(|q - q_k|)
     MatrixXd polynomial;    ///< (1 + dims, J): the constant, then the linear terms on the poses' span
-    MatrixXd span;          ///< (3 bones, dims) orthonormal, empty but for thin_plate
-  };
-  static Interpolant interpolate(TargetSet set);
-  static bool fit(Interpolant& in);
+    MatrixXd span;          ///< (3 or 9 bones, dims) orthonormal, empty but for thin_plate
 
-  std::vector<Interpolant> sets_;
+    bool fit(const TargetSet& set);
+    /// Adds `share` times the weights (J), which sum to one but may be negative.
+    void add_weights(const TargetSet& set, const Eigen::Ref<const Rotations>& pose, double share,
+                     Eigen::Ref<VectorXd> w) const;
+  };
+  struct Interpolated {
+    TargetSet set;
+    Interpolant usual;
+    std::optional<Interpolant> turned;  ///< towards 180 degrees; of thin_plate alone
+  };
+  static Interpolated interpolate(TargetSet set);
+
+  std::vector<Interpolated> sets_;
   std::vector<int> bones_;
   int targets_ = 0;
 };

@@ -6,10 +6,13 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
 #include <Eigen/SVD>
+#include <algorithm>
+#include <set>
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/elastic/sparse_cholesky.hpp"
+#include "dynamorph/reduced/gram_accumulator.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
 #include "dynamorph/reduced/polynomials.hpp"
 #include "dynamorph/reduced/table_layout.hpp"
@@ -26,17 +29,23 @@ VectorXd unit_mass(const SoftBody& body) {
   return mass;
 }
 
+/// The targets whose energies are in K about target j's shape: j, and of every other set the first, its neutral. They
+/// need not be ordered by set.
+std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j) {
+  std::vector<int> summed{j};
+  std::set<int> sets{targets[j].set};
+  for (int other = 0; other < int(targets.size()); ++other)
+    if (sets.insert(targets[other].set).second) summed.push_back(other);
+  return summed;
+}
+
 /// K_j + epsilon M, factored. A body without pins has rigid modes; the shift keeps K positive definite and is far
 /// below the first elastic frequency.
 struct Factored {
   Factored(const FullModel& model, int target, std::function<void()> tick_ = {})
       : mass(unit_mass(model.body()) * model.targets()[target].density), tick(std::move(tick_)) {
-    // Where the target's set has no share of a tet, the other sets' neutrals hold it.
-    const std::vector<MorphTarget>& targets = model.targets();
-    SparseMatrix K = model.rest_stiffness(target);
-    for (size_t j = 0; j < targets.size(); ++j)
-      if (targets[j].set != targets[target].set && (j == 0 || targets[j].set != targets[j - 1].set))
-        values(K) += values(model.rest_stiffness(int(j)));
+    SparseMatrix K = model.zero();
+    for (int j : summed_at(model.targets(), target)) values(K) += values(model.rest_stiffness(j));
     shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
     K.diagonal() += shift * mass;
     if (!solver.factorize(K))
@@ -149,28 +158,35 @@ MatrixXd bone_loads(const SoftBody& body) {
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
-/// Second derivatives of target j's StVK force at its shape (3 free, pairs of modes).
-MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes) {
+/// Adds one element law's part of `force_curvatures`, that of target j.
+void add_curvatures(const FullModel& model, int j, const RowMajor& modes, RowMajor& sum) {
   const SoftBody& body = model.body();
-  const Lame& lame = model.targets()[target].lame;
+  // Stable StVK is StVK with (lambda + mu, 0) less mu det F, whose second derivative is the cross product.
+  const bool stable = model.law() == Law::stable_stvk;
+  const double mu = model.targets()[j].lame.mu;
+  const Lame lame = stable ? Lame{model.targets()[j].lame.lambda + mu, 0} : model.targets()[j].lame;
   const Eigen::Index r = modes.cols(), pairs = r * (r + 1) / 2;
-  const RowMajor by_node = modes;
-  RowMajor G, stresses(6, r), forces(12, pairs), sum = RowMajor::Zero(modes.rows(), pairs);
+  RowMajor G, stresses(6, r), forces(12, pairs), crosses(stable ? 9 : 0, pairs);
   for (Eigen::Index e = 0; e < body.mesh.tets.rows(); ++e) {
-    const Element& element = model.shape(target).elements[e];
-    if (element.weight == 0 || !mode_gradients(body, element, e, by_node, G)) continue;
+    const Element& element = model.shape(j).elements[e];
+    if (element.weight == 0 || !mode_gradients(body, element, e, modes, G)) continue;
     for (int a = 0; a < 3; ++a) {
       const int b = (a + 1) % 3;
       stresses.row(a) = lame.lambda * (G.row(0) + G.row(4) + G.row(8)) + 2 * lame.mu * G.row(4 * a);
       stresses.row(3 + a) = lame.mu * (G.row(3 * a + b) + G.row(3 * b + a));
     }
     curvatures_of_pairs(G.data(), stresses.data(), r, lame.lambda, lame.mu, element.gradients.data(), forces.data());
+    if (stable) {
+      crosses_of_pairs(G.data(), r, crosses.data());
+      for (int a = 0; a < 4; ++a)
+        for (int i = 0; i < 3; ++i)
+          forces.middleRows<3>(3 * a) -= mu * element.gradients(i, a) * crosses.middleRows<3>(3 * i);
+    }
     for (int a = 0; a < 4; ++a) {
       const int i = body.free_of_node[body.mesh.tets(e, a)];
       if (i >= 0) sum.middleRows<3>(3 * i) += element.weight * forces.middleRows<3>(3 * a);
     }
   }
-  return sum;
 }
 
 /// Candidate displacements about one target.
@@ -253,6 +269,15 @@ MatrixXd orthonormal(const MatrixXd& columns) {
 
 }  // namespace
 
+MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes) {
+  const RowMajor by_node = modes;
+  const Eigen::Index pairs = modes.cols() * (modes.cols() + 1) / 2;
+  RowMajor sum = RowMajor::Zero(modes.rows(), pairs);
+  if (model.law() == Law::linear) return sum;
+  for (int j : summed_at(model.targets(), target)) add_curvatures(model, j, by_node, sum);
+  return sum;
+}
+
 LinearModes linear_modes(const FullModel& model, int target, int k) {
   if (k < 1 || k >= model.dofs())
     throw std::invalid_argument("k: expected 1 to " + std::to_string(model.dofs() - 1) + " modes, got " +
@@ -276,9 +301,10 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
   report(progress, 0);
   const MatrixXd loads = bone_loads(model.body());
-  std::vector<int> distinct;  // each set's first target is the same neutral
-  for (int j = 0; j < targets; ++j)
-    if (j == 0 || model.targets()[j].set == model.targets()[j - 1].set) distinct.push_back(j);
+  const std::vector<int> neutral = summed_at(model.targets(), 0);
+  std::vector<int> distinct{0};  // each set's first target is the same neutral
+  for (int j = 1; j < targets; ++j)
+    if (std::find(neutral.begin(), neutral.end(), j) == neutral.end()) distinct.push_back(j);
   std::vector<Candidates> found(distinct.size());
   run_tasks(int(found.size()), progress,
             [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });

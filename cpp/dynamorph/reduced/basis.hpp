@@ -18,6 +18,10 @@ struct LinearModes {
 /// Throws Error when the eigensolver does not converge.
 LinearModes linear_modes(const FullModel& model, int target, int k);
 
+/// Second derivatives of the force about a target's shape, the other sets in their neutral shapes (3 free, pairs of
+/// modes (pair_index)): d2F[phi_k, phi_l] in the model's law, with the sets that linear_modes' K is made of.
+MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes);
+
 struct Basis {
   MatrixXd U;                     ///< (3 free, r), U^T M U = I for unit density
   double explained_variance = 1;  ///< fraction of the candidates' mass-weighted variance in the span

@@ -1,98 +1,36 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/gram_kernels.hpp"
 
-#include <algorithm>
-#include <cmath>
+#include "dynamorph/simd/lanes.hpp"
 
-#include "dynamorph/simd/multiversion.hpp"
-
-namespace dynamorph {
+namespace dynamorph::DYNAMORPH_ISA {
 
 namespace {
-
-using Eigen::Index;
-using Vector4 = double __attribute__((vector_size(32), aligned(8), may_alias));
-constexpr Index kTile = 12;    // three vectors
-constexpr Index kDepth = 128;  // rows of a batch; a panel has 12 kB, so that two stay in the first cache
-
-Index tiles_for(Index size) { return (size + kTile - 1) / kTile; }
 
 /// C (4, kTile) += A^T B for `depth` rows of two panels; A from the first of its four columns.
 DYNAMORPH_INLINE void quarter_tile(const double* __restrict A, const double* __restrict B, Index depth,
                                    double* __restrict C) {
-  Vector4 sums[4][3] = {};
+  Double4 sums[4][3] = {};
   for (Index d = 0; d < depth; ++d, A += kTile, B += kTile) {
-    const Vector4* b = reinterpret_cast<const Vector4*>(B);
     for (int i = 0; i < 4; ++i)
-      for (int v = 0; v < 3; ++v) sums[i][v] += A[i] * b[v];
+      for (int v = 0; v < 3; ++v) sums[i][v] = mul_add(sums[i][v], A[i], load(B + 4 * v));
   }
   for (int i = 0; i < 4; ++i)
-    for (int v = 0; v < 3; ++v) *reinterpret_cast<Vector4*>(C + i * kTile + 4 * v) += sums[i][v];
+    for (int v = 0; v < 3; ++v) store(load(C + i * kTile + 4 * v) + sums[i][v], C + i * kTile + 4 * v);
 }
 
-/// One row of tiles: panel A against `count` panels of B.
-DYNAMORPH_MULTIVERSION
+DYNAMORPH_INLINE double column_dot(const double* own, int a, const double* other, Index r, int b) {
+  return mul_add(mul_add(own[3 * a] * other[3 * b * r], own[3 * a + 1], other[(3 * b + 1) * r]), own[3 * a + 2],
+                 other[(3 * b + 2) * r]);
+}
+
+}  // namespace
+
 void multiply_panels(const double* A, const double* B, Index count, Index depth, double* C) {
   for (Index j = 0; j < count; ++j, B += kDepth * kTile, C += kTile * kTile)
     for (Index i = 0; i < kTile; i += 4) quarter_tile(A + i, B, depth, C + i * kTile);
 }
 
-/// Row `at` of a batch, into panels.
-void pack(const double* row, Index size, Index at, double* panels) {
-  panels += at * kTile;
-  Index i = 0;
-  for (; i + kTile <= size; i += kTile, panels += kDepth * kTile) std::copy_n(row + i, kTile, panels);
-  std::copy_n(row + i, size - i, panels);
-}
-
-DYNAMORPH_INLINE double column_dot(const double* own, int a, const double* other, Index r, int b) {
-  return own[3 * a] * other[3 * b * r] + own[3 * a + 1] * other[(3 * b + 1) * r] +
-         own[3 * a + 2] * other[(3 * b + 2) * r];
-}
-
-}  // namespace
-
-GramAccumulator::GramAccumulator(Index n) : GramAccumulator(n, n, [](Index i) { return i; }) {
-  a_.clear();
-  a_.shrink_to_fit();
-}
-
-GramAccumulator::GramAccumulator(Index m, Index n, const std::function<Index(Index)>& first) : m_(m), n_(n) {
-  Index tiles = 0;
-  for (Index i = 0; i < tiles_for(m); ++i) {
-    first_.push_back(first(i * kTile) / kTile);
-    start_.push_back(tiles);
-    tiles += tiles_for(n) - first_[i];
-  }
-  tiles_.resize(tiles * kTile * kTile);
-  a_.resize(tiles_for(m) * kDepth * kTile);
-  b_.resize(tiles_for(n) * kDepth * kTile);
-}
-
-void GramAccumulator::add(const double* row) {
-  pack(row, n_, filled_, b_.data());
-  if (++filled_ == kDepth) finish();
-}
-
-void GramAccumulator::add(const double* a, const double* b) {
-  pack(a, m_, filled_, a_.data());
-  add(b);
-}
-
-void GramAccumulator::finish() {
-  const double* A = a_.empty() ? b_.data() : a_.data();
-  for (Index i = 0; i < tiles_for(m_); ++i)
-    multiply_panels(A + i * kDepth * kTile, b_.data() + first_[i] * kDepth * kTile, tiles_for(n_) - first_[i], filled_,
-                    tiles_.data() + start_[i] * kTile * kTile);
-  filled_ = 0;
-}
-
-double GramAccumulator::operator()(Index i, Index j) const {
-  const Index row = i / kTile;
-  return tiles_[((start_[row] + j / kTile - first_[row]) * kTile + i % kTile) * kTile + j % kTile];
-}
-
-DYNAMORPH_MULTIVERSION
 void trace_row(const double* __restrict G, Index r, bool pairs, double scale, double* __restrict row) {
   for (Index k = 0; k < r; ++k) row[k] = scale * (G[k] + G[4 * r + k] + G[8 * r + k]);
   if (!pairs) return;
@@ -107,10 +45,9 @@ void trace_row(const double* __restrict G, Index r, bool pairs, double scale, do
   }
 }
 
-DYNAMORPH_MULTIVERSION
 void deviator_rows(const double* __restrict G, Index r, bool pairs, double scale, double* __restrict rows,
                    Index stride) {
-  const double two = scale * std::sqrt(1.0 / 2), six = scale * std::sqrt(1.0 / 6);
+  const double two = scale * __builtin_sqrt(1.0 / 2), six = scale * __builtin_sqrt(1.0 / 6);
   const auto put = [=](double* at, double xx, double yy, double zz, double xy, double yz, double zx) {
     at[0] = two * (xx - yy);
     at[stride] = six * (xx + yy - 2 * zz);
@@ -135,19 +72,19 @@ void deviator_rows(const double* __restrict G, Index r, bool pairs, double scale
   }
 }
 
-DYNAMORPH_MULTIVERSION
 void crosses_of_pairs(const double* __restrict G, Index r, double* __restrict cross) {
   const Index stride = r * (r + 1) / 2;
   for (Index k = 0; k < r; cross += r - k, ++k) {
     double own[9];
     for (int c = 0; c < 9; ++c) own[c] = G[c * r + k];
-#pragma GCC ivdep  // rows of the result do not overlap
-    for (Index l = 0; l < r - k; ++l) {
+    DYNAMORPH_INDEPENDENT  // rows of the result do not overlap
+        for (Index l = 0; l < r - k; ++l) {
       const double* other = G + k + l;
       const auto put = [&](int i, int c) {
         const int j = 3 * ((i + 1) % 3), h = 3 * ((i + 2) % 3), a = (c + 1) % 3, b = (c + 2) % 3;
-        cross[(3 * i + c) * stride + l] = own[j + a] * other[(h + b) * r] - own[j + b] * other[(h + a) * r] +
-                                          other[(j + a) * r] * own[h + b] - other[(j + b) * r] * own[h + a];
+        const double one = mul_sub(own[j + a] * other[(h + b) * r], own[j + b], other[(h + a) * r]);
+        cross[(3 * i + c) * stride + l] =
+            mul_sub(mul_add(one, other[(j + a) * r], own[h + b]), other[(j + b) * r], own[h + a]);
       };
       put(0, 0), put(0, 1), put(0, 2);
       put(1, 0), put(1, 1), put(1, 2);
@@ -156,7 +93,6 @@ void crosses_of_pairs(const double* __restrict G, Index r, double* __restrict cr
   }
 }
 
-DYNAMORPH_MULTIVERSION
 void curvatures_of_pairs(const double* __restrict G, const double* __restrict stresses, Index r, double lambda,
                          double mu, const double* __restrict gradients, double* __restrict out) {
   const Index stride = r * (r + 1) / 2;
@@ -165,8 +101,8 @@ void curvatures_of_pairs(const double* __restrict G, const double* __restrict st
     double A[9], S[6];
     for (int c = 0; c < 9; ++c) A[c] = G[c * r + k];
     for (int c = 0; c < 6; ++c) S[c] = stresses[c * r + k];
-#pragma GCC ivdep  // rows of the result do not overlap
-    for (Index l = 0; l < r - k; ++l) {
+    DYNAMORPH_INDEPENDENT  // rows of the result do not overlap
+        for (Index l = 0; l < r - k; ++l) {
       const double *B = G + k + l, *T = stresses + k + l;
       const auto product = [&](int a, int b) { return column_dot(A, a, B, r, b); };
       const double xx = product(0, 0), yy = product(1, 1), zz = product(2, 2), pressure = lambda * (xx + yy + zz);
@@ -174,7 +110,7 @@ void curvatures_of_pairs(const double* __restrict G, const double* __restrict st
                    zx = mu * (product(2, 0) + product(0, 2));
       const auto moved = [&](int i, int j) {  // A T + B S
         const auto term = [&](int m) {
-          return A[3 * m + i] * T[packed[m][j] * r] + B[(3 * m + i) * r] * S[packed[m][j]];
+          return mul_add(A[3 * m + i] * T[packed[m][j] * r], B[(3 * m + i) * r], S[packed[m][j]]);
         };
         return term(0) + term(1) + term(2);
       };
@@ -182,7 +118,7 @@ void curvatures_of_pairs(const double* __restrict G, const double* __restrict st
         x += moved(i, 0), y += moved(i, 1), z += moved(i, 2);
         const auto node = [&](int a) {
           const double* g = gradients + 3 * a;
-          out[(3 * a + i) * stride + l] = x * g[0] + y * g[1] + z * g[2];
+          out[(3 * a + i) * stride + l] = mul_add(mul_add(x * g[0], y, g[1]), z, g[2]);
         };
         node(0), node(1), node(2), node(3);
       };
@@ -193,4 +129,4 @@ void curvatures_of_pairs(const double* __restrict G, const double* __restrict st
   }
 }
 
-}  // namespace dynamorph
+}  // namespace dynamorph::DYNAMORPH_ISA

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <map>
 
+#include "dynamorph/reduced/modal_kernels.hpp"
 #include "dynamorph/reduced/modal_terms.hpp"
 
 namespace dynamorph {
@@ -13,128 +14,9 @@ namespace {
 
 using namespace terms;
 
-// Parts of the force at which pairs of bones are simplified. All together they change Herbert's dive (sample_blends) by
-// 1e-4 of its motion; skin weights below 1 %, which count as zero, change it more.
-constexpr double kNegligible = 1e-5;  ///< left out, whatever the pose
-constexpr double kUnnoticed = 1e-7;   ///< left out in a pose that turns the bones so little against each other
-constexpr double kSlight = 1e-4;      ///< acts on the flesh as if it did not move in the modes
+/// Part of the force at which a pair of bones is left out, whatever the pose (see modal_kernels.cpp).
+constexpr double kNegligible = 1e-5;
 using BoneMotion = ModalInertia::BoneMotion;
-using EightInertialTarget = ModalInertia::EightInertialTarget;
-using EightInertia = ModalInertia::EightInertia;
-
-/// How much the mass's coefficients can change it.
-DYNAMORPH_INLINE float largest(const Coefficients<Floats>& c) {
-  Floats most = c.mass[0] * c.mass[0];
-  for (int e = 1; e < kSymmetric; ++e) most += c.mass[e] * c.mass[e];
-  float out = 0;
-  for (int lane = 0; lane < kLanes; ++lane) out = std::max(out, most[lane]);
-  return std::sqrt(out);
-}
-
-/// The part of a force that does not depend on the coordinates.
-template <class Table>
-DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<Floats>& c, Floats* __restrict force) {
-  for (Index k = 0; k < r; ++k) {
-    Floats sums[3] = {};
-    for (int e = 0; e < kRigid; ++e) sums[e % 3] += table[e] * c.rigid[e];
-    force[k] += (sums[0] + sums[1]) + sums[2];
-    table += kRigid + kSymmetric + (kSymmetric + kSkew) * (r - k - 1);
-  }
-}
-
-/// Lane by lane, to force (r) and packed mass. y: each mode's backward differences, numbers or lanes. influence: the
-/// largest part of the force that a term can have, where all are pairs.
-template <class Table, class Y>
-DYNAMORPH_INLINE void add_contribution(const Floats (*motion)[12], const Floats& sign, double influence, const Y* y,
-                                       Index r, Table table, Floats* slopes, Floats* force, Floats* mass) {
-  Coefficients<Floats> c;
-  contract_bones(motion, sign, c);
-  const float change = largest(c);
-  const bool pairs = influence < HUGE_VAL;
-  if (pairs && change * influence < kUnnoticed) return;
-  if (pairs && change * influence < kSlight) return add_rigid(table, r, c, force);
-  take_slopes(c, y, r, slopes);
-  if (change > 1e-6F)  // bones are rigid to Blender's single precision
-    add_terms<true>(table, r, slopes, c, force, mass);
-  else
-    add_terms<false>(table, r, slopes, c, force, mass);
-}
-
-DYNAMORPH_MULTIVERSION
-void add_eight_terms(const Floats (*motion)[12], const Floats& sign, double influence, const float* y, Index r,
-                     const Floats* table, Floats* slopes, Floats* force, Floats* mass) {
-  add_contribution(motion, sign, influence, y, r, table, slopes, force, mass);
-}
-
-/// One term of eight characters; second: null of a single bone.
-DYNAMORPH_MULTIVERSION
-void add_term_of_eight(const Floats (*first)[12], const Floats (*second)[12], double influence, const Floats* y,
-                       Index r, const float* table, Floats* slopes, Floats* force, Floats* mass) {
-  Floats motion[1 + InertialTarget::kMoments][12], sign = {};
-  for (int m = 0; m <= InertialTarget::kMoments; ++m)
-    for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
-  sign += second ? -1.0F : 1.0F;
-  add_contribution(motion, sign, second ? influence : HUGE_VAL, y, r, table, slopes, force, mass);
-}
-
-using Order = std::int32_t __attribute__((vector_size(32)));
-
-/// Each of two vectors' halves of neighbours, or of neighbouring pairs, added up.
-DYNAMORPH_INLINE Floats folded(const Floats& a, const Floats& b, const Order& one, const Order& other) {
-  return __builtin_shuffle(a, b, one) + __builtin_shuffle(a, b, other);
-}
-
-/// totals[8 i + j] = the sum of the lanes of sums[8 i + j].
-DYNAMORPH_MULTIVERSION
-void add_lanes(const Floats* sums, Index count, float* totals) {
-  const Order even = {0, 8, 2, 10, 4, 12, 6, 14}, odd = {1, 9, 3, 11, 5, 13, 7, 15};
-  const Order low = {0, 1, 8, 9, 4, 5, 12, 13}, high = {2, 3, 10, 11, 6, 7, 14, 15};
-  const Order left = {0, 1, 2, 3, 8, 9, 10, 11}, right = {4, 5, 6, 7, 12, 13, 14, 15};
-  for (Index i = 0; i < count; ++i, sums += kLanes) {
-    Floats four[2];
-    for (int half = 0; half < 2; ++half) {
-      const Floats* v = sums + 4 * half;
-      four[half] = folded(folded(v[0], v[1], even, odd), folded(v[2], v[3], even, odd), low, high);
-    }
-    const Floats all = folded(four[0], four[1], left, right);
-    for (int lane = 0; lane < kLanes; ++lane) totals[kLanes * i + lane] = all[lane];
-  }
-}
-
-DYNAMORPH_MULTIVERSION
-void combine_one(const double* const* bones, const double* shares, const Vector3d& centre,
-                 const Vector3d& gravity_offset, float (*out)[12]) {
-  combine(bones, shares, centre, gravity_offset, out);
-}
-
-DYNAMORPH_MULTIVERSION
-void combine_eight(const Doubles* const* bones, const double* shares, const Vector3d& centre,
-                   const Vector3d& gravity_offset, Floats (*out)[12]) {
-  combine(bones, shares, centre, gravity_offset, out);
-}
-
-/// A set's part, by its densities: force (r), and mass and damped mass, packed.
-DYNAMORPH_MULTIVERSION
-void add_set_of_eight(const Doubles& density, const Doubles& damping, const double* constant, Index r,
-                      const Floats* force_sums, const Floats* mass_sums, EightInertia& out) {
-  for (Index k = 0; k < r; ++k) out.force[k] += density * to_double(force_sums[k]);
-  for (Index p = 0; p < r * (r + 1) / 2; ++p) {
-    const Doubles mass = constant[p] + to_double(mass_sums[p]);
-    out.mass[p] += density * mass;
-    out.damped[p] += damping * mass;
-  }
-}
-
-DYNAMORPH_MULTIVERSION
-void differences_of_eight(const EightInertialTarget& inertial, Index r, Floats* y) {
-  for (Index k = 0; k < r; ++k, y += InertialTarget::kMoments) {
-    const Doubles q0 = inertial.q[0][k], q1 = inertial.q[1][k], q2 = inertial.q[2][k], q3 = inertial.q[3][k];
-    to_single(q0, y[0]);
-    to_single(q0 - q1, y[1]);
-    to_single(q0 - 2 * q1 + q2, y[2]);
-    to_single(q0 - 3 * q1 + 3 * q2 - q3, y[3]);
-  }
-}
 
 /// lanes[m][e][t] = entry e of matrix m of term t: its bone's, less that of the second bone of a pair.
 void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<int, int>>& terms,
@@ -231,7 +113,7 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   for (size_t b = 0; b < in_terms_; ++b) {
     const double* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * used_[b];
-    combine_one(poses, shares.data(), centre_, inertial.gravity_offset, out.bones[b].values);
+    combine_one(poses, shares.data(), centre_.data(), inertial.gravity_offset.data(), out.bones[b].values);
   }
 
   out.slopes.resize(9 * r_);
@@ -244,9 +126,9 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
     const Tensors& set = sets_[s];
     std::fill(out.sums.begin(), out.sums.end(), Floats{});
     for (size_t g = 0; g < set.groups.size(); ++g) {
-      alignas(64) Floats lanes[1 + InertialTarget::kMoments][12] = {};
+      Floats lanes[1 + InertialTarget::kMoments][12] = {};
       gather(out.bones, set.groups[g].bones, set.groups[g].signs, lanes);
-      alignas(64) Floats sign;
+      Floats sign;
       std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<float*>(&sign));
       add_eight_terms(lanes, sign, set.groups[g].influence, out.differences.data(), r_,
                       set.table.data() + g * entries(r_), out.slopes.data(), out.sums.data(), out.sums.data() + r_);
@@ -270,7 +152,7 @@ void ModalInertia::evaluate(const EightInertialTarget& inertial, const Doubles* 
                             EightInertia& out) const {
   const Index pairs = r_ * (r_ + 1) / 2;
   out.differences.resize(InertialTarget::kMoments * r_);
-  differences_of_eight(inertial, r_, out.differences.data());
+  differences_of_eight(inertial.q.data(), r_, out.differences.data());
   out.bones.resize((1 + InertialTarget::kMoments) * 12 * in_terms_);
   const auto bone = [&](int b) {
     return reinterpret_cast<Floats(*)[12]>(&out.bones[(1 + InertialTarget::kMoments) * 12 * b]);
@@ -279,7 +161,7 @@ void ModalInertia::evaluate(const EightInertialTarget& inertial, const Doubles* 
   for (size_t b = 0; b < in_terms_; ++b) {
     const Doubles* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n] + 12 * b;
-    combine_eight(poses, shares.data(), centre_, inertial.gravity_offset, bone(int(b)));
+    combine_eight(poses, shares.data(), centre_.data(), inertial.gravity_offset.data(), bone(int(b)));
   }
   out.slopes.resize(9 * r_);
   out.sums.resize(r_ + pairs);
@@ -297,7 +179,8 @@ void ModalInertia::evaluate(const EightInertialTarget& inertial, const Doubles* 
                           set.groups[g].influence, out.differences.data(), r_, table, out.slopes.data(),
                           out.sums.data(), out.sums.data() + r_);
       }
-    add_set_of_eight(density[s], damping[s], set.mass.data(), r_, out.sums.data(), out.sums.data() + r_, out);
+    add_set_of_eight(density[s], damping[s], set.mass.data(), r_, out.sums.data(), out.sums.data() + r_,
+                     out.force.data(), out.mass.data(), out.damped.data());
   }
 }
 

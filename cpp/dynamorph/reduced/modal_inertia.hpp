@@ -16,7 +16,7 @@
 #include "dynamorph/models/morph_target.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
-#include "dynamorph/simd/lanes.hpp"
+#include "dynamorph/simd/lane_vector.hpp"
 
 namespace dynamorph {
 

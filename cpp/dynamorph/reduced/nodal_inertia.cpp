@@ -1,67 +1,16 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/nodal_inertia.hpp"
 
+#include "dynamorph/reduced/nodal_kernels.hpp"
+
 namespace dynamorph {
 
 using Eigen::Index;
+using terms::kPoses;
 
 namespace {
 
-constexpr int kPoses = InertialTarget::kPoses;
-
-/// Eight nodes' transforms in the poses of an inertial target, [A | a] row-major, and by how much they count.
-struct EightNodes {
-  Doubles poses[kPoses][12];
-  Doubles mass, damped;
-};
-
-/// y = sum_n A_n (sums_n X + U d_n) + sums_n a_n - gravity_offset. table: U (r, 3), then X; d (r, kPoses) row-major.
-DYNAMORPH_INLINE void add_up(const EightNodes& nodes, const Doubles* table, Index r, const double* d,
-                             const double* sums, const double* gravity_offset, Doubles* y) {
-  Doubles bind[kPoses][3];
-  for (int n = 0; n < kPoses; ++n)
-    for (int c = 0; c < 3; ++c) bind[n][c] = table[3 * r + c] * sums[n];
-  for (Index k = 0; k < r; ++k)
-    for (int n = 0; n < kPoses; ++n)
-      for (int c = 0; c < 3; ++c) bind[n][c] += table[3 * k + c] * d[kPoses * k + n];
-  for (int i = 0; i < 3; ++i) {
-    y[i] = Doubles{} - gravity_offset[i];
-    for (int n = 0; n < kPoses; ++n) {
-      const Doubles* row = nodes.poses[n] + 4 * i;
-      y[i] += row[0] * bind[n][0] + row[1] * bind[n][1] + row[2] * bind[n][2] + row[3] * sums[n];
-    }
-  }
-}
-
-/// What eight nodes add to the force (r) and to the packed mass, and if `damped` is not null to that. modes (r, 3):
-/// scratch.
-DYNAMORPH_MULTIVERSION
-void add_eight_nodes(const EightNodes& nodes, const Doubles* table, Index r, const double* d, const double* sums,
-                     const double* gravity_offset, Doubles* __restrict modes, Doubles* __restrict force,
-                     Doubles* __restrict mass, Doubles* __restrict damped) {
-  Doubles y[3];
-  add_up(nodes, table, r, d, sums, gravity_offset, y);
-  const Doubles* A = nodes.poses[0];
-  for (Index k = 0; k < r; ++k) {
-    const Doubles* u = table + 3 * k;
-    for (int i = 0; i < 3; ++i) modes[3 * k + i] = A[4 * i] * u[0] + A[4 * i + 1] * u[1] + A[4 * i + 2] * u[2];
-  }
-  for (Index k = 0; k < r; ++k) {
-    const Doubles own[3] = {modes[3 * k], modes[3 * k + 1], modes[3 * k + 2]};
-    const Doubles heavy[3] = {nodes.mass * own[0], nodes.mass * own[1], nodes.mass * own[2]};
-    force[k] += heavy[0] * y[0] + heavy[1] * y[1] + heavy[2] * y[2];
-    for (Index l = k; l < r; ++l) {
-      const Doubles* other = modes + 3 * l;
-      *mass++ += heavy[0] * other[0] + heavy[1] * other[1] + heavy[2] * other[2];
-    }
-    if (!damped) continue;
-    const Doubles braked[3] = {nodes.damped * own[0], nodes.damped * own[1], nodes.damped * own[2]};
-    for (Index l = k; l < r; ++l) {
-      const Doubles* other = modes + 3 * l;
-      *damped++ += braked[0] * other[0] + braked[1] * other[1] + braked[2] * other[2];
-    }
-  }
-}
+static_assert(kPoses == InertialTarget::kPoses, "as modal_arithmetic.hpp says");
 
 double sum(const Doubles& lanes) {
   double out = 0;
@@ -115,7 +64,7 @@ void NodalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   scratch.mass.assign(pairs, Doubles{});
   scratch.damped.assign(several ? pairs : 0, Doubles{});
   for (Index first = 0; first < nodes; first += kLanes) {
-    alignas(64) EightNodes eight{};
+    EightNodes eight{};
     for (Index i = first; i < std::min(first + kLanes, nodes); ++i) {
       const Index lane = i - first;
       for (int n = 0; n < kPoses; ++n)

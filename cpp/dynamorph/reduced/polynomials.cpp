@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
+#include "dynamorph/reduced/gram_accumulator.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
 
 namespace dynamorph {
@@ -12,6 +14,13 @@ namespace dynamorph {
 namespace {
 
 using Eigen::Index;
+
+constexpr double kOrthonormal = 1e-8;    // norm of U^T M U - I; 1e-13 of a basis that is computed
+constexpr double kLost = 1e-6;           // of a target's shape
+constexpr double kLostOfLargest = 1e-8;  // of the largest shape: as much of one that is nearly a multiple of another's
+
+/// A number of each node (n) for its three degrees of freedom.
+VectorXd repeated(const VectorXd& nodes) { return nodes.replicate(1, 3).transpose().reshaped(); }
 
 /// Sums over the tetrahedra of one target that its tables are made of. Green's strain is quadratic in v,
 /// E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l), so with the monomials m = (v_k, v_k v_l) each tet adds
@@ -113,12 +122,34 @@ bool mode_gradients(const SoftBody& body, const Element& element, Index e, const
   return moves;
 }
 
+std::vector<VectorXd> target_coordinates(const SoftBody& body, const std::vector<MorphTarget>& targets,
+                                         const MatrixXd& U) {
+  check_size("basis", U.rows(), body.rest.size());
+  if (U.cols() == 0) throw std::invalid_argument("basis: expected at least one mode");
+  if (!U.allFinite()) throw std::invalid_argument("basis: must be finite");
+  const VectorXd mass = repeated(body.volumes.rowwise().sum());
+  const auto norm = [&](const VectorXd& u) { return std::sqrt(u.cwiseAbs2().dot(mass)); };
+  const MatrixXd products = U.transpose() * mass.asDiagonal() * U;
+  if (!((products - MatrixXd::Identity(U.cols(), U.cols())).norm() <= kOrthonormal))
+    throw std::invalid_argument("basis: is not orthonormal in the mass for unit density");
+  std::vector<VectorXd> shapes, coordinates;
+  double largest = 0;
+  for (const MorphTarget& target : targets) {
+    shapes.push_back(body.restrict_to_free(target.displacement));
+    largest = std::max(largest, norm(shapes.back()));
+  }
+  for (size_t j = 0; j < targets.size(); ++j) {
+    coordinates.push_back(U.transpose() * mass.cwiseProduct(shapes[j]));
+    const double lost = norm(U * coordinates[j] - shapes[j]);
+    if (!(lost <= std::max(kLost * norm(shapes[j]), kLostOfLargest * largest)))
+      throw std::invalid_argument("basis: cannot hold the shape of '" + targets[j].name + "'");
+  }
+  return coordinates;
+}
+
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress) {
   const SoftBody& body = model.body();
-  if (U.rows() != model.dofs())
-    throw std::invalid_argument("U: expected " + std::to_string(model.dofs()) + " rows, got " +
-                                std::to_string(U.rows()));
-  if (!U.allFinite()) throw std::invalid_argument("U: must be finite");
+  target_coordinates(body, model.targets(), U);
   ReducedTables tables;
   tables.law = model.law();
   tables.basis = U;

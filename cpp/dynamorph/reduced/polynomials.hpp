@@ -30,7 +30,13 @@ struct ReducedTables {
 /// held.
 bool mode_gradients(const SoftBody& body, const Element& element, Eigen::Index e, const RowMajor& modes, RowMajor& G);
 
-/// Tables of every target of `model` in the basis U (3 free, r), orthonormal in unit-density mass.
+/// The targets' shapes in the basis, z_j = U^T M d_j with the mass M for unit density. Throws std::invalid_argument
+/// unless U (3 free, r) is finite, U^T M U = I and every shape is in its span, U z_j = d_j: a model in another basis
+/// would play other shapes than were sculpted.
+std::vector<VectorXd> target_coordinates(const SoftBody& body, const std::vector<MorphTarget>& targets,
+                                         const MatrixXd& U);
+
+/// Tables of every target of `model` in the basis U (3 free, r). Throws as `target_coordinates`.
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {});
 
 }  // namespace dynamorph

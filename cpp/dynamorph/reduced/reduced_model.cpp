@@ -2,7 +2,7 @@
 #include "dynamorph/reduced/reduced_model.hpp"
 
 #include "dynamorph/reduced/eight_kernels.hpp"
-#include "dynamorph/reduced/kernels.hpp"
+#include "dynamorph/reduced/polynomial_kernels.hpp"
 
 namespace dynamorph {
 
@@ -22,7 +22,7 @@ void unpack(const VectorXd& packed, MatrixXd& symmetric) {
 }
 
 /// y = S x for a packed symmetric S.
-void packed_product(const VectorXd& S, const VectorXd& x, VectorXd& y) {
+void multiply_packed(const VectorXd& S, const VectorXd& x, VectorXd& y) {
   const Eigen::Index r = x.size();
   y.setZero(r);
   for (Eigen::Index k = 0, p = 0; k < r; ++k) {
@@ -42,12 +42,10 @@ double packed_quadratic(const VectorXd& S, const VectorXd& x) {
   return sum;
 }
 
-const MatrixXd& checked_basis(const SoftBody& body, const MatrixXd& U) {
-  const Eigen::Index expected = Eigen::Index(3 * body.free_nodes.size());
-  if (U.rows() != expected)
-    throw std::invalid_argument("basis: expected " + std::to_string(expected) + " rows, got " +
-                                std::to_string(U.rows()));
-  return U;
+std::vector<VectorXd> checked_coordinates(const SoftBody& body, const std::vector<MorphTarget>& targets,
+                                          const MatrixXd& U) {
+  check_targets(body, targets);
+  return target_coordinates(body, targets, U);
 }
 
 std::variant<ModalInertia, NodalInertia> inertia_of(const std::shared_ptr<const SoftBody>& body, const MatrixXd& U) {
@@ -103,7 +101,7 @@ double linearize(const VectorXd& table, const TableLayout& layout, const VectorX
         for (Eigen::Index p = 0; p < pairs; ++p)
           quadratic(p) += (m == n ? 1 : 2) * v(m) * v(n) * table(layout.quadratic(p, q));
   }
-  packed_product(constant + linear / 2 + quadratic / 3, v, force);
+  multiply_packed(constant + linear / 2 + quadratic / 3, v, force);
   stiffness.resize(r, r);
   unpack(constant + linear + quadratic, stiffness);
   return packed_quadratic(constant / 2 + linear / 6 + quadratic / 12, v);
@@ -114,20 +112,21 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
     : body_(std::move(body)),
       targets_(std::move(targets)),
       blending_(blending),
-      U_(checked_basis(*body_, tables.basis)),
+      U_(tables.basis),
+      coordinates_(checked_coordinates(*body_, targets_, U_)),
       layout_(tables.layout()),
       padded_pairs_(whole_chunks(layout_.pairs())),
       inertia_(inertia_of(body_, U_)) {
+  check(tables.law);
+  check(blending_);
   const Eigen::Index r = U_.cols();
   if (tables.lambda.size() != targets_.size() || tables.mu.size() != targets_.size())
     throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
-  const VectorXd mass = body_->volumes.rowwise().sum();
   for (size_t j = 0; j < targets_.size(); ++j) {
     if (tables.lambda[j].size() != layout_.distinct() || tables.mu[j].size() != layout_.distinct())
       throw std::invalid_argument("tables: of '" + targets_[j].name + "' do not fit " + std::to_string(r) + " modes");
-    VectorXd momentum = body_->restrict_to_free(targets_[j].displacement);
-    for (Eigen::Index i = 0; i < mass.size(); ++i) momentum.segment<3>(3 * i) *= mass(i);
-    coordinates_.push_back(U_.transpose() * momentum);
+    if (!tables.lambda[j].allFinite() || !tables.mu[j].allFinite())
+      throw std::invalid_argument("tables: of '" + targets_[j].name + "' must be finite");
     VectorXd table = unfolded(targets_[j].lame.lambda * tables.lambda[j] + targets_[j].lame.mu * tables.mu[j], layout_);
     rest_stiffness_.push_back(table.head(layout_.pairs()));
     forces_.push_back(VectorXd::Zero(r));
@@ -142,7 +141,8 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   if (w.size() != Eigen::Index(targets_.size()))
     throw std::invalid_argument("weights: expected " + std::to_string(targets_.size()) + ", got " +
                                 std::to_string(w.size()));
-  if (out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
+  out.of = this;
   const Eigen::Index r = dofs(), pairs = layout_.pairs();
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);
@@ -190,7 +190,7 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
     for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * blend.v(k) * blend.v(l);
   }
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
-  add_product(table, rows, blend.v.data(), r, blend.linear.data());
+  add_single_product(table, rows, blend.v.data(), r, blend.linear.data());
   add_symmetric_product(table + rows * r, rows, blend.pairs.data(), blend.quadratic.data());
 }
 
@@ -247,7 +247,7 @@ void ReducedModel::linearize(EightBlend& blend, const LaneVector<Doubles>& z, Do
   dynamorph::expand(z.data(), blend.centre.data(), r, blend.v.data(), blend.pairs.data());
   for (size_t j = 0; j < targets_.size() && layout_.nonlinear; ++j) {
     if (all_zero(blend.weights[j])) continue;
-    alignas(64) Floats w;
+    Floats w;
     to_single(blend.weights[j], w);
     add_orders(tables_[j].data(), rows, r, w, blend.v.data(), blend.pairs.data(), blend.product.data(),
                blend.linear.data(), blend.quadratic.data());
@@ -277,7 +277,7 @@ void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
 
 void ReducedModel::project_force(const VectorXd& f, VectorXd& out) const {
   out.resize(dofs());
-  transposed_product(U_, f.data(), out.data());
+  transposed_product(U_.data(), U_.rows(), U_.cols(), f.data(), out.data());
 }
 
 }  // namespace dynamorph

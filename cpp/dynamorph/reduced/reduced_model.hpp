@@ -27,6 +27,7 @@ class ReducedModel {
   };
 
   struct Blend {
+    const ReducedModel* of = nullptr;  ///< whose it is
     VectorXd weights;
     SetDensities mass;
     Matrix damping;           ///< sum_j w_j beta_j K_j (r, r)
@@ -60,6 +61,8 @@ class ReducedModel {
   const std::vector<MorphTarget>& targets() const { return targets_; }
   const MatrixXd& basis() const { return U_; }
   int dofs() const { return int(U_.cols()); }
+  /// Norm of the coordinates of a body that is moved by one metre as a whole, as far as the modes can.
+  double metre() const { return std::sqrt(body_->volume); }
 
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
@@ -84,9 +87,9 @@ class ReducedModel {
   std::vector<MorphTarget> targets_;
   Blending blending_;
   MatrixXd U_;
+  std::vector<VectorXd> coordinates_;  ///< z_j
   TableLayout layout_;
   Eigen::Index padded_pairs_;
-  std::vector<VectorXd> coordinates_;  ///< z_j
   /// Per target with its material, about z_j (even) or 0 (forces). K0 in double; [K1 | K2] in single precision, in the
   /// order in which a step reads them: half the bytes, and forces to 1e-7 of the largest.
   std::vector<VectorXd> stiffness_;

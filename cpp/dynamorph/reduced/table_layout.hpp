@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "dynamorph/core/types.hpp"
+#include "dynamorph/reduced/polynomial_kernels.hpp"
 
 namespace dynamorph {
 
@@ -61,8 +62,6 @@ void for_quadruples(Eigen::Index r, const Visit& visit) {
 /// K2(k, l, m, n), each for k <= l <= m <= n with the last index fastest.
 VectorXd unfolded(const VectorXd& distinct, const TableLayout& layout);
 
-/// Entries of K2 that a step reads together.
-constexpr Eigen::Index kChunk = 8;
 inline Eigen::Index whole_chunks(Eigen::Index size) { return (size + kChunk - 1) / kChunk * kChunk; }
 
 /// Of a symmetric matrix (size, size), size a whole number of chunks: what add_symmetric_product reads.

@@ -1,25 +1,166 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Eight numbers that go through the same arithmetic. GCC's vectors: whatever the processor has carries them out.
+// Every vector type of the engine: some numbers that go through the same arithmetic. Vectors of GCC and Clang: whatever
+// the processor has carries them out. Free of the standard library, as kernels are (dispatch.hpp).
+//
+// mul_add and mul_sub are a fused multiply-add where the instruction set has one, else two roundings: the engine is
+// compiled with -ffp-contract=off, so that nothing else depends on the compiler's choice.
 #pragma once
 
-#include <new>
-#include <vector>
+#include "dynamorph/simd/compiler.hpp"
 
-#include "dynamorph/core/types.hpp"
-#include "dynamorph/simd/multiversion.hpp"
+#if defined(__FMA__)
+#include <immintrin.h>
+#elif defined(__ARM_NEON)
+#include <arm_neon.h>
+#endif
 
-// Vectors wider than the baseline's registers are passed by value only between functions that are inlined; by reference
-// they must be aligned by hand, as the baseline's alignof is 16: LaneVector, alignas(64).
+// Vectors wider than the baseline's registers are passed by value only between functions that are inlined.
+#pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wpsabi"
 
 namespace dynamorph {
 
+// --- Vectors ---------------------------------------------------------------------------------------------------------
+
+typedef float Float4 __attribute__((vector_size(16)));
+typedef float Float8 __attribute__((vector_size(32)));
+typedef double Double4 __attribute__((vector_size(32)));
+typedef double Double8 __attribute__((vector_size(64)));
+
+// As they lie in an array, where they need not begin at a multiple of their size. (Clang ignores `aligned` in an alias
+// declaration.)
+typedef float UnalignedFloat8 __attribute__((vector_size(32), aligned(4), may_alias));
+typedef double UnalignedDouble4 __attribute__((vector_size(32), aligned(8), may_alias));
+static_assert(sizeof(UnalignedFloat8) == 32 && alignof(UnalignedFloat8) == 4, "read from any array of floats");
+static_assert(sizeof(UnalignedDouble4) == 32 && alignof(UnalignedDouble4) == 8, "read from any array of doubles");
+
+DYNAMORPH_INLINE Float8 load(const float* from) { return *reinterpret_cast<const UnalignedFloat8*>(from); }
+DYNAMORPH_INLINE Double4 load(const double* from) { return *reinterpret_cast<const UnalignedDouble4*>(from); }
+DYNAMORPH_INLINE void store(const Float8& v, float* to) { *reinterpret_cast<UnalignedFloat8*>(to) = v; }
+DYNAMORPH_INLINE void store(const Double4& v, double* to) { *reinterpret_cast<UnalignedDouble4*>(to) = v; }
+
+/// The vector that `load` makes of an array of Real.
+template <class Real>
+struct VectorOf;
+template <>
+struct VectorOf<float> {
+  typedef Float8 Type;
+};
+template <>
+struct VectorOf<double> {
+  typedef Double4 Type;
+};
+
+DYNAMORPH_INLINE double sum_of(const Double4& v) { return v[0] + v[1] + (v[2] + v[3]); }
+
+/// c + a b.
+DYNAMORPH_INLINE float mul_add(float c, float a, float b) {
+#if defined(__FMA__) || defined(__ARM_NEON)
+  return __builtin_fmaf(a, b, c);
+#else
+  return c + a * b;
+#endif
+}
+DYNAMORPH_INLINE double mul_add(double c, double a, double b) {
+#if defined(__FMA__) || defined(__ARM_NEON)
+  return __builtin_fma(a, b, c);
+#else
+  return c + a * b;
+#endif
+}
+DYNAMORPH_INLINE Float8 mul_add(const Float8& c, const Float8& a, const Float8& b) {
+#if defined(__FMA__)
+  return Float8(_mm256_fmadd_ps(__m256(a), __m256(b), __m256(c)));
+#elif defined(__ARM_NEON)
+  const auto half = [](const Float8& v, int i) { return float32x4_t{v[i], v[i + 1], v[i + 2], v[i + 3]}; };
+  const float32x4_t low = vfmaq_f32(half(c, 0), half(a, 0), half(b, 0));
+  const float32x4_t high = vfmaq_f32(half(c, 4), half(a, 4), half(b, 4));
+  return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+#else
+  return c + a * b;
+#endif
+}
+DYNAMORPH_INLINE Double4 mul_add(const Double4& c, const Double4& a, const Double4& b) {
+#if defined(__FMA__)
+  return Double4(_mm256_fmadd_pd(__m256d(a), __m256d(b), __m256d(c)));
+#elif defined(__ARM_NEON)
+  const auto half = [](const Double4& v, int i) { return float64x2_t{v[i], v[i + 1]}; };
+  const float64x2_t low = vfmaq_f64(half(c, 0), half(a, 0), half(b, 0));
+  const float64x2_t high = vfmaq_f64(half(c, 2), half(a, 2), half(b, 2));
+  return __builtin_shufflevector(low, high, 0, 1, 2, 3);
+#else
+  return c + a * b;
+#endif
+}
+
+/// c - a b.
+DYNAMORPH_INLINE float mul_sub(float c, float a, float b) {
+#if defined(__FMA__) || defined(__ARM_NEON)
+  return __builtin_fmaf(-a, b, c);
+#else
+  return c - a * b;
+#endif
+}
+DYNAMORPH_INLINE double mul_sub(double c, double a, double b) {
+#if defined(__FMA__) || defined(__ARM_NEON)
+  return __builtin_fma(-a, b, c);
+#else
+  return c - a * b;
+#endif
+}
+DYNAMORPH_INLINE Float8 mul_sub(const Float8& c, const Float8& a, const Float8& b) {
+#if defined(__FMA__)
+  return Float8(_mm256_fnmadd_ps(__m256(a), __m256(b), __m256(c)));
+#elif defined(__ARM_NEON)
+  return mul_add(c, -a, b);
+#else
+  return c - a * b;
+#endif
+}
+DYNAMORPH_INLINE Double4 mul_sub(const Double4& c, const Double4& a, const Double4& b) {
+#if defined(__FMA__)
+  return Double4(_mm256_fnmadd_pd(__m256d(a), __m256d(b), __m256d(c)));
+#elif defined(__ARM_NEON)
+  return mul_add(c, -a, b);
+#else
+  return c - a * b;
+#endif
+}
+
+DYNAMORPH_INLINE Float8 all_of(float x) { return Float8{x, x, x, x, x, x, x, x}; }
+DYNAMORPH_INLINE Double4 all_of(double x) { return Double4{x, x, x, x}; }
+DYNAMORPH_INLINE Float8 mul_add(const Float8& c, float a, const Float8& b) { return mul_add(c, all_of(a), b); }
+DYNAMORPH_INLINE Float8 mul_sub(const Float8& c, float a, const Float8& b) { return mul_sub(c, all_of(a), b); }
+DYNAMORPH_INLINE Double4 mul_add(const Double4& c, double a, const Double4& b) { return mul_add(c, all_of(a), b); }
+DYNAMORPH_INLINE Double4 mul_sub(const Double4& c, double a, const Double4& b) { return mul_sub(c, all_of(a), b); }
+
+// --- Lanes -----------------------------------------------------------------------------------------------------------
+// One number of each of eight terms or characters. Structs, because they are aligned for every instruction set, also in
+// containers, where GCC's baseline would ask for 16 bytes.
+
 constexpr int kLanes = 8;
-using Floats = float __attribute__((vector_size(32)));
+
+struct alignas(32) Floats {
+  typedef float All __attribute__((vector_size(32), may_alias));
+  All all;
+
+  DYNAMORPH_INLINE float operator[](int lane) const { return all[lane]; }
+  DYNAMORPH_INLINE float& operator[](int lane) { return reinterpret_cast<float*>(this)[lane]; }
+  DYNAMORPH_INLINE Floats& operator+=(const Floats& b) {
+    all += b.all;
+    return *this;
+  }
+};
+static_assert(sizeof(Floats) == 32 && alignof(Floats) == 32, "kernels of all instruction sets read the same memory");
+DYNAMORPH_INLINE Floats operator+(const Floats& a, const Floats& b) { return {a.all + b.all}; }
+DYNAMORPH_INLINE Floats operator-(const Floats& a, const Floats& b) { return {a.all - b.all}; }
+DYNAMORPH_INLINE Floats operator*(const Floats& a, const Floats& b) { return {a.all * b.all}; }
+DYNAMORPH_INLINE Floats operator*(float a, const Floats& b) { return {a * b.all}; }
+DYNAMORPH_INLINE Floats operator+(float a, const Floats& b) { return {a + b.all}; }
 
 /// Eight doubles, as two vectors: GCC 12 keeps one of 64 bytes in memory where the registers have 32.
 struct alignas(64) Doubles {
-  using Half = double __attribute__((vector_size(32), may_alias));
+  typedef double Half __attribute__((vector_size(32), may_alias));
   Half low, high;
 
   DYNAMORPH_INLINE double operator[](int lane) const { return lane < 4 ? low[lane] : high[lane - 4]; }
@@ -35,7 +176,7 @@ struct alignas(64) Doubles {
     return *this;
   }
 };
-static_assert(alignof(Doubles) == 64, "the clones of a function load whole vectors, whatever the baseline asks for");
+static_assert(sizeof(Doubles) == 64 && alignof(Doubles) == 64, "kernels of all instruction sets read the same memory");
 DYNAMORPH_INLINE Doubles operator+(const Doubles& a, const Doubles& b) { return {a.low + b.low, a.high + b.high}; }
 DYNAMORPH_INLINE Doubles operator-(const Doubles& a, const Doubles& b) { return {a.low - b.low, a.high - b.high}; }
 DYNAMORPH_INLINE Doubles operator*(const Doubles& a, const Doubles& b) { return {a.low * b.low, a.high * b.high}; }
@@ -48,37 +189,44 @@ DYNAMORPH_INLINE Doubles operator+(double a, const Doubles& b) { return b + a; }
 DYNAMORPH_INLINE Doubles operator*(double a, const Doubles& b) { return b * a; }
 DYNAMORPH_INLINE Doubles operator/(double a, const Doubles& b) { return {a / b.low, a / b.high}; }
 
-inline bool all_zero(const Doubles& v) {
+DYNAMORPH_INLINE bool all_zero(const Doubles& v) {
   for (int lane = 0; lane < kLanes; ++lane)
     if (v[lane] != 0) return false;
   return true;
 }
 
-/// Of lanes, aligned as every instruction set wants it: the baseline alone would ask for less.
-template <class T>
-struct CacheAligned {
-  using value_type = T;
-  CacheAligned() = default;
-  template <class U>
-  CacheAligned(const CacheAligned<U>&) {}
-  T* allocate(std::size_t n) { return static_cast<T*>(::operator new(n * sizeof(T), std::align_val_t(64))); }
-  void deallocate(T* p, std::size_t) { ::operator delete(p, std::align_val_t(64)); }
-  bool operator==(const CacheAligned&) const { return true; }
-  bool operator!=(const CacheAligned&) const { return false; }
-};
-template <class T>
-using LaneVector = std::vector<T, CacheAligned<T>>;
+DYNAMORPH_INLINE Floats mul_add(const Floats& c, const Floats& a, const Floats& b) {
+  return {mul_add(c.all, a.all, b.all)};
+}
+DYNAMORPH_INLINE Floats mul_sub(const Floats& c, const Floats& a, const Floats& b) {
+  return {mul_sub(c.all, a.all, b.all)};
+}
+DYNAMORPH_INLINE Floats mul_add(const Floats& c, float a, const Floats& b) { return {mul_add(c.all, a, b.all)}; }
+DYNAMORPH_INLINE Floats mul_sub(const Floats& c, float a, const Floats& b) { return {mul_sub(c.all, a, b.all)}; }
+DYNAMORPH_INLINE Doubles mul_add(const Doubles& c, const Doubles& a, const Doubles& b) {
+  return {mul_add(c.low, a.low, b.low), mul_add(c.high, a.high, b.high)};
+}
+DYNAMORPH_INLINE Doubles mul_sub(const Doubles& c, const Doubles& a, const Doubles& b) {
+  return {mul_sub(c.low, a.low, b.low), mul_sub(c.high, a.high, b.high)};
+}
+DYNAMORPH_INLINE Doubles mul_add(const Doubles& c, double a, const Doubles& b) {
+  return {mul_add(c.low, a, b.low), mul_add(c.high, a, b.high)};
+}
+DYNAMORPH_INLINE Doubles mul_sub(const Doubles& c, double a, const Doubles& b) {
+  return {mul_sub(c.low, a, b.low), mul_sub(c.high, a, b.high)};
+}
 
 DYNAMORPH_INLINE void to_single(const double& from, float& to) { to = float(from); }
 DYNAMORPH_INLINE void to_single(const Doubles& from, Floats& to) {
-  using Half = float __attribute__((vector_size(16)));
-  const Half low = __builtin_convertvector(from.low, Half), high = __builtin_convertvector(from.high, Half);
-  to = __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+  const Float4 low = __builtin_convertvector(from.low, Float4), high = __builtin_convertvector(from.high, Float4);
+  to.all = __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
 }
-DYNAMORPH_INLINE Doubles to_double(const Floats& from) {
-  using Whole = double __attribute__((vector_size(64)));
-  const Whole all = __builtin_convertvector(from, Whole);
+DYNAMORPH_INLINE Doubles to_double(const Float8& from) {
+  const Double8 all = __builtin_convertvector(from, Double8);
   return {__builtin_shufflevector(all, all, 0, 1, 2, 3), __builtin_shufflevector(all, all, 4, 5, 6, 7)};
 }
+DYNAMORPH_INLINE Doubles to_double(const Floats& from) { return to_double(from.all); }
 
 }  // namespace dynamorph
+
+#pragma GCC diagnostic pop

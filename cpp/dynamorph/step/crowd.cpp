@@ -170,8 +170,8 @@ Lanes Crowd::jumps(const Eight& eight) const {
   Doubles jump = {};
   for (size_t b = 0; b < used.size(); ++b) {
     const Eigen::Matrix4d& moments = body.moments[used[b]];
-    add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(), body.centre,
-             jump);
+    add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(),
+             body.centre.data(), jump);
   }
   Lanes out = 0;
   for (int lane = 0; lane < kLanes; ++lane)
@@ -223,7 +223,8 @@ Lanes Crowd::minimize(Lanes moving, CrowdReport& report) {
   s.elastic.reference = EightLanes::norm(s.quadratic.origin);
   s.q = s.quadratic.origin;
   Potential<EightLanes, decltype(s.quadratic), decltype(s.elastic)> potential(s.quadratic, s.elastic);
-  const NewtonLimits limits{options().tolerance, options().max_iterations};
+  const double nothing = options().tolerance * model().body().size * model().metre();
+  const NewtonLimits limits{options().tolerance, nothing, options().max_iterations};
   const auto found = dynamorph::minimize(potential, s.newton, s.q, moving, limits, [] {});
   report.iterations += found.iterations;
   return found.open | found.broken;

@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include "dynamorph/reduced/eight_kernels.hpp"
-#include "dynamorph/simd/lanes.hpp"
+#include "dynamorph/simd/lane_vector.hpp"
 #include "dynamorph/step/newton.hpp"
 
 namespace dynamorph {
@@ -20,11 +20,13 @@ struct EightLanes {
   static constexpr int kHalvings = 4;     // who needs more is stepped alone
   static constexpr double kNoise = 1e-6;  // of an energy from tables in single precision
 
+  static constexpr double kSmallest = 1e-6;  ///< of the largest scale
+
   /// Solves H x = b; returns the lanes whose H is not positive definite.
   class Solver {
    public:
     Lanes solve(const Matrix& H, const Vector& b, Vector& x) {
-      const Eigen::Index r = Eigen::Index(b.size());
+      const Index r = Index(b.size());
       factor_ = H;
       inverse_.resize(r);
       factorize(factor_.data(), r, inverse_.data());
@@ -68,7 +70,7 @@ struct EightLanes {
 
   static Number dot(const Vector& a, const Vector& b) {
     Number out;
-    dynamorph::dot(a.data(), b.data(), Eigen::Index(a.size()), out);
+    dynamorph::dot(a.data(), b.data(), Index(a.size()), out);
     return out;
   }
   static Number norm(const Vector& a) { return root(dot(a, a)); }
@@ -79,7 +81,7 @@ struct EightLanes {
   }
   static void multiply(const Matrix& A, const Vector& x, Vector& y) {
     y.resize(x.size());
-    packed_product(A.data(), x.data(), Eigen::Index(x.size()), y.data());
+    packed_product(A.data(), x.data(), Index(x.size()), y.data());
   }
   static void subtract(const Vector& a, const Vector& b, Vector& out) {
     out.resize(a.size());
@@ -99,8 +101,20 @@ struct EightLanes {
     out.resize(from.size());
     for (size_t k = 0; k < from.size(); ++k) out[k] = from[k] + length * direction[k];
   }
-  static void add_to_diagonal(Matrix& A, const Number& more) {
-    for (size_t p = 0, row = order(A); row > 0; p += row, --row) A[p] += more;
+  /// Sizes of the entries of A's diagonal.
+  static void scales(const Matrix& A, Vector& out) {
+    Number most{};
+    out.clear();
+    for (size_t p = 0, row = order(A); row > 0; p += row, --row) {
+      out.push_back(size(A[p]));
+      widen(most, A[p]);
+    }
+    for (Number& own : out)
+      for (int lane = 0; lane < kLanes; ++lane) own[lane] = std::max(own[lane], kSmallest * most[lane]);
+  }
+  static void add_to_diagonal(Matrix& A, const Number& more, const Vector& scales) {
+    if (all_zero(more)) return;
+    for (size_t k = 0, p = 0; k < scales.size(); p += scales.size() - k, ++k) A[p] += more * scales[k];
   }
   template <class... Others>
   static void sum(Vector& out, const Vector& first, const Others&... others) {

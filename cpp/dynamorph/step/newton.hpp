@@ -76,13 +76,15 @@ class Potential {
 template <class Arithmetic>
 struct NewtonScratch {
   Value<Arithmetic> value;
-  typename Arithmetic::Vector from, direction;
+  typename Arithmetic::Vector from, direction, scales;
   typename Arithmetic::Matrix tangent;
+  typename Arithmetic::Number shift{};  ///< of the last tangent, in parts of its scales
   typename Arithmetic::Solver solver;
 };
 
 struct NewtonLimits {
   double tolerance;  ///< on the gradient, relative to the forces in it
+  double step;       ///< coordinates that are nothing: where no more than that is to be gained, it has converged
   int iterations;
 };
 
@@ -100,26 +102,34 @@ typename Arithmetic::Number relative_residual(const Value<Arithmetic>& value, do
   return Arithmetic::norm(value.gradient) / (value.forces + value.round_off / tolerance + 1e-300);
 }
 
-/// scratch.direction downhill, by the tangent at scratch.value, which is shifted until it is positive definite: under
-/// compression, and without inertia where a bone has collapsed, it is not. Returns the lanes for which there is none.
+/// scratch.direction downhill, by the tangent at scratch.value. Under compression, and without inertia where a bone has
+/// collapsed, it is not positive definite: then each entry of its diagonal is raised by a part of its own size, so that
+/// the stiffest place does not hold back the softest (Marquardt 1963, doi 10.1137/0111030). Returns the lanes for which
+/// there is no direction.
 template <class Arithmetic, class Potential>
 Lanes descend(const Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving) {
   using Number = typename Arithmetic::Number;
-  constexpr int kShifts = 20;  // by up to 1e-4 4^20 of the largest entry
+  constexpr int kShifts = 20;
+  constexpr double kLeast = 1e-4;  // of an entry
   potential.hessian(scratch.tangent);
-  Number shift{}, more{};
+  Arithmetic::scales(scratch.tangent, scratch.scales);
+  Number more{};  // who needed a shift in the last iteration needs less of it now
+  for (int lane = 0; lane < Arithmetic::kLanes; ++lane) {
+    double& shift = Arithmetic::at(scratch.shift, lane);
+    shift = shift < 8 * kLeast ? 0 : shift / 8;
+    Arithmetic::at(more, lane) = shift;
+  }
   Lanes indefinite = 0;
   for (int attempt = 0; attempt <= kShifts; ++attempt) {
+    Arithmetic::add_to_diagonal(scratch.tangent, more, scratch.scales);
     indefinite = scratch.solver.solve(scratch.tangent, scratch.value.gradient, scratch.direction) & moving;
     if (!indefinite) break;
-    const Number unit = 1e-4 * Arithmetic::largest(scratch.tangent);
     for (int lane = 0; lane < Arithmetic::kLanes; ++lane) {
-      double& own = Arithmetic::at(more, lane);
-      const double before = Arithmetic::at(shift, lane);
-      own = indefinite >> lane & 1 ? (before == 0 ? Arithmetic::at(unit, lane) : 3 * before) : 0;
-      Arithmetic::at(shift, lane) += own;
+      double& shift = Arithmetic::at(scratch.shift, lane);
+      const double next = indefinite >> lane & 1 ? std::max(kLeast, 4 * shift) : shift;
+      Arithmetic::at(more, lane) = next - shift;
+      shift = next;
     }
-    Arithmetic::add_to_diagonal(scratch.tangent, more);
   }
   Arithmetic::negate(scratch.direction, moving & ~indefinite);
   return indefinite;
@@ -167,24 +177,22 @@ NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic
                                   typename Arithmetic::Vector& q, Lanes moving, const NewtonLimits& limits,
                                   const Ask& ask) {
   NewtonReport<Arithmetic> report;
+  scratch.shift = typename Arithmetic::Number();
   potential.evaluate(q, scratch.value);
   for (int iteration = 0;; ++iteration) {
     ask();
     const Value<Arithmetic>& value = scratch.value;
     report.broken |= moving & ~Arithmetic::finite(value.forces);
     report.residual = relative_residual(value, limits.tolerance);
-    const Lanes near = Arithmetic::below(report.residual, typename Arithmetic::Number() + 100 * limits.tolerance);
     moving &= ~report.broken & ~Arithmetic::below(report.residual, typename Arithmetic::Number() + limits.tolerance);
     if (!moving) return report;
-    if (iteration == limits.iterations) {
-      report.open |= moving & ~near;
-      return report;
-    }
     report.broken |= descend(potential, scratch, moving);
-    moving &= ~report.broken;
-    if (near) moving &= ~(near & Arithmetic::below(Arithmetic::norm(scratch.direction), value.resolution));
-    const Lanes stuck = moving ? search(potential, scratch, moving, q) : 0;
-    report.open |= stuck & ~near;
+    const auto step = Arithmetic::norm(scratch.direction);
+    moving &= ~report.broken & ~Arithmetic::below(step, value.resolution);
+    const Lanes far = ~Arithmetic::below(step, value.resolution + limits.step);
+    const bool last = iteration == limits.iterations;
+    const Lanes stuck = last ? moving : moving ? search(potential, scratch, moving, q) : 0;
+    report.open |= stuck & far;
     moving &= ~stuck;
     for (Lanes rest = moving; rest; rest &= rest - 1) ++report.iterations;
     if (!moving) return report;

@@ -20,6 +20,8 @@ struct One {
   static constexpr int kLanes = 1, kHalvings = 19;
   static constexpr double kNoise = 1e-12;  ///< of an energy, as a part of it
 
+  static constexpr double kSmallest = 1e-6;  ///< of the largest scale
+
   /// Solves H x = b; returns the lanes whose H is not positive definite.
   class Solver {
    public:
@@ -54,15 +56,26 @@ struct One {
   static void move(const Vector& from, Number length, const Vector& direction, Vector& out) {
     out = from + length * direction;
   }
-  static void add_to_diagonal(Matrix& A, Number more) { A.diagonal().array() += more; }
+  /// Sizes of the entries of A's diagonal; of a mesh, those of a node's three are alike, whatever the axes are.
+  static void scales(const Matrix& A, Vector& out) {
+    out = A.diagonal().cwiseAbs();
+    if constexpr (!std::is_same_v<Matrix, MatrixXd>)
+      for (Eigen::Index i = 0; i < out.size(); i += 3) out.segment<3>(i).setConstant(out.segment<3>(i).mean());
+    out = out.cwiseMax(kSmallest * out.maxCoeff());
+  }
+  static void add_to_diagonal(Matrix& A, Number more, const Vector& scales) {
+    if (more != 0) A.diagonal() += more * scales;
+  }
 
   template <class... Parts>
   static void sum(Vector& out, const Parts&... parts) {
     out = (... + parts);
   }
-  template <class... Parts>
-  static void sum(Matrix& out, const Parts&... parts) {
-    values(out) = (... + values(parts));
+  /// Matrices of one pattern.
+  template <class... Others>
+  static void sum(Matrix& out, const Matrix& first, const Others&... others) {
+    if (out.rows() != first.rows()) out = first;
+    values(out) = (values(first) + ... + values(others));
   }
 };
 

@@ -22,22 +22,6 @@ InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3
 
 }  // namespace
 
-StepRule::StepRule(const StepOptions& options) {
-  const bool euler = options.scheme == Scheme::euler;
-  past = euler ? std::array<double, 4>{2, -1, 0, 0} : std::array<double, 4>{24 / 9., -22 / 9., 8 / 9., -1 / 9.};
-  velocity = euler ? std::array<double, 3>{1, -1, 0} : std::array<double, 3>{1.5, -2, 0.5};
-  square = options.h * options.h * (euler ? 1 : 4 / 9.);
-}
-
-Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> StepRule::coefficients() const {
-  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients;
-  coefficients.setZero();
-  coefficients(0, 0) = 2;
-  coefficients(1, 0) = -1;
-  for (int m = 0; m < InertialTarget::kMoments; ++m) coefficients(m, m + 1) = -past[m];
-  return coefficients;
-}
-
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights) {
   if (weights.size() != Eigen::Index(targets.size()))
     throw std::invalid_argument("weights: expected " + std::to_string(targets.size()) + ", got " +
@@ -54,9 +38,7 @@ void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eige
 template <class Model>
 Simulation<Model>::Simulation(std::shared_ptr<const Model> model, StepOptions options)
     : model_(std::move(model)), options_(options) {
-  if (!(options_.h > 0) || !std::isfinite(options_.h))
-    throw std::invalid_argument("h: the step must be a positive number of seconds");
-  if (!options_.gravity.allFinite()) throw std::invalid_argument("gravity: must be finite");
+  check(options_);
   damped_ = elastic_.hessian = newton_.tangent = quadratic_.hessian = model_->zero();
 }
 
@@ -139,6 +121,7 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
                                 std::to_string(next.rows()));
   VectorXd q;
   const StepReport report = solve_static(now, weights, q);
+  weights_ = weights;
   for (int k = 0; k < InertialTarget::kMoments; ++k) {
     state_.q[k] = q;
     state_.bones[k] = extrapolate_back(now, next, k);
@@ -166,8 +149,22 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
   if (state_.q[0].size() == 0) throw std::invalid_argument("step: start() comes first");
   check_weights(model_->targets(), model_->body().sets(), weights);
   pose(bones, weights);
-  const bool teleported = carry_past(model_->body(), options_.teleport, bones, state_.bones);
+  const bool teleported = jumps(model_->body(), options_.teleport, bones, state_.bones);
+  if (!teleported) return advance(bones, weights, external);
+  before_ = state_.bones;
+  carry_past(model_->body(), bones, state_.bones);
+  try {
+    StepReport report = advance(bones, weights, external);
+    report.teleported = true;
+    return report;
+  } catch (...) {
+    state_.bones = before_;
+    throw;
+  }
+}
 
+template <class Model>
+StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external) {
   const StepRule rule(options_);
   const double h = options_.h;
   next_ = 2 * state_.q[0] - state_.q[1];
@@ -192,19 +189,18 @@ StepReport Simulation<Model>::step(const Transforms& bones, const VectorXd& weig
       1e-14 / rule.square * farthest(bones) *
       std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
 
-  StepReport report = minimize(next_, options_.max_iterations);
-  report.teleported = teleported;
-
+  const StepReport report = minimize(next_, options_.max_iterations);
   std::rotate(state_.q.rbegin(), state_.q.rbegin() + 1, state_.q.rend());
   std::rotate(state_.bones.rbegin(), state_.bones.rbegin() + 1, state_.bones.rend());
   state_.q[0] = next_;
   state_.bones[0] = bones;
+  weights_ = weights;
   return report;
 }
 
 template <class Model>
 void Simulation<Model>::require_pose() const {
-  if (state_.q[0].size() == 0 || blend_.weights.size() == 0)
+  if (state_.q[0].size() == 0 || weights_.size() == 0)
     throw std::invalid_argument("energy: start() comes first, or after setting a state a step");
 }
 
@@ -217,7 +213,8 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
   };
-  const NewtonLimits limits{options_.tolerance, max_iterations};
+  const double nothing = options_.tolerance * model_->body().size * model_->metre();
+  const NewtonLimits limits{options_.tolerance, nothing, max_iterations};
   const NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
   if (found.broken)
     throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
@@ -232,7 +229,9 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
 template <class Model>
 double Simulation<Model>::elastic_energy() const {
   require_pose();
-  return model_->energy(blend_, state_.q[0]);
+  typename Model::Blend blend;  // that of the iterations may be of another pose
+  model_->blend(weights_, blend);
+  return model_->energy(blend, state_.q[0]);
 }
 
 template <class Model>
@@ -240,7 +239,7 @@ double Simulation<Model>::kinetic_energy() const {
   require_pose();
   const SoftBody& body = model_->body();
   VectorXd velocity = VectorXd::Zero(body.rest.size()), u, x;
-  const double shares[] = {1.5, -2, 0.5};
+  const std::array<double, 3> shares = StepRule(options_).velocity;
   for (int m = 0; m < 3; ++m) {
     SkinFrame frame{state_.bones[m], {}};
     pose_nodes(body.skin, frame);
@@ -248,7 +247,9 @@ double Simulation<Model>::kinetic_energy() const {
     to_world(frame, 1, body.rest + u, x);
     velocity += shares[m] / options_.h * x;
   }
-  const VectorXd mass = body.volumes * blend_.mass.density;
+  SetDensities densities;
+  densities.blend(model_->targets(), body.sets(), weights_);
+  const VectorXd mass = body.volumes * densities.density;
   double energy = 0;
   for (Eigen::Index i = 0; i < mass.size(); ++i) energy += 0.5 * mass(i) * velocity.segment<3>(3 * i).squaredNorm();
   return energy;

@@ -12,41 +12,16 @@
 #pragma once
 
 #include <array>
-#include <functional>
 #include <memory>
 
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
 #include "dynamorph/step/one.hpp"
+#include "dynamorph/step/step_options.hpp"
 #include "dynamorph/step/terms.hpp"
 
 namespace dynamorph {
-
-enum class Scheme { euler, bdf2 };
-
-struct StepOptions {
-  double h = 1.0 / 120;  ///< seconds
-  Scheme scheme = Scheme::bdf2;
-  Vector3d gravity = Vector3d::Zero();  ///< m/s^2, world
-  double tolerance = 1e-6;              ///< on the gradient, relative to the largest force term
-  int max_iterations = 30;
-  /// Jump of the skin off its course in one step, metres (root mean square), above which the past is carried along.
-  /// 0: never.
-  double teleport = 0;
-  /// Asked before every Newton iteration; false throws Cancelled, after which start() must come first again.
-  std::function<bool()> keep_going = {};
-};
-
-/// The numbers of a scheme at one step size.
-struct StepRule {
-  explicit StepRule(const StepOptions& options);
-  std::array<double, InertialTarget::kMoments> past;  ///< of x^
-  double square;                                      ///< h^2 c^2, s^2
-  std::array<double, 3> velocity;                     ///< h u' = sum velocity[m] u(n+1-m)
-  /// Of the motion that inertia acts on: 2 q(n) - q(n-1), as the bones pose it at the end of the step, less x^.
-  Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients() const;
-};
 
 /// Where a soft skin is: its coordinates and the bones' transforms, now and at the last three steps. Copy it to undo,
 /// resume or fork a simulation.
@@ -59,10 +34,12 @@ struct State {
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights);
 
 struct StepReport {
-  int iterations = 0;     ///< of Newton's method
-  bool converged = true;  ///< when false the state is the best found, and finite
-  double residual = 0;    ///< gradient relative to the largest force term
-  double energy = 0;      ///< elastic energy, J
+  int iterations = 0;  ///< of Newton's method
+  /// The gradient was within the tolerance of the forces, or Newton's next step within that of the body's size (root
+  /// mean square). When false the state is the best found, and finite.
+  bool converged = true;
+  double residual = 0;  ///< gradient relative to the largest force term
+  double energy = 0;    ///< elastic energy, J
   bool teleported = false;
 };
 
@@ -94,6 +71,7 @@ class Simulation {
   const MatrixXd& held() const { return held_; }  ///< what holds the targets (dofs, J), or empty
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
+  /// J, of the state at the target weights of the last start() or step(); kinetic by the scheme's own velocity.
   double kinetic_energy() const;
   double elastic_energy() const;
   const typename Model::Blend& blend() const { return blend_; }
@@ -102,6 +80,8 @@ class Simulation {
   using Arithmetic = One<typename Model::Matrix>;
 
   void pose(const Transforms& bones, const VectorXd& weights);
+  /// A step, posed and checked, off which the rig does not jump.
+  StepReport advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external);
   /// The forces at the origin of the quadratic term, in its g: inertia's towards `inertial` divided by `square` s^2,
   /// the external ones, and what holds the targets.
   void load(const InertialTarget& inertial, double square, const VectorXd& external);
@@ -113,6 +93,8 @@ class Simulation {
   std::shared_ptr<const Model> model_;
   StepOptions options_;
   State state_;
+  VectorXd weights_;                                         ///< of the last start() or step()
+  std::array<Transforms, InertialTarget::kMoments> before_;  ///< a jump, should the step fail
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
   typename Model::Matrix damped_;

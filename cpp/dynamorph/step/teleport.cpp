@@ -41,8 +41,8 @@ RigidMotion fit_jump(const SoftBody& body, const Transforms& now, const Transfor
   return {turn, new_centre - turn * old_centre};
 }
 
-bool carry_past(const SoftBody& body, double distance, const Transforms& bones,
-                std::array<Transforms, InertialTarget::kMoments>& past) {
+bool jumps(const SoftBody& body, double distance, const Transforms& bones,
+           const std::array<Transforms, InertialTarget::kMoments>& past) {
   if (distance <= 0) return false;
   // How far the bones' flesh is from where it would be had nothing jumped, by its moments.
   double jump = 0;
@@ -52,7 +52,10 @@ bool carry_past(const SoftBody& body, double distance, const Transforms& bones,
     const Affine off = about(body.centre, bones.row(b) - 2 * past[0].row(b) + past[1].row(b));
     for (int i = 0; i < 3; ++i) jump += off.row(i) * moments * off.row(i).transpose();
   }
-  if (jump < distance * distance * body.volume) return false;
+  return !(jump < distance * distance * body.volume);
+}
+
+void carry_past(const SoftBody& body, const Transforms& bones, std::array<Transforms, InertialTarget::kMoments>& past) {
   const RigidMotion motion = fit_jump(body, past[0], past[1], bones);
   for (Transforms& moment : past)
     for (Eigen::Index b = 0; b < bones.rows(); ++b) {
@@ -60,7 +63,6 @@ bool carry_past(const SoftBody& body, double distance, const Transforms& bones,
       T = (motion.turn * T).eval();
       T.col(3) += motion.shift;
     }
-  return true;
 }
 
 }  // namespace dynamorph

@@ -19,10 +19,12 @@ struct RigidMotion {
 /// would take it in one more step to the bones `to`; all (B, 12). Kabsch 1976, doi 10.1107/S0567739476001873.
 RigidMotion fit_jump(const SoftBody& body, const Transforms& now, const Transforms& before, const Transforms& to);
 
-/// When the bones (B, 12) are further than `distance` (metres, root mean square over the body; 0: never) from where the
-/// last two of `past` (newest first) would take them, carries all of `past` by the rigid motion that fits the jump
-/// best. Whether it did.
-bool carry_past(const SoftBody& body, double distance, const Transforms& bones,
-                std::array<Transforms, InertialTarget::kMoments>& past);
+/// Whether the bones (B, 12) are further than `distance` (metres, root mean square over the body; 0: never) from where
+/// the last two of `past` (newest first) would take them.
+bool jumps(const SoftBody& body, double distance, const Transforms& bones,
+           const std::array<Transforms, InertialTarget::kMoments>& past);
+
+/// Carries all of `past` by the rigid motion that fits the jump to the bones best.
+void carry_past(const SoftBody& body, const Transforms& bones, std::array<Transforms, InertialTarget::kMoments>& past);
 
 }  // namespace dynamorph

@@ -56,7 +56,7 @@ struct ElasticTerm {
       resolution = 1e-6 * Arithmetic::norm(from_centre_);  // the tables take them in single precision
     }
     forces = Arithmetic::norm(gradient);
-    length = Arithmetic::norm(q) + reference + 0.1 * model->body().size;
+    length = Arithmetic::norm(q) + reference + 0.1 * model->body().size * model->metre();
     round_off = 1e-14 * Arithmetic::largest(hessian) * length;  // terms as large as that cancel in the force
   }
   Number longest(const Vector&, const Vector&) const { return Number() + 1.0; }

@@ -2,11 +2,74 @@
 // Work on all cores: everything is done once, and what went wrong is what the caller hears.
 #include <doctest/doctest.h>
 
+#include <cerrno>
+
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/core/progress.hpp"
 
+#ifdef __GLIBC__
+#include <dlfcn.h>
+#include <pthread.h>
+#endif
+
 using namespace dynamorph;
+
+#ifdef __GLIBC__
+
+static std::atomic<int> threads_left{1 << 30};  ///< that the system gives
+
+// Every thread of the program is made here.
+extern "C" int pthread_create(pthread_t* thread, const pthread_attr_t* attributes, void* (*start)(void*), void* data) {
+  if (--threads_left < 0) return EAGAIN;
+  using Create = decltype(&pthread_create);
+  static const auto create = reinterpret_cast<Create>(dlsym(RTLD_NEXT, "pthread_create"));
+  return create(thread, attributes, start, data);
+}
+
+TEST_CASE("where the system gives fewer threads than there are cores, those there are do the work") {
+  struct Restore {
+    ~Restore() { threads_left = 1 << 30; }
+  } restore;
+  for (int given : {0, 1}) {
+    const auto all_done = [&](int count) {
+      std::vector<int> done(count);
+      int heard = 0;
+      threads_left = given;
+      const auto listen = [&](double fraction) {
+        CHECK((fraction >= 0 && fraction <= 1));
+        return ++heard > 0;
+      };
+      run_tasks(count, listen, [&](int i, const ProgressFn& progress) {
+        report(progress, 0.5);
+        if (given > 0) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+        ++done[i];
+      });
+      CHECK(heard > 0);
+      return done == std::vector<int>(count, 1);
+    };
+    CHECK(all_done(20));
+    const auto failing = [](int i, const ProgressFn&) {
+      if (i == 1) throw Error("this one");
+    };
+    threads_left = given;
+    CHECK_THROWS_WITH_AS(run_tasks(20, {}, failing), "this one", Error);
+    const auto endless = [](int, const ProgressFn& progress) {
+      for (;;) report(progress, 0);
+    };
+    threads_left = given;
+    CHECK_THROWS_AS(run_tasks(3, [](double) { return false; }, endless), Cancelled);
+    threads_left = given;
+    CHECK_THROWS_AS(run_tasks(3, [](double) -> bool { throw Error("no"); }, endless), Error);
+
+    threads_left = given;
+    std::vector<int> done(50);
+    parallel_for(50, [&](int i) { ++done[i]; });
+    CHECK(done == std::vector<int>(50, 1));
+  }
+}
+
+#endif
 
 TEST_CASE("every piece of work is done once, whatever the number of threads") {
   std::vector<int> done(100);

@@ -141,3 +141,50 @@ TEST_CASE("a pose that is not a number is an error") {
   Rotations pose(1, 4);
   CHECK_THROWS_AS(rotation_of(LocalTransforms(transform.data(), 1, 16), 0, pose), Error);
 }
+
+TEST_CASE("thin-plate weights do not jump, however far a joint turns and wherever the targets are") {
+  const std::vector<std::vector<double>> sets = {
+      {0, 90, 180, -90}, {0, 90}, {0, 60, 120}, {0, 180}, {30, -150, 100}, {0, 45, 90, 135, 180, 225, 270, 315}};
+  for (const std::vector<double>& degrees : sets) {
+    TargetSet set{{0, 1}, {}, {}, Kernel::thin_plate};
+    for (size_t j = 0; j < degrees.size(); ++j) {
+      set.names.push_back(std::to_string(j));
+      set.poses.push_back(hinge(degrees[j] * kPi / 180, 0.1 * double(j)));
+    }
+    const PoseSpace space({set});
+    for (size_t j = 0; j < degrees.size(); ++j)
+      CHECK((weights(space, set.poses[j]) - VectorXd::Unit(set.poses.size(), j)).cwiseAbs().maxCoeff() < 1e-6);
+    VectorXd last = weights(space, hinge(-kPi, 0.05));
+    for (double angle = -180; angle <= 540; angle += 0.1) {
+      const VectorXd w = weights(space, hinge(angle * kPi / 180, 0.05));
+      CHECK((w - last).cwiseAbs().maxCoeff() < 0.02);
+      CHECK(w.minCoeff() >= 0);
+      CHECK(w.sum() == doctest::Approx(1));
+      last = w;
+    }
+  }
+}
+
+TEST_CASE("thin-plate weights up to 150 degrees from the first pose are what rotation vectors alone give") {
+  const PoseSpace space({elbow(Kernel::thin_plate)});
+  // Three targets on a line a radian apart: |d|^2 log |d| with the line's terms.
+  const double width = 4.0 / 3, A = 1 / (width * width) * std::log(1 / width),
+               B = 4 / (width * width) * std::log(2 / width);
+  for (double angle = -1.1; angle < 2.6; angle += 0.1) {  // less than half round from all of them
+    const auto phi = [&](double centre) {
+      const double d = std::abs(angle - centre) / width;
+      return d > 0 ? d * d * std::log(d) : 0;
+    };
+    // Coefficients (c, -2 c, c) leave constants and the line alone; each target's c is its part of second differences.
+    const double second = 2 * B - 8 * A, bend = phi(0) - 2 * phi(1) + phi(2);
+    const auto interpolated = [&](const Vector3d& values) {
+      const double c = (values(0) - 2 * values(1) + values(2)) / second;
+      const Vector3d left = values - c * Vector3d(-2 * A + B, 2 * A, B - 2 * A);
+      return left(0) + (left(1) - left(0)) * angle + c * bend;
+    };
+    VectorXd expected(3);
+    for (int j = 0; j < 3; ++j) expected(j) = std::max(0.0, interpolated(Vector3d::Unit(j)));
+    expected /= expected.sum();
+    CHECK((weights(space, hinge(angle)) - expected).cwiseAbs().maxCoeff() < 1e-9);
+  }
+}

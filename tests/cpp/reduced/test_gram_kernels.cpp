@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 
 #include "dynamorph/elastic/elasticity.hpp"
+#include "dynamorph/reduced/gram_accumulator.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
 
 using namespace dynamorph;

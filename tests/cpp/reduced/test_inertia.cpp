@@ -161,7 +161,7 @@ void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialT
   for (Index b = 0; b < body.skin.cols(); ++b) {
     const double* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * b;
-    combine(poses, shares.data(), body.centre, inertial.gravity_offset, bones[b].values);
+    combine(poses, shares.data(), body.centre.data(), inertial.gravity_offset.data(), bones[b].values);
   }
   std::vector<double> y, slopes(9 * r);
   take_differences(inertial, y);

@@ -124,3 +124,70 @@ TEST_CASE("basis: orthonormal in mass, holds the targets' shapes, zero rank defi
   CHECK(basis.explained_variance > 0.9);
   CHECK_THROWS_AS(make_basis(model, 2), Error);
 }
+
+namespace {
+
+/// The largest principal angle's cosine between the spans of two bases that are orthonormal in mass.
+double least_cosine(const SoftBody& body, const MatrixXd& U, const MatrixXd& V) {
+  const VectorXd mass = body.volumes.rowwise().sum().replicate(1, 3).transpose().reshaped();
+  const MatrixXd across = U.transpose() * mass.asDiagonal() * V;
+  return Eigen::JacobiSVD<MatrixXd>(across).singularValues().minCoeff();
+}
+
+}  // namespace
+
+TEST_CASE("curvatures are the second derivatives of the force, of all sets together and in any order of targets") {
+  const auto body = scenes::two_bone_bar(2);
+  auto targets = scenes::targets(*body, 1);
+  targets.push_back(targets[0]);  // the neutral of set 1, after its other target's neutral in no order of sets
+  targets.back().set = 1;
+  targets.back().lame = {7e3, 3e4};
+  std::swap(targets[2], targets[3]);
+  std::swap(targets[1], targets[2]);  // sets 0, 1, 0, 1
+  const int neutral_of_other[] = {1, 0, 1, 0};
+  for (int trial = 0; trial < 12; ++trial) {
+    const int j = trial / 3;
+    const FullModel model(body, targets, kLaws[trial % 3], Blending::even);
+    VectorXd w = VectorXd::Unit(4, j);
+    w(neutral_of_other[j]) = 1;
+    FullModel::Blend blend;
+    model.blend(w, blend);
+    MatrixXd modes(model.dofs(), 2);
+    modes << random_vector(model.dofs(), 0.01, 7), random_vector(model.dofs(), 0.01, 8);
+    const auto image = [&](double step, int k, int l) {
+      VectorXd force;
+      SparseMatrix K = model.zero();
+      model.linearize(blend, model.target(j) + step * modes.col(k), force, K);
+      return VectorXd(K * modes.col(l));
+    };
+    const MatrixXd curvatures = force_curvatures(model, j, modes);
+    for (int k = 0, pair = 0; k < 2; ++k)
+      for (int l = k; l < 2; ++l, ++pair) {
+        const VectorXd expected = (image(1, k, l) - image(-1, k, l)) / 2;  // exact: K is quadratic
+        CHECK((curvatures.col(pair) - expected).norm() <= 1e-10 * expected.norm());
+      }
+  }
+}
+
+TEST_CASE("a bar in two sets of half a share each has the modes of the bar in one set") {
+  const auto one = scenes::two_bone_bar(1), two = scenes::two_bone_bar(2);
+  MorphTarget first = scenes::targets(*one)[0], second = first;
+  second.set = 1;
+  for (Law law : kLaws) {
+    const MatrixXd U = make_basis(FullModel(one, {first}, law, Blending::even), 20).U;
+    const MatrixXd V = make_basis(FullModel(two, {first, second}, law, Blending::even), 20).U;
+    CHECK(least_cosine(*one, U, V) > 1 - 1e-9);
+  }
+}
+
+TEST_CASE("modes do not depend on the order of the targets") {
+  const auto body = scenes::two_bone_bar(2);
+  auto targets = scenes::targets(*body, 1);
+  targets.push_back(targets[2]);
+  targets[2] = targets[0];
+  targets[2].set = 1;  // neutral 0, bulge 0, neutral 1, twist 1
+  const MatrixXd U = make_basis(FullModel(body, targets, Law::stvk, Blending::even), 20).U;
+  std::swap(targets[1], targets[2]);
+  const MatrixXd V = make_basis(FullModel(body, targets, Law::stvk, Blending::even), 20).U;
+  CHECK(least_cosine(*body, U, V) > 1 - 1e-9);
+}

@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 
 #include <Eigen/Geometry>
+#include <atomic>
 #include <cstdlib>
 
 #include "dynamorph/pose/pose_space.hpp"
@@ -12,16 +13,31 @@
 
 using namespace dynamorph;
 
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define SANITIZED
+#elif defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define SANITIZED
+#endif
+#endif
+
 #ifdef __GLIBC__
 
-static int allocations = 0;
+static std::atomic<int> allocations{0};
 
 // Every allocation of the program passes here: operator new and Eigen call malloc.
+#ifdef SANITIZED  // which have a malloc of their own
+extern "C" int __sanitizer_install_malloc_and_free_hooks(void (*)(const volatile void*, size_t),
+                                                         void (*)(const volatile void*));
+static const int hooked = __sanitizer_install_malloc_and_free_hooks([](const volatile void*, size_t) { ++allocations; },
+                                                                    [](const volatile void*) {});
+#else
 extern "C" void* __libc_malloc(size_t size);
 extern "C" void* malloc(size_t size) {
   ++allocations;
   return __libc_malloc(size);
 }
+#endif
 
 TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the pose and the way they change") {
   const auto body = scenes::two_bone_bar(2);

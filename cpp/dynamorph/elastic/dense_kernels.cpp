@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/elastic/dense_kernels.hpp"
+
+#include "dynamorph/simd/lanes.hpp"
+
+namespace dynamorph::DYNAMORPH_ISA {
+
+/// Each column less what the earlier ones make of it, in whole vectors of rows from the one that holds the diagonal.
+bool decompose_dense(double* __restrict V, Index n, double* __restrict inverse) {
+  const Index stride = whole_vectors(n);
+  for (Index j = 0; j < n; ++j) {
+    double* own = V + j * stride;
+    const Index first = j / 4 * 4;
+    Index k = 0;
+    for (; k + 4 <= j; k += 4) {
+      const double *v0 = V + k * stride, *v1 = v0 + stride, *v2 = v1 + stride, *v3 = v2 + stride;
+      const double x0 = v0[j] * inverse[k], x1 = v1[j] * inverse[k + 1];
+      const double x2 = v2[j] * inverse[k + 2], x3 = v3[j] * inverse[k + 3];
+      for (Index i = first; i < stride; i += 4) {
+        const Double4 others = mul_add(load(v3 + i) * x3, x2, load(v2 + i));
+        store(mul_sub(mul_sub(load(own + i), x0, load(v0 + i)), x1, load(v1 + i)) - others, own + i);
+      }
+    }
+    for (; k < j; ++k) {
+      const double x = V[k * stride + j] * inverse[k];
+      for (Index i = first; i < stride; i += 4) store(mul_sub(load(own + i), x, load(V + k * stride + i)), own + i);
+    }
+    if (!(own[j] > 0) || !__builtin_isfinite(own[j])) return false;
+    inverse[j] = 1 / own[j];
+    for (Index i = first; i <= j; ++i) own[i] = 0;
+  }
+  return true;
+}
+
+void substitute_dense(const double* __restrict V, const double* __restrict inverse, Index n, double* __restrict x) {
+  const Index stride = whole_vectors(n);
+  for (Index j = 0; j < n; ++j) {
+    const double own = x[j] * inverse[j];
+    for (Index i = j / 4 * 4; i < stride; i += 4) store(mul_sub(load(x + i), own, load(V + j * stride + i)), x + i);
+  }
+  for (Index j = n - 1; j >= 0; --j) {
+    Double4 sum = {};
+    for (Index i = j / 4 * 4; i < stride; i += 4) sum = mul_add(sum, load(V + j * stride + i), load(x + i));
+    x[j] = (x[j] - sum_of(sum)) * inverse[j];
+  }
+}
+
+}  // namespace dynamorph::DYNAMORPH_ISA

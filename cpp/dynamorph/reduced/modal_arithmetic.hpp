@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The arithmetic of modal_inertia: what tensors of bones and of pairs of bones (modal_terms.hpp) are contracted with.
+// Lanes are eight terms, or eight characters, in single precision; tests take one term in double.
+#pragma once
+
+#include "dynamorph/simd/lanes.hpp"
+
+namespace dynamorph::terms {
+
+constexpr int kMoments = 4, kPoses = 5;  ///< InertialTarget's
+constexpr int kRigid = 12, kSymmetric = 6, kSkew = 3;
+
+/// Entries of a term's tensor.
+constexpr Index entries(Index r) { return (kRigid + kSymmetric) * r + (kSymmetric + kSkew) * (r * (r - 1) / 2); }
+
+/// Of each lane's term: coefficients that their tensors are contracted with.
+template <class Lanes>
+struct Coefficients {
+  Lanes rigid[kRigid];                              ///< of the rest positions, and of the weights alone
+  Lanes differences[kMoments][kSymmetric + kSkew];  ///< of the modes, for each backward difference
+  Lanes mass[kSymmetric];
+};
+
+/// Symmetric and skew parts that the tensors are stored by: xx yy zz, xy yz zx; xy yz zx.
+template <class Lanes>
+DYNAMORPH_INLINE void split(const Lanes G[3][4], Lanes* parts) {
+  for (int i = 0; i < 3; ++i) {
+    const int j = (i + 1) % 3;
+    parts[i] = G[i][i];
+    parts[3 + i] = G[i][j] + G[j][i];
+    parts[6 + i] = G[i][j] - G[j][i];
+  }
+}
+
+/// From eight terms' own motions, entry after entry. sign: 1 of a bone, whose mass counts by how far it is from rigid;
+/// -1 of a pair.
+template <class Lanes>
+DYNAMORPH_INLINE void contract_bones(const Lanes (*motion)[12], const Lanes& sign, Coefficients<Lanes>& out) {
+  Lanes R[3][3], G[3][4];
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) R[i][j] = sign * motion[0][4 * i + j];
+  for (int m = 0; m <= kMoments; ++m) {
+    const Lanes* D = motion[m];
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < (m == 1 ? 4 : 3); ++j)
+        G[i][j] = mul_add(mul_add(R[0][i] * D[j], R[1][i], D[4 + j]), R[2][i], D[8 + j]);
+    if (m == 0)
+      for (int i = 0; i < 3; ++i) {
+        out.mass[i] = G[i][i] - (0.5F + 0.5F * sign);
+        out.mass[3 + i] = 2 * G[i][(i + 1) % 3];
+      }
+    else
+      split(G, out.differences[m - 1]);
+    if (m == 1)
+      for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 4; ++j) out.rigid[4 * i + j] = G[i][j];
+  }
+}
+
+/// The 9 coefficients of each mode. y: its backward differences, numbers or lanes.
+template <class Lanes, class Y>
+DYNAMORPH_INLINE void take_slopes(const Coefficients<Lanes>& c, const Y* y, Index r, Lanes* slopes) {
+  for (int e = 0; e < kSymmetric + kSkew; ++e) {
+    const Lanes c0 = c.differences[0][e], c1 = c.differences[1][e], c2 = c.differences[2][e], c3 = c.differences[3][e];
+    for (Index l = 0; l < r; ++l) {
+      const Y* own = y + kMoments * l;
+      slopes[9 * l + e] = mul_add(own[0] * c0, own[1], c1) + mul_add(own[2] * c2, own[3], c3);
+    }
+  }
+}
+
+/// force += tensors : coefficients, and with kHeavy the mass, packed: of eight terms (Table: const Lanes*) or of one
+/// term for eight characters (const float*). slopes: 9 coefficients of each mode.
+template <bool kHeavy, class Table, class Lanes>
+DYNAMORPH_INLINE void add_terms(Table table, Index r, const Lanes* __restrict slopes, const Coefficients<Lanes>& c,
+                                Lanes* __restrict force, Lanes* __restrict mass) {
+  constexpr int kEntries = kSymmetric + kSkew;
+  for (Index k = 0; k < r; ++k) {
+    const Lanes* own = slopes + kEntries * k;
+    Lanes sums[3] = {};  // independent, or each addition would wait for the one before
+    for (int e = 0; e < kRigid; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], c.rigid[e]);
+    table += kRigid;
+    for (int e = 0; e < kSymmetric; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], own[e]);
+    // Two loops, each of which keeps its coefficients in registers.
+    if (kHeavy) {
+      Table row = table;
+      for (Index l = k; l < r; row += l == k ? kSymmetric : kEntries, ++l) {
+        Lanes heavy[2] = {};
+        for (int e = 0; e < kSymmetric; ++e) heavy[e % 2] = mul_add(heavy[e % 2], row[e], c.mass[e]);
+        *mass++ += heavy[0] + heavy[1];
+      }
+    }
+    table += kSymmetric;
+    for (Index l = k + 1; l < r; ++l, table += kEntries) {
+      const Lanes* other = slopes + kEntries * l;
+      Lanes theirs[2] = {};
+      for (int e = 0; e < kSymmetric; ++e) {
+        sums[e % 3] = mul_add(sums[e % 3], table[e], other[e]);
+        theirs[e % 2] = mul_add(theirs[e % 2], table[e], own[e]);
+      }
+      for (int e = kSymmetric; e < kEntries; ++e) {
+        sums[e % 3] = mul_add(sums[e % 3], table[e], other[e]);
+        theirs[e % 2] = mul_sub(theirs[e % 2], table[e], own[e]);
+      }
+      force[l] += theirs[0] + theirs[1];
+    }
+    force[k] += (sums[0] + sums[1]) + sums[2];
+  }
+}
+
+DYNAMORPH_INLINE void round_to(const double& from, double& to) { to = from; }
+template <class Value, class Single>
+DYNAMORPH_INLINE void round_to(const Value& from, Single& to) {
+  to_single(from, to);
+}
+
+template <class Value>
+DYNAMORPH_INLINE Value weigh(const double* shares, const Value& b0, const Value& b1, const Value& b2, const Value& b3,
+                             const Value& b4) {
+  return mul_add(mul_add(mul_add(mul_add(shares[0] * b0, shares[1], b1), shares[2], b2), shares[3], b3), shares[4], b4);
+}
+
+/// What one bone contributes to the terms (BoneMotion), of one character or of eight. bones: its twelve entries in each
+/// pose; shares (kMoments, kPoses), row-major. Only the sums are rounded: each has the size of what it adds to the
+/// force.
+template <class Value, class Single>
+DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, const double* centre,
+                              const double* gravity_offset, Single (*out)[12]) {
+  for (int i = 0; i < 3; ++i) {
+    Value first[4];  // the row of the first difference, whose translation is moved to the centre
+    for (int j = 0; j < 4; ++j) {
+      const int e = 4 * i + j;
+      const Value b0 = bones[0][e], b1 = bones[1][e], b2 = bones[2][e], b3 = bones[3][e], b4 = bones[4][e];
+      round_to(b0, out[0][e]);
+      first[j] = weigh(shares, b0, b1, b2, b3, b4);
+      for (int m = 1; m < kMoments; ++m) round_to(weigh(shares + m * kPoses, b0, b1, b2, b3, b4), out[m + 1][e]);
+    }
+    first[3] += first[0] * centre[0] + first[1] * centre[1] + first[2] * centre[2] - gravity_offset[i];
+    for (int j = 0; j < 4; ++j) round_to(first[j], out[1][4 * i + j]);
+  }
+}
+
+}  // namespace dynamorph::terms

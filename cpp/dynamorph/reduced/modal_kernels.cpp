@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/modal_kernels.hpp"
+
+#include "dynamorph/reduced/modal_arithmetic.hpp"
+
+namespace dynamorph::DYNAMORPH_ISA {
+
+namespace {
+
+using namespace terms;
+
+// Parts of the force at which pairs of bones are simplified. All together, with those that ModalInertia leaves out for
+// good, they change Herbert's dive (sample_blends) by 1e-4 of its motion; skin weights below 1 %, which count as zero,
+// change it more.
+constexpr double kUnnoticed = 1e-7;  ///< left out in a pose that turns the bones so little against each other
+constexpr double kSlight = 1e-4;     ///< acts on the flesh as if it did not move in the modes
+
+/// How much the mass's coefficients can change it.
+DYNAMORPH_INLINE float largest(const Coefficients<Floats>& c) {
+  Floats most = c.mass[0] * c.mass[0];
+  for (int e = 1; e < kSymmetric; ++e) most = mul_add(most, c.mass[e], c.mass[e]);
+  float out = 0;
+  for (int lane = 0; lane < kLanes; ++lane) out = out < most[lane] ? most[lane] : out;
+  return __builtin_sqrtf(out);
+}
+
+/// The part of a force that does not depend on the coordinates.
+template <class Table>
+DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<Floats>& c, Floats* __restrict force) {
+  for (Index k = 0; k < r; ++k) {
+    Floats sums[3] = {};
+    for (int e = 0; e < kRigid; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], c.rigid[e]);
+    force[k] += (sums[0] + sums[1]) + sums[2];
+    table += kRigid + kSymmetric + (kSymmetric + kSkew) * (r - k - 1);
+  }
+}
+
+/// Lane by lane, to force (r) and packed mass. y: each mode's backward differences, numbers or lanes. influence: the
+/// largest part of the force that a term can have, where all are pairs.
+template <class Table, class Y>
+DYNAMORPH_INLINE void add_contribution(const Floats (*motion)[12], const Floats& sign, double influence, const Y* y,
+                                       Index r, Table table, Floats* slopes, Floats* force, Floats* mass) {
+  Coefficients<Floats> c;
+  contract_bones(motion, sign, c);
+  const float change = largest(c);
+  const bool pairs = influence < __builtin_huge_val();
+  if (pairs && change * influence < kUnnoticed) return;
+  if (pairs && change * influence < kSlight) return add_rigid(table, r, c, force);
+  take_slopes(c, y, r, slopes);
+  if (change > 1e-6F)  // bones are rigid to Blender's single precision
+    add_terms<true>(table, r, slopes, c, force, mass);
+  else
+    add_terms<false>(table, r, slopes, c, force, mass);
+}
+
+/// Of two vectors, each one's neighbours, pairs of neighbours, or halves added up.
+DYNAMORPH_INLINE Float8 added_neighbours(const Float8& a, const Float8& b) {
+  return __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14) +
+         __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
+}
+DYNAMORPH_INLINE Float8 added_pairs(const Float8& a, const Float8& b) {
+  return __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13) +
+         __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15);
+}
+DYNAMORPH_INLINE Float8 added_halves(const Float8& a, const Float8& b) {
+  return __builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) +
+         __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15);
+}
+
+}  // namespace
+
+void add_eight_terms(const Floats (*motion)[12], const Floats& sign, double influence, const float* y, Index r,
+                     const Floats* table, Floats* slopes, Floats* force, Floats* mass) {
+  add_contribution(motion, sign, influence, y, r, table, slopes, force, mass);
+}
+
+void add_term_of_eight(const Floats (*first)[12], const Floats (*second)[12], double influence, const Floats* y,
+                       Index r, const float* table, Floats* slopes, Floats* force, Floats* mass) {
+  Floats motion[1 + kMoments][12];
+  for (int m = 0; m <= kMoments; ++m)
+    for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
+  add_contribution(motion, Floats{all_of(second ? -1.0F : 1.0F)}, second ? influence : __builtin_huge_val(), y, r,
+                   table, slopes, force, mass);
+}
+
+void add_lanes(const Floats* sums, Index count, float* totals) {
+  for (Index i = 0; i < count; ++i, sums += kLanes) {
+    Float8 four[2];
+    for (int half = 0; half < 2; ++half) {
+      const Floats* v = sums + 4 * half;
+      four[half] = added_pairs(added_neighbours(v[0].all, v[1].all), added_neighbours(v[2].all, v[3].all));
+    }
+    store(added_halves(four[0], four[1]), totals + kLanes * i);
+  }
+}
+
+void combine_one(const double* const* bones, const double* shares, const double* centre, const double* gravity_offset,
+                 float (*out)[12]) {
+  combine(bones, shares, centre, gravity_offset, out);
+}
+
+void combine_eight(const Doubles* const* bones, const double* shares, const double* centre,
+                   const double* gravity_offset, Floats (*out)[12]) {
+  combine(bones, shares, centre, gravity_offset, out);
+}
+
+void add_set_of_eight(const Doubles& density, const Doubles& damping, const double* constant, Index r,
+                      const Floats* force_sums, const Floats* mass_sums, Doubles* force, Doubles* mass,
+                      Doubles* damped) {
+  for (Index k = 0; k < r; ++k) force[k] = mul_add(force[k], density, to_double(force_sums[k]));
+  for (Index p = 0; p < r * (r + 1) / 2; ++p) {
+    const Doubles own = constant[p] + to_double(mass_sums[p]);
+    mass[p] = mul_add(mass[p], density, own);
+    damped[p] = mul_add(damped[p], damping, own);
+  }
+}
+
+void differences_of_eight(const Doubles* const* q, Index r, Floats* y) {
+  for (Index k = 0; k < r; ++k, y += kMoments) {
+    const Doubles q0 = q[0][k], q1 = q[1][k], q2 = q[2][k], q3 = q[3][k];
+    to_single(q0, y[0]);
+    to_single(q0 - q1, y[1]);
+    to_single(q0 - 2 * q1 + q2, y[2]);
+    to_single(q0 - 3 * q1 + 3 * q2 - q3, y[3]);
+  }
+}
+
+}  // namespace dynamorph::DYNAMORPH_ISA

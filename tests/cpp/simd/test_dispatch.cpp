@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Which instruction set is chosen. That all of them compute the same, tests/engine/test_instruction_sets.py shows.
+#include <doctest/doctest.h>
+
+#include <cstdlib>
+#include <string>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/simd/dispatch.hpp"
+
+using namespace dynamorph;
+
+namespace {
+
+/// DYNAMORPH_ISA while this lives.
+class Wanted {
+ public:
+  explicit Wanted(const char* word) {
+    const char* before = std::getenv("DYNAMORPH_ISA");
+    if (before != nullptr) before_ = before;
+    word != nullptr ? setenv("DYNAMORPH_ISA", word, 1) : unsetenv("DYNAMORPH_ISA");
+  }
+  ~Wanted() { before_.empty() ? unsetenv("DYNAMORPH_ISA") : setenv("DYNAMORPH_ISA", before_.c_str(), 1); }
+
+ private:
+  std::string before_;
+};
+
+}  // namespace
+
+TEST_CASE("the instruction set is the one that DYNAMORPH_ISA names, else the best") {
+  if (const char* word = std::getenv("DYNAMORPH_ISA")) CHECK(name_of(instruction_set()) == std::string(word));
+  const Wanted none(nullptr);
+  const InstructionSet best = choose_instruction_set();
+  {
+    const Wanted empty("");
+    CHECK(choose_instruction_set() == best);
+  }
+  {
+    const Wanted same(name_of(best));
+    CHECK(choose_instruction_set() == best);
+  }
+  const Wanted lowest("baseline");
+  CHECK(choose_instruction_set() == InstructionSet::baseline);
+}
+
+TEST_CASE("an instruction set that is none, or that the processor lacks, is an error that says so") {
+  const Wanted typo("AVX2");
+  CHECK_THROWS_AS(choose_instruction_set(), std::invalid_argument);
+  std::string best;
+  {
+    const Wanted none(nullptr);
+    best = name_of(choose_instruction_set());
+  }
+  for (const char* word : {"avx2", "avx512"}) {
+    const Wanted wanted(word);
+    if (best == "baseline" || (best == "avx2" && std::string(word) == "avx512"))
+      CHECK_THROWS_AS(choose_instruction_set(), Error);
+    else
+      CHECK(name_of(choose_instruction_set()) == std::string(word));
+  }
+}
