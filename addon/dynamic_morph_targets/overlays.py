@@ -29,7 +29,7 @@ GIZMOS = 90.0  # that Blender's own buttons take at the right
 LEGEND = 160.0  # wide, of what the colors of the surface mean
 SHADED = 0.55  # how light the colored surface is where it is seen from the side
 NEARER = 2e-3  # of the body's size: that the colored surface is drawn before the mesh
-PINNED = 2  # of the theme's collection colours: unlike those of selected and of unselected vertices
+HELD = 2  # of the theme's collection colours: unlike those of selected and of unselected vertices
 HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of them, so that neighbours in the list differ
 
 
@@ -40,13 +40,13 @@ HUES = (4, 1, 3, 6, 0, 5, 2, 7)  # of them, so that neighbours in the list diffe
 class Cage:
     """What is drawn of a model's tetrahedra: k of its nodes.
 
-    rest (k, 3) bind space; weights (k, B + 1); edges (E, 2) of the surface and pinned (p,), both indices of those k.
+    rest (k, 3) bind space; weights (k, B + 1); edges (E, 2) of the surface and held (h,), both indices of those k.
     """
 
     rest: np.ndarray
     weights: np.ndarray
     edges: np.ndarray
-    pinned: np.ndarray
+    held: np.ndarray
 
     def posed(self, bones: np.ndarray) -> np.ndarray:
         """Positions (k, 3), in the space that skin matrices (B + 1, 3, 4) lead to."""
@@ -57,15 +57,18 @@ class Cage:
 def cage_of(model) -> Cage:
     """Of a build.Model with tetrahedra."""
     edges = surface_edges(model.tets)
+    held = model.pinned.astype(bool)
+    if len(model.hold):  # by thickness: nothing is pinned
+        held = held | (model.hold > 0.5)
     drawn = np.zeros(len(model.nodes), bool)
     drawn[edges] = True
-    drawn |= model.pinned.astype(bool)
+    drawn |= held
     place = np.cumsum(drawn) - 1
     return Cage(
         rest=model.nodes[drawn].astype(np.float32),
         weights=model.node_weights[drawn].astype(np.float32),
         edges=place[edges].astype(np.uint32),
-        pinned=place[model.pinned.astype(bool)],
+        held=place[held],
     )
 
 
@@ -114,10 +117,10 @@ def skin_matrices(obj, depsgraph) -> np.ndarray | None:
 
 @lru_cache(maxsize=4)
 def _cage_batches(session_uid: int, content_id: str, bones: bytes):
-    """Batches of the edges and of the pinned nodes, world space."""
+    """Batches of the edges and of the held nodes, world space."""
     cage = _cage(session_uid, content_id)
     points = cage.posed(np.frombuffer(bones, np.float32).reshape(-1, 3, 4))
-    return _batch("LINES", points, cage.edges), _batch("POINTS", points[cage.pinned])
+    return _batch("LINES", points, cage.edges), _batch("POINTS", points[cage.held])
 
 
 def _draw_cage():
@@ -132,12 +135,12 @@ def _draw_cage():
     bones = skin_matrices(obj, context.view_layer.depsgraph)
     if bones is None:
         return
-    edges, pinned = _cage_batches(obj.session_uid, content_id, bones.tobytes())
+    edges, held = _cage_batches(obj.session_uid, content_id, bones.tobytes())
     theme = context.preferences.themes[0]
     gpu.state.depth_test_set("LESS_EQUAL")
     _draw_lines(edges, (*theme.view_3d.bone_pose, 0.6), 1.0)
     gpu.state.depth_test_set("NONE")  # they are near the bones, inside the body
-    _draw_points(pinned, (*theme.collection_color[PINNED].color, 0.9), 3.0)
+    _draw_points(held, (*theme.collection_color[HELD].color, 0.9), 3.0)
 
 
 # The surface -------------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every page of docs/ that is generated names the commit it was measured at, and those that have aged are listed."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -26,6 +27,15 @@ def test_pages_are_known():
 @pytest.mark.parametrize("name", PAGES)
 def test_generated_pages_name_a_commit(name):
     assert measured.commits(measured.DOCS / name)
+
+
+def test_pictures_of_pages():
+    """A picture that a page shows exists, and one of the user guide is shown by a page."""
+    pages = [ROOT / "README.md", *measured.DOCS.rglob("*.md")]
+    picture = re.compile(r"!\[.*?\]\(([^:)]+)\)")
+    shown = {page.parent / path for page in pages for path in picture.findall(page.read_text("utf-8"))}
+    assert not {path for path in shown if not path.exists()}
+    assert not set((measured.DOCS / "images/guide").glob("*.png")) - shown
 
 
 @pytest.mark.filterwarnings("default::UserWarning")

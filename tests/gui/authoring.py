@@ -29,7 +29,7 @@ from editors import (
 )
 
 BRUSH = 40  # pixels, the radius
-sections = {}  # that a later step closes
+PROBLEM = 107  # pixels: the height of its five lines
 
 
 @step("A problem, with its Fix")
@@ -38,9 +38,8 @@ def problem():
     modifier.use_bone_envelopes = True  # not by hand
     yield from driver.drawn()
     fix = "dynamorph.fix(problem='ENVELOPES')"
-    x, row = yield from sidebar.find(fix)
     left, y, width, height = sidebar.box
-    bottom = int(row) - 110
+    bottom = (yield from sidebar.top_of(fix)) - PROBLEM
     yield from driver.keep("problem", sidebar, (left, bottom, width, y + height - bottom))
     yield from sidebar.press(fix)
     yield from until(lambda: not modifier.use_bone_envelopes, "the problem to be fixed")
@@ -52,7 +51,7 @@ def problem():
 
 @step("Build Cage")
 def build_cage():
-    sections["cage"] = yield from sidebar.unfold("dynamorph.build_cage", above="dynamorph.new_from_pose")
+    yield from sidebar.unfold("dynamorph.build_cage", above="dynamorph.new_from_pose")
     yield from sidebar.enter("model.cage_nodes", "800")
     yield from sidebar.press("dynamorph.build_cage")
     yield from job_done()
@@ -88,8 +87,7 @@ def stop_painting():
     yield from sidebar.press("dynamorph.paint_group(which='SOFT')")
     yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
     assert settings().soft_group == "Soft"
-    yield from sections["cage"].keep("cage_panel")
-    yield from sections["cage"].fold()
+    yield from sidebar.fold("dynamorph.build_cage")
 
 
 # Influence and new targets -------------------------------------------------------------------------------------------
@@ -97,7 +95,7 @@ def stop_painting():
 
 @step("Influence: bars and graph", picture=view)
 def influence():
-    sections["influence"] = yield from sidebar.unfold("dynamorph.suggest_pose", above="dynamorph.build")
+    yield from sidebar.unfold("dynamorph.suggest_pose", above="dynamorph.build")
     yield from sidebar.press("dynamorph.influence")
     yield from until(lambda: addon("influence").drawn(skin()), "the graph")
     known, graph = addon("influence").drawn(skin())
@@ -109,11 +107,10 @@ def influence():
 
 @step("Suggest Pose")
 def suggest_pose():
-    yield from sections["influence"].keep("influence_panel")
     yield from sidebar.press("dynamorph.suggest_pose")
     yield from until(lambda: bpy.context.scene.frame_current == limb.TURNED, "the frame that is furthest from targets")
     yield from sidebar.press("dynamorph.influence")
-    yield from sections["influence"].fold()
+    yield from sidebar.fold("dynamorph.suggest_pose")
 
 
 @step("New from Pose", picture=view)

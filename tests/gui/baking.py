@@ -13,7 +13,6 @@ from driver import measure, step, until
 from editors import addon, baked, job, job_done, keys, moved, select_target, settings, shown_at, sidebar, skin, viewport
 
 SOON = 1.0  # seconds: what Esc may take on a busy machine; a fifth of that, on one that does nothing else
-sections = {}  # that a later step closes
 
 
 def wobble() -> float:
@@ -44,7 +43,7 @@ def influence():
     strip.influence = 1.0
 
 
-@step("Bake to other keys", picture=sidebar)
+@step("Bake to other keys")
 def other_keys():
     """A key a frame, then a budget of keys, show the same motion."""
     whole, output = shown_at(limb.FLEXED + 1), settings().output
@@ -63,11 +62,11 @@ def other_keys():
 @step("Out of date", picture=sidebar)
 def out_of_date():
     yield from select_target(1)
-    section = yield from sidebar.unfold("targets[1].stiffness", above="dynamorph.build")
-    yield from section.keep("advanced")
+    yield from sidebar.unfold("targets[1].stiffness", above="dynamorph.build")
     yield from sidebar.enter("targets[1].stiffness", str(round(2.0 * settings().targets[1].stiffness)))
     assert addon("changes").outdated(skin()) == ['stiffness of "flexed" changed']
-    yield from section.fold()
+    yield from sidebar.fold("targets[1].stiffness")
+    yield from sidebar.scroll("WHEELDOWNMOUSE", 40)  # to what the panel says of it
 
 
 @step("Bake All")
@@ -83,11 +82,8 @@ def bake_all():
 # Esc -----------------------------------------------------------------------------------------------------------------
 
 
-def escapes(name: str, button: str, moments, picture="", limit=60.0):
-    """Press a button, and Esc at the first moment; again for the others. A moment is a condition on the job.
-
-    picture: of the sidebar at the first moment.
-    """
+def escapes(name: str, button: str, moments, limit=60.0):
+    """Press a button, and Esc at the first moment; again for the others. A moment is a condition on the job."""
     yield from driver.drawn()
     before = keys(), baked(), settings().model.content_id
     held, latencies = [], []
@@ -99,8 +95,6 @@ def escapes(name: str, button: str, moments, picture="", limit=60.0):
         held.append(time.perf_counter() - begin)
         yield from until(lambda moment=moment: job() is None or moment(job()), f"the moment for Esc: {name}", limit)
         assert job(), f"the job was done before Esc could be pressed: {name}"
-        if picture and not latencies:
-            yield from driver.keep(picture, sidebar)
         latencies.append((yield from escape()))
         assert (keys(), baked(), settings().model.content_id) == before
     measure(f"Esc while {name}", f"median {np.median(latencies):.2f} s, worst {max(latencies):.2f} s")
@@ -135,8 +129,7 @@ def at(*fractions: float):
 @step("Esc while it reads the rig")
 def cancel_reading():
     yield from sidebar.fold("dynamorph.new_from_pose")  # the section below the list is long
-    sections["simulation"] = yield from sidebar.unfold("simulation.substeps", above="output.sink")
-    yield from sections["simulation"].keep("simulation")
+    yield from sidebar.unfold("simulation.substeps", above="output.sink")
     yield from sidebar.enter("simulation.substeps", "20")
     assert settings().simulation.substeps == 20
     bpy.context.scene.frame_end = 2000
@@ -165,10 +158,10 @@ def cancel_simulating():
 def cancel_full():
     bpy.context.scene.frame_end = limb.LAST
     settings().simulation.substeps = 0
-    yield from sections["simulation"].fold()
+    yield from sidebar.fold("simulation.substeps")
     settings().model.solver, settings().model.modes = "FULL", 20
     yield from driver.drawn()
     yield from sidebar.press("dynamorph.build")
     yield from job_done()
-    yield from escapes("simulating every node", "dynamorph.bake", [simulates] * 3, picture="baking")
+    yield from escapes("simulating every node", "dynamorph.bake", [simulates] * 3)
     settings().model.solver = "REDUCED"

@@ -77,9 +77,9 @@ def build():
     yield from measured("plain")
 
 
-@step("Play it live", picture=view)
+@step("Play it live")
 def live():
-    section = yield from sidebar.unfold("dynamorph.live", above="output.sink")
+    yield from sidebar.unfold("dynamorph.live", above="output.sink")
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("live").is_on(skin()), "Live to be on")
     with frames.timed(addon("live"), "follow") as follow:
@@ -90,7 +90,7 @@ def live():
     measure("Stiffness to the next picture", f"{seconds:.2f} s")
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: not addon("live").is_on(skin()), "Live to be off")
-    yield from section.fold()
+    yield from sidebar.fold("dynamorph.live")
 
 
 @step("Bake it")

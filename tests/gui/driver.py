@@ -29,7 +29,6 @@ WORK = Path(sys.argv[sys.argv.index("--") + 1])
 ROW = 16  # less than a button's height: none is missed
 HEADER = 21  # pixels from one closed section's header to the next
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
-TABS = 30  # pixels: the tabs beside a sidebar
 END = 500  # no buttons for so many pixels: there are none below
 NEAR = 400  # pixels: no section is higher
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
@@ -315,6 +314,7 @@ class Region:
         """Open the section that holds a button. Its header is one of those next above the button `above`."""
         global actions
         actions += 1
+        yield from self.scroll("WHEELUPMOUSE", 40)  # from below, all would move when another section is closed
         top = yield from self.top_of(above)
         left, height = self.box[0] + ASIDE, top
         while height < min(top + 14 * ROW, self.ceiling):
@@ -325,8 +325,7 @@ class Region:
             if is_button((yield from self.look(self.seen(above))), above):
                 continue  # a label
             if (yield from self.scan_down(wanted, height)):
-                header = height + HEADER // 4  # it was met near its lower edge
-                return Section(self, wanted, header - (yield from self.top_of(wanted)), above, header - top)
+                return
             yield from self._toggle((left, height))  # another section
             height += HEADER - ROW // 2
         raise AssertionError(f"no section with {wanted} above {above}")
@@ -343,7 +342,7 @@ class Region:
                 continue
             yield from self._toggle(header)
             if (yield from self.scan_down(wanted, height)):
-                return Section(self, wanted, height + HEADER // 4 - (yield from self.top_of(wanted)))
+                return
         raise AssertionError(f"no section with {wanted} below {below}")
 
     def fold(self, wanted: str):
@@ -391,29 +390,6 @@ def is_button(button: str, wanted: str) -> bool:
     """wanted: an operator, maybe with its arguments, or the end of a property's path."""
     call = wanted if "(" in wanted else f"{wanted}("
     return button.startswith(f"bpy.ops.{call}") or button.endswith(f".{wanted}")
-
-
-class Section:
-    """An open section of a panel: its header's middle is `rise` pixels above the top of its button `wanted`.
-
-    above: the next button after the section, `closed` pixels below its header when that is closed; None for the last
-    section.
-    """
-
-    def __init__(self, region: Region, wanted: str, rise: float, above: str | None = None, closed=0.0):
-        self.region, self.wanted, self.rise, self.above, self.closed = region, wanted, rise, above, closed
-
-    def fold(self):
-        yield from self.region.fold(self.wanted)
-
-    def keep(self, name: str):
-        """A picture of it for the guide."""
-        x, y, width, _ = self.region.box
-        top = self.rise + HEADER // 2 + 2 + (yield from self.region.top_of(self.wanted))
-        bottom = y
-        if self.above:
-            bottom = self.closed - HEADER // 2 + (yield from self.region.top_of(self.above))
-        yield from keep(name, self.region, (x, int(bottom), width - TABS, int(top - bottom)))
 
 
 def keep(name: str, region: Region, box=None):

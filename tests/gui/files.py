@@ -14,7 +14,6 @@ from editors import addon, baked, select_target, settings, sidebar, viewport
 browser = Region("FILE_BROWSER", "WINDOW")
 SETUP, GLB = WORK / "arm.json", WORK / "arm.glb"
 EXPORT = 38  # pixels: the middle of its menu, from the top of the button above
-sections = {}  # that a later step closes
 
 
 @step("A measured material")
@@ -22,7 +21,7 @@ def material():
     yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
     yield from select_target(1)
     yield from driver.drawn()  # its properties have come
-    x, y, width, _ = sidebar.box
+    x, _, width, _ = sidebar.box
     _, row = yield from sidebar.find("dynamorph.fit_material")
     button = (x + width * 0.3, row)
     yield from driver.click(button)
@@ -30,8 +29,6 @@ def material():
         yield from driver.tap("DOWN_ARROW", button)
         yield 0.1
     yield from driver.drawn()
-    driver.photograph("material", (x - 80, int(row) - 20, width + 60, 400))
-    driver.result["pictures"].append("material")
     yield from driver.tap("RET", button)
     _, second, *_ = addon("materials").PRESETS.values()
     yield from until(lambda: settings().active_target.stiffness == second.material.stiffness, "the material")
@@ -68,8 +65,7 @@ def save_setup():
     yield from sidebar.press("dynamorph.free_bake")
     yield from until(lambda: not baked(), "the bake to be freed")
     yield from sidebar.fold("dynamorph.new_from_pose")
-    sections["setup"] = yield from sidebar.unfold_last("dynamorph.save_setup", below="dynamorph.bake_all")
-    yield from sections["setup"].keep("setup")
+    yield from sidebar.unfold_last("dynamorph.save_setup", below="dynamorph.bake_all")
     SETUP.unlink(missing_ok=True)
     yield from choose_file(sidebar.press("dynamorph.save_setup"), SETUP)
     yield from until(SETUP.exists, "the file")
@@ -83,7 +79,7 @@ def load_setup():
     target.stiffness = 4 * stiffness
     yield from choose_file(sidebar.press("dynamorph.load_setup"), SETUP)
     yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup of the file")
-    yield from sections["setup"].fold()
+    yield from sidebar.fold("dynamorph.save_setup")
     yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
 
 

@@ -94,7 +94,7 @@ def open_tab():
     yield from sidebar.pick(x + width - 10, lambda: sidebar.region.active_panel_category == "Dynamorph", "the tab")
 
 
-@step("Add Soft Skin", picture=sidebar)
+@step("Add Soft Skin")
 def add_soft_skin():
     """It ends with Live on, after a hop in which other clicks do nothing."""
     yield from sidebar.press("dynamorph.add_soft_skin")
@@ -103,7 +103,7 @@ def add_soft_skin():
     yield from until(lambda: addon("live_operators").preview is None, "the end of the hop")
 
 
-@step("Select the sculpted key", picture=properties)
+@step("Select the sculpted key")
 def select_key():
     _, row = yield from properties.find('key_blocks["flexed"].value')
     yield from driver.click((properties.box[0] + 80, row))
@@ -122,7 +122,7 @@ def add_target():
     assert settings().targets[1].bone_names() == ("forearm",)
 
 
-@step("Bake", picture=sidebar)
+@step("Bake")
 def bake():
     yield from sidebar.press("dynamorph.bake")
     yield from job_done()

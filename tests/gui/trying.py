@@ -12,9 +12,6 @@ import numpy as np
 from driver import measure, step, until
 from editors import addon, job_done, keys, moved, rig, settings, shown, sidebar, skin, view, viewport
 
-sections = {}  # that a later step closes
-
-
 # The model -----------------------------------------------------------------------------------------------------------
 
 
@@ -26,7 +23,7 @@ def build():
     measure("Model of the arm", settings().model.summary)
 
 
-@step("Set Bounce", picture=sidebar)
+@step("Set Bounce")
 def bounce():
     """Of the key that was sculpted by a stroke."""
     target, before = settings().targets[2], settings().targets[2].stiffness
@@ -40,17 +37,15 @@ def bounce():
 @step("The model's settings")
 def model():
     yield from sidebar.fold("dynamorph.new_from_pose")  # there is more in the sections below than fits under the list
-    section = yield from sidebar.unfold("model.method", above="dynamorph.build")
-    yield from section.keep("model")
-    yield from section.fold()
+    yield from sidebar.unfold("model.method", above="dynamorph.build")
+    yield from sidebar.fold("model.method")
 
 
 @step("Modes and Check Targets")
 def modes():
-    section = yield from sidebar.unfold("dynamorph.check_targets", above="output.sink")
+    yield from sidebar.unfold("dynamorph.check_targets", above="output.sink")
     yield from sidebar.press("dynamorph.check_targets")
     yield from until(lambda: settings().live.checks, "what the targets miss")
-    yield from section.keep("modes")
     measure("Check Targets", ", ".join(settings().live.checks.split("\n")))
     before, still = keys(), shown()
     yield from sidebar.press("dynamorph.play_mode")
@@ -59,7 +54,7 @@ def modes():
     yield from viewport.key("ESC")
     yield from until(lambda: keys() == before, "the preview to end")
     assert np.array_equal(shown(), still)
-    yield from section.fold()
+    yield from sidebar.fold("dynamorph.check_targets")
 
 
 # Live ----------------------------------------------------------------------------------------------------------------
@@ -69,16 +64,15 @@ def modes():
 def live():
     bpy.context.scene.frame_set(limb.FIRST)
     yield from frames.click(limb.FIRST)
-    section = sections["live"] = yield from sidebar.unfold("dynamorph.live", above="output.sink")
+    yield from sidebar.unfold("dynamorph.live", above="output.sink")
     begin = time.perf_counter()
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("live").is_on(skin()), "Live to be on")
     measure("Live, turned on after", f"{time.perf_counter() - begin:.2f} s")
     assert keys()[-1] == "Dynamorph Live"
-    yield from section.keep("live_panel")
 
 
-@step("Play it live", picture=view)
+@step("Play it live")
 def play_live():
     with frames.timed(addon("live"), "follow") as follow:
         played = yield from frames.play(limb.FLEXED - limb.FIRST + 5)
@@ -155,5 +149,5 @@ def live_off():
     assert keys() == ["Basis", "flexed", "Pose 1"]
     assert not any(block.mute for block in skin().data.shape_keys.key_blocks)
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) == 0.0
-    yield from sections["live"].fold()
+    yield from sidebar.fold("dynamorph.live")
     yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
