@@ -641,11 +641,13 @@ def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monk
 
 
 def test_threads_are_told_to_the_engine(soft_arm, stand_in, monkeypatch, chosen):
+    dynamorph = pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     told = []
+    fake = types.SimpleNamespace(set_threads=told.append, unpack_model=dynamorph.unpack_model, Error=RuntimeError)
     monkeypatch.delitem(sys.modules, "dynamorph", raising=False)
     chosen.threads = 3  # nothing is loaded for it
     assert "dynamorph" not in sys.modules
-    monkeypatch.setitem(sys.modules, "dynamorph", types.SimpleNamespace(set_threads=told.append, Error=RuntimeError))
+    monkeypatch.setitem(sys.modules, "dynamorph", fake)
     OPS.build()
     assert told == [3]
     chosen.threads = 0

@@ -501,12 +501,12 @@ class FullSimulation:
     @property
     def elastic_energy(self) -> float:
         """
-        J.
+        J, at the target weights of the last step.
         """
     @property
     def kinetic_energy(self) -> float:
         """
-        J, of the posed nodes.
+        J, of the posed nodes, by the scheme's own velocity.
         """
     @property
     def model(self) -> FullModel:
@@ -551,12 +551,12 @@ class ReducedSimulation:
     @property
     def elastic_energy(self) -> float:
         """
-        J.
+        J, at the target weights of the last step.
         """
     @property
     def kinetic_energy(self) -> float:
         """
-        J, of the posed nodes.
+        J, of the posed nodes, by the scheme's own velocity.
         """
     @property
     def model(self) -> ReducedModel:
