@@ -113,7 +113,6 @@ struct EightLanes {
       for (int lane = 0; lane < kLanes; ++lane) own[lane] = std::max(own[lane], kSmallest * most[lane]);
   }
   static void add_to_diagonal(Matrix& A, const Number& more, const Vector& scales) {
-    if (all_zero(more)) return;
     for (size_t k = 0, p = 0; k < scales.size(); p += scales.size() - k, ++k) A[p] += more * scales[k];
   }
   template <class... Others>

@@ -112,18 +112,24 @@ Lanes descend(const Potential& potential, NewtonScratch<Arithmetic>& scratch, La
   constexpr int kShifts = 20;
   constexpr double kLeast = 1e-4;  // of an entry
   potential.hessian(scratch.tangent);
-  Arithmetic::scales(scratch.tangent, scratch.scales);
   Number more{};  // who needed a shift in the last iteration needs less of it now
+  bool raised = false, scaled = false;
   for (int lane = 0; lane < Arithmetic::kLanes; ++lane) {
     double& shift = Arithmetic::at(scratch.shift, lane);
     shift = shift < 8 * kLeast ? 0 : shift / 8;
     Arithmetic::at(more, lane) = shift;
+    raised |= shift > 0;
   }
   Lanes indefinite = 0;
   for (int attempt = 0; attempt <= kShifts; ++attempt) {
-    Arithmetic::add_to_diagonal(scratch.tangent, more, scratch.scales);
+    if (raised) {
+      if (!scaled) Arithmetic::scales(scratch.tangent, scratch.scales);
+      scaled = true;
+      Arithmetic::add_to_diagonal(scratch.tangent, more, scratch.scales);
+    }
     indefinite = scratch.solver.solve(scratch.tangent, scratch.value.gradient, scratch.direction) & moving;
     if (!indefinite) break;
+    raised = true;
     for (int lane = 0; lane < Arithmetic::kLanes; ++lane) {
       double& shift = Arithmetic::at(scratch.shift, lane);
       const double next = indefinite >> lane & 1 ? std::max(kLeast, 4 * shift) : shift;
@@ -179,6 +185,7 @@ NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic
   NewtonReport<Arithmetic> report;
   scratch.shift = typename Arithmetic::Number();
   potential.evaluate(q, scratch.value);
+  Lanes far = ~Lanes();  // whose last step was something
   for (int iteration = 0;; ++iteration) {
     ask();
     const Value<Arithmetic>& value = scratch.value;
@@ -186,12 +193,15 @@ NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic
     report.residual = relative_residual(value, limits.tolerance);
     moving &= ~report.broken & ~Arithmetic::below(report.residual, typename Arithmetic::Number() + limits.tolerance);
     if (!moving) return report;
+    if (iteration == limits.iterations) {
+      report.open |= moving & far;
+      return report;
+    }
     report.broken |= descend(potential, scratch, moving);
     const auto step = Arithmetic::norm(scratch.direction);
     moving &= ~report.broken & ~Arithmetic::below(step, value.resolution);
-    const Lanes far = ~Arithmetic::below(step, value.resolution + limits.step);
-    const bool last = iteration == limits.iterations;
-    const Lanes stuck = last ? moving : moving ? search(potential, scratch, moving, q) : 0;
+    far = ~Arithmetic::below(step, value.resolution + limits.step);
+    const Lanes stuck = moving ? search(potential, scratch, moving, q) : 0;
     report.open |= stuck & far;
     moving &= ~stuck;
     for (Lanes rest = moving; rest; rest &= rest - 1) ++report.iterations;

@@ -63,9 +63,7 @@ struct One {
       for (Eigen::Index i = 0; i < out.size(); i += 3) out.segment<3>(i).setConstant(out.segment<3>(i).mean());
     out = out.cwiseMax(kSmallest * out.maxCoeff());
   }
-  static void add_to_diagonal(Matrix& A, Number more, const Vector& scales) {
-    if (more != 0) A.diagonal() += more * scales;
-  }
+  static void add_to_diagonal(Matrix& A, Number more, const Vector& scales) { A.diagonal() += more * scales; }
 
   template <class... Parts>
   static void sum(Vector& out, const Parts&... parts) {

@@ -35,7 +35,7 @@ void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eige
 
 struct StepReport {
   int iterations = 0;  ///< of Newton's method
-  /// The gradient was within the tolerance of the forces, or Newton's next step within that of the body's size (root
+  /// The gradient was within the tolerance of the forces, or Newton's last step within that of the body's size (root
   /// mean square). When false the state is the best found, and finite.
   bool converged = true;
   double residual = 0;  ///< gradient relative to the largest force term

@@ -116,9 +116,9 @@ TEST_CASE("Newton: when it is stopped it has converged only if what is left is n
   Potential<Dense, Hills<Dense>> potential(hills);
   NewtonScratch<Dense> scratch;
   VectorXd q = VectorXd::Constant(1, 0.1);
-  CHECK(minimize(potential, scratch, q, 1, {1e-15, 1e-6, 1}, kAsk).open);  // the second step is some 1e-4
+  CHECK(minimize(potential, scratch, q, 1, {1e-15, 1e-6, 2}, kAsk).open);  // the second step is some 1e-4
   q(0) = 0.1;
-  CHECK(!minimize(potential, scratch, q, 1, {1e-15, 1e-2, 1}, kAsk).open);
+  CHECK(!minimize(potential, scratch, q, 1, {1e-15, 1e-2, 2}, kAsk).open);
 }
 
 TEST_CASE("Newton: what is stiff in one place does not hold back what is indefinite in another") {
