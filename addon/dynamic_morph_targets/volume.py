@@ -233,12 +233,12 @@ def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
 
 def _parted(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> tuple:
     """The mesh, cut where it joins skin that merely touches, the skin's embedding in it, and the counts."""
-    parting = dynamorph.Parting(mesh, surface, cage.triangles)
-    tets = int(parting.glued.sum())
+    mesh_cut = dynamorph.MeshCut(mesh, surface, cage.triangles)
+    tets = int(mesh_cut.glued.sum())
     if not tets or not cage.settings.separate:
         return mesh, dynamorph.embed(mesh, surface), {"tets": tets, "split_nodes": 0}
-    cut = parting.cut()
-    return cut, parting.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
+    cut = mesh_cut.cut()
+    return cut, mesh_cut.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
 
 
 def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:

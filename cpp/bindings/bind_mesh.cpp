@@ -213,7 +213,7 @@ Depth is the distance to the skin, 0 outside of the body; a point there has the 
 }
 
 void bind_mesh_cut(py::module_& m) {
-  py::class_<MeshCut>(m, "Parting", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+  py::class_<MeshCut>(m, "MeshCut", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
 
 Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
 distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.)")

@@ -35,15 +35,16 @@ void bind_morph_target(py::module_& m) {
 
 void bind_soft_body(py::module_& m) {
   py::class_<SoftBody, std::shared_ptr<SoftBody>>(m, "SoftBody", "What all models of one character share.")
-      .def(py::init([](const TetMesh& mesh, const VectorXd& fill, const VectorXd& stiffness, const MatrixXd& shares,
-                       const std::vector<bool>& pinned, const std::optional<MatrixXd>& weights,
-                       const std::optional<VectorXd>& hold) {
-             return std::make_shared<SoftBody>(mesh, fill, stiffness, shares, pinned,
+      .def(py::init([](const TetMesh& mesh, const VectorXd& fill, const VectorXd& stiffness,
+                       const MatrixXd& region_weights, const std::vector<bool>& pinned,
+                       const std::optional<MatrixXd>& weights, const std::optional<VectorXd>& hold) {
+             return std::make_shared<SoftBody>(mesh, fill, stiffness, region_weights, pinned,
                                                weights.value_or(MatrixXd(mesh.nodes.rows(), 0)),
                                                hold.value_or(VectorXd()));
            }),
-           "mesh"_a, "fill"_a, "stiffness"_a, "shares"_a, "pinned"_a, "weights"_a, "hold"_a = py::none(),
-           "fill, stiffness (m): filled fraction and painted multiplier of each tet; shares (m, S): each target set's "
+           "mesh"_a, "fill"_a, "stiffness"_a, "region_weights"_a, "pinned"_a, "weights"_a, "hold"_a = py::none(),
+           "fill, stiffness (m): filled fraction and painted multiplier of each tet; region_weights (m, S): each "
+           "target set's "
            "part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None "
            "where "
            "a transform of every free node is known instead: such a body has as many bones. hold (m), 1/m^2, or None: "

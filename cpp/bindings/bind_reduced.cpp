@@ -8,7 +8,8 @@ using namespace dynamorph;
 void bind_reduced(py::module_& m) {
   py::class_<Basis>(m, "Basis")
       .def_readonly("U", &Basis::U, "(3 free, r), orthonormal in unit-density mass.")
-      .def_readonly("captured", &Basis::explained_variance, "Fraction of the candidates' variance in the span.");
+      .def_readonly("explained_variance", &Basis::explained_variance,
+                    "Fraction of the candidates' variance in the span.");
   m.def(
       "make_basis",
       [](const FullModel& model, int r, const py::object& progress) {

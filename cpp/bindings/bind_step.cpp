@@ -28,7 +28,7 @@ auto in_turn(const InTurn<Stepper>& stepper, const Function& function) {
 
 /// bones (J, B, 3, 4).
 template <class Stepper>
-void held_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
+void hold_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
   check_shape("bones", bones, {-1, -1, 3, 4});
   std::vector<Transforms> frames;
   for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data(j, 0, 0, 0), bones.shape(1)));
@@ -63,7 +63,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
           "which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, "
           "False "
           "raises Cancelled.")
-      .def("hold_targets", &held_in<Simulation<Model>>, "bones"_a,
+      .def("hold_targets", &hold_targets_in<Simulation<Model>>, "bones"_a,
            "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
       .def(
           "start",
@@ -143,33 +143,34 @@ void bind_simulation_of(py::module_& m, const char* name) {
 }
 
 void bind_crowd(py::module_& m) {
-  using Held = InTurn<Crowd>;
+  using SharedCrowd = InTurn<Crowd>;
   const auto poses = [](const Crowd& crowd, const char* name, const FloatArray& bones, py::ssize_t axes) {
     std::vector<py::ssize_t> shape(axes - 4, -1);
     shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().body().skin.cols()), 3, 4});
     check_shape(name, bones, shape);
   };
-  const auto shares = [](const Crowd& crowd, const FloatArray& weights, std::vector<py::ssize_t> shape) {
+  const auto check_weights = [](const Crowd& crowd, const FloatArray& weights, std::vector<py::ssize_t> shape) {
     shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().targets().size())});
     check_shape("weights", weights, shape);
   };
-  py::class_<Held>(m, "Crowd", "Many characters of one reduced model, stepped together. World space, SI.")
+  py::class_<SharedCrowd>(m, "Crowd", "Many characters of one reduced model, stepped together. World space, SI.")
       .def(py::init([](std::shared_ptr<ReducedModel> model, double h, int size, Scheme scheme, const Vector3d& gravity,
                        double tolerance, int max_iterations, double teleport) {
-             return std::make_unique<Held>(
+             return std::make_unique<SharedCrowd>(
                  Crowd(model, {h, scheme, gravity, tolerance, max_iterations, teleport, {}}, size));
            }),
            "model"_a.none(false), "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2,
            "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
            "As ReducedSimulation; size: characters.")
-      .def("hold_targets", &held_in<Crowd>, "bones"_a,
+      .def("hold_targets", &hold_targets_in<Crowd>, "bones"_a,
            "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
       .def(
           "start",
-          [poses, shares](Held& crowd, const FloatArray& now, const FloatArray& next, const FloatArray& weights) {
+          [poses, check_weights](SharedCrowd& crowd, const FloatArray& now, const FloatArray& next,
+                                 const FloatArray& weights) {
             poses(crowd, "now", now, 4);
             poses(crowd, "next", next, 4);
-            shares(crowd, weights, {});
+            check_weights(crowd, weights, {});
             return in_turn(crowd, [&] { return crowd.start(now.data(), next.data(), weights.data()).converged; });
           },
           "now"_a, "next"_a, "weights"_a,
@@ -178,9 +179,9 @@ void bind_crowd(py::module_& m) {
           "their rigs backward from their motion to `next`. False where one did not converge.")
       .def(
           "advance",
-          [poses, shares](Held& crowd, const FloatArray& bones, const FloatArray& weights) {
+          [poses, check_weights](SharedCrowd& crowd, const FloatArray& bones, const FloatArray& weights) {
             poses(crowd, "bones", bones, 5);
-            shares(crowd, weights, {bones.shape(0)});
+            check_weights(crowd, weights, {bones.shape(0)});
             const py::ssize_t steps = bones.shape(0);
             CrowdReport all;
             const auto begin = std::chrono::steady_clock::now();
@@ -202,7 +203,7 @@ void bind_crowd(py::module_& m) {
           "the steps did: iterations in all, steps of characters that had to be taken alone, converged, seconds.")
       .def_property_readonly(
           "coordinates",
-          [](const Held& crowd) {
+          [](const SharedCrowd& crowd) {
             return in_turn(crowd, [&] {
               MatrixXd out(crowd.size(), crowd.model().dofs());
               for (int i = 0; i < crowd.size(); ++i) out.row(i) = crowd.coordinates(i);
@@ -215,7 +216,7 @@ void bind_crowd(py::module_& m) {
 }  // namespace
 
 void bind_step(py::module_& m) {
-  py::enum_<Scheme>(m, "Scheme").value("EULER", Scheme::euler).value("BDF2", Scheme::bdf2);
+  py::enum_<Scheme>(m, "Scheme").value("EULER", Scheme::implicit_euler).value("BDF2", Scheme::bdf2);
   bind_simulation_of<FullModel>(m, "FullSimulation");
   bind_simulation_of<ReducedModel>(m, "ReducedSimulation");
   bind_crowd(m);

@@ -50,9 +50,9 @@ def weight(body, *names):
 def test_arms_at_the_sides_are_cut_free(body):
     vertices, triangles = posed(*body, LOWERED)
     *_, mesh = dynamorph.mesh_body(vertices, triangles, 2000)
-    parting = dynamorph.Parting(mesh, vertices, triangles)
-    assert parting.glued.sum() > 50
-    cut = parting.cut()
+    mesh_cut = dynamorph.MeshCut(mesh, vertices, triangles)
+    assert mesh_cut.glued.sum() > 50
+    cut = mesh_cut.cut()
     arm = weight(body[1], "lowerarm_l", "lowerarm_r") > 0.9
     trunk = weight(body[1], "pelvis", "spine_01", "spine_02", "spine_03") > 0.9
 
@@ -60,14 +60,14 @@ def test_arms_at_the_sides_are_cut_free(body):
         return np.isin(embedding.nodes[arm], embedding.nodes[trunk]).any(axis=1).mean()
 
     assert shared(dynamorph.embed(mesh, vertices)) > 0.2
-    assert shared(parting.embed(cut)) == 0
-    assert parting.embed(cut).distances.max() < 0.03
+    assert shared(mesh_cut.embed(cut)) == 0
+    assert mesh_cut.embed(cut).distances.max() < 0.03
     np.testing.assert_array_equal(cut.volumes, mesh.volumes)
 
 
 def test_arms_held_away_leave_the_mesh_as_it_is(body):
     vertices, triangles = posed(*body, 0)
     *_, mesh = dynamorph.mesh_body(vertices, triangles, 2000)
-    parting = dynamorph.Parting(mesh, vertices, triangles)
-    assert not parting.glued.any()
-    np.testing.assert_array_equal(parting.cut().nodes, mesh.nodes)
+    mesh_cut = dynamorph.MeshCut(mesh, vertices, triangles)
+    assert not mesh_cut.glued.any()
+    np.testing.assert_array_equal(mesh_cut.cut().nodes, mesh.nodes)

@@ -255,7 +255,7 @@ def test_indices_of_tetrahedra_and_embeddings():
 def test_the_cut_of_a_mesh_without_tetrahedra():
     empty = dynamorph.TetMesh(np.zeros((0, 3)), np.zeros((0, 4), int))
     with pytest.raises(ValueError, match="mesh: expected at least one tet"):
-        dynamorph.Parting(empty, *box())
+        dynamorph.MeshCut(empty, *box())
 
 
 @pytest.mark.parametrize(

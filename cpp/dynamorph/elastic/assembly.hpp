@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Energy, force and tangent stiffness of a whole tet mesh, the elements of several targets in one pass.
 //
-// Computes what elasticity.hpp's functions define, four tetrahedra at a time in the lanes of vector registers, and sums
-// the targets' contributions to a tetrahedron before they go anywhere. Tetrahedra are worked through in chunks that are
-// compact in space; each sums into a store of its own, and the stores are added up block by block. Chunks do not depend
-// on the number of threads, so neither does the result.
+// Computes the laws of elasticity.hpp (assembly_kernels.cpp has the formulas), four tetrahedra at a time in the lanes
+// of vector registers, and sums the targets' contributions to a tetrahedron before they go anywhere. Tetrahedra are
+// worked through in chunks that are compact in space; each sums into a store of its own, and the stores are added up
+// block by block. Chunks do not depend on the number of threads, so neither does the result.
 #pragma once
 
 #include <vector>

@@ -1,4 +1,14 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
+// The element laws. With F = I + G, E = 1/2 (F^T F - I) = 1/2 (G + G^T + G^T G), which does not cancel near rest, and
+// S = lambda tr(E) I + 2 mu E:
+//
+//   psi        = 1/2 lambda tr(E)^2 + mu E:E + kappa (tr E - det F + 1)                             J/m^3
+//   f_a        = V (F S g_a + kappa (F - cof F) g_a)                                                N, on node a
+//   K_ab       = V ((g_a.S g_b + kappa g_a.g_b) I + lambda F g_a (F g_b)^T                          N/m, 3 x 3
+//                   + mu (F g_b (F g_a)^T + (g_a.g_b) F F^T) + kappa [F (g_a x g_b)]_x)
+//
+// StVK has kappa = 0. The stable law has StVK's moduli at rest with (lambda + mu, 0, kappa = mu), so that its mu-terms
+// are kappa's alone. The linear law's tangent is StVK's at rest. [c]_x is the matrix of c x.
 #include "dynamorph/elastic/assembly_kernels.hpp"
 
 #include "dynamorph/simd/lanes.hpp"
@@ -33,7 +43,7 @@ DYNAMORPH_INLINE void multiply(const Lane (&A)[3][3], const Lane (&x)[3], Lane (
   for (int i = 0; i < 3; ++i) out[i] = dot(A[i], x);
 }
 
-/// One part at deformation gradients F = I + G (by rows); see element_stiffness() for the formulas.
+/// One part at G by rows; lambda, mu and kappa are times the volume. g: gradients of nodes 1 to 3.
 template <bool kStable, bool kTangent>
 DYNAMORPH_INLINE void add_part(const Lane (&G)[3][3], const Lane (&g)[3][3], const Lane& lambda, const Lane& mu,
                                const Lane& kappa, Sums& sums) {
@@ -43,6 +53,7 @@ DYNAMORPH_INLINE void add_part(const Lane (&G)[3][3], const Lane (&g)[3][3], con
       E[c][d] = 0.5 * (G[c][d] + G[d][c] + dot(G[0][c], G[1][c], G[2][c], G[0][d], G[1][d], G[2][d]));
       E[d][c] = E[c][d];
     }
+  // psi
   const Lane trace = E[0][0] + E[1][1] + E[2][2];
   sums.energy = mul_add(sums.energy, 0.5 * lambda * trace, trace);
   if (!kStable)
@@ -67,6 +78,7 @@ DYNAMORPH_INLINE void add_part(const Lane (&G)[3][3], const Lane (&g)[3][3], con
       S[c][d] = kStable ? Lane{} : 2.0 * mu * E[c][d];
       if (c == d) S[c][d] = mul_add(S[c][d], lambda, trace);
     }
+  // f_a
   Lane h[3][3], s[3][3];  // F g_a, S g_a
   for (int a = 0; a < 3; ++a) {
     multiply(F, g[a], h[a]);
@@ -88,6 +100,7 @@ DYNAMORPH_INLINE void add_part(const Lane (&G)[3][3], const Lane (&g)[3][3], con
       for (int i = 0; i < 3; ++i) sums.forces[a][i] = mul_add(sums.forces[a][i], kappa, h[a][i] - volumetric[i]);
     }
   }
+  // K_ab
   for (int k = 0; k < 6; ++k) {
     const int a = k < 3 ? k : kPairs[k][0] - 1, b = k < 3 ? k : kPairs[k][1] - 1;
     const Lane gg = dot(g[a], g[b]);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Element laws on constant-strain tetrahedra, all about one rest shape with zero energy there.
+// What an element of flesh is: a law on a constant-strain tetrahedron about one rest shape, with zero energy there. The
+// derivatives stand in assembly_kernels.cpp, where they are computed.
 //
 //   F = F0 + sum_a u_a g_a^T          deformation gradient, I at the target's shape
 //   linear       psi = 1/2 lambda tr(e)^2 + mu e:e,          e = sym(F) - I
@@ -35,9 +36,6 @@ struct Element {
   double weight;    ///< m^3: the volume times the fraction of it that counts (fill, painted stiffness, region)
 };
 
-using ElementStiffness = Eigen::Matrix<double, 12, 12>;
-using ElementForce = Eigen::Matrix<double, 3, 4>;  ///< column a acts on node a
-
 /// Elements about the shape X + d. Where that shape would make an element unusable (volume changed by more than 5x or
 /// squashed below 0.2), the element keeps the neutral rest shape and is shifted by d instead: it still has its minimum
 /// at u = d, without the V/h^2 stiffness of a sliver.
@@ -49,20 +47,6 @@ struct RestShape {
 /// displacement (3n) metres, scale (m) multiplies each element's volume. shifted: all elements keep the neutral rest
 /// shape, so that the stiffness is the neutral's whatever the displacement.
 RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const VectorXd& scale, bool shifted = false);
-
-/// F of an element whose nodes are displaced by the columns of u (3 x 4).
-inline Matrix3d deformation_gradient(const Element& element, const Eigen::Matrix<double, 3, 4>& u) {
-  return element.origin + u * element.gradients.transpose();
-}
-
-/// Energy density, J/m^3.
-double energy_density(Law law, const Lame& lame, const Matrix3d& F);
-
-/// First Piola-Kirchhoff stress, Pa.
-Matrix3d stress(Law law, const Lame& lame, const Matrix3d& F);
-
-/// d(force)/du of one element, force = +dE/du, node-major 12 x 12.
-void element_stiffness(Law law, const Lame& lame, const Element& element, const Matrix3d& F, ElementStiffness& K);
 
 /// Lumped node volumes (n), m^3: the mass of each node for unit density. `fill` (m) is the filled fraction of a tet.
 VectorXd lumped_volumes(const TetMesh& mesh, const VectorXd& fill);

@@ -36,14 +36,14 @@ bool SparseSolver::iterate(const SparseMatrix& H, const VectorXd& b, VectorXd& x
     const double before = product;
     product = residual_.dot(preconditioned_);
     if (i == 1)
-      direction_ = preconditioned_;
+      d_ = preconditioned_;
     else
-      direction_ = preconditioned_ + product / before * direction_;
-    multiply_symmetric(H, direction_, image_);
-    const double curvature = direction_.dot(image_);
+      d_ = preconditioned_ + product / before * d_;
+    multiply_symmetric(H, d_, Hd_);
+    const double curvature = d_.dot(Hd_);
     if (!(curvature > 0)) return false;
-    x += size * product / curvature * direction_;
-    residual_ -= product / curvature * image_;
+    x += size * product / curvature * d_;
+    residual_ -= product / curvature * Hd_;
     if (residual_.norm() > kAccuracy) continue;
     ++solves_;
     iterations_ += i;

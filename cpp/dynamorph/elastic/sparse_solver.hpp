@@ -31,7 +31,7 @@ class SparseSolver {
   int solves_ = 0;      ///< with this factor
   int iterations_ = 0;  ///< in these solves
   int factoring_ = 0;   ///< iterations that cost as much as a factorisation
-  VectorXd residual_, preconditioned_, direction_, image_;
+  VectorXd residual_, preconditioned_, d_, Hd_;
   std::vector<float> scratch_;
 };
 

@@ -12,13 +12,13 @@ SoftBody::SoftBody(TetMesh mesh_, VectorXd fill_, const VectorXd& stiffness, Mat
   const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
   check_size("fill", fill.size(), m);
   check_size("stiffness", stiffness.size(), m);
-  check_size("shares", region_weights.rows(), m);
+  check_size("region_weights", region_weights.rows(), m);
   check_size("pinned", Eigen::Index(pinned.size()), n);
   check_size("weights", weights.rows(), n);
   if (!(fill.array() > 0).all() || !(stiffness.array() > 0).all())
     throw std::invalid_argument("fill, stiffness: must be positive for every tetrahedron");
   if (!((region_weights.array() >= 0).all() && ((region_weights.rowwise().sum().array() - 1).abs() < 1e-6).all()))
-    throw std::invalid_argument("shares: every row must be >= 0 and sum to one");
+    throw std::invalid_argument("region_weights: every row must be >= 0 and sum to one");
   if (!stiffness.allFinite() || !fill.allFinite())
     throw std::invalid_argument("fill, stiffness: must be finite for every tetrahedron");
   if (hold.size() > 0) check_size("hold", hold.size(), m);

@@ -115,16 +115,18 @@ DYNAMORPH_INLINE void round_to(const Value& from, Single& to) {
 }
 
 template <class Value>
-DYNAMORPH_INLINE Value weigh(const double* shares, const Value& b0, const Value& b1, const Value& b2, const Value& b3,
-                             const Value& b4) {
-  return mul_add(mul_add(mul_add(mul_add(shares[0] * b0, shares[1], b1), shares[2], b2), shares[3], b3), shares[4], b4);
+DYNAMORPH_INLINE Value weigh(const double* coefficients, const Value& b0, const Value& b1, const Value& b2,
+                             const Value& b3, const Value& b4) {
+  return mul_add(
+      mul_add(mul_add(mul_add(coefficients[0] * b0, coefficients[1], b1), coefficients[2], b2), coefficients[3], b3),
+      coefficients[4], b4);
 }
 
 /// What one bone contributes to the terms (BoneMotion), of one character or of eight. bones: its twelve entries in each
-/// pose; shares (kMoments, kPoses), row-major. Only the sums are rounded: each has the size of what it adds to the
-/// force.
+/// pose; coefficients (kMoments, kPoses), row-major. Only the sums are rounded: each has the size of what it adds to
+/// the force.
 template <class Value, class Single>
-DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, const double* centre,
+DYNAMORPH_INLINE void combine(const Value* const* bones, const double* coefficients, const double* centre,
                               const double* gravity_offset, Single (*out)[12]) {
   for (int i = 0; i < 3; ++i) {
     Value first[4];  // the row of the first difference, whose translation is moved to the centre
@@ -132,8 +134,8 @@ DYNAMORPH_INLINE void combine(const Value* const* bones, const double* shares, c
       const int e = 4 * i + j;
       const Value b0 = bones[0][e], b1 = bones[1][e], b2 = bones[2][e], b3 = bones[3][e], b4 = bones[4][e];
       round_to(b0, out[0][e]);
-      first[j] = weigh(shares, b0, b1, b2, b3, b4);
-      for (int m = 1; m < kMoments; ++m) round_to(weigh(shares + m * kPoses, b0, b1, b2, b3, b4), out[m + 1][e]);
+      first[j] = weigh(coefficients, b0, b1, b2, b3, b4);
+      for (int m = 1; m < kMoments; ++m) round_to(weigh(coefficients + m * kPoses, b0, b1, b2, b3, b4), out[m + 1][e]);
     }
     first[3] += first[0] * centre[0] + first[1] * centre[1] + first[2] * centre[2] - gravity_offset[i];
     for (int j = 0; j < 4; ++j) round_to(first[j], out[1][4 * i + j]);

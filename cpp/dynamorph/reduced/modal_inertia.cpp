@@ -20,7 +20,7 @@ using BoneMotion = ModalInertia::BoneMotion;
 
 /// lanes[m][e][t] = entry e of matrix m of term t: its bone's, less that of the second bone of a pair.
 void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<int, int>>& terms,
-            const std::array<float, kLanes>& signs, Floats lanes[][12]) {
+            const std::array<float, kLanes>& signs, FloatW lanes[][12]) {
   for (size_t t = 0; t < terms.size(); ++t) {
     const auto &a = bones[terms[t].first].values, &b = bones[terms[t].second].values;
     const float less = signs[t] < 0;
@@ -96,7 +96,7 @@ void ModalInertia::tabulate(const SoftBody& body, const MatrixXd& U, int s, Tens
     for (Index l = k; l < r_; ++l, ++p)
       for (Index i = 0; i < body.volumes.rows(); ++i)
         set.mass(p) += body.volumes(i, s) * U.col(k).segment<3>(3 * i).dot(U.col(l).segment<3>(3 * i));
-  set.table.assign(set.groups.size() * entries(r_), Floats{});
+  set.table.assign(set.groups.size() * entries(r_), FloatW{});
   set.terms.resize(column.size() * entries(r_));
   Index next = 0;
   for (size_t g = 0; g < set.groups.size(); ++g)
@@ -109,11 +109,11 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   const Index pairs = r_ * (r_ + 1) / 2;
   take_differences(inertial, out.differences);
   out.bones.resize(in_terms_);
-  const Shares shares = shares_of_differences(inertial.coefficients);
+  const Shares coefficients = shares_of_differences(inertial.coefficients);
   for (size_t b = 0; b < in_terms_; ++b) {
     const double* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * used_[b];
-    combine_one(poses, shares.data(), centre_.data(), inertial.gravity_offset.data(), out.bones[b].values);
+    combine_one(poses, coefficients.data(), centre_.data(), inertial.gravity_offset.data(), out.bones[b].values);
   }
 
   out.slopes.resize(9 * r_);
@@ -124,11 +124,11 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   out.force.setZero(r_);
   for (size_t s = 0; s < sets_.size(); ++s) {
     const Tensors& set = sets_[s];
-    std::fill(out.sums.begin(), out.sums.end(), Floats{});
+    std::fill(out.sums.begin(), out.sums.end(), FloatW{});
     for (size_t g = 0; g < set.groups.size(); ++g) {
-      Floats lanes[1 + InertialTarget::kMoments][12] = {};
+      FloatW lanes[1 + InertialTarget::kMoments][12] = {};
       gather(out.bones, set.groups[g].bones, set.groups[g].signs, lanes);
-      Floats sign;
+      FloatW sign;
       std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<float*>(&sign));
       add_eight_terms(lanes, sign, set.groups[g].influence, out.differences.data(), r_,
                       set.table.data() + g * entries(r_), out.slopes.data(), out.sums.data(), out.sums.data() + r_);
@@ -148,29 +148,29 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   out.damped.triangularView<Eigen::StrictlyUpper>() = out.damped.transpose();
 }
 
-void ModalInertia::evaluate(const EightInertialTarget& inertial, const Doubles* density, const Doubles* damping,
+void ModalInertia::evaluate(const EightInertialTarget& inertial, const DoubleW* density, const DoubleW* damping,
                             EightInertia& out) const {
   const Index pairs = r_ * (r_ + 1) / 2;
   out.differences.resize(InertialTarget::kMoments * r_);
   differences_of_eight(inertial.q.data(), r_, out.differences.data());
   out.bones.resize((1 + InertialTarget::kMoments) * 12 * in_terms_);
   const auto bone = [&](int b) {
-    return reinterpret_cast<Floats(*)[12]>(&out.bones[(1 + InertialTarget::kMoments) * 12 * b]);
+    return reinterpret_cast<FloatW(*)[12]>(&out.bones[(1 + InertialTarget::kMoments) * 12 * b]);
   };
-  const Shares shares = shares_of_differences(inertial.coefficients);
+  const Shares coefficients = shares_of_differences(inertial.coefficients);
   for (size_t b = 0; b < in_terms_; ++b) {
-    const Doubles* poses[InertialTarget::kPoses];
+    const DoubleW* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n] + 12 * b;
-    combine_eight(poses, shares.data(), centre_.data(), inertial.gravity_offset.data(), bone(int(b)));
+    combine_eight(poses, coefficients.data(), centre_.data(), inertial.gravity_offset.data(), bone(int(b)));
   }
   out.slopes.resize(9 * r_);
   out.sums.resize(r_ + pairs);
-  out.mass.assign(pairs, Doubles{});
-  out.damped.assign(pairs, Doubles{});
-  out.force.assign(r_, Doubles{});
+  out.mass.assign(pairs, DoubleW{});
+  out.damped.assign(pairs, DoubleW{});
+  out.force.assign(r_, DoubleW{});
   for (size_t s = 0; s < sets_.size(); ++s) {
     const Tensors& set = sets_[s];
-    std::fill(out.sums.begin(), out.sums.end(), Floats{});
+    std::fill(out.sums.begin(), out.sums.end(), FloatW{});
     for (size_t g = 0; g < set.groups.size(); ++g)
       for (size_t t = 0; t < set.groups[g].bones.size(); ++t) {
         const Bones& bones = set.groups[g].bones[t];

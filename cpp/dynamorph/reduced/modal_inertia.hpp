@@ -40,7 +40,7 @@ class ModalInertia {
     VectorXd force;   ///< of the inertial target (r)
     std::vector<BoneMotion> bones;
     std::vector<float> differences, totals;
-    LaneVector<Floats> sums, slopes;
+    LaneVector<FloatW> sums, slopes;
   };
 
   /// Mass and force of `inertial` in the pose of its first bones. Tensors are in single precision, differences in time
@@ -50,18 +50,18 @@ class ModalInertia {
 
   /// The same of eight characters, one a lane: coordinates (r); the entries of used_bones(), twelve each.
   struct EightInertialTarget {
-    std::array<const Doubles*, InertialTarget::kMoments> q;
-    std::array<const Doubles*, InertialTarget::kPoses> bones;
+    std::array<const DoubleW*, InertialTarget::kMoments> q;
+    std::array<const DoubleW*, InertialTarget::kPoses> bones;
     Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients;
     Vector3d gravity_offset;
   };
   struct EightInertia {
-    LaneVector<Doubles> mass, damped;  ///< packed upper triangles
-    LaneVector<Doubles> force;
-    LaneVector<Floats> bones, differences, sums, slopes;
+    LaneVector<DoubleW> mass, damped;  ///< packed upper triangles
+    LaneVector<DoubleW> force;
+    LaneVector<FloatW> bones, differences, sums, slopes;
   };
   /// density, damping: of each target set.
-  void evaluate(const EightInertialTarget& inertial, const Doubles* density, const Doubles* damping,
+  void evaluate(const EightInertialTarget& inertial, const DoubleW* density, const DoubleW* damping,
                 EightInertia& out) const;
 
   /// The bones that carry flesh.
@@ -82,7 +82,7 @@ class ModalInertia {
   struct Tensors {
     VectorXd mass;              ///< U^T M1 U, packed upper triangle
     std::vector<Group> groups;  ///< bones, then pairs, the most influential first
-    LaneVector<Floats> table;   ///< terms::entries of each group
+    LaneVector<FloatW> table;   ///< terms::entries of each group
     std::vector<float> terms;   ///< the same, entries() of one term after another
   };
   int used(int bone);  ///< its place in used_, where it is added

@@ -16,8 +16,8 @@ constexpr double kUnnoticed = 1e-7;  ///< left out in a pose that turns the bone
 constexpr double kSlight = 1e-4;     ///< acts on the flesh as if it did not move in the modes
 
 /// How much the mass's coefficients can change it.
-DYNAMORPH_INLINE float largest(const Coefficients<Floats>& c) {
-  Floats most = c.mass[0] * c.mass[0];
+DYNAMORPH_INLINE float largest(const Coefficients<FloatW>& c) {
+  FloatW most = c.mass[0] * c.mass[0];
   for (int e = 1; e < kSymmetric; ++e) most = mul_add(most, c.mass[e], c.mass[e]);
   float out = 0;
   for (int lane = 0; lane < kLanes; ++lane) out = out < most[lane] ? most[lane] : out;
@@ -26,9 +26,9 @@ DYNAMORPH_INLINE float largest(const Coefficients<Floats>& c) {
 
 /// The part of a force that does not depend on the coordinates.
 template <class Table>
-DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<Floats>& c, Floats* __restrict force) {
+DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<FloatW>& c, FloatW* __restrict force) {
   for (Index k = 0; k < r; ++k) {
-    Floats sums[3] = {};
+    FloatW sums[3] = {};
     for (int e = 0; e < kRigid; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], c.rigid[e]);
     force[k] += (sums[0] + sums[1]) + sums[2];
     table += kRigid + kSymmetric + (kSymmetric + kSkew) * (r - k - 1);
@@ -38,9 +38,9 @@ DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<Floats>
 /// Lane by lane, to force (r) and packed mass. y: each mode's backward differences, numbers or lanes. influence: the
 /// largest part of the force that a term can have, where all are pairs.
 template <class Table, class Y>
-DYNAMORPH_INLINE void add_contribution(const Floats (*motion)[12], const Floats& sign, double influence, const Y* y,
-                                       Index r, Table table, Floats* slopes, Floats* force, Floats* mass) {
-  Coefficients<Floats> c;
+DYNAMORPH_INLINE void add_contribution(const FloatW (*motion)[12], const FloatW& sign, double influence, const Y* y,
+                                       Index r, Table table, FloatW* slopes, FloatW* force, FloatW* mass) {
+  Coefficients<FloatW> c;
   contract_bones(motion, sign, c);
   const float change = largest(c);
   const bool pairs = influence < __builtin_huge_val();
@@ -69,55 +69,55 @@ DYNAMORPH_INLINE Float8 added_halves(const Float8& a, const Float8& b) {
 
 }  // namespace
 
-void add_eight_terms(const Floats (*motion)[12], const Floats& sign, double influence, const float* y, Index r,
-                     const Floats* table, Floats* slopes, Floats* force, Floats* mass) {
+void add_eight_terms(const FloatW (*motion)[12], const FloatW& sign, double influence, const float* y, Index r,
+                     const FloatW* table, FloatW* slopes, FloatW* force, FloatW* mass) {
   add_contribution(motion, sign, influence, y, r, table, slopes, force, mass);
 }
 
-void add_term_of_eight(const Floats (*first)[12], const Floats (*second)[12], double influence, const Floats* y,
-                       Index r, const float* table, Floats* slopes, Floats* force, Floats* mass) {
-  Floats motion[1 + kMoments][12];
+void add_term_of_eight(const FloatW (*first)[12], const FloatW (*second)[12], double influence, const FloatW* y,
+                       Index r, const float* table, FloatW* slopes, FloatW* force, FloatW* mass) {
+  FloatW motion[1 + kMoments][12];
   for (int m = 0; m <= kMoments; ++m)
     for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
-  add_contribution(motion, Floats{all_of(second ? -1.0F : 1.0F)}, second ? influence : __builtin_huge_val(), y, r,
+  add_contribution(motion, FloatW{all_of(second ? -1.0F : 1.0F)}, second ? influence : __builtin_huge_val(), y, r,
                    table, slopes, force, mass);
 }
 
-void add_lanes(const Floats* sums, Index count, float* totals) {
+void add_lanes(const FloatW* sums, Index count, float* totals) {
   for (Index i = 0; i < count; ++i, sums += kLanes) {
     Float8 four[2];
     for (int half = 0; half < 2; ++half) {
-      const Floats* v = sums + 4 * half;
+      const FloatW* v = sums + 4 * half;
       four[half] = added_pairs(added_neighbours(v[0].all, v[1].all), added_neighbours(v[2].all, v[3].all));
     }
     store(added_halves(four[0], four[1]), totals + kLanes * i);
   }
 }
 
-void combine_one(const double* const* bones, const double* shares, const double* centre, const double* gravity_offset,
-                 float (*out)[12]) {
-  combine(bones, shares, centre, gravity_offset, out);
+void combine_one(const double* const* bones, const double* coefficients, const double* centre,
+                 const double* gravity_offset, float (*out)[12]) {
+  combine(bones, coefficients, centre, gravity_offset, out);
 }
 
-void combine_eight(const Doubles* const* bones, const double* shares, const double* centre,
-                   const double* gravity_offset, Floats (*out)[12]) {
-  combine(bones, shares, centre, gravity_offset, out);
+void combine_eight(const DoubleW* const* bones, const double* coefficients, const double* centre,
+                   const double* gravity_offset, FloatW (*out)[12]) {
+  combine(bones, coefficients, centre, gravity_offset, out);
 }
 
-void add_set_of_eight(const Doubles& density, const Doubles& damping, const double* constant, Index r,
-                      const Floats* force_sums, const Floats* mass_sums, Doubles* force, Doubles* mass,
-                      Doubles* damped) {
+void add_set_of_eight(const DoubleW& density, const DoubleW& damping, const double* constant, Index r,
+                      const FloatW* force_sums, const FloatW* mass_sums, DoubleW* force, DoubleW* mass,
+                      DoubleW* damped) {
   for (Index k = 0; k < r; ++k) force[k] = mul_add(force[k], density, to_double(force_sums[k]));
   for (Index p = 0; p < r * (r + 1) / 2; ++p) {
-    const Doubles own = constant[p] + to_double(mass_sums[p]);
+    const DoubleW own = constant[p] + to_double(mass_sums[p]);
     mass[p] = mul_add(mass[p], density, own);
     damped[p] = mul_add(damped[p], damping, own);
   }
 }
 
-void differences_of_eight(const Doubles* const* q, Index r, Floats* y) {
+void differences_of_eight(const DoubleW* const* q, Index r, FloatW* y) {
   for (Index k = 0; k < r; ++k, y += kMoments) {
-    const Doubles q0 = q[0][k], q1 = q[1][k], q2 = q[2][k], q3 = q[3][k];
+    const DoubleW q0 = q[0][k], q1 = q[1][k], q2 = q[2][k], q3 = q[3][k];
     to_single(q0, y[0]);
     to_single(q0 - q1, y[1]);
     to_single(q0 - 2 * q1 + q2, y[2]);

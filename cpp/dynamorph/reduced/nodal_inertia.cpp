@@ -12,13 +12,13 @@ namespace {
 
 static_assert(kPoses == InertialTarget::kPoses, "as modal_arithmetic.hpp says");
 
-double sum(const Doubles& lanes) {
+double sum(const DoubleW& lanes) {
   double out = 0;
   for (int lane = 0; lane < kLanes; ++lane) out += lanes[lane];
   return out;
 }
 
-void unpack(const LaneVector<Doubles>& packed, Index r, MatrixXd& out) {
+void unpack(const LaneVector<DoubleW>& packed, Index r, MatrixXd& out) {
   out.resize(r, r);
   for (Index k = 0, p = 0; k < r; ++k)
     for (Index l = k; l < r; ++l, ++p) out(k, l) = out(l, k) = sum(packed[p]);
@@ -29,10 +29,10 @@ void unpack(const LaneVector<Doubles>& packed, Index r, MatrixXd& out) {
 NodalInertia::NodalInertia(std::shared_ptr<const SoftBody> body, const MatrixXd& U)
     : body_(std::move(body)), r_(U.cols()) {
   const Index nodes = body_->volumes.rows(), size = 3 * (r_ + 1);
-  table_.assign((nodes + kLanes - 1) / kLanes * size, Doubles{});
+  table_.assign((nodes + kLanes - 1) / kLanes * size, DoubleW{});
   for (Index i = 0; i < nodes; ++i)
     for (int c = 0; c < 3; ++c) {
-      Doubles* eight = table_.data() + i / kLanes * size + c;
+      DoubleW* eight = table_.data() + i / kLanes * size + c;
       for (Index k = 0; k < r_; ++k) eight[3 * k][i % kLanes] = U(3 * i + c, k);
       eight[3 * r_][i % kLanes] = body_->rest(3 * i + c);
     }
@@ -60,9 +60,9 @@ void NodalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   const Eigen::Matrix<double, 1, kPoses> sums = inertial.coefficients.colwise().sum();
 
   scratch.modes.resize(3 * r_);
-  scratch.force.assign(r_, Doubles{});
-  scratch.mass.assign(pairs, Doubles{});
-  scratch.damped.assign(several ? pairs : 0, Doubles{});
+  scratch.force.assign(r_, DoubleW{});
+  scratch.mass.assign(pairs, DoubleW{});
+  scratch.damped.assign(several ? pairs : 0, DoubleW{});
   for (Index first = 0; first < nodes; first += kLanes) {
     EightNodes eight{};
     for (Index i = first; i < std::min(first + kLanes, nodes); ++i) {

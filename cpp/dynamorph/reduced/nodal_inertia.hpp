@@ -25,7 +25,7 @@ class NodalInertia {
   struct Scratch {
     std::array<SkinFrame, InertialTarget::kPoses> poses;
     MatrixXd displacements;  ///< of the modes in each pose (r, kPoses)
-    LaneVector<Doubles> modes, force, mass, damped;
+    LaneVector<DoubleW> modes, force, mass, damped;
   };
 
   /// U^T A^T M A U (r, r), the same with M times mass damping, and the force of `inertial` (r).
@@ -35,7 +35,7 @@ class NodalInertia {
  private:
   std::shared_ptr<const SoftBody> body_;
   Eigen::Index r_;
-  LaneVector<Doubles> table_;  ///< of eight nodes after the other: U mode after mode, then X; three numbers each
+  LaneVector<DoubleW> table_;  ///< of eight nodes after the other: U mode after mode, then X; three numbers each
 };
 
 }  // namespace dynamorph

@@ -10,15 +10,15 @@ namespace dynamorph {
 
 /// Eight nodes' transforms in the poses of an inertial target, [A | a] row-major, and by how much they count.
 struct EightNodes {
-  Doubles poses[terms::kPoses][12];
-  Doubles mass, damped;
+  DoubleW poses[terms::kPoses][12];
+  DoubleW mass, damped;
 };
 
 /// What eight nodes add to the force (r) and to the packed mass, and if `damped` is not null to that. table: U (r, 3),
 /// then X; d (r, kPoses) row-major and sums (kPoses): displacements and coefficients in each pose; gravity_offset (3);
 /// modes (r, 3): scratch.
-DYNAMORPH_KERNEL(void, add_eight_nodes, const EightNodes& nodes, const Doubles* table, Index r, const double* d,
-                 const double* sums, const double* gravity_offset, Doubles* modes, Doubles* force, Doubles* mass,
-                 Doubles* damped);
+DYNAMORPH_KERNEL(void, add_eight_nodes, const EightNodes& nodes, const DoubleW* table, Index r, const double* d,
+                 const double* sums, const double* gravity_offset, DoubleW* modes, DoubleW* force, DoubleW* mass,
+                 DoubleW* damped);
 
 }  // namespace dynamorph

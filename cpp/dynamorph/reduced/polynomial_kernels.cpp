@@ -69,7 +69,7 @@ void add_symmetric_product(const float* __restrict A, Index size, const double* 
       const Double4 x_low = load(x + kChunk * i), x_high = load(x + kChunk * i + 4);
       Double4 low = load(to), high = load(to + 4);
       for (int c = 0; c < 4; ++c) {
-        const Doubles entries = to_double(load(A + kChunk * c));
+        const DoubleW entries = to_double(load(A + kChunk * c));
         low = mul_add(low, x[4 * panel + c], entries.low);
         high = mul_add(high, x[4 * panel + c], entries.high);
         if (i == diagonal) continue;  // stored whole

@@ -147,7 +147,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);
   out.active.clear();
-  out.shares.clear();
+  out.active_weights.clear();
   out.stiffness.setZero(pairs);
   out.packed_damping.setZero(pairs);
   out.force.setZero(r);
@@ -158,7 +158,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
     if (w(j) == 0) continue;
     out.only = out.active.empty() && w(j) == 1 ? int(j) : -1;
     out.active.push_back(tables_[j].data());
-    out.shares.push_back(w(j));
+    out.active_weights.push_back(w(j));
     out.stiffness += w(j) * stiffness_[j];
     out.packed_damping += w(j) * targets_[j].stiffness_damping * rest_stiffness_[j];
     if (blending_ == Blending::even) {
@@ -172,7 +172,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   unpack(out.packed_damping, out.damping);
   if (!layout_.nonlinear || out.only >= 0) return;
   out.table.resize(tables_[0].size());
-  blend_tables(out.active.data(), out.shares.data(), int(out.active.size()), Eigen::Index(out.table.size()),
+  blend_tables(out.active.data(), out.active_weights.data(), int(out.active.size()), Eigen::Index(out.table.size()),
                out.table.data());
 }
 
@@ -210,15 +210,15 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
 
 void ReducedModel::blend(EightBlend& out) const {
   const Eigen::Index r = dofs(), pairs = layout_.pairs();
-  out.density.assign(body_->sets(), Doubles{});
-  out.density_damping.assign(body_->sets(), Doubles{});
-  out.centre.assign(r, Doubles{});
-  out.rest_force.assign(r, Doubles{});
-  out.stiffness.assign(pairs, Doubles{});
-  out.damping.assign(pairs, Doubles{});
-  out.rest_energy = Doubles{};
+  out.density.assign(body_->sets(), DoubleW{});
+  out.density_damping.assign(body_->sets(), DoubleW{});
+  out.centre.assign(r, DoubleW{});
+  out.rest_force.assign(r, DoubleW{});
+  out.stiffness.assign(pairs, DoubleW{});
+  out.damping.assign(pairs, DoubleW{});
+  out.rest_energy = DoubleW{};
   for (size_t j = 0; j < targets_.size(); ++j) {
-    const Doubles& w = out.weights[j];
+    const DoubleW& w = out.weights[j];
     if (all_zero(w)) continue;
     const MorphTarget& target = targets_[j];
     out.density[target.set] += w * target.density;
@@ -234,20 +234,20 @@ void ReducedModel::blend(EightBlend& out) const {
   }
 }
 
-void ReducedModel::linearize(EightBlend& blend, const LaneVector<Doubles>& z, Doubles& energy,
-                             LaneVector<Doubles>& force, LaneVector<Doubles>& stiffness) const {
+void ReducedModel::linearize(EightBlend& blend, const LaneVector<DoubleW>& z, DoubleW& energy,
+                             LaneVector<DoubleW>& force, LaneVector<DoubleW>& stiffness) const {
   const Eigen::Index r = dofs(), rows = padded_pairs_;
   blend.v.resize(r);
-  blend.pairs.assign(rows, Floats{});
-  blend.linear.assign(rows, Floats{});
-  blend.quadratic.assign(rows, Floats{});
+  blend.pairs.assign(rows, FloatW{});
+  blend.linear.assign(rows, FloatW{});
+  blend.quadratic.assign(rows, FloatW{});
   blend.product.resize(rows);
   force.resize(r);
   stiffness.resize(layout_.pairs());
   dynamorph::expand(z.data(), blend.centre.data(), r, blend.v.data(), blend.pairs.data());
   for (size_t j = 0; j < targets_.size() && layout_.nonlinear; ++j) {
     if (all_zero(blend.weights[j])) continue;
-    Floats w;
+    FloatW w;
     to_single(blend.weights[j], w);
     add_orders(tables_[j].data(), rows, r, w, blend.v.data(), blend.pairs.data(), blend.product.data(),
                blend.linear.data(), blend.quadratic.data());

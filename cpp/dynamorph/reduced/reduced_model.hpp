@@ -42,15 +42,15 @@ class ReducedModel {
     mutable Matrix unused_stiffness;
     VectorXd packed_damping;
     std::vector<const float*> active;
-    std::vector<double> shares;
+    std::vector<double> active_weights;
   };
 
   /// The same of eight characters, one a lane; matrices are packed upper triangles.
   struct EightBlend {
-    LaneVector<Doubles> weights, density, density_damping;  ///< (J), and of each set, mass damping times density
-    LaneVector<Doubles> centre, rest_force, stiffness, damping;
-    Doubles rest_energy;
-    LaneVector<Floats> v, pairs, product, linear, quadratic;  ///< scratch
+    LaneVector<DoubleW> weights, density, density_damping;  ///< (J), and of each set, mass damping times density
+    LaneVector<DoubleW> centre, rest_force, stiffness, damping;
+    DoubleW rest_energy;
+    LaneVector<FloatW> v, pairs, product, linear, quadratic;  ///< scratch
   };
 
   ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, const ReducedTables& tables,
@@ -69,8 +69,8 @@ class ReducedModel {
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
   /// By out.weights, which are set before.
   void blend(EightBlend& out) const;
-  void linearize(EightBlend& blend, const LaneVector<Doubles>& z, Doubles& energy, LaneVector<Doubles>& force,
-                 LaneVector<Doubles>& stiffness) const;
+  void linearize(EightBlend& blend, const LaneVector<DoubleW>& z, DoubleW& energy, LaneVector<DoubleW>& force,
+                 LaneVector<DoubleW>& stiffness) const;
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   /// Throws std::invalid_argument when there is none, because the nodes have transforms of their own.
   const ModalInertia& modal_inertia() const;

@@ -140,92 +140,92 @@ DYNAMORPH_INLINE Double4 mul_sub(const Double4& c, double a, const Double4& b) {
 
 constexpr int kLanes = 8;
 
-struct alignas(32) Floats {
+struct alignas(32) FloatW {
   typedef float All __attribute__((vector_size(32), may_alias));
   All all;
 
   DYNAMORPH_INLINE float operator[](int lane) const { return all[lane]; }
   DYNAMORPH_INLINE float& operator[](int lane) { return reinterpret_cast<float*>(this)[lane]; }
-  DYNAMORPH_INLINE Floats& operator+=(const Floats& b) {
+  DYNAMORPH_INLINE FloatW& operator+=(const FloatW& b) {
     all += b.all;
     return *this;
   }
 };
-static_assert(sizeof(Floats) == 32 && alignof(Floats) == 32, "kernels of all instruction sets read the same memory");
-DYNAMORPH_INLINE Floats operator+(const Floats& a, const Floats& b) { return {a.all + b.all}; }
-DYNAMORPH_INLINE Floats operator-(const Floats& a, const Floats& b) { return {a.all - b.all}; }
-DYNAMORPH_INLINE Floats operator*(const Floats& a, const Floats& b) { return {a.all * b.all}; }
-DYNAMORPH_INLINE Floats operator*(float a, const Floats& b) { return {a * b.all}; }
-DYNAMORPH_INLINE Floats operator+(float a, const Floats& b) { return {a + b.all}; }
+static_assert(sizeof(FloatW) == 32 && alignof(FloatW) == 32, "kernels of all instruction sets read the same memory");
+DYNAMORPH_INLINE FloatW operator+(const FloatW& a, const FloatW& b) { return {a.all + b.all}; }
+DYNAMORPH_INLINE FloatW operator-(const FloatW& a, const FloatW& b) { return {a.all - b.all}; }
+DYNAMORPH_INLINE FloatW operator*(const FloatW& a, const FloatW& b) { return {a.all * b.all}; }
+DYNAMORPH_INLINE FloatW operator*(float a, const FloatW& b) { return {a * b.all}; }
+DYNAMORPH_INLINE FloatW operator+(float a, const FloatW& b) { return {a + b.all}; }
 
 /// Eight doubles, as two vectors: GCC 12 keeps one of 64 bytes in memory where the registers have 32.
-struct alignas(64) Doubles {
+struct alignas(64) DoubleW {
   typedef double Half __attribute__((vector_size(32), may_alias));
   Half low, high;
 
   DYNAMORPH_INLINE double operator[](int lane) const { return lane < 4 ? low[lane] : high[lane - 4]; }
   DYNAMORPH_INLINE double& operator[](int lane) { return reinterpret_cast<double*>(this)[lane]; }
-  DYNAMORPH_INLINE Doubles& operator+=(const Doubles& b) {
+  DYNAMORPH_INLINE DoubleW& operator+=(const DoubleW& b) {
     low += b.low;
     high += b.high;
     return *this;
   }
-  DYNAMORPH_INLINE Doubles& operator-=(const Doubles& b) {
+  DYNAMORPH_INLINE DoubleW& operator-=(const DoubleW& b) {
     low -= b.low;
     high -= b.high;
     return *this;
   }
 };
-static_assert(sizeof(Doubles) == 64 && alignof(Doubles) == 64, "kernels of all instruction sets read the same memory");
-DYNAMORPH_INLINE Doubles operator+(const Doubles& a, const Doubles& b) { return {a.low + b.low, a.high + b.high}; }
-DYNAMORPH_INLINE Doubles operator-(const Doubles& a, const Doubles& b) { return {a.low - b.low, a.high - b.high}; }
-DYNAMORPH_INLINE Doubles operator*(const Doubles& a, const Doubles& b) { return {a.low * b.low, a.high * b.high}; }
-DYNAMORPH_INLINE Doubles operator/(const Doubles& a, const Doubles& b) { return {a.low / b.low, a.high / b.high}; }
-DYNAMORPH_INLINE Doubles operator+(const Doubles& a, double b) { return {a.low + b, a.high + b}; }
-DYNAMORPH_INLINE Doubles operator-(const Doubles& a, double b) { return {a.low - b, a.high - b}; }
-DYNAMORPH_INLINE Doubles operator*(const Doubles& a, double b) { return {a.low * b, a.high * b}; }
-DYNAMORPH_INLINE Doubles operator/(const Doubles& a, double b) { return {a.low / b, a.high / b}; }
-DYNAMORPH_INLINE Doubles operator+(double a, const Doubles& b) { return b + a; }
-DYNAMORPH_INLINE Doubles operator*(double a, const Doubles& b) { return b * a; }
-DYNAMORPH_INLINE Doubles operator/(double a, const Doubles& b) { return {a / b.low, a / b.high}; }
+static_assert(sizeof(DoubleW) == 64 && alignof(DoubleW) == 64, "kernels of all instruction sets read the same memory");
+DYNAMORPH_INLINE DoubleW operator+(const DoubleW& a, const DoubleW& b) { return {a.low + b.low, a.high + b.high}; }
+DYNAMORPH_INLINE DoubleW operator-(const DoubleW& a, const DoubleW& b) { return {a.low - b.low, a.high - b.high}; }
+DYNAMORPH_INLINE DoubleW operator*(const DoubleW& a, const DoubleW& b) { return {a.low * b.low, a.high * b.high}; }
+DYNAMORPH_INLINE DoubleW operator/(const DoubleW& a, const DoubleW& b) { return {a.low / b.low, a.high / b.high}; }
+DYNAMORPH_INLINE DoubleW operator+(const DoubleW& a, double b) { return {a.low + b, a.high + b}; }
+DYNAMORPH_INLINE DoubleW operator-(const DoubleW& a, double b) { return {a.low - b, a.high - b}; }
+DYNAMORPH_INLINE DoubleW operator*(const DoubleW& a, double b) { return {a.low * b, a.high * b}; }
+DYNAMORPH_INLINE DoubleW operator/(const DoubleW& a, double b) { return {a.low / b, a.high / b}; }
+DYNAMORPH_INLINE DoubleW operator+(double a, const DoubleW& b) { return b + a; }
+DYNAMORPH_INLINE DoubleW operator*(double a, const DoubleW& b) { return b * a; }
+DYNAMORPH_INLINE DoubleW operator/(double a, const DoubleW& b) { return {a / b.low, a / b.high}; }
 
-DYNAMORPH_INLINE bool all_zero(const Doubles& v) {
+DYNAMORPH_INLINE bool all_zero(const DoubleW& v) {
   for (int lane = 0; lane < kLanes; ++lane)
     if (v[lane] != 0) return false;
   return true;
 }
 
-DYNAMORPH_INLINE Floats mul_add(const Floats& c, const Floats& a, const Floats& b) {
+DYNAMORPH_INLINE FloatW mul_add(const FloatW& c, const FloatW& a, const FloatW& b) {
   return {mul_add(c.all, a.all, b.all)};
 }
-DYNAMORPH_INLINE Floats mul_sub(const Floats& c, const Floats& a, const Floats& b) {
+DYNAMORPH_INLINE FloatW mul_sub(const FloatW& c, const FloatW& a, const FloatW& b) {
   return {mul_sub(c.all, a.all, b.all)};
 }
-DYNAMORPH_INLINE Floats mul_add(const Floats& c, float a, const Floats& b) { return {mul_add(c.all, a, b.all)}; }
-DYNAMORPH_INLINE Floats mul_sub(const Floats& c, float a, const Floats& b) { return {mul_sub(c.all, a, b.all)}; }
-DYNAMORPH_INLINE Doubles mul_add(const Doubles& c, const Doubles& a, const Doubles& b) {
+DYNAMORPH_INLINE FloatW mul_add(const FloatW& c, float a, const FloatW& b) { return {mul_add(c.all, a, b.all)}; }
+DYNAMORPH_INLINE FloatW mul_sub(const FloatW& c, float a, const FloatW& b) { return {mul_sub(c.all, a, b.all)}; }
+DYNAMORPH_INLINE DoubleW mul_add(const DoubleW& c, const DoubleW& a, const DoubleW& b) {
   return {mul_add(c.low, a.low, b.low), mul_add(c.high, a.high, b.high)};
 }
-DYNAMORPH_INLINE Doubles mul_sub(const Doubles& c, const Doubles& a, const Doubles& b) {
+DYNAMORPH_INLINE DoubleW mul_sub(const DoubleW& c, const DoubleW& a, const DoubleW& b) {
   return {mul_sub(c.low, a.low, b.low), mul_sub(c.high, a.high, b.high)};
 }
-DYNAMORPH_INLINE Doubles mul_add(const Doubles& c, double a, const Doubles& b) {
+DYNAMORPH_INLINE DoubleW mul_add(const DoubleW& c, double a, const DoubleW& b) {
   return {mul_add(c.low, a, b.low), mul_add(c.high, a, b.high)};
 }
-DYNAMORPH_INLINE Doubles mul_sub(const Doubles& c, double a, const Doubles& b) {
+DYNAMORPH_INLINE DoubleW mul_sub(const DoubleW& c, double a, const DoubleW& b) {
   return {mul_sub(c.low, a, b.low), mul_sub(c.high, a, b.high)};
 }
 
 DYNAMORPH_INLINE void to_single(const double& from, float& to) { to = float(from); }
-DYNAMORPH_INLINE void to_single(const Doubles& from, Floats& to) {
+DYNAMORPH_INLINE void to_single(const DoubleW& from, FloatW& to) {
   const Float4 low = __builtin_convertvector(from.low, Float4), high = __builtin_convertvector(from.high, Float4);
   to.all = __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
 }
-DYNAMORPH_INLINE Doubles to_double(const Float8& from) {
+DYNAMORPH_INLINE DoubleW to_double(const Float8& from) {
   const Double8 all = __builtin_convertvector(from, Double8);
   return {__builtin_shufflevector(all, all, 0, 1, 2, 3), __builtin_shufflevector(all, all, 4, 5, 6, 7)};
 }
-DYNAMORPH_INLINE Doubles to_double(const Floats& from) { return to_double(from.all); }
+DYNAMORPH_INLINE DoubleW to_double(const FloatW& from) { return to_double(from.all); }
 
 }  // namespace dynamorph
 

@@ -29,8 +29,8 @@ CrowdReport Crowd::start(const double* now, const double* next, const double* we
   const Index r = model().dofs(), used = Index(model().modal_inertia().used_bones().size());
   Eight empty;
   for (int m = 0; m < InertialTarget::kMoments; ++m) {
-    empty.q[m].assign(r, Doubles{});
-    empty.bones[m].assign(12 * used, Doubles{});
+    empty.q[m].assign(r, DoubleW{});
+    empty.bones[m].assign(12 * used, DoubleW{});
   }
   CrowdReport report;
   std::vector<Eight> eights((size_ + kLanes - 1) / kLanes, empty);
@@ -146,7 +146,7 @@ void Crowd::step_eight(int index, const double* bones, const double* weights, Cr
     set_lane(eight, i, alone_.state());
   }
   for (int i = count; i < kLanes; ++i)
-    for (Doubles& q : eight.q[0]) q[i] = q[count - 1];
+    for (DoubleW& q : eight.q[0]) q[i] = q[count - 1];
 }
 
 void Crowd::gather(int index, const double* bones, const double* weights) {
@@ -167,7 +167,7 @@ Lanes Crowd::jumps(const Eight& eight) const {
   if (options().teleport <= 0) return 0;
   const SoftBody& body = model().body();
   const std::vector<int>& used = model().modal_inertia().used_bones();
-  Doubles jump = {};
+  DoubleW jump = {};
   for (size_t b = 0; b < used.size(); ++b) {
     const Eigen::Matrix4d& moments = body.moments[used[b]];
     add_jump(&scratch_.bones[12 * b], &eight.bones[0][12 * b], &eight.bones[1][12 * b], moments.data(),
@@ -194,23 +194,23 @@ void Crowd::load(const Eight& eight) {
   model().modal_inertia().evaluate(inertial, blend.density.data(), blend.density_damping.data(), s.inertia);
 
   quadratic.hessian.resize(pairs);
-  for (LaneVector<Doubles>* v : {&quadratic.g, &quadratic.origin, &s.velocity}) v->resize(r);
+  for (LaneVector<DoubleW>* v : {&quadratic.g, &quadratic.origin, &s.velocity}) v->resize(r);
   add_up(s.inertia.mass.data(), s.inertia.damped.data(), 1 / rule.square, rule.velocity[0] / options().h, pairs,
          blend.damping.data(), quadratic.hessian.data());
   for (Index k = 0; k < r; ++k) {
-    const Doubles &q0 = eight.q[0][k], &q1 = eight.q[1][k];
+    const DoubleW &q0 = eight.q[0][k], &q1 = eight.q[1][k];
     quadratic.origin[k] = 2 * q0 - q1;
     s.velocity[k] =
         (rule.velocity[0] * quadratic.origin[k] + rule.velocity[1] * q0 + rule.velocity[2] * q1) / options().h;
   }
   EightLanes::multiply(blend.damping, s.velocity, quadratic.g);
   for (Index k = 0; k < r; ++k) quadratic.g[k] += s.inertia.force[k] / rule.square;
-  for (Index j = 0; j < alone_.held().cols(); ++j)
-    add_scaled(blend.weights[j], alone_.held().col(j).data(), r, quadratic.g.data());
+  for (Index j = 0; j < alone_.rest_gravity().cols(); ++j)
+    add_scaled(blend.weights[j], alone_.rest_gravity().col(j).data(), r, quadratic.g.data());
 
-  Doubles farthest = {}, density = {};
+  DoubleW farthest = {}, density = {};
   for (size_t e = 3; e < s.bones.size(); e += 4) EightLanes::widen(farthest, s.bones[e]);
-  for (const Doubles& d : blend.density) EightLanes::widen(density, d);
+  for (const DoubleW& d : blend.density) EightLanes::widen(density, d);
   const SoftBody& body = model().body();
   quadratic.round_off = 1e-14 / rule.square * (farthest + (body.centre.norm() + body.size)) *
                         EightLanes::root(body.volume * density * EightLanes::largest(s.inertia.mass));

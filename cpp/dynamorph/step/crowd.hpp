@@ -43,13 +43,13 @@ class Crowd {
  private:
   /// Eight characters: coordinates (r) and the transforms of the used bones (12 each), now and at the last three steps.
   struct Eight {
-    std::array<LaneVector<Doubles>, InertialTarget::kMoments> q, bones;
+    std::array<LaneVector<DoubleW>, InertialTarget::kMoments> q, bones;
   };
   /// As Simulation's members of these names.
   struct Scratch {
     ReducedModel::EightBlend blend;
-    LaneVector<Doubles> bones;  ///< at the end of the step (12 used)
-    LaneVector<Doubles> q, velocity;
+    LaneVector<DoubleW> bones;  ///< at the end of the step (12 used)
+    LaneVector<DoubleW> q, velocity;
     ModalInertia::EightInertia inertia;
     QuadraticTerm<EightLanes> quadratic;
     ElasticTerm<ReducedModel, EightLanes, ReducedModel::EightBlend> elastic;

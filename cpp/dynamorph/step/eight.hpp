@@ -13,14 +13,12 @@
 namespace dynamorph {
 
 struct EightLanes {
-  using Number = Doubles;
-  using Vector = LaneVector<Doubles>;
-  using Matrix = LaneVector<Doubles>;
+  using Number = DoubleW;
+  using Vector = LaneVector<DoubleW>;
+  using Matrix = LaneVector<DoubleW>;
   static constexpr int kLanes = dynamorph::kLanes;
   static constexpr int kHalvings = 4;     // who needs more is stepped alone
   static constexpr double kNoise = 1e-6;  // of an energy from tables in single precision
-
-  static constexpr double kSmallest = 1e-6;  ///< of the largest scale
 
   /// Solves H x = b; returns the lanes whose H is not positive definite.
   class Solver {
@@ -31,7 +29,7 @@ struct EightLanes {
       inverse_.resize(r);
       factorize(factor_.data(), r, inverse_.data());
       Lanes definite = (1U << kLanes) - 1;
-      for (const Doubles& d : inverse_)
+      for (const DoubleW& d : inverse_)
         for (int lane = 0; lane < kLanes; ++lane)
           if (!(d[lane] > 0 && d[lane] < HUGE_VAL)) definite &= ~(1U << lane);
       x = b;
@@ -110,7 +108,7 @@ struct EightLanes {
       widen(most, A[p]);
     }
     for (Number& own : out)
-      for (int lane = 0; lane < kLanes; ++lane) own[lane] = std::max(own[lane], kSmallest * most[lane]);
+      for (int lane = 0; lane < kLanes; ++lane) own[lane] = std::max(own[lane], kSmallestScale * most[lane]);
   }
   static void add_to_diagonal(Matrix& A, const Number& more, const Vector& scales) {
     for (size_t k = 0, p = 0; k < scales.size(); p += scales.size() - k, ++k) A[p] += more * scales[k];

@@ -23,6 +23,8 @@ namespace dynamorph {
 /// A bit for each character: one, or eight.
 using Lanes = unsigned;
 
+constexpr double kSmallestScale = 1e-6;  ///< of the diagonal of a tangent, as a part of the largest
+
 /// What the terms add up to at some q.
 template <class Arithmetic>
 struct Value {
@@ -84,14 +86,14 @@ struct NewtonScratch {
 
 struct NewtonLimits {
   double tolerance;  ///< on the gradient, relative to the forces in it
-  double step;       ///< coordinates that are nothing: where no more than that is to be gained, it has converged
+  double step;       ///< coordinates that are nothing: who is stopped after such a step has converged
   int iterations;
 };
 
 template <class Arithmetic>
 struct NewtonReport {
   int iterations = 0;                      ///< of all characters
-  Lanes open = 0;                          ///< neither converged nor near it, 100 times the tolerance
+  Lanes open = 0;                          ///< neither was the tolerance reached, nor was the last step nothing
   Lanes broken = 0;                        ///< a force is not finite
   typename Arithmetic::Number residual{};  ///< gradient relative to the forces in it
 };
@@ -107,7 +109,7 @@ typename Arithmetic::Number relative_residual(const Value<Arithmetic>& value, do
 /// the stiffest place does not hold back the softest (Marquardt 1963, doi 10.1137/0111030). Returns the lanes for which
 /// there is no direction.
 template <class Arithmetic, class Potential>
-Lanes descend(const Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving) {
+Lanes newton_direction(const Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving) {
   using Number = typename Arithmetic::Number;
   constexpr int kShifts = 20;
   constexpr double kLeast = 1e-4;  // of an entry
@@ -145,7 +147,8 @@ Lanes descend(const Potential& potential, NewtonScratch<Arithmetic>& scratch, La
 /// whole step is nearly always taken; who would not descend by it halves it. Returns the lanes that stay where they
 /// were, because round-off leaves no descent.
 template <class Arithmetic, class Potential>
-Lanes search(Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving, typename Arithmetic::Vector& q) {
+Lanes line_search(Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving,
+                  typename Arithmetic::Vector& q) {
   using Number = typename Arithmetic::Number;
   Value<Arithmetic>& value = scratch.value;
   const Number slope = Arithmetic::dot(value.gradient, scratch.direction), steep = Arithmetic::norm(value.gradient);
@@ -197,11 +200,11 @@ NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic
       report.open |= moving & far;
       return report;
     }
-    report.broken |= descend(potential, scratch, moving);
+    report.broken |= newton_direction(potential, scratch, moving);
     const auto step = Arithmetic::norm(scratch.direction);
     moving &= ~report.broken & ~Arithmetic::below(step, value.resolution);
     far = ~Arithmetic::below(step, value.resolution + limits.step);
-    const Lanes stuck = moving ? search(potential, scratch, moving, q) : 0;
+    const Lanes stuck = moving ? line_search(potential, scratch, moving, q) : 0;
     report.open |= stuck & far;
     moving &= ~stuck;
     for (Lanes rest = moving; rest; rest &= rest - 1) ++report.iterations;

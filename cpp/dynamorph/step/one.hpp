@@ -20,8 +20,6 @@ struct One {
   static constexpr int kLanes = 1, kHalvings = 19;
   static constexpr double kNoise = 1e-12;  ///< of an energy, as a part of it
 
-  static constexpr double kSmallest = 1e-6;  ///< of the largest scale
-
   /// Solves H x = b; returns the lanes whose H is not positive definite.
   class Solver {
    public:
@@ -61,7 +59,7 @@ struct One {
     out = A.diagonal().cwiseAbs();
     if constexpr (!std::is_same_v<Matrix, MatrixXd>)
       for (Eigen::Index i = 0; i < out.size(); i += 3) out.segment<3>(i).setConstant(out.segment<3>(i).mean());
-    out = out.cwiseMax(kSmallest * out.maxCoeff());
+    out = out.cwiseMax(kSmallestScale * out.maxCoeff());
   }
   static void add_to_diagonal(Matrix& A, Number more, const Vector& scales) { A.diagonal() += more * scales; }
 

@@ -56,7 +56,7 @@ template <class Model>
 void Simulation<Model>::load(const InertialTarget& inertial, double square, const VectorXd& external) {
   model_->inertia(inertial, blend_.mass, inertia_);
   quadratic_.g = inertia_.force / square;
-  if (held_.size() > 0) quadratic_.g.noalias() += held_ * blend_.weights;
+  if (rest_gravity_.size() > 0) quadratic_.g.noalias() += rest_gravity_ * blend_.weights;
   if (external.size() == 0) return;
   const Eigen::Index size = model_->body().rest.size();
   if (external.size() != size)
@@ -78,7 +78,7 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
     throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
                                 " targets, got " + std::to_string(bones.size()));
   MatrixXd held(model_->dofs(), targets.size()), before;
-  before.swap(held_);  // does not count, and is back where a rig is refused
+  before.swap(rest_gravity_);  // does not count, and is back where a rig is refused
   const VectorXd rest = VectorXd::Zero(model_->dofs());
   try {
     for (size_t j = 0; j < targets.size(); ++j) {
@@ -89,10 +89,10 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
       held.col(j) = -quadratic_.g;
     }
   } catch (...) {
-    held_.swap(before);
+    rest_gravity_.swap(before);
     throw;
   }
-  held_ = held;
+  rest_gravity_ = held;
 }
 
 template <class Model>
@@ -239,13 +239,13 @@ double Simulation<Model>::kinetic_energy() const {
   require_pose();
   const SoftBody& body = model_->body();
   VectorXd velocity = VectorXd::Zero(body.rest.size()), u, x;
-  const std::array<double, 3> shares = StepRule(options_).velocity;
+  const std::array<double, 3> past = StepRule(options_).velocity;
   for (int m = 0; m < 3; ++m) {
     SkinFrame frame{state_.bones[m], {}};
     pose_nodes(body.skin, frame);
     model_->displacement(state_.q[m], u);
     to_world(frame, 1, body.rest + u, x);
-    velocity += shares[m] / options_.h * x;
+    velocity += past[m] / options_.h * x;
   }
   SetDensities densities;
   densities.blend(model_->targets(), body.sets(), weights_);

@@ -68,7 +68,7 @@ class Simulation {
   const std::shared_ptr<const Model>& shared_model() const { return model_; }
   const StepOptions& options() const { return options_; }
   const State& state() const { return state_; }
-  const MatrixXd& held() const { return held_; }  ///< what holds the targets (dofs, J), or empty
+  const MatrixXd& rest_gravity() const { return rest_gravity_; }  ///< what holds the targets (dofs, J), or empty
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
   /// J, of the state at the target weights of the last start() or step(); kinetic by the scheme's own velocity.
@@ -102,8 +102,8 @@ class Simulation {
   QuadraticTerm<Arithmetic> quadratic_;
   ElasticTerm<Model, Arithmetic, const typename Model::Blend> elastic_;
   NewtonScratch<Arithmetic> newton_;
-  MatrixXd held_;    ///< gravity in each target's own pose (dofs, J), or empty
-  SkinFrame frame_;  ///< of the nodes, where external forces act
+  MatrixXd rest_gravity_;  ///< gravity in each target's own pose (dofs, J), or empty
+  SkinFrame frame_;        ///< of the nodes, where external forces act
   VectorXd nodal_, projected_;
 };
 

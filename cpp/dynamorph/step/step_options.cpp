@@ -19,7 +19,7 @@ namespace {
 
 void check(const StepOptions& options) {
   if (!(options.h > 0 && std::isfinite(options.h))) refuse("h", "a positive number of seconds", options.h);
-  if (options.scheme != Scheme::euler && options.scheme != Scheme::bdf2)
+  if (options.scheme != Scheme::implicit_euler && options.scheme != Scheme::bdf2)
     refuse("scheme", "one of Scheme's values", int(options.scheme));
   if (!options.gravity.allFinite()) throw std::invalid_argument("gravity: expected three finite numbers");
   if (!(options.tolerance > 0 && options.tolerance < 1)) refuse("tolerance", "between 0 and 1", options.tolerance);
@@ -28,7 +28,7 @@ void check(const StepOptions& options) {
 }
 
 StepRule::StepRule(const StepOptions& options) {
-  const bool euler = options.scheme == Scheme::euler;
+  const bool euler = options.scheme == Scheme::implicit_euler;
   past = euler ? std::array<double, 4>{2, -1, 0, 0} : std::array<double, 4>{24 / 9., -22 / 9., 8 / 9., -1 / 9.};
   velocity = euler ? std::array<double, 3>{1, -1, 0} : std::array<double, 3>{1.5, -2, 0.5};
   square = options.h * options.h * (euler ? 1 : 4 / 9.);

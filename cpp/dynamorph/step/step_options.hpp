@@ -10,7 +10,7 @@
 
 namespace dynamorph {
 
-enum class Scheme { euler, bdf2 };
+enum class Scheme { implicit_euler, bdf2 };
 
 struct StepOptions {
   double h = 1.0 / 120;  ///< seconds

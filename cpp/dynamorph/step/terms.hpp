@@ -22,16 +22,16 @@ struct QuadraticTerm {
   Number energy{}, forces{}, length{}, resolution{};
 
   void evaluate(const Vector& q) {
-    Arithmetic::subtract(q, origin, offset_);
-    Arithmetic::multiply(hessian, offset_, image_);
-    Arithmetic::sum(gradient, image_, g);
-    energy = 0.5 * Arithmetic::dot(offset_, image_) + Arithmetic::dot(offset_, g);
-    forces = Arithmetic::norm(image_) + Arithmetic::norm(g);
+    Arithmetic::subtract(q, origin, d_);
+    Arithmetic::multiply(hessian, d_, Hd_);
+    Arithmetic::sum(gradient, Hd_, g);
+    energy = 0.5 * Arithmetic::dot(d_, Hd_) + Arithmetic::dot(d_, g);
+    forces = Arithmetic::norm(Hd_) + Arithmetic::norm(g);
   }
   Number longest(const Vector&, const Vector&) const { return Number() + 1.0; }
 
  private:
-  Vector offset_, image_;
+  Vector d_, Hd_;
 };
 
 /// E(q) in one pose: the elastic energy, and that of what holds the flesh against the bones.

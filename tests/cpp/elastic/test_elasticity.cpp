@@ -2,7 +2,7 @@
 #include <doctest/doctest.h>
 
 #include "derivatives.hpp"
-#include "dynamorph/elastic/elasticity.hpp"
+#include "elastic/laws.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;

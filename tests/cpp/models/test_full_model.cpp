@@ -4,6 +4,7 @@
 
 #include "derivatives.hpp"
 #include "dynamorph/elastic/sparse_solver.hpp"
+#include "elastic/laws.hpp"
 #include "scenes.hpp"
 
 using namespace dynamorph;
@@ -17,7 +18,7 @@ struct Reference {
   MatrixXd stiffness;
 };
 
-/// sum_j w_j E_j over all nodes' degrees of freedom by elasticity.hpp's functions, restricted to the free ones.
+/// sum_j w_j E_j over all nodes' degrees of freedom by the laws of laws.hpp, restricted to the free ones.
 Reference element_by_element(const FullModel& model, const VectorXd& w, const VectorXd& q) {
   const SoftBody& body = model.body();
   VectorXd blended = VectorXd::Zero(model.dofs());

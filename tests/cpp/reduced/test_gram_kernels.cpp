@@ -2,9 +2,9 @@
 // The sums over rows and over pairs of modes, against their definitions.
 #include <doctest/doctest.h>
 
-#include "dynamorph/elastic/elasticity.hpp"
 #include "dynamorph/reduced/gram_accumulator.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
+#include "elastic/laws.hpp"
 
 using namespace dynamorph;
 

@@ -160,8 +160,8 @@ TEST_CASE("inertia of eight characters is that of each") {
   std::array<InertialTarget, kLanes> single;
   std::array<std::array<VectorXd, InertialTarget::kMoments>, kLanes> q;
   std::array<std::array<Transforms, InertialTarget::kPoses>, kLanes> bones;
-  std::array<LaneVector<Doubles>, InertialTarget::kMoments> q_lanes;
-  std::array<LaneVector<Doubles>, InertialTarget::kPoses> bone_lanes;
+  std::array<LaneVector<DoubleW>, InertialTarget::kMoments> q_lanes;
+  std::array<LaneVector<DoubleW>, InertialTarget::kPoses> bone_lanes;
   ModalInertia::EightInertialTarget eight;
   eight.coefficients = StepRule(StepOptions{1 / 120.}).coefficients();
   eight.gravity_offset = Vector3d(0, 0, 1e-4);
@@ -186,7 +186,7 @@ TEST_CASE("inertia of eight characters is that of each") {
   }
   for (int m = 0; m < InertialTarget::kMoments; ++m) eight.q[m] = q_lanes[m].data();
   for (int n = 0; n < InertialTarget::kPoses; ++n) eight.bones[n] = bone_lanes[n].data();
-  const Doubles density = Doubles{} + 1000, damping = Doubles{} + 30;
+  const DoubleW density = DoubleW{} + 1000, damping = DoubleW{} + 30;
   ModalInertia::EightInertia found;
   inertia.evaluate(eight, &density, &damping, found);
   for (int lane = 0; lane < kLanes; ++lane) {

@@ -33,7 +33,7 @@ struct Hills {
     if constexpr (Arithmetic::kLanes == 1) {
       hessian.setZero(r, r);
     } else {
-      hessian.assign(r * (r + 1) / 2, Doubles{});
+      hessian.assign(r * (r + 1) / 2, DoubleW{});
     }
     energy = Number();
     for (int lane = 0; lane < Arithmetic::kLanes; ++lane)
@@ -64,10 +64,10 @@ struct Hills {
 const NewtonLimits kLimits{1e-10, 1e-12, 60};
 const auto kAsk = [] {};
 
-LaneVector<Doubles> lanes(std::initializer_list<double> first, double step) {
-  LaneVector<Doubles> out;
+LaneVector<DoubleW> lanes(std::initializer_list<double> first, double step) {
+  LaneVector<DoubleW> out;
   for (double value : first) {
-    Doubles own;
+    DoubleW own;
     for (int lane = 0; lane < kLanes; ++lane) own[lane] = value + step * lane;
     out.push_back(own);
   }
@@ -146,8 +146,8 @@ TEST_CASE("Newton: eight are stepped as each of them alone, and who does not tak
   quadratic.origin = lanes({0.2, 0.1}, -0.4);
   Potential<EightLanes, QuadraticTerm<EightLanes>, Hills<EightLanes>> potential(quadratic, hills);
   NewtonScratch<EightLanes> scratch;
-  const LaneVector<Doubles> begin = lanes({3, -3}, 0.5);
-  LaneVector<Doubles> q = begin;
+  const LaneVector<DoubleW> begin = lanes({3, -3}, 0.5);
+  LaneVector<DoubleW> q = begin;
   const Lanes moving = 0b10110111;
   CHECK(!minimize(potential, scratch, q, moving, kLimits, kAsk).open);
   for (int lane = 0; lane < kLanes; ++lane) {
@@ -177,7 +177,7 @@ TEST_CASE("Newton: a lane without a direction or a number does not disturb the o
   Hills<EightLanes> hills;
   Potential<EightLanes, Hills<EightLanes>> potential(hills);
   NewtonScratch<EightLanes> scratch;
-  LaneVector<Doubles> q = lanes({2, 1}, 0);
+  LaneVector<DoubleW> q = lanes({2, 1}, 0);
   q[0][3] = std::numeric_limits<double>::quiet_NaN();
   q[1][5] = 1e200;  // cosh overflows
   const auto report = minimize(potential, scratch, q, (1U << kLanes) - 1, kLimits, kAsk);
