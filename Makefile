@@ -43,7 +43,7 @@ figures: build
 
 # The table of presets in docs/materials.md.
 materials: build
-	@PYTHONPATH=addon $(python) -m dynamic_morph_targets.materials docs/materials.md
+	@PYTHONPATH=addon $(python) -m dynamic_morph_targets.core.material_presets docs/materials.md
 	@$(python) tools/measured.py docs/materials.md
 
 # What the engine and the pipeline take, against their goals; takes about 5 minutes.

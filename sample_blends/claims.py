@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import measures
 import numpy as np
-from dynamic_morph_targets.report import Run, Statics
-from dynamic_morph_targets.scene_data import RigSamples
+from dynamic_morph_targets.core.compare import Run, Statics
+from dynamic_morph_targets.core.rig_samples import RigSamples
 from subjects import Shot
 
 PLAIN = "plain skinning"  # no run: the skin as the bones move it

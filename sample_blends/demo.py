@@ -17,8 +17,11 @@ try:
     import dynamic_morph_targets
     import numpy as np
     from contact_sheet import Row, compose, quiet, render, save
-    from dynamic_morph_targets import cli, jobs, sinks
     from dynamic_morph_targets.__main__ import leave
+    from dynamic_morph_targets.cli import record
+    from dynamic_morph_targets.core import engine
+    from dynamic_morph_targets.run import batch, job
+    from dynamic_morph_targets.write.bake import free
 except ImportError as error:
     sys.exit(f"demo: {error}. `make demo` installs and builds everything first; see README.md for doing it by hand.")
 
@@ -54,7 +57,7 @@ def run(draft: bool, docs: bool) -> None:
     limb = bpy.data.objects[LIMB]
 
     print("baking dynamic morph targets")
-    dmt = bake(jobs.Job(limb, goal="BAKE"))
+    dmt = bake(job.Job(limb, goal="BAKE"))
     BAKED.parent.mkdir(exist_ok=True)
     with quiet():
         bpy.ops.wm.save_as_mainfile(filepath=str(BAKED), copy=True, compress=True)
@@ -65,10 +68,10 @@ def run(draft: bool, docs: bool) -> None:
 
     print("baking a single material")
     limb.dynamorph.model.method = "SINGLE"
-    single = bake(jobs.Job(limb, goal="BAKE"))
+    single = bake(job.Job(limb, goal="BAKE"))
     began = time.perf_counter()
     rows.insert(0, row("Single material", "the neutral target alone: the same softness in every pose", draft, single))
-    sinks.free(limb)
+    free(limb)
     rows.insert(0, row("Plain skinning", "no simulation", draft))
     rendering += time.perf_counter() - began
 
@@ -82,28 +85,28 @@ def run(draft: bool, docs: bool) -> None:
     print_table({"single material": single, "DMT": dmt})
 
 
-def bake(job: jobs.Job) -> jobs.Job:
-    jobs.run(job, cli.Progress())
+def bake(job: job.Job) -> job.Job:
+    batch.run(job, record.Progress())
     for warning in job.warnings:
         print(f"{job.name}: warning: {warning}")
     return job
 
 
-def row(name: str, about: str, draft: bool, job: jobs.Job | None = None) -> Row:
+def row(name: str, about: str, draft: bool, job: job.Job | None = None) -> Row:
     """Render the scene as it is now. Cycles looks better, Workbench is five times as fast."""
     print(f"rendering {name.lower()}", flush=True)
     pictures = render(list(FRAMES), CELL, "BLENDER_WORKBENCH" if draft else "CYCLES")
     return Row(name, about, pictures, [weights_at(job, frame) for frame in FRAMES])
 
 
-def weights_at(job: jobs.Job | None, frame: int) -> str:
+def weights_at(job: job.Job | None, frame: int) -> str:
     if job is None:
         return ""
     weights = job.result.weights[frame - job.settings.start]
     return ", ".join(f"{name} {w:.2f}" for name, w in zip(job.result.target_names, weights, strict=True) if w > 0.005)
 
 
-def swing(job: jobs.Job, first: int, last: int) -> float:
+def swing(job: job.Job, first: int, last: int) -> float:
     """How far the skin leaves the pose's own static shape between two frames, at most; metres."""
     shapes = np.array([target.shape for target in job.character.by_method().targets])
     apart = 0.0
@@ -113,7 +116,7 @@ def swing(job: jobs.Job, first: int, last: int) -> float:
     return float(apart)
 
 
-def print_table(variants: dict[str, jobs.Job]) -> None:
+def print_table(variants: dict[str, job.Job]) -> None:
     """One column for each variant, every figure measured in this run."""
     made = {name: job.model.summary for name, job in variants.items()}
     lines = [(label, [str(made[name][key]) for name in variants]) for label, key in
@@ -149,7 +152,7 @@ def main() -> int:
     dynamic_morph_targets.register()
     try:
         run(args.draft, args.docs)
-    except jobs.expected_errors() as error:
+    except engine.expected_errors() as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
     return 0

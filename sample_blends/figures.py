@@ -23,9 +23,10 @@ try:
     import plots
     import results_page
     from contact_sheet import Row, compose, render, save
-    from dynamic_morph_targets import report, sinks
     from dynamic_morph_targets.__main__ import leave
-    from dynamic_morph_targets.scene_data import VARIANTS
+    from dynamic_morph_targets.core import compare
+    from dynamic_morph_targets.core.settings import VARIANTS
+    from dynamic_morph_targets.write.bake import free, write_keys
     from subjects import SUBJECTS, Sheet, Shot, Subject, open_shot
 except ImportError as error:
     sys.exit(f"figures: {error}. `make figures` installs and builds everything first.")
@@ -58,17 +59,17 @@ class Work:
         self.measured = self.shot.part(*subject.measured)
 
     @cached_property
-    def table(self) -> dict[str, report.Run]:
+    def table(self) -> dict[str, compare.Run]:
         """The variants of table 5.1, over the measured frames."""
         return self.measured.runs(TABLE)
 
     @cached_property
-    def shown(self) -> dict[str, report.Run]:
+    def shown(self) -> dict[str, compare.Run]:
         """The methods side by side, over the whole shot; without the full model where it is too slow."""
         return self.shot.runs(claims.FAST if self.subject.full else claims.SHOWN)
 
     @cached_property
-    def rows(self) -> dict[str, list[tuple[Shot, report.Run]]]:
+    def rows(self) -> dict[str, list[tuple[Shot, compare.Run]]]:
         """What contact sheets show of each simulated method: shots and their runs."""
         rows = {name: [(self.shot, run)] for name, run in self.shown.items()}
         for first, last in self.subject.full:
@@ -82,7 +83,7 @@ class Work:
 
 def table(work: Work) -> dict:
     """The figures of table 5.1, over the measured frames."""
-    return {name: report.figures(run, work.shot.character) for name, run in work.table.items()}
+    return {name: compare.figures(run, work.shot.character) for name, run in work.table.items()}
 
 
 def measure_claims(work: Work) -> dict:
@@ -95,11 +96,11 @@ def accuracy(work: Work) -> dict:
     compared = {key: (run.motion, run.static) for key, run in full.items()}
     errors: dict[str, dict] = {}
     shot = work.measured
-    for name, run in report.runs(shot.character, shot.rig, shot.settings, sweep(shot)):
+    for name, run in compare.runs(shot.character, shot.rig, shot.settings, sweep(shot)):
         label, _, modes = name.rpartition(" ")
-        error = asdict(report.motion_error(run.motion, *compared[run.character.settings.law]))
+        error = asdict(compare.motion_error(run.motion, *compared[run.character.settings.law]))
         errors.setdefault(label, {})[modes] = error | {"steps_per_second": run.report["steps_per_second"]}
-    between = report.motion_error(compared["LINEAR"][0], *compared["STVK"])
+    between = compare.motion_error(compared["LINEAR"][0], *compared["STVK"])
     best = best_possible(full["STVK"], shot, errors)
     also = {f"{first} to {last}": asdict(own_error(work.shot.part(first, last))) for first, last in work.subject.also}
     return {
@@ -111,7 +112,7 @@ def accuracy(work: Work) -> dict:
     }
 
 
-def best_possible(full: report.Run, shot: Shot, errors: dict) -> dict[str, float]:
+def best_possible(full: compare.Run, shot: Shot, errors: dict) -> dict[str, float]:
     """RMS error, of the total displacement, below which no modes can come that hold the targets' shapes: the rest of
     the motion's singular values."""
     apart = (full.motion - full.static).reshape(len(full.motion), -1)
@@ -125,10 +126,10 @@ def shapes(shot: Shot) -> int:
     return sum(bool(target.shape.any()) for target in shot.character.targets)
 
 
-def own_error(shot: Shot) -> report.MotionError:
+def own_error(shot: Shot) -> compare.MotionError:
     """Of the scene's own reduced StVK model against the unreduced one."""
     runs = shot.runs({"full": {"law": "STVK", "solver": "FULL"}, "reduced": {"law": "STVK", "solver": "REDUCED"}})
-    return report.motion_error(runs["reduced"].motion, runs["full"].motion, runs["full"].static)
+    return compare.motion_error(runs["reduced"].motion, runs["full"].motion, runs["full"].static)
 
 
 def sweep(shot: Shot) -> dict[str, dict]:
@@ -187,15 +188,15 @@ def sheets(work: Work, engine: str, folder: Path) -> dict[str, str]:
     return files
 
 
-def photograph(work: Work, run: report.Run | None, frames, engine: str) -> list:
+def photograph(work: Work, run: compare.Run | None, frames, engine: str) -> list:
     """Renders frames of the open scene with a run's bake, or as the bones alone move it."""
     obj = bpy.data.objects[work.subject.object]
     if run is None:
-        sinks.free(obj)
+        free(obj)
     else:
         kept = slice(SHOWN_MODES)
         bake = replace(run.bake, coordinates=run.bake.coordinates[:, kept], modes=run.bake.modes[kept])
-        sinks.write_keys(obj, bake)
+        write_keys(obj, bake)
     focus = {frame: work.shot.middle(frame) for frame in frames}
     return render(list(frames), CELL, engine, focus=focus, zoom=work.subject.zoom)
 
@@ -211,7 +212,7 @@ def lay_out(work: Work, sheet: Sheet, pictures: dict[str, dict]):
     return compose(f"Figure {sheet.figure}: {sheet.title}", work.subject.title, columns, rows)
 
 
-def acting(shot: Shot, run: report.Run | None, frame: int) -> str:
+def acting(shot: Shot, run: compare.Run | None, frame: int) -> str:
     """The targets that act at a frame, but for the neutral ones."""
     if run is None:
         return ""
@@ -331,7 +332,7 @@ def make(args, folder: Path) -> None:
             pictures |= timed(f"{name}: contact sheets", sheets, work, engine, images)
     if "sheets" in args.only:
         pictures["5.1"] = timed("overview", overview, works, engine, images)
-    results_page.write(folder, report.machine(), found, pictures)
+    results_page.write(folder, compare.machine(), found, pictures)
     print(f"written to {folder.relative_to(ROOT)}")
 
 

@@ -12,8 +12,11 @@ import bpy
 import measures
 import numpy as np
 from contact_sheet import quiet
-from dynamic_morph_targets import extract, report
-from dynamic_morph_targets.scene_data import Character, RigSamples, SimulationSettings
+from dynamic_morph_targets.core import compare
+from dynamic_morph_targets.core.character import Character
+from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.settings import SimulationSettings
+from dynamic_morph_targets.scene import extract, rig_motion, run_settings
 
 FOLDER = Path(__file__).resolve().parent
 
@@ -178,8 +181,8 @@ class Shot:
         settings = replace(self.settings, start=0, end=len(self.rig) - 1, fps=rate, substeps=1)
         return Shot(self.subject, self.character, self.rig, settings)
 
-    def runs(self, variants: dict[str, dict]) -> dict[str, report.Run]:
-        return dict(report.runs(self.character, self.rig, self.settings, variants))
+    def runs(self, variants: dict[str, dict]) -> dict[str, compare.Run]:
+        return dict(compare.runs(self.character, self.rig, self.settings, variants))
 
 
 def open_shot(subject: Subject) -> Shot:
@@ -187,6 +190,6 @@ def open_shot(subject: Subject) -> Shot:
     with quiet():
         bpy.ops.wm.open_mainfile(filepath=str(subject.path))
         obj = bpy.data.objects[subject.object]
-        settings = extract.simulation_settings(obj, bpy.context.scene)
-        rig = extract.sample_rig(obj, settings.start, settings.end, settings.substeps)
+        settings = run_settings.simulation_settings(obj, bpy.context.scene)
+        rig = rig_motion.sample_rig(obj, settings.start, settings.end, settings.substeps)
         return Shot(subject, extract.character(obj), rig, settings)

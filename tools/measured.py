@@ -16,9 +16,9 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 LINE = re.compile(r"Measured at commit `?([0-9a-f]{7,40})`? \((\d{4}-\d\d-\d\d)\)( \+ changes)?")
 
-INTERFACE = ("panels", "overlays", "preferences", "events", "watch", "presets", "cli", "*_operators")
+INTERFACE = ("ui/*", "cli/*", "preferences.py", "scene/events.py", "run/watch.py")
 ENGINE = ("cpp/dynamorph", "cpp/bindings")
-ADDON = ("addon/dynamic_morph_targets", *(f":!addon/dynamic_morph_targets/{name}.py" for name in INTERFACE))
+ADDON = ("addon/dynamic_morph_targets", *(f":!addon/dynamic_morph_targets/{name}" for name in INTERFACE))
 # What each generated page is made from, as git's path specifications.
 PAGES = {
     "results.md": (*ENGINE, *ADDON, "sample_blends"),
@@ -26,9 +26,9 @@ PAGES = {
     "robustness.md": (*ENGINE, *ADDON, "tests/benchmarks/robustness_page.py", "tests/addon/characters.py"),
     "bakes.md": (*ENGINE, *ADDON, "tests/benchmarks/bakes.py", "tests/benchmarks/walks.py"),
     "believable.md": (*ENGINE, *ADDON, "tests/benchmarks/believable_bake.py", "tests/benchmarks/convergence.py"),
-    "farm.md": ("addon/dynamic_morph_targets/cli.py", "addon/dynamic_morph_targets/share.py", "farm",
+    "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "farm",
                 "tools/farm_demo.py"),
-    "materials.md": ("addon/dynamic_morph_targets/materials.py",),
+    "materials.md": ("addon/dynamic_morph_targets/core/material_presets.py",),
 }  # fmt: skip
 WRITTEN = ("architecture.md", "cpp.md", "decisions/", "file_format.md", "theory.md", "user_guide.md")  # by hand
 

@@ -1,48 +1,59 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Dynamorph: dynamic morph targets for Blender. Registration only.
 
-Imports wait until `register`: the modules between extract and sinks then serve and are tested without Blender. The
-compiled engine is imported when it is first used (see jobs.engine), so that the add-on can say what is missing.
+Imports wait until `register`: core and io then serve and are tested without Blender. The
+compiled engine is imported when it is first used (see core.engine), so that the add-on can say what is missing.
 """
 
 import atexit
 
+_registered = []  # modules, in the order in which they were registered
 _commands = []  # handles that Blender wants back
 
 
 def _modules():
-    from . import (
+    from . import preferences
+    from .run import live, watch, weight_curves
+    from .scene import properties
+    from .ui import (
+        attachment_operators,
         export_operators,
         feel_operators,
-        influence,
-        influence_operators,
-        live,
+        job_operators,
         live_operators,
-        operators,
+        material_operators,
         overlays,
+        paint_operators,
         panels,
-        piece_operators,
-        preferences,
+        pose_operators,
         presets,
-        properties,
+        sculpt_operators,
         setup_operators,
         target_operators,
         transfer_operators,
-        watch,
+        weight_operators,
     )
 
-    buttons = operators, setup_operators, piece_operators, target_operators, transfer_operators, influence_operators
     return (
         preferences,
         properties,
-        *buttons,
+        job_operators,
+        setup_operators,
+        paint_operators,
+        attachment_operators,
+        target_operators,
+        pose_operators,
+        sculpt_operators,
+        material_operators,
+        transfer_operators,
+        weight_operators,
         live_operators,
         feel_operators,
         export_operators,
         presets,
-        influence,
-        live,
         watch,
+        weight_curves,
+        live,
         overlays,
         panels,
     )
@@ -51,22 +62,29 @@ def _modules():
 def register():
     import bpy
 
-    from . import cli
+    from .cli import main
 
-    for module in _modules():
-        module.register()
-    _commands.append(bpy.utils.register_cli_command("dynamorph", cli.main))
+    try:
+        for module in _modules():
+            module.register()
+            _registered.append(module)
+        _commands.append(bpy.utils.register_cli_command("dynamorph", main.main))
+    except BaseException:
+        unregister()
+        raise
     if bpy.app.module:
         atexit.register(unregister)  # the wheel does not do it, and then crashes or hangs while Python ends
 
 
 def unregister():
+    """Takes back what `register` has done, however far it came; a second time there is nothing left to do.
+
+    atexit does it in the wheel, which disables its add-ons once more as it ends.
+    """
     import bpy
 
-    if not _commands:  # done by atexit: the wheel, as it ends, disables its add-ons once more
-        return
     atexit.unregister(unregister)
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
-    for module in reversed(_modules()):
-        module.unregister()
+    while _registered:
+        _registered.pop().unregister()

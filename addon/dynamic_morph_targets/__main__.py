@@ -13,11 +13,12 @@ def run() -> int:
     except ImportError as error:
         print(f"dynamorph: error: Blender's Python module is missing ({error}): pip install bpy", file=sys.stderr)
         return 2
-    from . import cli, register
+    from . import register
+    from .cli import main
 
     if not hasattr(bpy.types.Object, "dynamorph"):  # the installed extension may have registered already
         register()
-    return cli.main(sys.argv[1:], opens_file=True)
+    return main.main(sys.argv[1:], opens_file=True)
 
 
 def leave(code: int):

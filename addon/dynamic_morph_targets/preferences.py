@@ -12,12 +12,14 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.props import IntProperty, StringProperty
 from bpy.types import AddonPreferences
 
+from .core.engine import tell_threads
+
 MODEL_FOLDER = "//dynamorph_models"  # beside the .blend
 
 
 def _threads_changed(chosen, _context):
     if "dynamorph" in sys.modules:
-        _tell_threads(chosen.threads)
+        tell_threads(chosen.threads)
 
 
 class DynamorphPreferences(AddonPreferences):
@@ -36,13 +38,13 @@ class DynamorphPreferences(AddonPreferences):
     )  # fmt: skip
 
     def draw(self, _context):
-        from . import jobs
+        from .core import engine
 
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "model_folder")
         layout.prop(self, "threads")
-        problem = jobs.engine_problem()
+        problem = engine.engine_problem()
         layout.label(text=problem or _engine_version(), icon="ERROR" if problem else "CHECKMARK", translate=False)
 
 
@@ -77,14 +79,7 @@ def use_threads():
     """Tell the engine how many threads the user wants; for when it has just been loaded."""
     chosen = _chosen()
     if chosen and chosen.threads:
-        _tell_threads(chosen.threads)
-
-
-def _tell_threads(count: int):
-    import dynamorph
-
-    if hasattr(dynamorph, "set_threads"):  # the engine may be older than the add-on
-        dynamorph.set_threads(count)
+        tell_threads(chosen.threads)
 
 
 register, unregister = bpy.utils.register_classes_factory((DynamorphPreferences,))

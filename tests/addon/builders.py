@@ -5,6 +5,7 @@ import hashlib
 import importlib
 import time
 from math import pi
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -13,11 +14,13 @@ import scenes
 from old_settings import with_pins
 
 MODULE = "bl_ext.user_default.dynamic_morph_targets"
+PACKAGE = Path(__file__).parents[2] / "addon" / "dynamic_morph_targets"
 
 
 def part(name):
-    """A module of the add-on, such as part("extract")."""
-    return importlib.import_module(f"{MODULE}.{name}")
+    """A module of the add-on, such as part("extract"): each file name occurs once."""
+    (path,) = PACKAGE.rglob(f"{name}.py")
+    return importlib.import_module(".".join([MODULE, *path.relative_to(PACKAGE).with_suffix("").parts]))
 
 
 def make_rig(scene, name="Rig", bones=2):
@@ -97,14 +100,14 @@ def rig_of(obj):
 
 def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
     """A Bake as an engine could make it for the targets of `obj`."""
-    scene_data = part("scene_data")
+    baked = part("baked")
     rng = np.random.default_rng(seed)
     names = ("Neutral", *(target.name for target in obj.dynamorph.targets[1:]))
     vertices = len(obj.data.vertices)
     weights = rng.uniform(size=(len(frames), len(names)))
     details = rng.normal(0, 0.02, (len(names), vertices, 3))
     details[0] = 0.0
-    return scene_data.Bake(
+    return baked.Bake(
         frames=np.array(frames),
         coordinates=rng.normal(0, 3.0, (len(frames), modes)),
         weights=weights / weights.sum(axis=1, keepdims=True),
@@ -138,9 +141,9 @@ def skinned(character, samples, displacement=0.0):
 
 def assert_shows(obj, bake, extra=0.0):
     """Blender's mesh at every frame is vertices + Bake.displacement, skinned."""
-    extract = part("extract")
+    extract, rig_motion = part("extract"), part("rig_motion")
     character = extract.character(obj)
-    samples = extract.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)
+    samples = rig_motion.sample_rig(obj, int(bake.frames[0]), int(bake.frames[-1]), 1)
     size = np.ptp(character.vertices @ character.to_bind.T, axis=0).max()
     for i, frame in enumerate(bake.frames):
         bpy.context.scene.frame_set(int(frame))
@@ -227,7 +230,7 @@ class StandInShot:
         character, settings = self.character, self.settings
         rng = np.random.default_rng(1)
         vertices, targets = len(character.vertices), character.targets
-        bake = part("scene_data").Bake(
+        bake = part("baked").Bake(
             settings.frames, rng.normal(size=(len(settings.frames), 3)),
             np.full((len(settings.frames), len(targets)), 1 / len(targets)), rng.normal(0, 0.001, (3, vertices, 3)),
             np.zeros((len(targets), vertices, 3)), tuple(t.name for t in targets), np.zeros((len(settings.frames), 3)),

@@ -59,6 +59,6 @@ def stand_in(addon, monkeypatch):
     from builders import StandIn, part
 
     engine = StandIn()
-    monkeypatch.setattr(part("jobs"), "engine", lambda: (engine, engine))
-    part("jobs")._load.cache_clear()
+    monkeypatch.setattr(part("engine"), "engine", lambda: (engine, engine))
+    part("model_store")._load.cache_clear()
     return engine

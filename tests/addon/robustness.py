@@ -23,8 +23,8 @@ def coarse(obj):
 
 
 def bake(obj, **options):
-    job = part("jobs").Job(obj, goal="BAKE", **options)
-    part("jobs").run(job)
+    job = part("job").Job(obj, goal="BAKE", **options)
+    part("batch").run(job)
     return job
 
 
@@ -51,7 +51,7 @@ def settings(group):
         if prop.type == "COLLECTION":
             value = [settings(item) for item in value]
         elif isinstance(value, bpy.types.PropertyGroup):
-            gone = isinstance(value, part("properties").DynamorphKey) and not value.name
+            gone = isinstance(value, part("target_properties").DynamorphKey) and not value.name
             value = None if gone else settings(value)  # of a key that is not there it does not matter what it was
         elif prop.type == "POINTER":
             value = value and value.name
@@ -79,7 +79,7 @@ def state():
             mine["settings"] = settings(obj.dynamorph)
             mine["modifiers"] = [plain(modifier) for modifier in obj.modifiers]
             mine["pinned"] = obj.show_only_shape_key
-            mine["model"] = list(obj.get(part("jobs").PACKED, ()))
+            mine["model"] = list(obj.get(part("model_store").PACKED, ()))
             mine["keys"] = fingerprint(obj) if keys_of(obj) else None
             mine["groups"] = obj.vertex_groups.keys()
             mine["weights"] = [[(g.group, g.weight) for g in vertex.groups] for vertex in obj.data.vertices]

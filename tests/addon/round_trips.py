@@ -354,8 +354,8 @@ FORMS = (
 
 
 def module_of(obj, name: str):
-    """A module of the add-on, by whichever name it is loaded."""
-    package = type(obj.dynamorph).__module__.rpartition(".")[0]
+    """A module of the add-on, such as run.job, by whichever name it is loaded."""
+    package = type(obj.dynamorph).__module__.removesuffix(".scene.properties")
     return importlib.import_module(f"{package}.{name}")
 
 
@@ -389,12 +389,13 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
     Returns for each form: form, reader; error, the largest distance from the engine's surface over all frames and
     vertices, in sizes of the body; bytes of keys or of the file; seconds to write it, without the simulation.
     """
-    jobs, exports = module_of(obj, "jobs"), module_of(obj, "exports")
+    jobs, batch = module_of(obj, "run.job"), module_of(obj, "run.batch")
+    exports, actions = module_of(obj, "write.exports"), module_of(obj, "run.export_actions")
     name, found, unread = obj.name, [], []
     for k, form in enumerate(forms):
         obj.dynamorph.output.sink, obj.dynamorph.output.keys = form.sink, form.keys
         job = jobs.Job(obj, "BAKE", frames, folder=folder)
-        jobs.run(job)
+        batch.run(job)
         ours = exact(job)
         row = {"form": form.name, "reader": form.reader, "error": None, "bytes": job.size}
         row["seconds"] = job.seconds["make keys"] + job.seconds["write keys"]
@@ -403,7 +404,7 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
         if form.key:
             path = folder / f"{k}{exports.FORMATS[form.key].suffix}"
             began = time.perf_counter()
-            exports.export(obj, form.key, path, (job.settings.start, job.settings.end))
+            actions.export(obj, form.key, path, (job.settings.start, job.settings.end))
             row["seconds"] = time.perf_counter() - began
         if path:
             row["bytes"] = path.stat().st_size

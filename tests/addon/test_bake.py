@@ -18,8 +18,8 @@ def shot(soft_arm):
     soft_arm.dynamorph.model.modes = 8
     for target in soft_arm.dynamorph.targets:
         target.mass_damping = 6.0  # comes to rest within the tests' few frames
-    job = part("jobs").Job(soft_arm, goal="BAKE")
-    part("jobs").run(job)
+    job = part("job").Job(soft_arm, goal="BAKE")
+    part("batch").run(job)
     return job
 
 
@@ -41,15 +41,14 @@ def played(player, shot, frames):
 
 
 def test_playback_frame_by_frame_is_the_bake(shot):
-    player = part("simulate").Player(shot.model, shot.character, shot.settings)
+    player = part("player").Player(shot.model, shot.character, shot.settings)
     begun = player.begin(shot.rig[:2])
     assert begun.number == 1 and np.array_equal(begun.coordinates, shot.result.coordinates[0])
     assert np.array_equal(played(player, shot, range(2, 21)), shot.result.coordinates[1:])
 
 
 def test_exchange_goes_on_with_other_materials(shot):
-    simulate = part("simulate")
-    player = simulate.Player(shot.model, shot.character, shot.settings)
+    player = part("player").Player(shot.model, shot.character, shot.settings)
     player.begin(shot.rig[:2])
     before = played(player, shot, range(2, 11))
     same = player.exchange(shot.character)
@@ -63,7 +62,7 @@ def test_exchange_goes_on_with_other_materials(shot):
 
 
 def test_static_morph_targets_play_too(shot):
-    build, simulate = part("jobs").engine()
+    build, simulate = part("engine").engine()
     character = shot.character.with_settings(method="STATIC")
     player = simulate.Player(build.build(character), character, shot.settings)
     assert player.begin(shot.rig[:2]).weights == pytest.approx([1, 0])
@@ -72,22 +71,21 @@ def test_static_morph_targets_play_too(shot):
 
 
 def test_gains_scale_the_motion_about_the_targets(shot):
-    simulate = part("simulate")
     gains = (0.0, 2.0)
-    player = simulate.Player(shot.model, shot.character, replace(shot.settings, gains=gains))
-    frame = simulate.Frame(9, shot.result.coordinates[8], shot.result.weights[8], {})
+    player = part("player").Player(shot.model, shot.character, replace(shot.settings, gains=gains))
+    frame = part("player").Frame(9, shot.result.coordinates[8], shot.result.weights[8], {})
     dry = shot.result.weights[8] @ shot.model.target_coordinates(shot.model.engine(shot.character))
     motion = frame.coordinates - dry
     assert np.abs(motion).min() > 0
     assert player.shown(frame) - dry == pytest.approx([0.0, 2 * motion[1], *motion[2:]])
-    player.gains = np.zeros(8)
+    player.amounts.gains = np.zeros(8)
     assert player.shown(frame) == pytest.approx(dry)
 
 
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 3}, {"method": "STATIC"}])
 def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
     """Also an unreduced one, whose few modes are chosen for the motion."""
-    build, simulate = part("jobs").engine()
+    build, simulate = part("engine").engine()
     character = shot.character.with_settings(**change)
     bake, _ = simulate.bake(build.build(character), character, shot.rig, shot.settings)
     shapes = np.array([target.shape for target in character.targets])
@@ -109,7 +107,7 @@ def test_gains_are_baked(shot):
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 40}, {"method": "STATIC"}])
 def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change):
     """In their poses, and in between as much of each as its weight is."""
-    build, simulate = part("jobs").engine()
+    build, simulate = part("engine").engine()
     character = shot.character.with_settings(**change)
     model = build.build(character)
 
@@ -146,7 +144,7 @@ def test_settle_begins_in_balance(shot):
 
 
 def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
-    player = part("simulate").Player(shot.model, shot.character, replace(shot.settings, begin="REST"))
+    player = part("player").Player(shot.model, shot.character, replace(shot.settings, begin="REST"))
     begun = player.begin(held(shot))
     assert np.array_equal(begun.coordinates, player.dry(begun.weights))
     free, settled = simulated(shot, held(shot), begin="REST"), simulated(shot, held(shot), begin="SETTLE")
@@ -168,9 +166,9 @@ def test_rest_knows_no_motion_before_the_start(shot):
 
 
 def test_a_pre_roll_can_be_cancelled(shot):
-    simulate, asked = part("simulate"), []
+    asked = []
     settings = replace(shot.settings, preroll=5000)
-    player = simulate.Player(
+    player = part("player").Player(
         shot.model, shot.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
     )
     with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
@@ -194,10 +192,10 @@ def swaying(shot, soft_arm):
 
 def baked(obj, frames, preroll=0, pose="ANIMATED", **job):
     """A job that baked these frames."""
-    jobs, simulation = part("jobs"), obj.dynamorph.simulation
+    batch, simulation = part("batch"), obj.dynamorph.simulation
     simulation.preroll, simulation.preroll_pose = preroll, pose
-    job = jobs.Job(obj, "BAKE", frames, **job)
-    jobs.run(job)
+    job = part("job").Job(obj, "BAKE", frames, **job)
+    batch.run(job)
     return job
 
 
@@ -218,19 +216,19 @@ def test_a_run_up_is_what_came_before(shot, swaying):
 
 def test_a_run_up_comes_in_stretches_too(shot, swaying, tmp_path, monkeypatch):
     whole = baked(swaying, (50, 60), preroll=20)
-    jobs, share = part("jobs"), part("share").Share(tmp_path)
-    monkeypatch.setattr(jobs, "STRETCH", 7)
+    batch, errors, share = part("batch"), part("errors"), part("cache_dir").Share(tmp_path)
+    monkeypatch.setattr(part("job"), "STRETCH", 7)
     stretched = baked(swaying, (50, 60), preroll=20)
-    monkeypatch.setattr(jobs, "SHORT_STRETCH", 7)
-    job = jobs.Job(swaying, "BAKE", (50, 60), share=share)
-    steps = jobs.Batch([job], "BAKE").steps()
+    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 7)
+    job = part("job").Job(swaying, "BAKE", (50, 60), share=share)
+    steps = batch.Batch([job], "BAKE").steps()
     while not (job.shot and job.shot.done == 15):  # two stretches
         next(steps)
     job.cancelled = True
-    with pytest.raises(jobs.Cancelled):
+    with pytest.raises(errors.Cancelled):
         list(steps)
-    resumed = jobs.Job(swaying, "BAKE", (50, 60), share=share)
-    jobs.run(resumed)
+    resumed = part("job").Job(swaying, "BAKE", (50, 60), share=share)
+    batch.run(resumed)
     assert len(resumed.resumed["coordinates"]) >= 8
     for job in (stretched, resumed):
         assert np.array_equal(job.result.coordinates, whole.result.coordinates)
@@ -311,7 +309,7 @@ def test_samples_come_in_stretches_and_run_up_too(shot, swaying, monkeypatch):
     swaying.dynamorph.simulation.samples = 2
     whole = baked(swaying, (30, 50), preroll=15)
     assert whole.result.frames[:3].tolist() == [30.0, 30.5, 31.0] and len(whole.result.coordinates) == 41
-    monkeypatch.setattr(part("jobs"), "STRETCH", 4)
+    monkeypatch.setattr(part("job"), "STRETCH", 4)
     stretched = baked(swaying, (30, 50), preroll=15)
     assert np.array_equal(stretched.result.coordinates, whole.result.coordinates)
     assert len(stretched.rig) <= 4 * stretched.settings.substeps
@@ -402,7 +400,7 @@ def test_a_loop_closes(shot, travel):
 
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
     """What flesh that is too soft for accelerated passes falls back to."""
-    simulate, loops = part("simulate"), part("loops")
+    loops = part("loops")
     rig, settings = cyclic(shot), replace(shot.settings, end=12, loop=True)
     found, steps = [], []
     monkeypatch.setattr(loops, "PLAIN", 1)  # more would find it
@@ -410,7 +408,7 @@ def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
     monkeypatch.setattr(loops, "_newton_step", lambda *args: steps.append(1) or step(*args))
     for passes in (40, 0):
         monkeypatch.setattr(loops, "ACCELERATED", passes)
-        player = simulate.Player(shot.model, shot.character, settings)
+        player = part("player").Player(shot.model, shot.character, settings)
         frames, gap = part("loops").cycle(player, rig)
         assert gap <= 1e-6 * size(shot) and player.passes < part("loops").PASSES
         found.append(np.array([frame.coordinates for frame in frames]))
@@ -420,14 +418,14 @@ def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
 
 def test_a_loop_closes_in_velocity_too(shot):
     """Flesh that springs back undamped crosses its place at the start of a pass long before it does so as fast."""
-    simulate, rig = part("simulate"), cyclic(shot)
+    rig = cyclic(shot)
     sets = shot.character.target_sets[0]
     springy = {"stiffness": 1e6, "mass_damping": 0.0, "stiffness_damping": 0.0}
     targets = tuple(replace(t, material=replace(t.material, **springy)) for t in sets.targets)
     character = replace(shot.character, target_sets=(replace(sets, targets=targets),))
     settings = replace(shot.settings, end=12, loop=True)
 
-    player = simulate.Player(shot.model, character, settings)
+    player = part("player").Player(shot.model, character, settings)
     frames, gap = part("loops").cycle(player, rig)
     assert gap <= 1e-6 * size(shot)
     assert player.passes < part("loops").PASSES
@@ -437,7 +435,7 @@ def test_a_loop_closes_in_velocity_too(shot):
     first = np.array([frame.coordinates for frame in frames])
     assert again == pytest.approx(first[2:], abs=5e-5 * np.abs(first).max())
     assert gap >= player.gap(frames[0], frames[-1])
-    settled = next(simulate.Player(shot.model, character, settings).run(rig))
+    settled = next(part("player").Player(shot.model, character, settings).run(rig))
     assert player.gap(settled, frames[0]) > 1e2 * gap
 
 
@@ -479,7 +477,7 @@ def test_newtons_method_finds_fixed_points(factor):
 
 @pytest.mark.parametrize("frames", [12, 1])
 def test_static_morph_targets_loop_too(shot, frames):
-    build, simulate = part("jobs").engine()
+    build, simulate = part("engine").engine()
     character = shot.character.with_settings(method="STATIC")
     settings = replace(shot.settings, end=frames, loop=True)
     rig = cyclic(shot, closed=False)[: 1 + (frames - 1) * settings.substeps]
@@ -541,10 +539,10 @@ def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
 @pytest.mark.parametrize("frames", [1, 3, 7, 19])
 def test_a_shot_in_stretches_is_the_shot(soft_arm, shot, frames, monkeypatch):
     """The same bytes, however long they are; the rig is read again at each."""
-    jobs = part("jobs")
-    monkeypatch.setattr(jobs, "STRETCH", frames)
-    job = jobs.Job(soft_arm, goal="BAKE")
-    jobs.run(job)
+    batch = part("batch")
+    monkeypatch.setattr(part("job"), "STRETCH", frames)
+    job = part("job").Job(soft_arm, goal="BAKE")
+    batch.run(job)
     for name in ("frames", "coordinates", "weights", "dry"):
         assert np.array_equal(getattr(job.result, name), getattr(shot.result, name)), name
     assert job.report["steps"] == shot.report["steps"] and job.report["energy"] == shot.report["energy"]
@@ -582,8 +580,8 @@ def rebaked(obj, start, end, **more):
     simulation = obj.dynamorph.simulation
     simulation.use_scene_range, simulation.keep_outside = False, True
     simulation.start, simulation.end = start, end
-    job = part("jobs").Job(obj, goal="BAKE", **more)
-    part("jobs").run(job)
+    job = part("job").Job(obj, goal="BAKE", **more)
+    part("batch").run(job)
     return job
 
 
@@ -600,12 +598,12 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
         lower.keyframe_insert("rotation_euler", index=1, frame=frame)
     job = rebaked(soft_arm, 6, 20)
     assert job.settings.run_up == 5  # as far as the bake goes back, a second otherwise
-    assert part("changes").outdated(soft_arm) == []
+    assert part("staleness").outdated(soft_arm) == []
     mixed = shown_at(soft_arm, range(1, 21))
-    assert [float(frame) for frame in part("sinks").read_back(soft_arm).frames] == list(range(1, 21))
+    assert [float(frame) for frame in part("bake").read_back(soft_arm).frames] == list(range(1, 21))
     soft_arm.dynamorph.simulation.keep_outside = False
     soft_arm.dynamorph.simulation.start = 1
-    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
+    part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
     whole = shown_at(soft_arm, range(1, 21))
     assert np.abs(mixed - whole)[10:].max() < 1e-5
     assert np.abs(mixed - whole)[:10].max() < 0.05 * np.abs(whole - before).max()
@@ -620,34 +618,34 @@ def test_a_bake_is_made_longer(shot, soft_arm):
     """As if it had been baked in one: there is nothing to blend with."""
     rig_of(soft_arm).pose.bones["lower"].rotation_euler.x = 0.5
     rig_of(soft_arm).pose.bones["lower"].keyframe_insert("rotation_euler", frame=30)
-    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
+    part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
     assert len(rebaked(soft_arm, 21, 24).result.frames) == 24
     longer = shown_at(soft_arm, range(1, 25))
     soft_arm.dynamorph.simulation.start, soft_arm.dynamorph.simulation.keep_outside = 1, False
-    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
+    part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
     assert np.abs(longer - shown_at(soft_arm, range(1, 25))).max() < 1e-5
 
 
 @pytest.mark.parametrize("sink", ["FRAMES", "PC2"])
 def test_a_range_is_baked_into_other_sinks(shot, soft_arm, tmp_path, sink):
     before = shown_at(soft_arm, range(1, 21))
-    strip = part("sinks").influence_strip(soft_arm)
+    strip = part("bake_influence").influence_strip(soft_arm)
     strip.influence = 0.0
-    part("sinks").show_influence(soft_arm)
+    part("bake_influence").show_influence(soft_arm)
     still = shown_at(soft_arm, range(1, 21))
     strip.influence = 1.0
     soft_arm.dynamorph.output.sink = sink
     rebaked(soft_arm, 8, 15, folder=tmp_path)
     assert soft_arm.data.shape_keys.key_blocks["flexed"].mute
     assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
-    setattr(*part("sinks").influence(soft_arm), 0.0)
-    part("sinks").show_influence(soft_arm)
+    setattr(*part("bake_influence").influence(soft_arm), 0.0)
+    part("bake_influence").show_influence(soft_arm)
     assert np.abs(shown_at(soft_arm, range(1, 21)) - still).max() < 1e-5
 
 
 def test_numbers_that_are_none_are_refused_before_keys_are_made(shot, soft_arm, tmp_path, monkeypatch):
     """And before a file of a point cache is written."""
-    simulate, jobs = part("simulate"), part("jobs")
+    simulate, errors, batch, job = part("simulate"), part("errors"), part("batch"), part("job")
     whole = simulate.Shot.bake
 
     def spoiled(self):
@@ -659,8 +657,8 @@ def test_numbers_that_are_none_are_refused_before_keys_are_made(shot, soft_arm, 
     before = fingerprint(soft_arm)
     for sink in ("MODES", "FRAMES", "PC2"):
         soft_arm.dynamorph.output.sink, soft_arm.dynamorph.output.keys = sink, 4
-        with pytest.raises(jobs.SelfCheckError, match="'Arm': the engine's coordinates are not numbers"):
-            jobs.run(jobs.Job(soft_arm, goal="BAKE", folder=tmp_path))
+        with pytest.raises(errors.SelfCheckError, match="'Arm': the engine's coordinates are not numbers"):
+            batch.run(job.Job(soft_arm, goal="BAKE", folder=tmp_path))
     assert fingerprint(soft_arm) == before
     assert not list(tmp_path.iterdir())
 
@@ -675,10 +673,10 @@ def test_a_loop_that_comes_to_no_numbers_ends(bad):
 
 
 def test_too_many_keys_are_refused_by_name(shot, soft_arm, monkeypatch):
-    monkeypatch.setattr(part("clips"), "MOST_KEYS", 10)
+    monkeypatch.setattr(part("keys"), "MOST_KEYS", 10)
     soft_arm.dynamorph.output.sink = "FRAMES"
     with pytest.raises(ValueError, match="'Arm': 20 shape keys are too many, 10 are the most: raise Frame Step"):
-        part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE"))
+        part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
 
 
 def test_what_the_other_frames_were_made_from_is_said(shot, soft_arm):
@@ -700,15 +698,15 @@ def test_a_patch_keeps_samples_alike(shot, soft_arm):
 
 def test_free_bake_forgets_a_cache_whose_modifier_was_removed(shot, soft_arm, tmp_path):
     soft_arm.dynamorph.output.sink = "PC2"
-    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path))
+    part("batch").run(part("job").Job(soft_arm, goal="BAKE", folder=tmp_path))
     soft_arm.modifiers.remove(soft_arm.modifiers[0])
-    part("sinks").free(soft_arm)
+    part("bake").free(soft_arm)
     assert not soft_arm.dynamorph.bake.exists
 
 
 def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
     soft_arm.dynamorph.output.sink = "PC2"
-    part("jobs").run(part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path))
+    part("batch").run(part("job").Job(soft_arm, goal="BAKE", folder=tmp_path))
     with pytest.raises(ValueError, match="bake to shape keys first"):
         rebaked(soft_arm, 8, 15, folder=tmp_path)
 
@@ -718,11 +716,11 @@ def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume)
     """What it plays is no part of what it is made from."""
     soft_arm.modifiers["Armature"].use_deform_preserve_volume = preserve_volume
     soft_arm.dynamorph.output.sink = "PC2"
-    baked = [part("jobs").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]
+    baked = [part("job").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]
     for job in baked:
-        part("jobs").run(job)
-    assert part("clips").digest(baked[0].result) == part("clips").digest(baked[1].result)
+        part("batch").run(job)
+    assert part("baked").digest(baked[0].result) == part("baked").digest(baked[1].result)
     assert len(list((tmp_path / "dynamorph_caches").iterdir())) == 1
     assert [modifier.type for modifier in soft_arm.modifiers] == ["MESH_CACHE", "ARMATURE"]
     assert not any("'Dynamorph'" in note.text for note in part("checks").notes(soft_arm))
-    assert part("changes").outdated(soft_arm) == []
+    assert part("staleness").outdated(soft_arm) == []

@@ -46,7 +46,7 @@ def attachments(obj):
 
 
 def rest(obj):
-    points = part("extract").rest_points(obj)
+    points = part("mesh_data").rest_points(obj)
     world = np.array(obj.matrix_world)
     return points @ world[:3, :3].T + world[:3, 3]
 
@@ -245,18 +245,18 @@ def test_live_says_when_another_mesh_of_the_body_was_edited(figure):
 
 
 def test_a_build_notices_what_has_changed_in_any_mesh(figure):
-    body, jobs = figure["Body"], part("jobs")
+    body, model_store = figure["Body"], part("model_store")
     OPS.build()
-    assert jobs.stale_reasons(body, part("extract").character(body)) == []
+    assert model_store.stale_reasons(body, part("extract").character(body)) == []
     figure["Top"].data.vertices[20].co.x += 0.01
-    assert jobs.stale_reasons(body, part("extract").character(body)) == ["mesh changed"]
+    assert model_store.stale_reasons(body, part("extract").character(body)) == ["mesh changed"]
     figure["Top"].data.vertices[20].co.x -= 0.01
     body.dynamorph.pieces[1].choice = "RIGID"
-    assert part("changes").model_changes(body)
+    assert part("staleness").model_changes(body)
 
 
 def test_nothing_is_written_unless_all_can_be(figure):
-    job = part("jobs").Job(figure["Body"], goal="BAKE")
+    job = part("job").Job(figure["Body"], goal="BAKE")
     job.prepare()
     job._compute()
     figure["Top"].data.vertices.add(1)
@@ -267,7 +267,7 @@ def test_nothing_is_written_unless_all_can_be(figure):
 @pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD"])
 def test_an_export_takes_all_meshes_along(figure, tmp_path, key):
     """Also the rigid ones, and what is parented to a bone."""
-    exports, body = part("exports"), figure["Body"]
+    export_actions, exports, losses, body = part("export_actions"), part("exports"), part("losses"), figure["Body"]
     if not exports.FORMATS[key].is_available:
         pytest.skip("not in this Blender")
     points, faces = ball((0.0, 0.5, 0.0), 0.1)
@@ -280,9 +280,9 @@ def test_an_export_takes_all_meshes_along(figure, tmp_path, key):
     bake(body)
     selected = set(bpy.context.selected_objects)
     path = tmp_path / f"figure{exports.FORMATS[key].suffix}"
-    exports.export(body, key, path, (1, 5))
+    export_actions.export(body, key, path, (1, 5))
     assert set(bpy.context.selected_objects) == selected
-    assert any("'Hidden' is hidden" in text for text in exports.losses(body, key))
+    assert any("'Hidden' is hidden" in text for text in losses.losses(body, key))
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     reader = {
         "GLTF": bpy.ops.import_scene.gltf, "FBX": bpy.ops.import_scene.fbx,
@@ -298,7 +298,7 @@ def test_clips_of_actions_have_all_meshes(figure, tmp_path):
     pygltflib = pytest.importorskip("pygltflib")
     OPS.build()
     path = tmp_path / "figure.glb"
-    part("exports").export(figure["Body"], "GLTF", path, (1, 5), takes="ACTIONS")
+    part("export_actions").export(figure["Body"], "GLTF", path, (1, 5), takes="ACTIONS")
     file = pygltflib.GLTF2().load(str(path))
     meshes = [node.name for node in file.nodes if node.mesh is not None]
     assert sorted(meshes) == ["Body", "Cap", "Eye", "Top"]
@@ -313,7 +313,7 @@ def test_clips_of_actions_have_all_meshes(figure, tmp_path):
 
 
 def test_an_export_without_a_bake_is_refused_before_the_file_browser(figure):
-    with pytest.raises(part("exports").ExportError, match="has no bake to export: press Bake first"):
+    with pytest.raises(part("errors").ExportError, match="has no bake to export: press Bake first"):
         part("exports").check_bake(figure["Body"], "GLTF")
 
 
@@ -323,7 +323,7 @@ def test_an_export_without_a_bake_is_refused_before_the_file_browser(figure):
 def test_a_sculpt_goes_on_across_a_seam(figure):
     """The nearest skin is carried, less and less with the distance."""
     body = figure["Body"]
-    points = part("extract").rest_points(body)
+    points = part("mesh_data").rest_points(body)
     body.dynamorph.model.method = "DYNAMIC"
     shape = np.zeros_like(points)
     shape[:, 0] = 0.2 * np.clip(points[:, 2] - 0.5, 0.0, 1.0)
@@ -360,7 +360,7 @@ def test_softness_from_the_hold_goes_to_all_meshes_of_the_body(figure):
     OPS.build()
     before = part("heat").holds(body)[top.session_uid]
     OPS.hold_to_group()
-    assert part("extract").group_weights(top, ["Soft"])[:, 0] == pytest.approx(1.0 - before, abs=1e-3)
+    assert part("mesh_data").group_weights(top, ["Soft"])[:, 0] == pytest.approx(1.0 - before, abs=1e-3)
     OPS.build()
     assert np.abs(part("heat").holds(body)[top.session_uid] - before).mean() < 0.15
 

@@ -19,11 +19,11 @@ def baked(soft_arm, stand_in):
 
 
 def outdated(obj):
-    return part("changes").outdated(obj)
+    return part("staleness").outdated(obj)
 
 
 def model_changes(obj):
-    return part("changes").model_changes(obj)
+    return part("staleness").model_changes(obj)
 
 
 def with_modes(obj):
@@ -141,11 +141,11 @@ def test_another_build_is_another_model(baked, stand_in):
 def test_a_sculpt_makes_both_old(baked):
     block = baked.data.shape_keys.key_blocks["flexed"]
     block.points[0].co.x += 0.1
-    part("jobs").show_stale(baked)
+    part("storage").show_stale(baked)
     assert baked.dynamorph.model.stale == "shape of 'flexed' changed"
     assert outdated(baked) == ["shape of 'flexed' changed"]
     block.points[0].co.x -= 0.1
-    part("jobs").show_stale(baked)
+    part("storage").show_stale(baked)
     assert outdated(baked) == [] and not baked.dynamorph.model.stale
 
 
@@ -166,11 +166,11 @@ def test_the_model_s_settings_are_named_until_they_are_set_back(baked, name, val
 
 
 def curve_of(rig):
-    return part("checks").curves(rig.animation_data.action, rig.animation_data.action_slot)[0]
+    return part("animation").curves(rig.animation_data.action, rig.animation_data.action_slot)[0]
 
 
 def looked(obj):
-    part("changes").look_at_animation(obj)
+    part("staleness").look_at_animation(obj)
     return outdated(obj)
 
 
@@ -278,5 +278,5 @@ def test_a_bake_says_what_it_was_made_from_and_what_came_of_it(scene, baked):
 
 
 def test_another_engine_counts(monkeypatch, baked):
-    monkeypatch.setattr(part("changes"), "ENGINE", 2)
+    monkeypatch.setattr(part("staleness"), "ENGINE", 2)
     assert outdated(baked) == ["Engine changed"] == model_changes(baked)

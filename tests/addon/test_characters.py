@@ -22,7 +22,7 @@ def opened(shot):
 def baked_from(addon, request):
     """A character as its bake has found it (`fingerprint`), and the bake."""
     body = opened(request.param)
-    return fingerprint(body), characters.bake(part("jobs"), body)
+    return fingerprint(body), characters.bake(part("batch"), body)
 
 
 @pytest.fixture
@@ -48,10 +48,10 @@ def test_blender_shows_what_the_engine_computed(baked):
 
 def test_a_second_bake_is_the_first_and_free_bake_restores(baked_from):
     before, baked = baked_from
-    again = characters.bake(part("jobs"), baked.body).job
+    again = characters.bake(part("batch"), baked.body).job
     assert again.reasons == []  # the model is as good as new
     np.testing.assert_array_equal(again.result.coordinates, baked.job.result.coordinates)
-    part("sinks").free(baked.body)
+    part("bake").free(baked.body)
     bpy.context.scene.frame_set(bpy.context.scene.frame_start)
     assert fingerprint(baked.body) == before
 
@@ -61,5 +61,5 @@ def test_a_body_of_no_likely_size_is_baked_all_the_same(addon, name):
     """As it was imported, tens of metres long and far too soft for that: warned of, and still finite."""
     body = opened(replace(characters.SHOTS[name], scale=1.0))
     assert "check the scale" in body.dynamorph.model.warnings
-    baked = characters.bake(part("jobs"), body)
+    baked = characters.bake(part("batch"), body)
     assert np.linalg.norm(baked.displacements, axis=2).max() < 3.0 * baked.size

@@ -99,7 +99,7 @@ def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):
 
 def test_every_fix_is_tried_here():
     tried = {fix for _, fix in PUT_RIGHT} | {"ADD_BASIS"}
-    assert tried == set(part("setup_operators").FIXES)
+    assert tried == set(part("fixes").FIXES)
 
 
 def test_a_missing_basis_is_added(soft_arm):
@@ -113,7 +113,7 @@ def test_a_missing_basis_is_added(soft_arm):
 
 
 def test_fixes_without_their_problem_do_nothing(soft_arm):
-    for fix in part("setup_operators").FIXES:
+    for fix in part("fixes").FIXES:
         refused(OPS.fix, "does not have this problem", problem=fix)
     assert len(soft_arm.modifiers) == 1 and len(soft_arm.data.shape_keys.key_blocks) == 3
 
@@ -132,19 +132,19 @@ def test_moving_below_keeps_the_order_of_the_others(soft_arm):
 
 
 def test_the_armature_is_found_by_parent_or_by_bones_of_the_groups_names(scene, arm):
-    checks = part("checks")
+    skinning = part("skinning")
     other = make_rig(scene, "Other", bones=1)
     activate(arm)
     no_armature(arm)
-    assert checks.armature_for(arm) is None and fixes(arm) == []  # either may be meant
+    assert skinning.armature_for(arm) is None and fixes(arm) == []  # either may be meant
     assert not OPS.add_soft_skin.poll() and "dynamorph.add_soft_skin" in drawn(arm)
     arm.parent = other
-    assert checks.armature_for(arm) == other
+    assert skinning.armature_for(arm) == other
     arm.parent_type, arm.parent_bone = "BONE", "upper"  # moves with it already
-    assert checks.armature_for(arm) is None
+    assert skinning.armature_for(arm) is None
     arm.parent = None
     other.data.bones["upper"].name = "pole"
-    assert checks.armature_for(arm) == bpy.data.objects["Arm Rig"]
+    assert skinning.armature_for(arm) == bpy.data.objects["Arm Rig"]
     arm.modifiers.new("Subdivision", "SUBSURF")
     OPS.fix(problem="ADD_ARMATURE")
     assert [m.name for m in arm.modifiers] == ["Armature", "Subdivision"] and OPS.add_soft_skin.poll()
@@ -207,9 +207,9 @@ def test_all_armature_modifiers_are_put_right(soft_arm):
 
 
 def test_drawing_reads_no_points_and_no_weights(soft_arm, monkeypatch):
-    checks = part("checks")
-    monkeypatch.setattr(checks, "key_points", None)
-    monkeypatch.setattr(part("extract").VertexGroups, "__init__", None)
+    references, checks = part("references"), part("checks")
+    monkeypatch.setattr(references, "key_points", None)
+    monkeypatch.setattr(part("mesh_data").VertexGroups, "__init__", None)
     assert found(soft_arm) == [] and checks.outgrown(soft_arm) == ""
 
 
@@ -221,7 +221,7 @@ def test_nothing_but_the_button_where_nothing_is_wrong(arm):
 def added(obj):
     """The warnings of Add Soft Skin."""
 
-    class Add(part("operators").SoftSkinOperator):
+    class Add(part("base").SoftSkinOperator):
         apply = part("setup_operators").DYNAMORPH_OT_add_soft_skin.apply
         warnings = []
 
@@ -318,28 +318,28 @@ def with_target(obj):
 
 
 def test_cage_then_model_then_bake(coarse_arm):
-    jobs, record = part("jobs"), coarse_arm.dynamorph.model
+    model_store, record = part("model_store"), coarse_arm.dynamorph.model
     assert OPS.build_cage() == {"FINISHED"}
-    cage = jobs.load_model(coarse_arm)
+    cage = model_store.load_model(coarse_arm)
     assert 150 < len(cage.nodes) < 250 and 0 < cage.pinned.sum() < len(cage.nodes)
     assert record.cage.startswith(f"{len(cage.nodes)} nodes, {len(cage.tets)} tetrahedra, ")
     assert record.cage in " ".join(drawn(coarse_arm)) and record.stale == "only the cage is built"
     with_target(coarse_arm)
-    assert jobs.stale_reasons(coarse_arm, part("extract").character(coarse_arm)) == ["only the cage is built"]
-    with pytest.raises(part("extract").SceneError, match="only the cage is built.*press Build Model"):
-        jobs.fit_input(coarse_arm, coarse_arm.dynamorph.targets[1])
+    assert model_store.stale_reasons(coarse_arm, part("extract").character(coarse_arm)) == ["only the cage is built"]
+    with pytest.raises(part("errors").SceneError, match="only the cage is built.*press Build Model"):
+        model_store.fit_input(coarse_arm, coarse_arm.dynamorph.targets[1])
     assert OPS.bake() == {"FINISHED"}
-    np.testing.assert_array_equal(jobs.load_model(coarse_arm).tets, cage.tets)
+    np.testing.assert_array_equal(model_store.load_model(coarse_arm).tets, cage.tets)
     assert record.stale == "" and len(coarse_arm.dynamorph.bake.keys) > 0
 
 
 def test_a_finished_model_outlives_build_cage(coarse_arm):
-    jobs, record = part("jobs"), coarse_arm.dynamorph.model
+    batch, record = part("batch"), coarse_arm.dynamorph.model
     with_target(coarse_arm)
     OPS.build()
     content_id, summary = record.content_id, record.summary
-    job = jobs.Job(coarse_arm, goal="BUILD_CAGE")
-    jobs.run(job)
+    job = part("job").Job(coarse_arm, goal="BUILD_CAGE")
+    batch.run(job)
     assert job.summary() == "the cage is up to date"
     assert (record.content_id, record.summary, record.stale) == (content_id, summary, "")
     record.cage_nodes = 300
@@ -350,7 +350,7 @@ def test_a_finished_model_outlives_build_cage(coarse_arm):
 def test_fitting_to_the_shot_needs_no_shot_for_the_cage(coarse_arm):
     with_target(coarse_arm)
     coarse_arm.dynamorph.model.fit_to_shot = True
-    job = part("jobs").Job(coarse_arm, goal="BUILD_CAGE")
+    job = part("job").Job(coarse_arm, goal="BUILD_CAGE")
     job.prepare()
     assert job.rig is None
 
@@ -359,7 +359,7 @@ def test_fitting_to_the_shot_needs_no_shot_for_the_cage(coarse_arm):
 
 
 def weights(obj, name):
-    return part("extract").group_weights(obj, [name])[:, 0]
+    return part("mesh_data").group_weights(obj, [name])[:, 0]
 
 
 @pytest.mark.parametrize("which, name, start", [("SOFT", "Soft", 1.0), ("STIFFNESS", "Stiffness", 0.0)])
@@ -434,7 +434,7 @@ def test_the_hold_becomes_a_group(held_arm):
     assert OPS.hold_to_group() == {"FINISHED"}
     assert held_arm.dynamorph.soft_group == "Soft" and held_arm.vertex_groups.active.name == "Soft"
     np.testing.assert_allclose(weights(held_arm, "Soft"), 1.0 - hold, atol=1e-3)
-    assert part("changes").model_age(held_arm)
+    assert part("staleness").model_age(held_arm)
     held_arm.dynamorph.soft_group = "mine"
     held_arm.vertex_groups.new(name="mine")
     OPS.hold_to_group()
@@ -462,7 +462,7 @@ def test_a_hidden_mesh_is_not_painted(soft_arm):
 
 
 def test_stiffness_group(soft_arm):
-    extract = part("extract")
+    extract, errors = part("extract"), part("errors")
     np.testing.assert_array_equal(extract.character(soft_arm).stiffness, 1.0)
     soft_arm.vertex_groups.new(name="Firm").add([1, 2], 0.5, "REPLACE")
     soft_arm.vertex_groups["Firm"].add([3], 1.0, "REPLACE")
@@ -471,11 +471,11 @@ def test_stiffness_group(soft_arm):
     stiffness = extract.character(soft_arm).stiffness
     np.testing.assert_allclose(stiffness[:5], [1.0, 3.0, 3.0, 9.0, 1.0])
     soft_arm.dynamorph.stiffness_factor = float("nan")
-    with pytest.raises(extract.SceneError, match="Factor of the Stiffness group is not a number"):
+    with pytest.raises(errors.SceneError, match="Factor of the Stiffness group is not a number"):
         extract.character(soft_arm)
     soft_arm.dynamorph.stiffness_group = "Gone"
     soft_arm.dynamorph.stiffness_factor = 4.0
-    with pytest.raises(extract.SceneError, match="'Arm'.*'Gone' for Stiffness is gone"):
+    with pytest.raises(errors.SceneError, match="'Arm'.*'Gone' for Stiffness is gone"):
         extract.character(soft_arm)
 
 
@@ -483,15 +483,15 @@ def test_painting_makes_the_model_old(coarse_arm):
     with_target(coarse_arm)
     OPS.build()
     OPS.paint_group(which="STIFFNESS")
-    assert part("changes").model_changes(coarse_arm) == ["Stiffness group changed"]
+    assert part("staleness").model_changes(coarse_arm) == ["Stiffness group changed"]
     OPS.paint_group(which="STIFFNESS")
     OPS.bake()
-    assert part("changes").model_changes(coarse_arm) == []  # nothing is painted
+    assert part("staleness").model_changes(coarse_arm) == []  # nothing is painted
     OPS.paint_group(which="STIFFNESS")
     coarse_arm.vertex_groups["Stiffness"].add([*range(100)], 1.0, "REPLACE")
     OPS.paint_group(which="STIFFNESS")
     assert coarse_arm.dynamorph.model.stale == "Stiffness vertex group changed"
     OPS.build()
-    model = part("jobs").load_model(coarse_arm)
+    model = part("model_store").load_model(coarse_arm)
     assert model.stiffness.min() == pytest.approx(1.0, rel=0.1)
     assert model.stiffness.max() == pytest.approx(4.0, rel=0.1) and (model.stiffness <= 4.0 + 1e-12).all()

@@ -29,7 +29,7 @@ def run(stand_in, capfd):
 
     def run(*arguments, opens_file=True):
         capfd.readouterr()
-        code = part("cli").main([str(a) for a in arguments], opens_file=opens_file)
+        code = part("main").main([str(a) for a in arguments], opens_file=opens_file)
         return code, *capfd.readouterr()
 
     return run
@@ -102,7 +102,7 @@ def test_inside_blender_the_open_file_is_used(shot, run, tmp_path):
 
 
 def test_large_models_follow_the_output(shot, run, stand_in, tmp_path, monkeypatch):
-    monkeypatch.setattr(part("jobs"), "PACK_LIMIT", 100)
+    monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
     (tmp_path / "out").mkdir()
     assert run("build", shot, "--object", "Arm", "--in-place")[0] == 0
     assert run("bake", shot, "--object", "Arm", "-o", tmp_path / "out" / "baked.blend")[0] == 0
@@ -158,7 +158,7 @@ def test_no_soft_skin(scene, run, tmp_path):
 
 
 def test_failed_self_check(shot, run, stand_in):
-    stand_in.fail = part("jobs").SelfCheckError("'Arm': not numbers")
+    stand_in.fail = part("errors").SelfCheckError("'Arm': not numbers")
     code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
     assert code == 3 and "not numbers" in errors
     assert bake_of(shot, "Arm") == []
@@ -222,7 +222,7 @@ def test_report_compares_methods_and_writes_no_blend(shot, capfd):
     short = ["--frames", "1", "6", "--substeps", "2"]
     arguments = ["report", str(shot), "--object", "Arm", *short, "--json", str(figures)]
     chosen = ["static morphs", "DMT linear full", "DMT linear reduced"]
-    assert part("cli").main([*arguments, "--methods", *chosen], opens_file=True) == 0
+    assert part("main").main([*arguments, "--methods", *chosen], opens_file=True) == 0
     out = capfd.readouterr().out
     for word in ("Arm", "steps/s", "target miss", "Frames 1 to 6, 2 substeps", *chosen):
         assert word in out
@@ -230,7 +230,7 @@ def test_report_compares_methods_and_writes_no_blend(shot, capfd):
     assert list(found) == ["Arm"] and list(found["Arm"]["variants"]) == chosen
     assert found["Arm"]["variants"]["DMT linear reduced"]["error"]["rms_total"] < 1
     assert {path: path.read_bytes() for path in shot.parent.iterdir() if path != figures} == before
-    assert part("cli").main([*arguments, "--methods", "guessing"], opens_file=True) == 2
+    assert part("main").main([*arguments, "--methods", "guessing"], opens_file=True) == 2
 
 
 # Farms -------------------------------------------------------------------------------------------------------------

@@ -47,7 +47,7 @@ def test_the_targets_own_keys_count_again(soft_arm):
     flexed = soft_arm.data.shape_keys.key_blocks["flexed"]
     flexed.value = 1.0
     plain = shown(soft_arm)
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     assert flexed.mute
     OPS.show_plain()
     assert not flexed.mute and np.abs(shown(soft_arm) - plain).max() < 1e-6
@@ -61,14 +61,14 @@ def test_the_targets_own_keys_count_again(soft_arm):
 def test_a_key_that_was_muted_stays_so(soft_arm):
     flexed = soft_arm.data.shape_keys.key_blocks["flexed"]
     flexed.mute = True
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     OPS.show_plain()
     assert flexed.mute
 
 
 def test_a_render_that_left_the_cache_out_still_does(soft_arm, tmp_path):
     written(soft_arm, hand_made_bake(soft_arm), tmp_path, sink="PC2")
-    modifier = part("properties").cache_modifier(soft_arm)
+    modifier = part("skin").cache_modifier(soft_arm)
     for rendered in (True, False):
         modifier.show_render = rendered
         OPS.show_plain()
@@ -81,8 +81,8 @@ def test_what_follows_is_hidden_too(soft_arm):
     sleeve = make_sleeve(soft_arm)
     add_piece(soft_arm, sleeve)
     plain = shown(sleeve)
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
-    part("sinks").write_keys(sleeve, hand_made_bake(sleeve), skin=soft_arm)
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(sleeve, hand_made_bake(sleeve), skin=soft_arm)
     soft = shown(sleeve)
     OPS.show_plain()
     assert np.abs(shown(sleeve) - plain).max() < 1e-6 < np.abs(soft - plain).max()
@@ -91,7 +91,7 @@ def test_what_follows_is_hidden_too(soft_arm):
 
 
 def test_a_file_is_saved_soft(soft_arm, tmp_path):
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     before = mutes(soft_arm)
     OPS.show_plain()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
@@ -102,7 +102,7 @@ def test_a_file_is_saved_soft(soft_arm, tmp_path):
 
 
 def test_undo(soft_arm):
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     bpy.ops.ed.undo_push(message="baked")
     OPS.show_plain()
     bpy.ops.ed.undo_push(message="plain")
@@ -125,7 +125,7 @@ def test_another_bake_is_shown_soft(soft_arm, stand_in, tmp_path, sink):
 
 def test_without_anything_to_hide(soft_arm):
     assert not OPS.show_plain.poll() and "dynamorph.show_plain" not in drawn(soft_arm)
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     assert OPS.show_plain.poll() and "dynamorph.show_plain" in drawn(soft_arm)
     bpy.ops.object.mode_set(mode="EDIT")
     refused(OPS.show_plain, "Edit Mode")
@@ -136,7 +136,7 @@ def test_without_anything_to_hide(soft_arm):
 
 
 def test_plain_skinning_is_not_exported(soft_arm):
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     assert OPS.export.poll()
     OPS.show_plain()
     assert not OPS.export.poll()

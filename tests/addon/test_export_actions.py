@@ -66,7 +66,7 @@ def alone(obj, name, frames, loop):
         bone.rotation_euler = 0.0, 0.0, 0.0
     animation.action, animation.use_nla = bpy.data.actions[name], False
     simulation.loop, simulation.keep_outside, simulation.preroll_pose = loop, False, "HELD"
-    part("jobs").run(part("jobs").Job(obj, "BAKE", (frames[0], frames[-1])))
+    part("batch").run(part("job").Job(obj, "BAKE", (frames[0], frames[-1])))
     return {mesh: round_trips.shown(mesh, frames) for mesh in ("Arm", "Sleeve")}
 
 
@@ -91,7 +91,7 @@ def state(obj):
 
 def exported(obj, folder, key="GLTF"):
     path = folder / f"arm{part('exports').FORMATS[key].suffix}"
-    part("exports").export(obj, key, path, (1, 1), takes="ACTIONS")
+    part("export_actions").export(obj, key, path, (1, 1), takes="ACTIONS")
     return path
 
 
@@ -148,25 +148,25 @@ def test_the_clips_share_as_many_keys_as_are_asked_for(game_arm, tmp_path):
     pytest.importorskip("pygltflib")
     obj = game_arm
     obj.dynamorph.output.keys = 3
-    exports, clips, actions = part("exports"), part("clips"), part("actions")
-    assert not any("keys move" in text for text in exports.losses(obj, "GLTF", "ACTIONS"))
-    batch = exports.ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
-    part("jobs").run_all(batch)
+    export_actions, losses, keys, baked = part("export_actions"), part("losses"), part("keys"), part("baked")
+    assert not any("keys move" in text for text in losses.losses(obj, "GLTF", "ACTIONS"))
+    batch = export_actions.ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
+    part("batch").run_all(batch)
     file = round_trips.Gltf(tmp_path / "arm.glb")
     (mesh,) = (mesh for mesh in file.file.meshes if mesh.name == "Arm")
     assert [name for name in mesh.extras["targetNames"] if "Dynamorph" in name] == [
         f"Dynamorph Mode 0{k}" for k in (1, 2, 3)
     ]
-    whole = actions.joined([job.result for job in batch.jobs])
-    fewer = clips.with_fewer_keys(whole, 3)
-    basis = part("extract").rest_points(obj)
+    whole = export_actions.joined([job.result for job in batch.jobs])
+    fewer = keys.with_fewer_keys(whole, 3)
+    basis = part("mesh_data").rest_points(obj)
     found = np.concatenate([file.morphed("Arm", name) for name in ("Bend", "Wave")])
-    exact = np.concatenate(list(clips.surfaces(fewer, basis)))
+    exact = np.concatenate(list(baked.surfaces(fewer, basis)))
     assert farthest(found, exact, same_order=False) < CLOSE
     obj.dynamorph.output.keys = 0
     obj.dynamorph.modes.add()
     obj.dynamorph.modes.add()
-    (text,) = exports.losses(obj, "GLTF", "ACTIONS")
+    (text,) = losses.losses(obj, "GLTF", "ACTIONS")
     assert "'Arm': 9 keys move" in text and "set Keys to 8, or" in text
 
 
@@ -174,12 +174,12 @@ def test_influence_counts(game_arm, tmp_path):
     pytest.importorskip("pygltflib")
     obj = game_arm
     OPS.bake()
-    part("sinks").influence_strip(obj).influence = 0.5
-    batch = part("exports").ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
-    part("jobs").run_all(batch)
+    part("bake_influence").influence_strip(obj).influence = 0.5
+    batch = part("export_actions").ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
+    part("batch").run_all(batch)
     bend = batch.jobs[0].result
     half = replace(bend, coordinates=(bend.coordinates + bend.dry) / 2)
-    exact = np.concatenate(list(part("clips").surfaces(half, part("extract").rest_points(obj))))
+    exact = np.concatenate(list(part("baked").surfaces(half, part("mesh_data").rest_points(obj))))
     assert farthest(round_trips.Gltf(batch.path).morphed("Arm", "Bend"), exact, same_order=False) < CLOSE
 
 
@@ -213,9 +213,13 @@ def test_the_buttons_write_clips(game_arm, tmp_path, capfd):
 
 def test_in_a_window_the_artist_s_animation_is_there_between_two_turns(game_arm, tmp_path):
     obj = game_arm
-    operators, button_class = part("operators"), part("export_operators").DYNAMORPH_OT_export_actions
+    job_operators, base, button_class = (
+        part("job_operators"),
+        part("base"),
+        part("export_operators").DYNAMORPH_OT_export_actions,
+    )
 
-    class Button(operators.JobOperator):
+    class Button(job_operators.JobOperator):
         goal, _batch, _done = button_class.goal, button_class._batch, button_class._done
         format, filepath, reports = "GLTF", str(tmp_path / "arm.glb"), []
 
@@ -223,11 +227,11 @@ def test_in_a_window_the_artist_s_animation_is_there_between_two_turns(game_arm,
             self.reports.append((*kind, text))
 
     before, window, button, ticks = state(obj), Window(obj), Button(), 0
-    result = operators.guarded(button, button._begin, window)
+    result = base.guarded(button, button._begin, window)
     while result == {"RUNNING_MODAL"}:
-        assert state(obj) == before and part("jobs").running is button.batch
+        assert state(obj) == before and part("batch").running is button.batch
         result, ticks = button.modal(window, SimpleNamespace(type="TIMER", value="NOTHING")), ticks + 1
-    assert result == {"FINISHED"} and ticks > 5 and part("jobs").running is None
+    assert result == {"FINISHED"} and ticks > 5 and part("batch").running is None
     assert button.reports[-1] == ("INFO", "'Arm' written as 'arm.glb': Bend, Wave")
     assert state(obj) == before and (tmp_path / "arm.glb").exists()
 
@@ -238,18 +242,18 @@ def fail(*_arguments):
 
 def test_what_fails_or_is_cancelled_leaves_all_as_it_was(game_arm, tmp_path, monkeypatch):
     obj = game_arm
-    exports, jobs = part("exports"), part("jobs")
+    exports, export_actions, errors = part("exports"), part("export_actions"), part("errors")
     rig_of(obj).animation_data.nla_tracks[0].is_solo = True
     bpy.context.scene.frame_set(3)
     before = state(obj)
     broken = replace(exports.FORMATS["GLTF"], write=fail)
     with monkeypatch.context() as patch:
         patch.setitem(exports.FORMATS, "GLTF", broken)
-        with pytest.raises(exports.ExportError, match="no disk"):
+        with pytest.raises(errors.ExportError, match="no disk"):
             exported(obj, tmp_path)
     assert state(obj) == before
-    with pytest.raises(jobs.Cancelled):
-        exports.export(obj, "GLTF", tmp_path / "arm.glb", (1, 1), "ACTIONS", tick=lambda batch: batch.cancel())
+    with pytest.raises(errors.Cancelled):
+        export_actions.export(obj, "GLTF", tmp_path / "arm.glb", (1, 1), "ACTIONS", tick=lambda batch: batch.cancel())
     assert state(obj) == before
     assert list(tmp_path.iterdir()) == []
 
@@ -290,5 +294,5 @@ def test_refused(game_arm, tmp_path, change, words):
 
 
 def test_formats_of_a_surface_have_no_clips(game_arm, tmp_path):
-    with pytest.raises(part("exports").ExportError, match="Alembic has one animation only"):
+    with pytest.raises(part("errors").ExportError, match="Alembic has one animation only"):
         exported(game_arm, tmp_path, "ALEMBIC")

@@ -22,7 +22,7 @@ CLOSE = 1e-5
 def baked(soft_arm):
     """The arm with a bake of every frame."""
     bake = hand_made_bake(soft_arm)
-    part("sinks").write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     return soft_arm, bake
 
 
@@ -47,9 +47,9 @@ def off(name, path, exact, mesh="Arm"):
 
 def written(obj, key, folder):
     """The path of an export."""
-    exports = part("exports")
+    export_actions, exports = part("export_actions"), part("exports")
     path = folder / f"{obj.name}{exports.FORMATS[key].suffix}"
-    exports.export(obj, key, path, FRAMES)
+    export_actions.export(obj, key, path, FRAMES)
     return path
 
 
@@ -77,21 +77,26 @@ def test_gltf_holds_the_bake_s_shapes_and_values(baked, tmp_path):
 @pytest.mark.parametrize("sink", ["PC2", "MDD"])
 def test_a_point_cache_is_exported_as_a_surface_only(baked, tmp_path, sink):
     obj, bake = baked
-    clips, sinks, exports = part("clips"), part("sinks"), part("exports")
+    keys, point_cache, errors, export_actions = (
+        part("keys"),
+        part("point_cache"),
+        part("errors"),
+        part("export_actions"),
+    )
     file = tmp_path / f"arm.{sink.lower()}"
-    part("model_file").save(file, clips.CACHES[sink](bake, key_positions(obj), bpy.context.scene.render.fps))
-    sinks.write_keys(obj, clips.targets_alone(bake), cache=file)
+    part("model_file").save(file, point_cache.CACHES[sink](bake, key_positions(obj), bpy.context.scene.render.fps))
+    part("bake").write_keys(obj, keys.targets_alone(bake), cache=file)
     exact = posed("Arm")
     for key in ("GLTF", "FBX", "RAW"):
-        with pytest.raises(exports.ExportError, match="'Arm' is a point cache.*bake to Shape Keys first"):
-            exports.export(obj, key, tmp_path / "Arm.file", FRAMES)
+        with pytest.raises(errors.ExportError, match="'Arm' is a point cache.*bake to Shape Keys first"):
+            export_actions.export(obj, key, tmp_path / "Arm.file", FRAMES)
     paths = {key: written(obj, key, tmp_path) for key in ("ALEMBIC", "USD")}
     for key, path in paths.items():
         assert off(key, path, exact) < CLOSE
 
 
 def key_positions(obj):
-    return part("properties").key_points(keys_of(obj).reference_key).astype(float)
+    return part("references").key_points(keys_of(obj).reference_key).astype(float)
 
 
 @pytest.mark.parametrize("read", [round_trips.by_numpy, round_trips.by_c_runtime])
@@ -112,16 +117,16 @@ def test_a_raw_clip_is_the_bake(baked, tmp_path, read):
 def test_a_model_that_is_kept_with_the_object_is_not_exported(baked, tmp_path, key):
     """On bytes, as which the first versions kept it, Blender would crash."""
     obj, _ = baked
-    obj.pop(part("jobs").PACKED, None)
-    obj[part("jobs").PACKED] = b"a\0b"
+    obj.pop(part("model_store").PACKED, None)
+    obj[part("model_store").PACKED] = b"a\0b"
     path = written(obj, key, tmp_path)
-    assert part("jobs").PACKED.encode() not in path.read_bytes()
+    assert part("model_store").PACKED.encode() not in path.read_bytes()
 
 
 def test_blenders_own_exporter_bears_a_model(soft_arm, stand_in, tmp_path):
     """All custom properties are written by default."""
     bpy.ops.dynamorph.build()
-    assert part("jobs").PACKED in soft_arm
+    assert part("model_store").PACKED in soft_arm
     bpy.ops.wm.alembic_export(filepath=str(tmp_path / "own.abc"), as_background_job=False)
     assert (tmp_path / "own.abc").is_file()
 
@@ -132,9 +137,9 @@ def test_drivers_actions_and_influence_are_exported_as_shown(scene, baked, tmp_p
     smile = keys_of(obj).key_blocks["smile"]
     driver = smile.driver_add("value").driver
     driver.expression = "0.05 * frame"
-    part("sinks").influence_strip(obj).influence = 0.5
+    part("bake_influence").influence_strip(obj).influence = 0.5
     exact, before = posed("Arm"), fingerprint(obj)
-    assert any("drivers are left out" in text and "smile" in text for text in part("exports").losses(obj, "GLTF"))
+    assert any("drivers are left out" in text and "smile" in text for text in part("losses").losses(obj, "GLTF"))
     path = written(obj, "GLTF", tmp_path)
     assert fingerprint(obj) == before
     assert off("GLTF", path, exact) < CLOSE
@@ -155,7 +160,7 @@ def add_sleeve(scene, obj):
 def test_what_moves_with_the_flesh_is_exported_too(scene, baked, tmp_path, name):
     obj, _ = baked
     sleeve = add_sleeve(scene, obj)
-    part("sinks").write_keys(sleeve, hand_made_bake(obj, seed=2), obj)
+    part("bake").write_keys(sleeve, hand_made_bake(obj, seed=2), obj)
     exact, before = posed("Sleeve"), fingerprint(sleeve)
     path = written(obj, name.split()[0], tmp_path)
     assert fingerprint(sleeve) == before
@@ -165,7 +170,7 @@ def test_what_moves_with_the_flesh_is_exported_too(scene, baked, tmp_path, name)
 @pytest.mark.parametrize("name", ["GLTF by pygltflib", "FBX"])
 def test_fewer_keys_are_exported_as_shown(soft_arm, tmp_path, name):
     bake = hand_made_bake(soft_arm, modes=6)
-    part("sinks").write_keys(soft_arm, part("clips").with_fewer_keys(bake, 2))
+    part("bake").write_keys(soft_arm, part("keys").with_fewer_keys(bake, 2))
     path, exact = written(soft_arm, name.split()[0], tmp_path), posed("Arm")
     assert off(name, path, exact) < CLOSE
 
@@ -224,19 +229,19 @@ LOSSES = {
 @pytest.mark.parametrize("words", LOSSES)
 def test_export_check_says_what_is_dropped(baked, words):
     obj, _ = baked
-    exports = part("exports")
-    assert list(exports.losses(obj, "GLTF")) == []
+    losses = part("losses")
+    assert list(losses.losses(obj, "GLTF")) == []
     LOSSES[words](obj)
-    assert any(re.search(words, text) for text in exports.losses(obj, "GLTF"))
-    assert list(exports.losses(obj, "ALEMBIC")) == []
+    assert any(re.search(words, text) for text in losses.losses(obj, "GLTF"))
+    assert list(losses.losses(obj, "ALEMBIC")) == []
 
 
 @pytest.mark.parametrize("smile, remedy", [(0.0, "with Keys 8, or use"), (0.5, "with Keys 7, or use")])
 def test_export_check_counts_the_morphs_that_move(scene, smile, remedy):
     obj = make_soft(make_arm(scene))
-    part("sinks").write_keys(obj, hand_made_bake(obj, modes=9))
+    part("bake").write_keys(obj, hand_made_bake(obj, modes=9))
     keys_of(obj).key_blocks["smile"].value = smile
-    (text,) = part("exports").losses(obj, "FBX")
+    (text,) = part("losses").losses(obj, "FBX")
     assert f"{10 + (smile > 0)} keys move, many engines blend 8 at most" in text and remedy in text
 
 
@@ -248,7 +253,7 @@ def test_export_check_sees_keys_that_stand_at_0_now(baked):
         smile.keyframe_insert("value", frame=frame)
     bpy.context.scene.frame_set(1)
     assert smile.value == 0.0
-    assert list(part("exports").losses(obj, "RAW")) == ["A raw clip has the bake's keys alone: smile is left out"]
+    assert list(part("losses").losses(obj, "RAW")) == ["A raw clip has the bake's keys alone: smile is left out"]
 
 
 def test_a_muted_key_is_not_shown(scene, baked, tmp_path):
@@ -266,7 +271,7 @@ def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
     bpy.ops.dynamorph.export(format="RAW", filepath=str(tmp_path / "arm"))
     assert [file.name for file in tmp_path.iterdir()] == ["arm.npz"]
     assert bpy.ops.dynamorph.export_check(format="FBX") == {"FINISHED"}
-    part("sinks").free(obj)
+    part("bake").free(obj)
     with pytest.raises(RuntimeError, match="press Bake first"):
         bpy.ops.dynamorph.export(format="RAW", filepath=str(tmp_path / "none"))
     assert not bpy.ops.dynamorph.export_check.poll()
@@ -282,7 +287,7 @@ def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
     """Its exporter takes those of the scene."""
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not for this Python")
     obj, _ = baked
-    part("exports").export(obj, "USD", tmp_path / "part.usdc", (5, 9))
+    part("export_actions").export(obj, "USD", tmp_path / "part.usdc", (5, 9))
     stage = usd.Stage.Open(str(tmp_path / "part.usdc"))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (5.0, 9.0)
     assert (bpy.context.scene.frame_start, bpy.context.scene.frame_end) == FRAMES
@@ -290,15 +295,15 @@ def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
 
 def test_refused(baked, tmp_path):
     obj, _ = baked
-    exports = part("exports")
-    error = exports.ExportError
+    errors, export_actions = part("errors"), part("export_actions")
+    error = errors.ExportError
     with pytest.raises(error, match="no folder '.*nowhere'"):
-        exports.export(obj, "RAW", tmp_path / "nowhere" / "arm.npz", FRAMES)
+        export_actions.export(obj, "RAW", tmp_path / "nowhere" / "arm.npz", FRAMES)
     obj.hide_set(True)
     with pytest.raises(error, match="'Arm' is hidden"):
-        exports.export(obj, "USD", tmp_path / "arm.usdc", FRAMES)
+        export_actions.export(obj, "USD", tmp_path / "arm.usdc", FRAMES)
     obj.hide_set(False)
-    part("sinks").free(obj)
+    part("bake").free(obj)
     with pytest.raises(error, match="no bake to export: press Bake"):
-        exports.export(obj, "GLTF", tmp_path / "arm.glb", FRAMES)
+        export_actions.export(obj, "GLTF", tmp_path / "arm.glb", FRAMES)
     assert list(tmp_path.iterdir()) == []

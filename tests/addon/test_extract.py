@@ -85,8 +85,8 @@ def not_deforming(obj):
 def test_own_skinning_equals_the_armature_modifier(scene, soft_arm, change):
     change(soft_arm)
     bpy.context.view_layer.update()
-    extract = part("extract")
-    samples = extract.sample_rig(soft_arm, 1, 20, 1)
+    rig_motion, extract = part("rig_motion"), part("extract")
+    samples = rig_motion.sample_rig(soft_arm, 1, 20, 1)
     ours = skinned(extract.character(soft_arm), samples)
     for frame in (1, 7, 20):
         scene.frame_set(frame)
@@ -104,7 +104,7 @@ def test_samples_equal_the_users_scene_and_leave_it_alone(scene, soft_arm, chang
     scene.frame_set(13)
     rig.pose.bones["upper"].rotation_euler.y = 0.7  # a pose that is not keyed yet
     before = (len(bpy.data.scenes), len(bpy.data.objects), len(bpy.data.collections))
-    samples = part("extract").sample_rig(soft_arm, 3, 6, 4)
+    samples = part("rig_motion").sample_rig(soft_arm, 3, 6, 4)
     assert (len(bpy.data.scenes), len(bpy.data.objects), len(bpy.data.collections)) == before
     assert scene.frame_current == 13 and bpy.context.scene == scene and bpy.context.object == soft_arm
     assert rig.pose.bones["upper"].rotation_euler.y == pytest.approx(0.7)
@@ -120,25 +120,25 @@ def test_samples_equal_the_users_scene_and_leave_it_alone(scene, soft_arm, chang
 
 
 def test_sampling_in_slices_is_the_same_and_leaves_nothing_between_them(soft_arm):
-    extract = part("extract")
+    rig_motion = part("rig_motion")
     before = (len(bpy.data.scenes), len(bpy.data.objects))
-    sampling, slices = extract.RigSampling(soft_arm, 1, 20, 4), 1
+    sampling, slices = rig_motion.RigSampling(soft_arm, 1, 20, 4), 1
     while not sampling.advance(soft_arm, 0.0):
         slices += 1
         assert (len(bpy.data.scenes), len(bpy.data.objects)) == before
         assert sampling.done == slices - 1 and sampling.frame == 1 + (slices - 1) // 4
     assert slices == 77
-    at_once = extract.sample_rig(soft_arm, 1, 20, 4)
+    at_once = rig_motion.sample_rig(soft_arm, 1, 20, 4)
     np.testing.assert_array_equal(sampling.samples().pose, at_once.pose)
     np.testing.assert_array_equal(sampling.samples().object_world, at_once.object_world)
 
 
 def test_sampling_notices_what_changed_between_slices(soft_arm):
-    extract = part("extract")
-    sampling = extract.RigSampling(soft_arm, 1, 20, 4)
+    rig_motion, errors = part("rig_motion"), part("errors")
+    sampling = rig_motion.RigSampling(soft_arm, 1, 20, 4)
     sampling.advance(soft_arm, 0.0)
     rig_of(soft_arm).data.bones["lower"].name = "forearm"
-    with pytest.raises(extract.SceneError, match="'Arm' or what moves it changed while it was read"):
+    with pytest.raises(errors.SceneError, match="'Arm' or what moves it changed while it was read"):
         sampling.advance(soft_arm, 0.0)
 
 
@@ -151,7 +151,7 @@ def test_sampling_never_evaluates_the_mesh(scene, soft_arm, monkeypatch):
     scene.frame_set(2)
     assert calls
     calls.clear()
-    part("extract").sample_rig(soft_arm, 1, 5, 1)
+    part("rig_motion").sample_rig(soft_arm, 1, 5, 1)
     evaluated_by_sampling = len(calls)
     assert evaluated_by_sampling == 0
 
@@ -169,7 +169,7 @@ def test_character_arrays(soft_arm):
     np.testing.assert_array_equal(neutral.shape, 0.0)
     np.testing.assert_allclose(flexed.shape, scenes.bulge(vertices), atol=1e-6)
     assert flexed.bones == ("lower",)
-    angle = part("extract").turned(neutral.local, flexed.local)
+    angle = part("geometry").turned(neutral.local, flexed.local)
     np.testing.assert_allclose(angle, [0.0, np.pi / 2], atol=1e-5)
 
 
@@ -205,25 +205,25 @@ def test_animated_scale_does_not_make_a_character_depend_on_the_frame(scene, sof
 
 
 def test_transforms_that_are_not_numbers_are_named(scene, soft_arm):
-    extract = part("extract")
+    errors, rig_motion = part("errors"), part("rig_motion")
     bone = rig_of(soft_arm).pose.bones["lower"]
     bone.location.x = np.nan
-    with pytest.raises(extract.SceneError, match="'lower'.*not a number at frame"):
-        extract.sample_rig(soft_arm, 1, 20, 2)
+    with pytest.raises(errors.SceneError, match="'lower'.*not a number at frame"):
+        rig_motion.sample_rig(soft_arm, 1, 20, 2)
     scene.frame_set(12)
-    with pytest.raises(extract.SceneError, match="'lower'.*not a number at frame 12"):
-        extract.current_pose(soft_arm)
+    with pytest.raises(errors.SceneError, match="'lower'.*not a number at frame 12"):
+        rig_motion.current_pose(soft_arm)
 
 
 def test_an_armature_that_vanishes_is_refused_with_the_frame(soft_arm):
-    extract = part("extract")
+    errors, rig_motion = part("errors"), part("rig_motion")
     rig = rig_of(soft_arm)
     rig.scale = (1.0, 1.0, 1.0)
     rig.keyframe_insert("scale", frame=1)
     rig.scale = (0.0, 0.0, 0.0)
     rig.keyframe_insert("scale", frame=9)
-    with pytest.raises(extract.SceneError, match="is scaled to zero at frame 9"):
-        extract.sample_rig(soft_arm, 1, 12, 2)
+    with pytest.raises(errors.SceneError, match="is scaled to zero at frame 9"):
+        rig_motion.sample_rig(soft_arm, 1, 12, 2)
 
 
 def test_soft_group(soft_arm):
@@ -250,19 +250,19 @@ def test_captured_pose_counts_constraints(scene, soft_arm):
     follow = rig_of(soft_arm).pose.bones["upper"].constraints.new("LIMIT_ROTATION")
     follow.use_limit_x, follow.min_x, follow.max_x, follow.owner_space = True, 0.5, 1.0, "LOCAL"
     scene.frame_set(1)
-    _, local, _ = part("extract").current_pose(soft_arm)
-    angles = part("extract").turned(local, np.tile(np.eye(4), (2, 1, 1)))
+    _, local, _ = part("rig_motion").current_pose(soft_arm)
+    angles = part("geometry").turned(local, np.tile(np.eye(4), (2, 1, 1)))
     np.testing.assert_allclose(angles, [0.5, 0.0], atol=1e-5)
 
 
 def test_collapsed_bones_are_held(scene, soft_arm):
-    extract = part("extract")
+    rig_motion, rig_samples, extract = part("rig_motion"), part("rig_samples"), part("extract")
     bone = rig_of(soft_arm).pose.bones["lower"]
     for frame, size in ((9, 1.0), (10, 0.0), (12, 0.0), (13, 1.0)):
         bone.scale = (size, size, size)
         bone.keyframe_insert("scale", frame=frame)
-    samples = extract.sample_rig(soft_arm, 1, 20, 1)
-    held, warnings = extract.hold_collapsed(samples, extract.character(soft_arm).skeleton)
+    samples = rig_motion.sample_rig(soft_arm, 1, 20, 1)
+    held, warnings = rig_samples.hold_collapsed(samples, extract.character(soft_arm).skeleton)
     assert len(warnings) == 1 and "'lower'" in warnings[0] and "3 of 20" in warnings[0]
     np.testing.assert_allclose(held.pose[9:12, 1], np.tile(held.pose[8, 1], (3, 1, 1)), atol=1e-12)
     np.testing.assert_array_equal(held.pose[12:], samples.pose[12:])
@@ -272,7 +272,13 @@ def test_collapsed_bones_are_held(scene, soft_arm):
 @pytest.mark.parametrize("first", [1, 9, 10])
 def test_collapsed_bones_follow_their_parents(scene, soft_arm, first):
     """As they last did, as far as that is known: first and at rest if it is not."""
-    extract, rig = part("extract"), rig_of(soft_arm)
+    rig_motion, extract, rig_samples, geometry, rig = (
+        part("rig_motion"),
+        part("extract"),
+        part("rig_samples"),
+        part("geometry"),
+        rig_of(soft_arm),
+    )
     upper, lower = rig.pose.bones["upper"], rig.pose.bones["lower"]
     rig.animation_data_clear()
     lower.rotation_euler.x = 0.4
@@ -283,12 +289,12 @@ def test_collapsed_bones_follow_their_parents(scene, soft_arm, first):
         upper.rotation_euler.y = angle
         upper.keyframe_insert("rotation_euler", frame=frame)
     skeleton = extract.character(soft_arm).skeleton
-    before = extract.sample_rig(soft_arm, 9, 9, 1).pose[0]
-    samples = extract.sample_rig(soft_arm, first, 20, 1)
+    before = rig_motion.sample_rig(soft_arm, 9, 9, 1).pose[0]
+    samples = rig_motion.sample_rig(soft_arm, first, 20, 1)
     for known in (None, before):
-        held, _ = extract.hold_collapsed(samples, skeleton, known)
+        held, _ = rig_samples.hold_collapsed(samples, skeleton, known)
         bent = 0.4 if first < 10 or known is not None else 0.0
-        angles = extract.turned(skeleton.local_transforms(held.pose)[:, 1], np.tile(np.eye(4), (len(held), 1, 1)))
+        angles = geometry.turned(skeleton.local_transforms(held.pose)[:, 1], np.tile(np.eye(4), (len(held), 1, 1)))
         np.testing.assert_allclose(angles, bent, atol=1e-5)
         np.testing.assert_array_equal(held.pose[:, 0], samples.pose[:, 0])
 
@@ -461,13 +467,13 @@ def zero_scale(obj):
 )
 def test_refused(soft_arm, spoil, words):
     spoil(soft_arm)
-    with pytest.raises(part("extract").SceneError, match=words):
+    with pytest.raises(part("errors").SceneError, match=words):
         part("extract").character(soft_arm)
 
 
 def test_refused_without_mesh(scene):
     rig = make_rig(scene)
-    with pytest.raises(part("extract").SceneError, match="'Rig' is not a mesh"):
+    with pytest.raises(part("errors").SceneError, match="'Rig' is not a mesh"):
         part("extract").character(rig)
 
 

@@ -48,7 +48,7 @@ def program(folder, name, script):
 
 def understood(arguments, opens_file):
     """The command line knows these arguments, or argparse exits."""
-    return part("cli").parser(opens_file).parse_args(arguments)
+    return part("main").parser(opens_file).parse_args(arguments)
 
 
 # Slurm ----------------------------------------------------------------------------------------------------------------
@@ -196,8 +196,8 @@ def test_the_template_knows_every_sink(addon, run_template, tmp_path):
     template = (FARM / "dynamorph.openjd.yaml").read_text()
     known = next(line for line in template.splitlines() if "allowedValues" in line)
     files = {format.lower(): of.suffix for format, of in part("exports").FORMATS.items()}
-    files |= {cache.lower(): f".{cache.lower()}" for cache in part("clips").CACHES}
-    sinks = {sink.lower() for sink in part("cli").sink_names()} | set(files)
+    files |= {cache.lower(): f".{cache.lower()}" for cache in part("point_cache").CACHES}
+    sinks = {sink.lower() for sink in part("commands").sink_names()} | set(files)
     assert set(known.split("[")[1].split("]")[0].split(", ")) == sinks | {'""'}
     for sink in sinks:
         _, bake = run_template(Characters=["Arm"], Sink=sink, Options=["--keys", "8"])[2]

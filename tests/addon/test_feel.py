@@ -25,9 +25,9 @@ def built_arm(soft_arm):
 
 def felt(target):
     """Frequency in Hz and damping ratio of a target that is measured."""
-    materials = part("materials")
+    oscillation = part("oscillation")
     material = target.material()
-    seen = materials.swing(target.bounce_reference, material)
+    seen = oscillation.swing(target.bounce_reference, material)
     return seen.frequency, seen.decay / np.hypot(2 * np.pi * seen.frequency, seen.decay)
 
 
@@ -50,7 +50,7 @@ def test_a_preset_shows_without_a_build(built_arm, key):
     assert simulation.max_displacement == pytest.approx(feel.max_displacement)
     assert simulation.max_thickness == pytest.approx(feel.max_thickness)
     assert (built_arm.dynamorph.model.built, built_arm.dynamorph.model.content_id) == (built, content)
-    assert part("changes").model_age(built_arm) == []
+    assert part("staleness").model_age(built_arm) == []
 
 
 def test_what_is_set_by_hand_stays_but_the_neutral(built_arm):
@@ -159,11 +159,11 @@ def test_setups_and_slots_keep_what_was_set_by_hand(built_arm, tmp_path):
 
 def test_a_slot_of_before_has_pascals(built_arm):
     OPS.copy_slot()
-    operators = part("live_operators")
-    old = operators.slot_settings(built_arm)
+    slots = part("slots")
+    old = slots.slot_settings(built_arm)
     del old["frequencies"]
     OPS.apply_feel(feel="NATURAL")
-    operators.put_slot(built_arm, old)
+    slots.put_slot(built_arm, old)
     assert built_arm.dynamorph.targets[0].frequency == 0.0 and built_arm.dynamorph.targets[0].stiffness == 2e4
 
 
@@ -172,9 +172,8 @@ def test_a_slot_of_before_has_pascals(built_arm):
 
 def motion(obj, amount, **settings):
     """Displacements (F, V, 3) of a bake that is not written, about the targets' shapes."""
-    jobs = part("jobs")
     obj.dynamorph.simulation.amount = amount
-    job = jobs.Job(obj, "BAKE", **settings)
+    job = part("job").Job(obj, "BAKE", **settings)
     job.prepare()
     job.start()
     while not job.wait(1.0):
@@ -194,14 +193,14 @@ def test_amount_scales_the_motion_of_a_bake(built_arm):
 
 def test_amount_is_out_of_date_in_a_bake_and_unknown_to_old_ones(built_arm):
     OPS.bake()
-    changes, record = part("changes"), built_arm.dynamorph.bake
-    assert changes.outdated(built_arm) == []
+    staleness, record = part("staleness"), built_arm.dynamorph.bake
+    assert staleness.outdated(built_arm) == []
     built_arm.dynamorph.simulation.amount = 0.5
-    assert changes.outdated(built_arm) == ["Amount changed"]
+    assert staleness.outdated(built_arm) == ["Amount changed"]
     inputs = json.loads(record.inputs)
     del inputs["simulation"]["amount"]
     record.inputs = json.dumps(inputs)
-    assert changes.outdated(built_arm) == []
+    assert staleness.outdated(built_arm) == []
 
 
 def test_buttons_need_a_soft_skin(arm):

@@ -34,7 +34,7 @@ def centre_of_mass(herbert):
     bones = herbert.modifiers["Armature"].object.data.bones
     rest = {bone.name: np.array([bone.head_local, bone.tail_local]).mean(axis=0) for bone in bones}
     character = part("extract").character(herbert)
-    pose = part("extract").sample_rig(herbert, 1, bpy.context.scene.frame_end, 1).pose
+    pose = part("rig_motion").sample_rig(herbert, 1, bpy.context.scene.frame_end, 1).pose
     skin = pose @ np.linalg.inv(character.skeleton.rest)
     names = character.skeleton.names
     middles = [skin[:, names.index(b), :3] @ [*rest[b], 1.0] for b in kinematics.MASSES]
@@ -94,9 +94,9 @@ def test_wall_stops_him_within_a_frame(herbert):
 
 def test_belly_swings_upright_and_holds_in_the_tuck(herbert):
     pytest.importorskip("dynamorph", reason="needs the engine")
-    jobs = part("jobs")
-    job = jobs.Job(herbert, goal="BAKE")
-    jobs.run(job)
+    batch = part("batch")
+    job = part("job").Job(herbert, goal="BAKE")
+    batch.run(job)
     assert job.model.summary["modes"] == 12
     assert job.model.summary["dofs"] == pytest.approx(603, rel=0.1)
     assert job.report["inverted"] <= 10

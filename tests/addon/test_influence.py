@@ -18,11 +18,11 @@ OPS = bpy.ops.dynamorph
 
 
 def now(obj):
-    return part("influence").weights_now(obj, bpy.context.evaluated_depsgraph_get())
+    return part("weight_curves").weights_now(obj, bpy.context.evaluated_depsgraph_get())
 
 
 def over(obj, start=1, end=20):
-    return part("influence").curves(obj, start, end)
+    return part("weight_curves").curves(obj, start, end)
 
 
 def bend_of(frame):
@@ -70,10 +70,10 @@ def test_it_is_what_a_bake_uses(scene, soft_arm):
     OPS.add_target(key="smile")
     soft_arm.dynamorph.targets[2].region = "upper"
     soft_arm.dynamorph.targets[1].radius = radians(60.0)
-    extract, simulate = part("extract"), part("simulate")
+    extract, rig_motion, posing = part("extract"), part("rig_motion"), part("posing")
     character = extract.character(soft_arm)
-    pose = extract.sample_rig(soft_arm, 1, 20, 1).pose
-    expected = simulate.pose_space(character).weights(character.skeleton.local_transforms(pose))
+    pose = rig_motion.sample_rig(soft_arm, 1, 20, 1).pose
+    expected = posing.pose_space(character).weights(character.skeleton.local_transforms(pose))
     found = over(soft_arm)
     np.testing.assert_array_equal(found.weights, expected)
     assert [target_set.name for target_set in found.sets] == ["Arm", "upper"]
@@ -88,7 +88,7 @@ def test_poses_that_cannot_be_told_apart_are_named(scene, soft_arm):
     OPS.add_target(key="smile")
     with pytest.raises(Exception, match="'flexed' and 'smile' have the same pose") as error:
         now(soft_arm)
-    assert isinstance(error.value, part("jobs").expected_errors())
+    assert isinstance(error.value, part("engine").expected_errors())
     assert "have the same pose" in " ".join(drawn(soft_arm))
 
 
@@ -106,67 +106,67 @@ def test_curves_reach_over_the_frames_and_leave_the_scene_alone(scene, soft_arm)
 
 
 def test_what_is_drawn_follows_poses_without_looking_at_the_frames_again(soft_arm, monkeypatch):
-    influence, extract = part("influence"), part("extract")
-    influence.shots.clear()
-    assert influence.drawn(soft_arm) is None
+    weight_curves, rig_motion = part("weight_curves"), part("rig_motion")
+    weight_curves.shots.clear()
+    assert weight_curves.drawn(soft_arm) is None
     first = over(soft_arm)
-    monkeypatch.setattr(extract, "RigSampling", None)
-    shot, shown = influence.drawn(soft_arm)
+    monkeypatch.setattr(rig_motion, "RigSampling", None)
+    shot, shown = weight_curves.drawn(soft_arm)
     assert shown is first and (shot.start, shot.end) == (1, 20)
     soft_arm.dynamorph.targets[1].radius = radians(30.0)
-    assert not np.array_equal(influence.drawn(soft_arm)[1].weights, first.weights)
+    assert not np.array_equal(weight_curves.drawn(soft_arm)[1].weights, first.weights)
     rig = rig_of(soft_arm)
     activate(rig)
     bpy.ops.object.mode_set(mode="EDIT")
     rig.data.edit_bones["lower"].roll = 0.3
     bpy.ops.object.mode_set(mode="OBJECT")
-    assert influence.drawn(soft_arm) is None  # its poses are of another skeleton
+    assert weight_curves.drawn(soft_arm) is None  # its poses are of another skeleton
 
 
 def test_it_knows_when_the_frames_are_to_be_looked_at_again(scene, soft_arm):
-    influence = part("influence")
+    weight_curves = part("weight_curves")
     display = bpy.context.window_manager.dynamorph
     over(soft_arm)
-    assert not influence._is_old(soft_arm, scene)
+    assert not weight_curves._is_old(soft_arm, scene)
     scene.frame_end = 21
-    assert influence._is_old(soft_arm, scene)
+    assert weight_curves._is_old(soft_arm, scene)
     over(soft_arm, 1, 21)
-    bpy.app.handlers.depsgraph_update_post.append(influence._note_changes)
+    bpy.app.handlers.depsgraph_update_post.append(weight_curves._note_changes)
     display.influence = True
     try:
         over(soft_arm, 1, 21)
         bpy.context.view_layer.update()
-        assert not influence._is_old(soft_arm, scene)  # looking at them is no edit
+        assert not weight_curves._is_old(soft_arm, scene)  # looking at them is no edit
         rig_of(soft_arm).pose.bones["upper"].keyframe_insert("rotation_euler", frame=3)
         bpy.context.view_layer.update()
-        assert influence._is_old(soft_arm, scene) and bpy.app.timers.is_registered(influence._update)
+        assert weight_curves._is_old(soft_arm, scene) and bpy.app.timers.is_registered(weight_curves._update)
     finally:
         display.influence = False
-        bpy.app.handlers.depsgraph_update_post.remove(influence._note_changes)
-        bpy.app.timers.unregister(influence._update)
-    assert OPS.update_influence() == {"FINISHED"} and not influence._is_old(soft_arm, scene)
+        bpy.app.handlers.depsgraph_update_post.remove(weight_curves._note_changes)
+        bpy.app.timers.unregister(weight_curves._update)
+    assert OPS.update_influence() == {"FINISHED"} and not weight_curves._is_old(soft_arm, scene)
 
 
 def test_frames_are_read_a_few_at_a_time(scene, soft_arm):
-    influence = part("influence")
+    weight_curves = part("weight_curves")
     whole = over(soft_arm).weights
-    influence.shots.clear()
-    reading, turns = influence.Reading(soft_arm, 1, 20), 1
+    weight_curves.shots.clear()
+    reading, turns = weight_curves.Reading(soft_arm, 1, 20), 1
     while not reading.advance(soft_arm, 0.0):
-        assert influence.drawn(soft_arm) is None  # not before all is read
+        assert weight_curves.drawn(soft_arm) is None  # not before all is read
         turns += 1
     assert turns == 20
-    np.testing.assert_array_equal(influence.drawn(soft_arm)[1].weights, whole)
+    np.testing.assert_array_equal(weight_curves.drawn(soft_arm)[1].weights, whole)
 
 
 def test_what_keeps_the_frames_from_being_read_is_shown(scene, soft_arm):
-    influence, display = part("influence"), bpy.context.window_manager.dynamorph
+    weight_curves, display = part("weight_curves"), bpy.context.window_manager.dynamorph
     rig = rig_of(soft_arm)
     rig.scale = (0.0, 0.0, 0.0)
     rig.keyframe_insert("scale", frame=7)
-    while not influence._read_on(soft_arm, 1, 20):
+    while not weight_curves._read_on(soft_arm, 1, 20):
         pass
-    assert not influence._is_old(soft_arm, scene)  # it is not tried again and again
+    assert not weight_curves._is_old(soft_arm, scene)  # it is not tried again and again
     display.influence = True
     assert "scaled to zero" in " ".join(drawn(soft_arm))
     display.influence = False
@@ -197,13 +197,13 @@ def test_frames_outside_and_the_pose_to_add(scene, soft_arm, monkeypatch):
 def reports(monkeypatch):
     """What operators report from now on; Blender prints it in the background, and keeps it to itself."""
     kept = []
-    suggest = part("influence_operators").DYNAMORPH_OT_suggest_pose._suggest
+    suggest = part("weight_operators").DYNAMORPH_OT_suggest_pose._suggest
 
     def listen(self, obj, scene):
         listener = types.SimpleNamespace(report=lambda kind, text: kept.append(text))
         return suggest(listener, obj, scene)
 
-    monkeypatch.setattr(part("influence_operators").DYNAMORPH_OT_suggest_pose, "_suggest", listen)
+    monkeypatch.setattr(part("weight_operators").DYNAMORPH_OT_suggest_pose, "_suggest", listen)
     return lambda: kept
 
 
@@ -237,15 +237,15 @@ def test_bars_in_the_panel(scene, soft_arm):
 
 
 def test_the_sidebar_is_drawn_again_at_the_next_frame_only_where_bars_are(soft_arm, monkeypatch):
-    influence, calls = part("influence"), []
-    monkeypatch.setattr(influence.events, "redraw", calls.append)
-    influence._next_frame()
+    weight_curves, calls = part("weight_curves"), []
+    monkeypatch.setattr(weight_curves.events, "redraw", calls.append)
+    weight_curves._next_frame()
     calls.clear()
-    influence._next_frame()
+    weight_curves._next_frame()
     assert not calls
     drawn(soft_arm)
-    influence._next_frame()
-    influence._next_frame()
+    weight_curves._next_frame()
+    weight_curves._next_frame()
     assert len(calls) == 1
 
 
@@ -271,11 +271,11 @@ def test_the_surface_of_tetrahedra():
 
 def test_the_cage_is_posed_as_the_mesh_is(scene, built_arm):
     """The mesh's vertices lie in the tetrahedra: nodes move as its skin does where one bone has all the weight."""
-    overlays, jobs = part("overlays"), part("jobs")
+    overlays, model_store = part("overlays"), part("model_store")
     rig_of(built_arm).location = (1.0, 2.0, 3.0)
     rig_of(built_arm).scale = (1.5, 1.5, 1.5)
     scene.frame_set(20)
-    model = jobs.load_model(built_arm)
+    model = model_store.load_model(built_arm)
     cage = overlays.cage_of(model)
     assert len(cage.rest) < len(model.nodes)
     bones = overlays.skin_matrices(built_arm, bpy.context.evaluated_depsgraph_get())
@@ -300,7 +300,7 @@ def test_the_cage_shows_what_is_held(soft_arm, hold):
     model = soft_arm.dynamorph.model
     model.hold, model.cage_nodes, model.modes = hold, 200, 8
     OPS.build_cage()
-    built = part("jobs").load_model(soft_arm)
+    built = part("model_store").load_model(soft_arm)
     cage = part("overlays").cage_of(built)
     assert 0 < len(cage.held) < len(cage.rest)
     shown = {tuple(point) for point in cage.rest[cage.held].tolist()}
@@ -317,7 +317,7 @@ def test_in_edit_mode_the_cage_is_at_rest(scene, built_arm):
         bones = overlays.skin_matrices(built_arm, bpy.context.evaluated_depsgraph_get())
     finally:
         bpy.ops.object.mode_set(mode="OBJECT")
-    cage = overlays.cage_of(part("jobs").load_model(built_arm))
+    cage = overlays.cage_of(part("model_store").load_model(built_arm))
     np.testing.assert_allclose(cage.posed(bones), cage.rest + np.array([0.5, 0.0, 0.0]), atol=1e-5)
 
 
@@ -343,12 +343,12 @@ def test_the_graph_keeps_clear_of_what_lies_over_the_viewport():
         region(100, 650, 800, 26, "BOTTOM"),  # the header above it, where nothing overlaps
         region(120, 60, 200, 90, "FLOAT"),
     ]
-    assert part("overlays").free_rectangle(view, over_it) == (50, 30, 600, 574)
-    assert part("overlays").free_rectangle(view, []) == (0, 0, 800, 600)
+    assert part("overlay_graph").free_rectangle(view, over_it) == (50, 30, 600, 574)
+    assert part("overlay_graph").free_rectangle(view, []) == (0, 0, 800, 600)
 
 
 def test_runs_of_frames():
-    runs = part("overlays").runs
+    runs = part("overlay_graph").runs
     assert runs(np.array([True, True, False, True])) == [(0, 1), (3, 3)]
     assert runs(np.zeros(3, bool)) == [] and runs(np.ones(3, bool)) == [(0, 2)]
 
@@ -358,7 +358,7 @@ def test_curves_have_colours_of_their_own(scene, soft_arm):
         add_key(soft_arm, name, np.zeros((len(soft_arm.data.vertices), 3)))
         scene.frame_set(frame)
         OPS.add_target(key=name)
-    colors = part("overlays").curve_colors(now(soft_arm), bpy.context.preferences.themes[0])
+    colors = part("overlay_graph").curve_colors(now(soft_arm), bpy.context.preferences.themes[0])
     assert list(colors) == list(range(10))
     assert len({colors[target] for target in range(9)}) == 9
 
@@ -373,7 +373,7 @@ def picture(monkeypatch):
     except SystemError as error:
         pytest.skip(f"no graphics context without a screen: {error}")
 
-    monkeypatch.setattr(part("overlays"), "pixels", lambda length: length)  # without a window there is no resolution
+    monkeypatch.setattr(part("gpu_drawing"), "pixels", lambda length: length)  # without a window there is no resolution
 
     def picture(draw):
         target = gpu.types.GPUOffScreen(400, 200)
@@ -397,16 +397,16 @@ def near(pixels, color, by=40):
 
 
 def test_the_graph_is_drawn(scene, soft_arm, picture):
-    overlays = part("overlays")
+    overlay_graph = part("overlay_graph")
     soft_arm.dynamorph.active_target_index = 1
     scene.frame_set(8)
     OPS.capture_pose()
     over(soft_arm)
-    known = part("influence").drawn(soft_arm)
-    pixels = picture(lambda: overlays._draw_graph_in(10, 20, 390, 140, *known))
+    known = part("weight_curves").drawn(soft_arm)
+    pixels = picture(lambda: overlay_graph._draw_graph_in(10, 20, 390, 140, *known))
     assert not pixels[:18].any() and not pixels[142:].any() and not pixels[:, :8].any()
     theme = bpy.context.preferences.themes[0]
-    flexed, neutral = (overlays.curve_colors(known[1], theme)[target] for target in (1, 0))
+    flexed, neutral = (overlay_graph.curve_colors(known[1], theme)[target] for target in (1, 0))
     curve = near(pixels, flexed, 70)[38:122]
     columns = np.flatnonzero(curve.any(axis=0))
     assert columns.min() < 30 and columns.max() > 370
@@ -420,7 +420,7 @@ def test_the_graph_is_drawn(scene, soft_arm, picture):
 
 
 def test_the_cage_is_drawn(scene, built_arm, picture):
-    overlays = part("overlays")
+    overlays, gpu_drawing = part("overlays"), part("gpu_drawing")
     scene.frame_set(20)
     bones = overlays.skin_matrices(built_arm, bpy.context.evaluated_depsgraph_get())
     content_id = built_arm.dynamorph.model.content_id
@@ -429,13 +429,13 @@ def test_the_cage_is_drawn(scene, built_arm, picture):
     def draw():
         edges, pinned = overlays._cage_batches(built_arm.session_uid, content_id, bones.tobytes())
         gpu.matrix.load_matrix(Matrix(((0, 80, 0, 200), (0, 0, 80, 20), (80, 0, 0, 0), (0, 0, 0, 1))))
-        overlays._draw_lines(edges, (*theme.bone_pose, 1.0), 1.0)
-        overlays._draw_points(pinned, (*theme.vertex_select, 1.0), 4.0)
+        gpu_drawing.draw_lines(edges, (*theme.bone_pose, 1.0), 1.0)
+        gpu_drawing.draw_points(pinned, (*theme.vertex_select, 1.0), 4.0)
 
     pixels = picture(draw)
     lines, points = near(pixels, theme.bone_pose), near(pixels, theme.vertex_select)
     assert lines.sum() > 500 and points.sum() > 100
-    posed = overlays.cage_of(part("jobs").load_model(built_arm)).posed(bones)
+    posed = overlays.cage_of(part("model_store").load_model(built_arm)).posed(bones)
     columns = np.flatnonzero(lines.any(axis=0))
     assert abs(columns.min() - (200 + 80 * posed[:, 1].min())) < 4
     assert abs(columns.max() - (200 + 80 * posed[:, 1].max())) < 4
@@ -472,12 +472,12 @@ def test_the_legend_of_the_surface_is_drawn(scene, picture):
 
 def test_what_cannot_be_drawn_is_not(soft_arm, monkeypatch):
     """In the background there is no viewport: both callbacks fail inside, and say nothing."""
-    overlays, display = part("overlays"), bpy.context.window_manager.dynamorph
-    monkeypatch.setattr(part("influence"), "update_soon", lambda _wait: None)
+    overlays, overlay_graph, display = part("overlays"), part("overlay_graph"), bpy.context.window_manager.dynamorph
+    monkeypatch.setattr(part("weight_curves"), "update_soon", lambda _wait: None)
     display.cage = display.influence = display.heat = True
     for state in ("depth_test_set", "depth_mask_set", "blend_set"):
         monkeypatch.setattr(f"gpu.state.{state}", lambda _value: None, raising=False)
-    for draw in (overlays._draw_cage, overlays._draw_graph, overlays._draw_surface, overlays._draw_surface_legend):
+    for draw in (overlays._draw_cage, overlay_graph.draw_graph, overlays._draw_surface, overlays._draw_surface_legend):
         overlays._quietly(draw)()
 
 
@@ -485,7 +485,7 @@ def test_what_cannot_be_drawn_is_not(soft_arm, monkeypatch):
 
 
 def bounce(obj, target):
-    return part("materials").bounce(*part("jobs").fit_input(obj, target))
+    return part("material_fit").bounce(*part("model_store").fit_input(obj, target))
 
 
 def test_bounce_is_the_flesh_s_own(built_arm):
@@ -586,7 +586,7 @@ def test_undo(built_arm):
 
 def test_they_are_kept_in_the_file_but_not_in_set_ups(built_arm, tmp_path):
     before = built_arm.dynamorph.targets[1].bounce
-    names = set(part("properties").plain(built_arm.dynamorph.targets[1]))
+    names = set(part("plain").plain(built_arm.dynamorph.targets[1]))
     assert "stiffness" in names and not names & {"bounce", "settle", "weight", "bounce_reference", "volume"}
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "arm.blend"))

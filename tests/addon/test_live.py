@@ -22,16 +22,16 @@ def live_arm(soft_arm):
     """The soft arm with a coarse model, built."""
     settings = soft_arm.dynamorph
     settings.model.cage_nodes, settings.model.modes = 200, 8
-    jobs = part("jobs")
+    storage, batch, model_store = part("storage"), part("batch"), part("model_store")
     if not packed:
-        job = jobs.Job(soft_arm, goal="BUILD")
-        jobs.run(job)
-        packed["model"] = jobs.stored_model(soft_arm)
-        packed["record"] = part("properties").plain(settings.model)
-    jobs.store_model(soft_arm, packed["model"])
-    part("properties").assign(settings.model, packed["record"])
+        job = part("job").Job(soft_arm, goal="BUILD")
+        batch.run(job)
+        packed["model"] = model_store.stored_model(soft_arm)
+        packed["record"] = part("plain").plain(settings.model)
+    storage.store_model(soft_arm, packed["model"])
+    part("assign").assign(settings.model, packed["record"])
     settings.model.stale = ""
-    jobs.fit_modes(soft_arm, 8)
+    storage.fit_modes(soft_arm, 8)
     settings.simulation.gravity = 0.0
     part("live")._loaded()  # session ids begin anew with each file
     return soft_arm
@@ -45,7 +45,7 @@ def playing(live_arm):
 
 def surface(obj) -> np.ndarray:
     """Points (V, 3) that the shape keys make at the present frame."""
-    return part("properties").key_points(obj.data.shape_keys.key_blocks["Dynamorph Live"]).astype(float)
+    return part("references").key_points(obj.data.shape_keys.key_blocks["Dynamorph Live"]).astype(float)
 
 
 def play(obj, frames) -> np.ndarray:
@@ -64,8 +64,8 @@ def session(obj):
 
 def baked(obj, **settings):
     """The surface (F, V, 3) of a bake of the same scene, which is not written."""
-    jobs, extract = part("jobs"), part("extract")
-    job = jobs.Job(obj, goal="BAKE", **settings)
+    extract = part("extract")
+    job = part("job").Job(obj, goal="BAKE", **settings)
     job.prepare()
     job.start()
     while not job.wait(1.0):
@@ -153,7 +153,7 @@ def test_dropped_frames_are_simulated_all_the_same(playing):
 
 def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     """Blender 5.2 crashes when a scene is removed from a handler while the artist drags through the timeline."""
-    live, extract, scene = part("live"), part("extract"), bpy.context.scene
+    live, rig_motion, scene = part("live"), part("rig_motion"), bpy.context.scene
     for frame in range(1, 5):
         scene.frame_set(frame)
     shown = {4: surface(playing)}
@@ -161,8 +161,8 @@ def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     scrubbing = [True]
     monkeypatch.setattr(live, "is_scrubbing", lambda: scrubbing[0])
     live.sessions[playing.session_uid].rig.forget()
-    sample = extract.sample_rig
-    monkeypatch.setattr(extract, "sample_rig", lambda *_args: pytest.fail("the rig is read"))
+    sample = rig_motion.sample_rig
+    monkeypatch.setattr(rig_motion, "sample_rig", lambda *_args: pytest.fail("the rig is read"))
     scene.frame_set(4)  # known: shows at once
     assert np.array_equal(surface(playing), shown[4])
     scene.frame_set(9)  # not known: waits
@@ -170,7 +170,7 @@ def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     assert bpy.app.timers.is_registered(live._after_scrubbing)
     assert live._after_scrubbing() == live.SCRUBBED
     scrubbing[0] = False
-    monkeypatch.setattr(extract, "sample_rig", sample)
+    monkeypatch.setattr(rig_motion, "sample_rig", sample)
     assert live._after_scrubbing() is None
     assert not np.array_equal(surface(playing), shown[4])
     part("events").forget(live._after_scrubbing)
@@ -240,7 +240,7 @@ def test_collapsed_bones_are_held_from_block_to_block(live_arm):
 
 def test_of_a_long_shot_the_latest_rig_is_kept(playing, monkeypatch):
     whole = play(playing, range(1, 41))
-    monkeypatch.setattr(part("live"), "RIG_BYTES", 1)
+    monkeypatch.setattr(part("session"), "RIG_BYTES", 1)
     session(playing).rig.forget()
     assert apart(play(playing, range(1, 41)), whole) == 0.0
     assert list(session(playing).rig._blocks) == [1, 2]
@@ -336,7 +336,7 @@ def test_influence_of_a_target_that_is_no_number_is_refused(playing):
     play(playing, range(1, 4))
     playing.dynamorph.targets["flexed"].influence = float("nan")
     stopped(playing, "reset the gains")
-    with pytest.raises(part("extract").SceneError, match="influence of target 'flexed' is not a number"):
+    with pytest.raises(part("errors").SceneError, match="influence of target 'flexed' is not a number"):
         baked(playing)
 
 
@@ -510,7 +510,7 @@ def test_a_model_out_of_date_is_refused(live_arm):
 
 def test_an_unreduced_model_is_refused(live_arm):
     live_arm.dynamorph.model.solver = "FULL"
-    part("jobs").run(part("jobs").Job(live_arm, goal="BUILD"))
+    part("batch").run(part("job").Job(live_arm, goal="BUILD"))
     with pytest.raises(RuntimeError, match="choose Solver Reduced"):
         bpy.ops.dynamorph.live()
 
@@ -524,7 +524,7 @@ def test_a_model_that_ages_stops_it_until_it_is_built(playing):
     play(playing, range(1, 4))
     playing.dynamorph.model.modes = 6
     stopped(playing, "out of date")
-    part("jobs").run(part("jobs").Job(playing, goal="BUILD"))
+    part("batch").run(part("job").Job(playing, goal="BUILD"))
     play(playing, range(5, 7))
     assert len(playing.dynamorph.modes) == 6 and session(playing).flesh.modes == 6
 
@@ -590,17 +590,17 @@ class FirstLook:
     """`first_look` pressed in a window, with timer ticks to its end."""
 
     def __init__(self, obj, monkeypatch, events=()):
-        operators = part("live_operators")
+        live_operators = part("live_operators")
         self.reports, self.pressed = [], []
-        monkeypatch.setattr(operators, "press", lambda _by, name, **given: self.pressed.append((name, given)))
+        monkeypatch.setattr(live_operators, "press", lambda _by, name, **given: self.pressed.append((name, given)))
 
-        class Button(operators.EndsLive):
+        class Button(live_operators.EndsLive):
             def report(_self, kind, text):
                 self.reports.append((*kind, text))
 
         button, window = Button(), Window(obj)
         window.scene, window.screen = bpy.context.scene, types.SimpleNamespace(is_animation_playing=False)
-        result = part("operators").guarded(button, button._begin, window)
+        result = part("base").guarded(button, button._begin, window)
         events = iter(events)
         while result in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}):
             result = button.modal(window, types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS"))
@@ -667,22 +667,22 @@ def test_a_hop_of_two_seconds(live_arm, shown):
 
 
 def deltas(obj):
-    return [tuple(getattr(obj, name)) for name in part("live_operators").DELTAS]
+    return [tuple(getattr(obj, name)) for name in part("preview").DELTAS]
 
 
 @pytest.fixture
 def shown(monkeypatch):
     """What previews show, frame by frame: a list of (points (V, 3), world position of the rig)."""
-    frames, operators = [], part("live_operators")
-    show = operators.Preview.show
+    frames = []
+    show = part("preview").Preview.show
 
     def spy(preview, *frame):
         show(preview, *frame)
-        obj = part("jobs").find(preview.session_uid)
+        obj = part("skin").find(preview.session_uid)
         bpy.context.view_layer.update()
         frames.append((surface(obj), tuple(rig_of(obj).matrix_world.translation)))
 
-    monkeypatch.setattr(operators.Preview, "show", spy)
+    monkeypatch.setattr(part("preview").Preview, "show", spy)
     return frames
 
 
@@ -708,15 +708,15 @@ def test_a_twist_turns_a_tilted_rig_about_the_vertical(live_arm):
     live_arm.parent = rig
     rig.rotation_euler = (1.5, 0.2, 0.0)
     bpy.context.view_layer.update()
-    flesh = part("live").Flesh(live_arm, bpy.context.scene)
-    _, transforms = part("live_operators").shaken(live_arm, flesh, "TWIST")
+    flesh = part("session").Flesh(live_arm, bpy.context.scene)
+    _, transforms = part("preview").shaken(live_arm, flesh, "TWIST")
     assert transforms[:, 2, :] == pytest.approx(np.broadcast_to((0.0, 0.0, 1.0, 0.0), (len(transforms), 4)), abs=1e-9)
     assert transforms[:, 0, 0].min() == pytest.approx(0.5, abs=1e-6)
 
 
 def test_a_shake_moves_the_rig_as_it_says(live_arm):
     """Rig and mesh, each with a parent, a rotation and deltas of its own, by one world transform."""
-    operators = part("live_operators")
+    preview = part("preview")
     parent = bpy.data.objects.new("Parent", None)
     bpy.context.scene.collection.objects.link(parent)
     parent.rotation_euler, parent.location, parent.scale = (0.2, 0.5, 1.0), (1, 2, 3), (2, 2, 2)
@@ -727,32 +727,32 @@ def test_a_shake_moves_the_rig_as_it_says(live_arm):
     live_arm.scale = (-1.0, 1.0, 1.0)
     bpy.context.view_layer.update()
     transform = Matrix.Translation((0.3, -0.2, 0.1)) @ Matrix.Rotation(0.7, 4, (0.6, 0.0, 0.8))
-    for obj in operators.movers(live_arm):
-        before, mover = np.array(obj.matrix_world), operators._Mover(obj)
+    for obj in preview.movers(live_arm):
+        before, mover = np.array(obj.matrix_world), preview._Mover(obj)
         mover.move(transform)
         bpy.context.view_layer.update()
         assert np.array(obj.matrix_world) == pytest.approx(np.array(transform) @ before, abs=1e-5)
         mover.restore()
         bpy.context.view_layer.update()
         assert np.array(obj.matrix_world) == pytest.approx(before, abs=1e-6)
-    assert [obj.name for obj in operators.movers(live_arm)] == ["Arm Rig", "Arm"]
+    assert [obj.name for obj in preview.movers(live_arm)] == ["Arm Rig", "Arm"]
     live_arm.parent = rig
-    assert [obj.name for obj in operators.movers(live_arm)] == ["Arm Rig"]
+    assert [obj.name for obj in preview.movers(live_arm)] == ["Arm Rig"]
 
 
 @pytest.fixture
 def shaken(playing):
     """A live arm in the middle of a shake test at frame 3, and how its rig stood before."""
-    operators = part("live_operators")
+    preview, live_operators = part("preview"), part("live_operators")
     play(playing, range(1, 4))
     bpy.ops.ed.undo_push(message="before")
     bpy.context.scene.frame_set(3)
     bpy.ops.ed.undo_push(message="another")
     stood = deltas(rig_of(playing))
-    operators.preview = operators.Preview(playing, operators.DYNAMORPH_OT_shake_test)
+    preview.preview = preview.Preview(playing, live_operators.DYNAMORPH_OT_shake_test)
     values = np.concatenate([np.full(8, 0.01), [1.0, 0.0]])
-    operators.preview.show(values, Matrix.Translation((0, 0, 0.5)))
-    assert deltas(rig_of(playing)) != stood and part("live_operators").is_running("dynamorph.shake_test")
+    preview.preview.show(values, Matrix.Translation((0, 0, 0.5)))
+    assert deltas(rig_of(playing)) != stood and part("preview").is_running("dynamorph.shake_test")
     return playing, stood
 
 
@@ -761,7 +761,7 @@ def test_frames_that_pass_do_not_disturb_a_preview(shaken):
     swung = surface(obj)
     bpy.context.scene.frame_set(4)
     assert apart(surface(obj), swung) == 0.0
-    part("live_operators").end_preview()
+    part("preview").end_preview()
     assert apart(surface(obj), baked(obj)[3]) < 1e-6
 
 
@@ -769,7 +769,7 @@ def test_undo_ends_a_preview(shaken):
     _, stood = shaken
     bpy.ops.ed.undo()
     obj = bpy.data.objects["Arm"]
-    assert part("live_operators").preview is None and deltas(rig_of(obj)) == stood
+    assert part("preview").preview is None and deltas(rig_of(obj)) == stood
     assert apart(play(obj, [4]), baked(obj)[3]) < 1e-6
 
 
@@ -777,11 +777,11 @@ def test_saving_and_loading_end_a_preview(shaken, tmp_path):
     obj, stood = shaken
     path = str(tmp_path / "shaken.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
-    assert part("live_operators").preview is None and deltas(rig_of(obj)) == stood
-    operators = part("live_operators")
-    operators.preview = operators.Preview(obj, operators.DYNAMORPH_OT_play_mode)
+    assert part("preview").preview is None and deltas(rig_of(obj)) == stood
+    preview, live_operators = part("preview"), part("live_operators")
+    preview.preview = preview.Preview(obj, live_operators.DYNAMORPH_OT_play_mode)
     bpy.ops.wm.open_mainfile(filepath=path)
-    assert part("live_operators").preview is None and not part("live").lent
+    assert part("preview").preview is None and not part("live").lent
     assert deltas(rig_of(bpy.data.objects["Arm"])) == stood
 
 
@@ -806,10 +806,10 @@ def test_a_mode_plays_alone(live_arm, shown):
     assert bpy.ops.dynamorph.play_mode() == {"FINISHED"}
     assert fingerprint(live_arm) == before
     points = np.array([frame[0] for frame in shown])
-    sculpted = part("properties").key_points(live_arm.data.shape_keys.key_blocks["flexed"])
+    sculpted = part("references").key_points(live_arm.data.shape_keys.key_blocks["flexed"])
     assert apart(points[0], sculpted) < 1e-5  # in its pose
     swings = np.linalg.norm(points - points[0], axis=2).max(axis=1)
-    size = part("live").Flesh(live_arm, bpy.context.scene).player.size
+    size = part("session").Flesh(live_arm, bpy.context.scene).player.size
     assert swings.max() == pytest.approx(2.0 * 0.05 * size, rel=0.01)
     assert apart(points[6] - points[0], points[0] - points[18]) < 1e-6  # a sine
 
@@ -826,11 +826,11 @@ def test_slots_swap_and_come_back(playing):
     bpy.ops.dynamorph.swap_slot()
     now = settings.live.slot, settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain
     assert now == ("A", 2e4, 0.0, 1.0)
-    assert session(playing).flesh.player.gains[3] == 1.0
+    assert session(playing).flesh.player.amounts.gains[3] == 1.0
     bpy.ops.dynamorph.swap_slot()
     now = settings.live.slot, settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain
     assert now == ("B", 5e3, 0.5, 1.5)
-    assert session(playing).flesh.player.gains[3] == 1.5
+    assert session(playing).flesh.player.amounts.gains[3] == 1.5
     assert session(playing).flesh.character.targets[0].material.stiffness == 5e3
     bpy.ops.dynamorph.copy_slot()
     bpy.ops.dynamorph.swap_slot()

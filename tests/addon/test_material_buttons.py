@@ -17,7 +17,7 @@ def test_a_preset_changes_the_selected_target_alone(soft_arm):
     neutral, flexed = soft_arm.dynamorph.targets
     before = material(neutral)
     soft_arm.dynamorph.active_target_index = 1
-    for key, preset in part("materials").PRESETS.items():
+    for key, preset in part("material_presets").PRESETS.items():
         assert OPS.apply_material(preset=key) == {"FINISHED"}
         assert vars(preset.material) == material(flexed)
     assert vars(neutral.material()) == before
@@ -61,19 +61,19 @@ def built_arm(soft_arm):
 
 
 def test_fit_bounce(built_arm):
-    materials = part("materials")
+    material_fit = part("material_fit")
     target = built_arm.dynamorph.targets[1]
     poisson, density, content = target.poisson, target.density, built_arm.dynamorph.model.content_id
     assert OPS.fit_material.poll() and OPS.fit_material(frequency=4.0, settle=0.75) == {"FINISHED"}
-    now = materials.bounce(*part("jobs").fit_input(built_arm, target))
+    now = material_fit.bounce(*part("model_store").fit_input(built_arm, target))
     assert (now.frequency, now.settle) == pytest.approx((4.0, 0.75), rel=1e-4)
     assert (target.poisson, target.density) == (poisson, density)
-    assert part("jobs").stale_reasons(built_arm, part("extract").character(built_arm)) == []
+    assert part("model_store").stale_reasons(built_arm, part("extract").character(built_arm)) == []
     assert built_arm.dynamorph.model.content_id == content  # no new build
 
 
 def test_the_dialog_begins_with_the_bounce_as_it_is(built_arm):
-    operators, buttons, target = part("operators"), part("target_operators"), built_arm.dynamorph.targets[1]
+    base, material_operators, target = part("base"), part("material_operators"), built_arm.dynamorph.targets[1]
 
     class Context:
         object = built_arm
@@ -87,13 +87,16 @@ def test_the_dialog_begins_with_the_bounce_as_it_is(built_arm):
             self.asked = (operator.frequency, operator.settle)
             return {"RUNNING_MODAL"}
 
-    class Fit(operators.SoftSkinOperator):
+    class Fit(base.SoftSkinOperator):
         frequency, settle = 3.0, 1.0
-        invoke, _ask = buttons.DYNAMORPH_OT_fit_material.invoke, buttons.DYNAMORPH_OT_fit_material._ask
+        invoke, _ask = (
+            material_operators.DYNAMORPH_OT_fit_material.invoke,
+            material_operators.DYNAMORPH_OT_fit_material._ask,
+        )
 
     context = Context()
     assert Fit().invoke(context, None) == {"RUNNING_MODAL"}
-    now = part("materials").bounce(*part("jobs").fit_input(built_arm, target))
+    now = part("material_fit").bounce(*part("model_store").fit_input(built_arm, target))
     assert context.asked == (now.frequency, now.settle)
 
 
@@ -128,7 +131,7 @@ def fit(built_arm, tmp_path, capfd):
         np.savetxt(table, rows, delimiter=",", header=names, comments="")
         capfd.readouterr()
         where = ("--object", "Arm", "--target", target, "-o", output)
-        code = part("cli").main(["fit", kind, str(table), *map(str, where), *arguments])
+        code = part("main").main(["fit", kind, str(table), *map(str, where), *arguments])
         return code, *capfd.readouterr()
 
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
@@ -142,7 +145,7 @@ def test_a_tracked_point_is_fitted(built_arm, fit, tmp_path):
     assert code == 0 and "frequency 3 +-" in out and "flexed: stiffness 2e+04 ->" in out
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "fitted.blend"))
     obj = bpy.data.objects["Arm"]
-    now = part("materials").bounce(*part("jobs").fit_input(obj, obj.dynamorph.targets[1]))
+    now = part("material_fit").bounce(*part("model_store").fit_input(obj, obj.dynamorph.targets[1]))
     assert (now.frequency, now.decay) == pytest.approx((3.0, 2.0), rel=1e-3)
 
 

@@ -2,6 +2,7 @@
 """What is chosen in the Model panel or on the command line is what is simulated: methods, regions, force fields."""
 
 import bpy
+import dynamorph
 import numpy as np
 import pytest
 from builders import activate, add_key, assert_shows, part, rig_of
@@ -26,7 +27,7 @@ def arm(soft_arm):
 @pytest.fixture
 def two_regions(arm):
     """The arm with another target at its tip, placed by the first bone alone."""
-    rest = part("properties").key_points(arm.data.shape_keys.reference_key)
+    rest = part("references").key_points(arm.data.shape_keys.reference_key)
     add_key(arm, "tip", np.outer(rest[:, 2] > 1.8, [0.05, 0.0, 0.0]))
     tip = arm.vertex_groups.new(name="Tip")
     for index, height in enumerate(rest[:, 2]):
@@ -43,8 +44,8 @@ def two_regions(arm):
 def run(obj, **settings):
     for name, value in settings.items():
         setattr(obj.dynamorph.model, name, value)
-    job = part("jobs").Job(obj, goal="BAKE", substeps=3)
-    part("jobs").run(job)
+    job = part("job").Job(obj, goal="BAKE", substeps=3)
+    part("batch").run(job)
     return job
 
 
@@ -91,9 +92,8 @@ def test_single_material_needs_no_targets(arm):
 def test_shape_follows_the_pose_and_stiffness_only_if_dynamic(arm, method, solver):
     """One push in both target poses: pose-dependent shape alone answers alike, up to the turning of the skin."""
     job = run(arm, method=method, solver=solver)
-    _, simulate = part("jobs").engine()
     engine = job.model.engine(job.character)
-    stepper = simulate.dynamorph.FullSimulation if solver == "FULL" else simulate.dynamorph.ReducedSimulation
+    stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
     simulation = stepper(engine, 0.01)
     held = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
     push = np.zeros_like(job.model.nodes)
@@ -125,9 +125,8 @@ def test_regions_have_weights_of_their_own(two_regions):
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 def test_targets_are_met_in_both_regions_at_once(two_regions, solver):
     job = run(two_regions, solver=solver)
-    _, simulate = part("jobs").engine()
     engine = job.model.engine(job.character)
-    stepper = simulate.dynamorph.FullSimulation if solver == "FULL" else simulate.dynamorph.ReducedSimulation
+    stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
     held = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
     weights = np.array([0.0, 1.0, 0.0, 1.0])
     rest, report = stepper(engine, 0.01).solve_static(held, weights, guess=np.zeros_like(engine.target(0)))
@@ -159,12 +158,12 @@ def test_influence_of_a_target_ends_with_its_region(two_regions, solver, leak):
 
 
 def test_region_that_is_gone_or_empty_is_refused(two_regions):
-    extract = part("extract")
+    errors, extract = part("errors"), part("extract")
     two_regions.vertex_groups.remove(two_regions.vertex_groups["Tip"])
-    with pytest.raises(extract.SceneError, match="'Tip' of target 'tip' is gone"):
+    with pytest.raises(errors.SceneError, match="'Tip' of target 'tip' is gone"):
         extract.character(two_regions)
     two_regions.vertex_groups.new(name="Tip")
-    with pytest.raises(extract.SceneError, match="'Tip' of a target's Region is empty"):
+    with pytest.raises(errors.SceneError, match="'Tip' of a target's Region is empty"):
         extract.character(two_regions)
 
 
@@ -193,7 +192,7 @@ def test_wind_pushes_the_skin_along_its_axis(arm):
 
 
 def test_fields_fall_off_as_blender_says(scene):
-    field = part("scene_data").ForceField("FORCE", False, 2.0, 1.0, 4.0, np.eye(4)[None], np.array([8.0]))
+    field = part("rig_samples").ForceField("FORCE", False, 2.0, 1.0, 4.0, np.eye(4)[None], np.array([8.0]))
     points = np.array([[0.5, 0, 0], [0, 2.0, 0], [0, 0, 4.5]])
     assert np.allclose(field.pull(0, points), [[8.0, 0, 0], [0, 2.0, 0], [0, 0, 0]])
 
@@ -213,21 +212,21 @@ def test_a_model_is_fitted_to_the_scene_s_range_when_it_is_built(arm):
     arm.dynamorph.model.modes = 6
     arm.dynamorph.model.fit_to_shot = True
     assert bpy.ops.dynamorph.build() == {"FINISHED"}
-    model = part("jobs").load_model(arm)
+    model = part("model_store").load_model(arm)
     assert model.summary["fitted"] == [1, 20]
     still = model.basis.T @ (np.repeat(model.soft_body().volumes.sum(axis=1), 3)[:, None] * model.basis)
     assert np.allclose(still, np.eye(6), atol=1e-10)
-    job = part("jobs").Job(arm, goal="BAKE")
-    part("jobs").run(job)
+    job = part("job").Job(arm, goal="BAKE")
+    part("batch").run(job)
     assert job.reasons == []
-    flat = part("scene_data").ForceField("WIND", True, 1.0, 0.0, np.inf, np.eye(4)[None], np.array([8.0]))
+    flat = part("rig_samples").ForceField("WIND", True, 1.0, 0.0, np.inf, np.eye(4)[None], np.array([8.0]))
     assert np.allclose(flat.pull(0, np.array([[9.0, 0, 0], [5, 5, 3.0]])), [[0, 0, 8.0], [0, 0, 2.0]])
 
 
 def test_fields_that_would_act_otherwise_than_shown_are_refused(arm):
     field = wind(100.0)
     field.field.falloff_type = "CONE"
-    with pytest.raises(part("extract").SceneError, match="'Wind'.*Falloff Sphere"):
+    with pytest.raises(part("errors").SceneError, match="'Wind'.*Falloff Sphere"):
         run(arm)
 
 
@@ -238,9 +237,9 @@ def test_a_target_that_changes_its_region_makes_the_model_old(two_regions):
     bpy.ops.dynamorph.add_target(key="as it was")
     two_regions.dynamorph.targets.move(3, 2)
     run(two_regions)
-    assert part("jobs").stale_reasons(two_regions, part("extract").character(two_regions)) == []
+    assert part("model_store").stale_reasons(two_regions, part("extract").character(two_regions)) == []
     two_regions.dynamorph.targets["as it was"].region = "Tip"
-    assert "regions changed" in part("jobs").stale_reasons(two_regions, part("extract").character(two_regions))
+    assert "regions changed" in part("model_store").stale_reasons(two_regions, part("extract").character(two_regions))
 
 
 def test_fewer_modes_than_shapes_are_refused_when_fitted_too(arm):
@@ -252,6 +251,6 @@ def test_a_fitted_model_says_so_in_another_range(arm):
     for name, value in {"modes": 6, "fit_to_shot": True}.items():
         setattr(arm.dynamorph.model, name, value)
     for frames, warned in (((1, 5), False), ((1, 20), True)):
-        job = part("jobs").Job(arm, goal="BAKE", frames=frames)
-        part("jobs").run(job)
+        job = part("job").Job(arm, goal="BAKE", frames=frames)
+        part("batch").run(job)
         assert any("fitted to frames 1 to 5" in warning for warning in job.warnings) == warned

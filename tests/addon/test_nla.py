@@ -86,11 +86,11 @@ def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
     obj, action = swaying
     rig = rig_of(obj)
     playing(rig, action)
-    job = part("jobs").Job(obj, "BAKE")
-    part("jobs").run(job)
+    job = part("job").Job(obj, "BAKE")
+    part("batch").run(job)
     key_plainly(rig)
-    plain = part("jobs").Job(obj, "BAKE")
-    part("jobs").run(plain)
+    plain = part("job").Job(obj, "BAKE")
+    part("batch").run(plain)
     assert plain.reasons == [] and np.ptp(plain.rig.rig_world[:, 0, 3]) > 0.05
     assert plain.rig.pose == pytest.approx(job.rig.pose, abs=1e-6)
     largest = np.abs(plain.result.coordinates - plain.result.dry).max()
@@ -104,7 +104,7 @@ def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
 def baked(soft_arm):
     """The arm with a bake, and what is in it."""
     bake = hand_made_bake(soft_arm, range(FIRST, LAST + 1))
-    part("sinks").write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     return soft_arm, bake
 
 
@@ -127,7 +127,7 @@ def shown(obj) -> np.ndarray:
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
     points = np.empty((len(evaluated.data.vertices), 3), np.float32)
     evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
-    return points - part("properties").key_points(keys_of(obj).reference_key)
+    return points - part("references").key_points(keys_of(obj).reference_key)
 
 
 def displacement(bake, time, influence=1.0) -> np.ndarray:
@@ -203,9 +203,9 @@ def test_the_strip_of_the_motion_is_enough(baked, edit, time_at):
 
 def test_what_follows_a_soft_skin_follows_its_strip(baked):
     obj, bake = baked
-    vertices = part("properties").key_points(keys_of(obj).reference_key)
+    vertices = part("references").key_points(keys_of(obj).reference_key)
     piece = make_mesh(bpy.context.scene, "Piece", vertices, [])
-    part("sinks").write_keys(piece, bake, obj)
+    part("bake").write_keys(piece, bake, obj)
     moved(strips_of(obj)[1])
     strips_of(obj)[1].scale = 1.5
     part("watch")._look_at_animations()
@@ -247,18 +247,18 @@ def test_strips_of_one_track_fade_into_each_other(baked, copy_action):
 @pytest.mark.parametrize("copy_action", [False, True])
 def test_free_bake_removes_every_strip_of_the_bake(soft_arm, copy_action):
     before = fingerprint(soft_arm)
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     again(soft_arm, 30, copy_action)
     for strip in strips_of(soft_arm):
         slower(strip)
-    part("sinks").free(soft_arm)
+    part("bake").free(soft_arm)
     assert fingerprint(soft_arm) == before
 
 
 def test_another_bake_takes_the_place_of_every_strip(baked):
     obj, bake = baked
     again(obj, 30, copy_action=True)
-    part("sinks").write_keys(obj, bake)
+    part("bake").write_keys(obj, bake)
     assert [len(track.strips) for track in keys_of(obj).animation_data.nla_tracks] == [1, 1]
     assert_plays(obj, bake, lambda frame: frame, (1, 10, 20, 35))
 
@@ -271,6 +271,6 @@ def test_strips_of_others_stay(baked):
     channels.fcurves.new('key_blocks["smile"].value').keyframe_points.insert(1, 0.5)
     strip = keys.animation_data.nla_tracks[1].strips.new("Smile", 60, action)
     strip.action_slot = slot
-    part("sinks").free(obj)
+    part("bake").free(obj)
     assert [s.name for track in keys.animation_data.nla_tracks for s in track.strips] == ["Smile"]
     assert "Smile" in bpy.data.actions

@@ -31,8 +31,8 @@ def played(obj) -> np.ndarray:
 
 
 def run(obj):
-    job = part("jobs").Job(obj, goal="BAKE")
-    part("jobs").run(job)
+    job = part("job").Job(obj, goal="BAKE")
+    part("batch").run(job)
     return job
 
 

@@ -57,7 +57,7 @@ def test_add_target_refusals(soft_arm):
     refused(bpy.ops.dynamorph.add_target, "'flexed' is a target already", key="flexed")
     refused(bpy.ops.dynamorph.add_target, "neutral target", key="Basis")
     refused(bpy.ops.dynamorph.add_target, "no shape key 'nope'", key="nope")
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     refused(bpy.ops.dynamorph.add_target, "belongs to the bake", key="Dynamorph Mode 01")
 
 
@@ -116,11 +116,11 @@ def test_bake_builds_only_when_something_changed(soft_arm, stand_in):
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 1
     soft_arm.data.shape_keys.key_blocks["flexed"].points[0].co.x += 0.1
-    jobs = part("jobs")
-    jobs.show_stale(soft_arm)
+    storage, batch = part("storage"), part("batch")
+    storage.show_stale(soft_arm)
     assert soft_arm.dynamorph.model.stale == "shape of 'flexed' changed"
-    job = jobs.Job(soft_arm, goal="BAKE")
-    jobs.run(job)
+    job = part("job").Job(soft_arm, goal="BAKE")
+    batch.run(job)
     assert stand_in.built == 2 and job.reasons == ["shape of 'flexed' changed"]
     assert soft_arm.dynamorph.model.stale == ""
 
@@ -134,22 +134,22 @@ def test_model_survives_save_and_load(soft_arm, stand_in, tmp_path):
 
 
 def test_a_second_build_replaces_the_first(soft_arm, stand_in):
-    jobs, extract = part("jobs"), part("extract")
+    model_store, extract = part("model_store"), part("extract")
     for size in (800, 1600):
         stand_in.bytes = size
         bpy.ops.dynamorph.build()
-        jobs._load.cache_clear()
-        assert jobs.stale_reasons(soft_arm, extract.character(soft_arm)) == []
+        model_store._load.cache_clear()
+        assert model_store.stale_reasons(soft_arm, extract.character(soft_arm)) == []
 
 
 def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypatch):
-    jobs = part("jobs")
-    monkeypatch.setattr(jobs, "PACK_LIMIT", 100)
+    model_store = part("model_store")
+    monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
     refused(bpy.ops.dynamorph.build, "save the .blend first")
     (tmp_path / "one").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "one" / "arm.blend"))
     bpy.ops.dynamorph.build()
-    assert jobs.PACKED not in soft_arm
+    assert model_store.PACKED not in soft_arm
     files = list((tmp_path / "one" / "dynamorph_models").iterdir())
     assert [file.stem for file in files] == [soft_arm.dynamorph.model.content_id]
     bpy.ops.dynamorph.bake()
@@ -160,8 +160,8 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 2
     next((tmp_path / "two" / "dynamorph_models").iterdir()).unlink()
-    jobs._load.cache_clear()
-    reasons = jobs.stale_reasons(bpy.data.objects["Arm"], None)
+    model_store._load.cache_clear()
+    reasons = model_store.stale_reasons(bpy.data.objects["Arm"], None)
     assert "is missing" in reasons[0]
 
 
@@ -169,8 +169,8 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
 def test_a_model_id_cannot_lead_out_of_its_folder(soft_arm, stand_in, tmp_path, content_id):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
     soft_arm.dynamorph.model.content_id = content_id
-    with pytest.raises(part("model_file").ModelFileError, match="missing"):
-        part("jobs").stored_model(soft_arm)
+    with pytest.raises(part("errors").ModelFileError, match="missing"):
+        part("model_store").stored_model(soft_arm)
 
 
 @pytest.mark.parametrize(
@@ -178,27 +178,27 @@ def test_a_model_id_cannot_lead_out_of_its_folder(soft_arm, stand_in, tmp_path, 
     [lambda n: n[:-1], lambda n: [7, *n[1:]], lambda n: [n[0], 7, *n[2:]], lambda n: "text", lambda n: 7, lambda n: {}],
 )
 def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
-    jobs = part("jobs")
+    model_store, batch = part("model_store"), part("batch")
     bpy.ops.dynamorph.build()
-    damaged = damage(list(soft_arm[jobs.PACKED]))
-    del soft_arm[jobs.PACKED]
-    soft_arm[jobs.PACKED] = damaged
-    jobs._load.cache_clear()
-    job = jobs.Job(soft_arm, goal="BAKE")
-    jobs.run(job)
+    damaged = damage(list(soft_arm[model_store.PACKED]))
+    del soft_arm[model_store.PACKED]
+    soft_arm[model_store.PACKED] = damaged
+    model_store._load.cache_clear()
+    job = part("job").Job(soft_arm, goal="BAKE")
+    batch.run(job)
     assert stand_in.built == 2 and len(job.reasons) == 1
 
 
 def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
     """As the first versions did, with which exporters of Blender's own crash."""
-    jobs = part("jobs")
+    model_store = part("model_store")
     bpy.ops.dynamorph.build()
-    packed = jobs.stored_model(soft_arm)
-    del soft_arm[jobs.PACKED]
-    soft_arm[jobs.PACKED] = packed
-    jobs._load.cache_clear()
-    assert jobs.stored_model(soft_arm) == packed
-    assert jobs.stale_reasons(soft_arm, part("extract").character(soft_arm)) == []
+    packed = model_store.stored_model(soft_arm)
+    del soft_arm[model_store.PACKED]
+    soft_arm[model_store.PACKED] = packed
+    model_store._load.cache_clear()
+    assert model_store.stored_model(soft_arm) == packed
+    assert model_store.stale_reasons(soft_arm, part("extract").character(soft_arm)) == []
 
 
 # Errors and cancelling change nothing ------------------------------------------------------------------------------
@@ -226,40 +226,39 @@ def test_a_result_that_is_not_a_number_is_refused(soft_arm, stand_in, monkeypatc
 
 
 def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
-    jobs = part("jobs")
+    errors = part("errors")
     stand_in.patience = 5.0
     before = fingerprint(soft_arm)
-    job = jobs.Job(soft_arm, goal="BAKE")
+    job = part("job").Job(soft_arm, goal="BAKE")
     job.prepare()
     job.start()
     time.sleep(0.2)
     began = time.perf_counter()
     job.cancelled = True
-    with pytest.raises(jobs.Cancelled):
+    with pytest.raises(errors.Cancelled):
         job.wait()
     assert time.perf_counter() - began < 1.0
     assert fingerprint(soft_arm) == before
 
 
 def test_ctrl_c_stops_the_thread(soft_arm, stand_in):
-    jobs = part("jobs")
+    batch, job = part("batch"), part("job")
     stand_in.patience = 5.0
 
     def interrupt(_job):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        jobs.run(jobs.Job(soft_arm, goal="BAKE"), interrupt)
+        batch.run(job.Job(soft_arm, goal="BAKE"), interrupt)
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("dynamorph")]
 
 
 def test_undo_while_a_job_runs(soft_arm, stand_in):
     """Undo replaces every object in memory; the job finds its own again."""
-    jobs = part("jobs")
     bpy.ops.ed.undo_push(message="before")
     soft_arm.location.x = 1.0
     bpy.ops.ed.undo_push(message="moved")
-    job = jobs.Job(soft_arm, goal="BAKE")
+    job = part("job").Job(soft_arm, goal="BAKE")
     job.prepare()
     job.start()
     bpy.ops.ed.undo()
@@ -270,8 +269,8 @@ def test_undo_while_a_job_runs(soft_arm, stand_in):
 
 
 def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
-    jobs, extract = part("jobs"), part("extract")
-    job = jobs.Job(soft_arm, goal="BAKE")
+    errors = part("errors")
+    job = part("job").Job(soft_arm, goal="BAKE")
     job.prepare()
     job.start()
     job.wait()
@@ -279,10 +278,10 @@ def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.ops.mesh.subdivide()
     bpy.ops.object.mode_set(mode="OBJECT")
-    with pytest.raises(extract.SceneError, match="'Arm' changed while the job ran"):
+    with pytest.raises(errors.SceneError, match="'Arm' changed while the job ran"):
         job.commit()
     bpy.data.objects.remove(soft_arm)
-    with pytest.raises(extract.SceneError, match="deleted"):
+    with pytest.raises(errors.SceneError, match="deleted"):
         job.commit()
 
 
@@ -314,10 +313,10 @@ class Pressed:
     """A job's button pressed in a window: `events`, then timer ticks to the end."""
 
     def __init__(self, obj, events=(), operator="DYNAMORPH_OT_bake", before_tick=None):
-        operators = part("operators")
-        base = getattr(operators, operator)
+        job_operators = part("job_operators")
+        base = getattr(job_operators, operator)
 
-        class Button(operators.JobOperator):
+        class Button(job_operators.JobOperator):
             goal = base.goal
             _jobs = base._jobs
 
@@ -326,10 +325,10 @@ class Pressed:
 
         self.reports, self.seconds = [], []  # seconds: that each event held the window
         self.button, window = Button(), Window(obj)
-        result = operators.guarded(self.button, self.button._begin, window)
+        result = part("base").guarded(self.button, self.button._begin, window)
         events = iter(events)
         while result in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}):
-            assert part("jobs").running is self.button.batch and window.timers == 1
+            assert part("batch").running is self.button.batch and window.timers == 1
             if before_tick:
                 before_tick(self.button.batch)
             began = time.perf_counter()
@@ -337,7 +336,7 @@ class Pressed:
             self.seconds.append(time.perf_counter() - began)
             time.sleep(0.01)
         self.result = result
-        assert part("jobs").running is None and window.timers == 0 and window.status is None
+        assert part("batch").running is None and window.timers == 0 and window.status is None
 
 
 def test_modal_bake(soft_arm, stand_in):
@@ -348,25 +347,25 @@ def test_modal_bake(soft_arm, stand_in):
 
 
 def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in):
-    jobs = part("jobs")
+    batch = part("batch")
     stand_in.deaf = 3.0
     before = fingerprint(soft_arm)
     pressed = Pressed(soft_arm, ["TIMER", "TIMER", "TIMER", "ESC"])
     assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Cancelled: nothing was changed")]
     print(f"Esc: {1000 * pressed.seconds[-1]:.1f} ms")
-    assert pressed.seconds[-1] < 0.2 and len(jobs.winding_down) == 1
+    assert pressed.seconds[-1] < 0.2 and len(batch.winding_down) == 1
     stand_in.deaf = 0.0
     assert Pressed(soft_arm).result == {"FINISHED"}  # while the other thread still computes
-    assert jobs.winding_down[0].is_alive() and len(soft_arm.dynamorph.bake.keys) == 3
-    part("sinks").free(soft_arm)
-    jobs.stop()
-    assert not jobs.winding_down and fingerprint(soft_arm) == before and not soft_arm.dynamorph.bake.keys
+    assert batch.winding_down[0].is_alive() and len(soft_arm.dynamorph.bake.keys) == 3
+    part("bake").free(soft_arm)
+    batch.stop()
+    assert not batch.winding_down and fingerprint(soft_arm) == before and not soft_arm.dynamorph.bake.keys
 
 
 @pytest.fixture
 def slow_rig(monkeypatch):
     """A rig that takes 5 ms a sample."""
-    sampling = part("extract").RigSampling
+    sampling = part("rig_motion").RigSampling
     read = sampling._read
 
     def slowly(*arguments):
@@ -403,7 +402,7 @@ def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, endi
             bpy.data.objects["Arm"].modifiers.clear()
         if ending == "load":
             bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
-            assert part("jobs").running is None
+            assert part("batch").running is None
             raise KeyboardInterrupt
 
     if ending == "load":
@@ -464,19 +463,19 @@ def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
     stand_in.fail = KeyError("bug")
     with pytest.raises(KeyError):
         Pressed(soft_arm)
-    assert part("jobs").running is None
+    assert part("batch").running is None
 
 
 def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
     stand_in.patience = 5.0
-    jobs = part("jobs")
-    job = jobs.Job(soft_arm, goal="BAKE")
-    jobs.running = jobs.Batch([job], "BAKE")
+    batch = part("batch")
+    job = part("job").Job(soft_arm, goal="BAKE")
+    batch.running = batch.Batch([job], "BAKE")
     job.prepare()
     job.start()
     began = time.perf_counter()
     addon_utils.disable(MODULE)
-    assert time.perf_counter() - began < 2.0 and not job.thread.is_alive() and jobs.running is None
+    assert time.perf_counter() - began < 2.0 and not job.thread.is_alive() and batch.running is None
     addon_utils.enable(MODULE)
 
 
@@ -494,7 +493,7 @@ def test_bake_all(soft_arm, leg, stand_in):
     assert bpy.ops.dynamorph.bake_all() == {"FINISHED"}
     assert soft_arm.dynamorph.bake.keys and leg.dynamorph.bake.keys
     for obj in (soft_arm, leg):
-        part("sinks").free(obj)
+        part("bake").free(obj)
     assert (fingerprint(soft_arm), fingerprint(leg)) == before
 
 
@@ -559,7 +558,7 @@ def test_undo_of_a_bake(soft_arm, stand_in):
     bpy.ops.ed.redo()
     obj = bpy.data.objects["Arm"]
     assert len(obj.dynamorph.bake.keys) == 3
-    part("sinks").free(obj)
+    part("bake").free(obj)
     assert fingerprint(obj) == before
 
 
@@ -569,23 +568,23 @@ def test_the_range_is_checked(scene, soft_arm, stand_in):
     refused(bpy.ops.dynamorph.bake, "last frame 4 comes before the first 5")
     soft_arm.dynamorph.simulation.start, soft_arm.dynamorph.simulation.end = -3, 2
     bpy.ops.dynamorph.bake()
-    settings = part("extract").simulation_settings(soft_arm, scene)
+    settings = part("run_settings").simulation_settings(soft_arm, scene)
     assert (settings.start, settings.end, settings.fps, settings.substeps) == (-3, 2, 24.0, 5)
     assert settings.gravity == pytest.approx((0.0, 0.0, -9.81))
     soft_arm.dynamorph.simulation.gravity = 0.0
-    assert part("extract").simulation_settings(soft_arm, scene).gravity == (0.0, 0.0, 0.0)
+    assert part("run_settings").simulation_settings(soft_arm, scene).gravity == (0.0, 0.0, 0.0)
 
 
 # A missing engine --------------------------------------------------------------------------------------------------
 
 
 def test_without_the_engine_the_addon_says_so(soft_arm, monkeypatch):
-    jobs = part("jobs")
+    engine = part("engine")
     monkeypatch.setitem(sys.modules, "dynamorph", None)
-    jobs.engine_problem.cache_clear()
+    engine.engine_problem.cache_clear()
     before = fingerprint(soft_arm)
     refused(bpy.ops.dynamorph.bake, "engine cannot be loaded.*Install the Dynamorph extension")
-    assert "cannot be loaded" in jobs.engine_problem()
+    assert "cannot be loaded" in engine.engine_problem()
     assert fingerprint(soft_arm) == before
     assert bpy.ops.dynamorph.capture_pose() == {"FINISHED"}
-    jobs.engine_problem.cache_clear()
+    engine.engine_problem.cache_clear()

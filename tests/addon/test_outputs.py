@@ -31,16 +31,16 @@ def dry_of(bake):
 
 def written(obj, bake, folder, skin=None, to_bind=None, **output):
     """The bake written as `output` says; returns how far the surface is off, in metres."""
-    clips, sinks = part("clips"), part("sinks")
-    chosen = part("scene_data").OutputSettings(**output)
-    keys, off = clips.as_keys(bake, chosen, np.eye(3) if to_bind is None else to_bind)
+    point_cache, baked, paths = part("point_cache"), part("baked"), part("paths")
+    chosen = part("settings").OutputSettings(**output)
+    keys, off = part("keys").as_keys(bake, chosen, np.eye(3) if to_bind is None else to_bind)
     cache = None
-    if chosen.sink in clips.CACHES:
-        cache = sinks.cache_path(folder, obj.name, clips.digest(bake), chosen.sink)
+    if chosen.sink in point_cache.CACHES:
+        cache = paths.cache_path(folder, obj.name, baked.digest(bake), chosen.sink)
         cache.parent.mkdir(exist_ok=True)
-        points = part("extract").rest_points(obj)
-        cache.write_bytes(b"".join(clips.CACHES[chosen.sink](bake, points, 24.0)))
-    sinks.write_keys(obj, keys, skin, cache)
+        points = part("mesh_data").rest_points(obj)
+        cache.write_bytes(b"".join(point_cache.CACHES[chosen.sink](bake, points, 24.0)))
+    part("bake").write_keys(obj, keys, skin, cache)
     return off
 
 
@@ -50,15 +50,15 @@ def test_blender_shows_the_surface_with_and_without_the_motion(scene, soft_arm, 
     before = fingerprint(soft_arm)
     assert written(soft_arm, bake, tmp_path, sink=sink) < 1e-6
     assert_shows(soft_arm, bake)
-    sinks = part("sinks")
-    owner, name = sinks.influence(soft_arm)
+    bake_influence = part("bake_influence")
+    owner, name = bake_influence.influence(soft_arm)
     setattr(owner, name, 0.0)
-    sinks.show_influence(soft_arm)
+    bake_influence.show_influence(soft_arm)
     assert_shows(soft_arm, dry_of(bake))
     setattr(owner, name, 0.5)
-    sinks.show_influence(soft_arm)
+    bake_influence.show_influence(soft_arm)
     assert_shows(soft_arm, replace(bake, coordinates=(bake.coordinates + bake.dry) / 2))
-    sinks.free(soft_arm)
+    part("bake").free(soft_arm)
     assert fingerprint(soft_arm) == before
     assert not soft_arm.dynamorph.bake.exists
 
@@ -71,7 +71,7 @@ def test_one_takes_the_place_of_another(soft_arm, tmp_path, first, second):
     bake = smooth_bake(soft_arm, seed=2)
     written(soft_arm, bake, tmp_path, sink=second)
     assert_shows(soft_arm, bake)
-    part("sinks").free(soft_arm)
+    part("bake").free(soft_arm)
     assert fingerprint(soft_arm) == before
 
 
@@ -86,7 +86,7 @@ def test_fewer_keys_are_as_far_off_as_is_said(soft_arm, tmp_path, keys):
     for row, frame in enumerate(bake.frames):
         bpy.context.scene.frame_set(int(frame))
         blocks = [block for block in keys_of(soft_arm).key_blocks[1:] if not block.mute]
-        shown = sum(block.value * part("extract").target_shape(soft_arm, block.name) for block in blocks)
+        shown = sum(block.value * part("mesh_data").target_shape(soft_arm, block.name) for block in blocks)
         seen = max(seen, np.linalg.norm(2.0 * (shown - bake.displacement(row)), axis=1).max())
     assert seen == pytest.approx(off, rel=1e-3)
 
@@ -131,7 +131,7 @@ def test_point_caches_have_sub_frames(scene, soft_arm, tmp_path, sink, remapped)
     frames = np.arange(10.0, 20.25, 0.25)
     bake = smooth_bake(soft_arm, frames)
     written(soft_arm, bake, tmp_path, sink=sink)
-    basis = part("extract").rest_points(soft_arm)
+    basis = part("mesh_data").rest_points(soft_arm)
     soft_arm.modifiers["Armature"].show_viewport = False
     for row in (0, 1, 6, 23, 40):
         scene.frame_set(int(frames[row]), subframe=frames[row] % 1.0)
@@ -150,45 +150,44 @@ def test_a_cache_goes_before_all_modifiers_and_stays_where_it_is_moved(soft_arm,
 
 
 def test_what_follows_takes_the_influence_of_the_cache(scene, soft_arm, tmp_path):
-    sinks = part("sinks")
-    shirt = make_mesh(scene, "Shirt", part("extract").rest_points(soft_arm) * 1.1, [])
+    shirt = make_mesh(scene, "Shirt", part("mesh_data").rest_points(soft_arm) * 1.1, [])
     written(soft_arm, smooth_bake(soft_arm), tmp_path, sink="PC2")
     bake = smooth_bake(soft_arm, seed=3)
     written(shirt, bake, tmp_path, skin=soft_arm, sink="PC2")
     for factor in (0.0, 1.0):
         soft_arm.modifiers[0].factor = factor
         soft_arm.modifiers[0].keyframe_insert("factor", frame=int(1 + 19 * factor))
-    points = part("extract").rest_points(shirt)
+    points = part("mesh_data").rest_points(shirt)
     for row, factor in ((0, 0.0), (19, 1.0)):
         scene.frame_set(row + 1)
         shown = factor * bake.displacement(row) + (1.0 - factor) * dry_of(bake).displacement(row)
         assert np.abs(evaluated_points(shirt) - (points + shown)).max() < 1e-5
-    sinks.free(soft_arm)
+    part("bake").free(soft_arm)
     assert not shirt.modifiers and not (shirt.animation_data and shirt.animation_data.drivers)
 
 
 def test_keys_that_a_cache_plays_over_are_named(soft_arm):
-    sinks, blocks = part("sinks"), keys_of(soft_arm).key_blocks
-    assert sinks.overwritten_keys(soft_arm) == []
+    bake, blocks = part("bake"), keys_of(soft_arm).key_blocks
+    assert bake.overwritten_keys(soft_arm) == []
     blocks["smile"].value = 0.5
-    assert sinks.overwritten_keys(soft_arm) == ["smile"]
+    assert bake.overwritten_keys(soft_arm) == ["smile"]
     blocks["smile"].value = 0.0
     blocks["smile"].keyframe_insert("value", frame=1)
-    assert sinks.overwritten_keys(soft_arm) == ["smile"]
+    assert bake.overwritten_keys(soft_arm) == ["smile"]
     blocks["smile"].mute = True
-    assert sinks.overwritten_keys(soft_arm) == []
+    assert bake.overwritten_keys(soft_arm) == []
 
 
 def test_a_cache_needs_a_saved_file(soft_arm):
-    with pytest.raises(part("sinks").SinkError, match="save the .blend first"):
-        part("sinks").check_cache(soft_arm, None)
+    with pytest.raises(part("errors").SinkError, match="save the .blend first"):
+        part("bake").check_cache(soft_arm, None)
 
 
 @pytest.mark.parametrize("sink", ["MODES", "FRAMES"])
 def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, sink):
     bake = smooth_bake(soft_arm)
     written(soft_arm, bake, tmp_path, sink=sink)
-    found = part("sinks").read_back(soft_arm)
+    found = part("bake").read_back(soft_arm)
     np.testing.assert_array_equal(found.frames, bake.frames)
     for row in range(len(bake.frames)):
         assert np.abs(found.displacement(row) - bake.displacement(row)).max() < 1e-6

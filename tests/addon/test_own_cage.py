@@ -31,12 +31,12 @@ def box_of(obj):
 
 
 def reasons(obj):
-    return part("jobs").stale_reasons(obj, part("extract").character(obj))
+    return part("model_store").stale_reasons(obj, part("extract").character(obj))
 
 
 def test_the_model_is_made_in_the_artists_cage(caged):
     bpy.ops.dynamorph.build()
-    model = part("jobs").load_model(caged)
+    model = part("model_store").load_model(caged)
     np.testing.assert_allclose(model.nodes.min(axis=0), (-0.5, -0.5, LOW), atol=1e-4)
     np.testing.assert_allclose(model.nodes.max(axis=0), (0.5, 0.5, HIGH), atol=1e-4)
     assert abs(len(model.nodes) / 200 - 1) < 0.2
@@ -94,7 +94,7 @@ def test_a_deleted_cage_is_missed_or_forgotten(caged):
     refused(bpy.ops.dynamorph.build, "'Box' of 'Arm' is not in the scene any more")
     bpy.data.objects.remove(box)
     bpy.ops.dynamorph.build()
-    assert part("jobs").load_model(caged).nodes[:, 0].max() < 0.45
+    assert part("model_store").load_model(caged).nodes[:, 0].max() < 0.45
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_an_unusable_cage_is_refused_with_its_name(caged, spoil, words):
 
 
 def test_only_other_meshes_can_be_cages(caged):
-    candidates = part("properties")._is_other_mesh
+    candidates = part("model_properties")._is_other_mesh
     model = caged.dynamorph.model
     assert candidates(model, box_of(caged))
     assert not candidates(model, caged)

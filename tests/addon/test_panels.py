@@ -25,16 +25,16 @@ def test_through_the_workflow(arm, stand_in, panel):
 
 
 def test_progress_replaces_the_button(soft_arm, stand_in):
-    jobs = part("jobs")
-    jobs.running = jobs.Job(soft_arm, goal="BAKE")
-    jobs.running.message = "Frame 7"
+    batch, job = part("batch"), part("job")
+    batch.running = job.Job(soft_arm, goal="BAKE")
+    batch.running.message = "Frame 7"
     try:
         texts = drawn(soft_arm)
         assert "0%  Frame 7" in texts and "dynamorph.cancel" in texts
         assert "dynamorph.bake" not in texts and "dynamorph.build" in texts
         assert not bpy.ops.dynamorph.build.poll()
     finally:
-        jobs.running = None
+        batch.running = None
 
 
 def status() -> list[str]:
@@ -46,12 +46,12 @@ def status() -> list[str]:
 def test_the_status_bar_says_what_runs(soft_arm, stand_in, monkeypatch):
     """It asks when it draws: nothing is left behind in a workspace or window that the artist has gone from."""
     assert status() == []
-    job = part("jobs").Job(soft_arm, goal="BAKE")
+    job = part("job").Job(soft_arm, goal="BAKE")
     job.fraction, job.message = 0.4, "Frame 7"
-    monkeypatch.setattr(part("jobs"), "running", job)
+    monkeypatch.setattr(part("batch"), "running", job)
     assert status() == ["40%  Frame 7    Esc: cancel"]
-    monkeypatch.setattr(part("jobs"), "running", None)
-    monkeypatch.setattr(part("live_operators"), "preview", types.SimpleNamespace(label="Shake Test"))
+    monkeypatch.setattr(part("batch"), "running", None)
+    monkeypatch.setattr(part("preview"), "preview", types.SimpleNamespace(label="Shake Test"))
     assert status() == ["Shake Test    Esc: stop"]
 
 
@@ -69,7 +69,7 @@ def test_many_bones_are_folded_away(soft_arm):
 
 
 def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
-    monkeypatch.setattr(part("jobs"), "engine_problem", lambda: "The engine cannot be loaded (no wheel). Install it")
+    monkeypatch.setattr(part("engine"), "engine_problem", lambda: "The engine cannot be loaded (no wheel). Install it")
     assert "The engine cannot be loaded (no wheel)." in " ".join(drawn(soft_arm))
 
 
@@ -90,8 +90,8 @@ def test_on_the_rig_for_its_skin(soft_arm, mode):
 
 
 def test_a_target_without_its_key_is_marked(soft_arm):
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     soft_arm.shape_key_clear()
     assert "flexed" in drawn(soft_arm)
-    part("sinks").free(soft_arm)
+    part("bake").free(soft_arm)
     assert "dynamorph.free_bake" not in drawn(soft_arm)

@@ -98,7 +98,7 @@ def test_a_sleeve_shows_what_the_flesh_around_it_does(dressed):
         details = np.tensordot(job.result.weights[frame - 1], job.result.details, 1)
         moved += np.einsum("pc,pcx->px", shares, details[corners]) @ character.to_bind.T
         local = (follower.vertices + moved) @ np.linalg.inv(character.to_bind).T
-        worn = part("scene_data").Character(**{**vars(character), "vertices": local, "weights": weights})
+        worn = part("character").Character(**{**vars(character), "vertices": local, "weights": weights})
         expected = skinned(worn, job.rig[(frame - 1) * job.settings.substeps :][:1])[0]
         assert np.abs(shown - expected).max() < 1e-5
         assert frame == 1 or np.abs(shown - before).max() > 0.01
@@ -150,7 +150,7 @@ def test_a_bake_of_two_is_undone_and_freed_as_one(dressed):
 
 
 def test_one_undo_takes_both_bakes_back(dressed):
-    part("properties").reconcile(dressed[0])
+    part("reconcile").reconcile(dressed[0])
     bpy.ops.ed.undo_push(message="before")
     before = state()
     assert OPS.bake("EXEC_DEFAULT", True) == {"FINISHED"}
@@ -173,7 +173,7 @@ def test_a_basis_that_the_bake_made_goes_with_it(dressed):
 def test_nothing_is_written_unless_all_can_be(dressed):
     arm, sleeve = dressed
     before = fingerprint(arm)
-    job = part("jobs").Job(arm, goal="BAKE")
+    job = part("job").Job(arm, goal="BAKE")
     job.prepare()
     job._compute()
     sleeve.data.vertices.add(1)
@@ -184,19 +184,19 @@ def test_nothing_is_written_unless_all_can_be(dressed):
 
 def test_the_influence_of_the_body_is_that_of_its_pieces(dressed):
     arm, sleeve = dressed
-    sinks = part("sinks")
+    bake_influence = part("bake_influence")
     bake(arm)
-    sinks.influence_strip(arm).influence = 0.25
-    sinks.show_influence(arm)
-    assert sinks.influence_strip(sleeve).influence == 0.25
-    strip = sinks.influence_strip(arm)
+    bake_influence.influence_strip(arm).influence = 0.25
+    bake_influence.show_influence(arm)
+    assert bake_influence.influence_strip(sleeve).influence == 0.25
+    strip = bake_influence.influence_strip(arm)
     for frame, value in ((1, 0.0), (20, 1.0)):
         strip.influence = value
         strip.keyframe_insert("influence", frame=frame)
     part("watch")._look_at_animations()
     bpy.context.scene.frame_set(10)
-    assert 0.0 < sinks.influence_strip(arm).influence < 1.0
-    assert sinks.influence_strip(sleeve).influence == sinks.influence_strip(arm).influence
+    assert 0.0 < bake_influence.influence_strip(arm).influence < 1.0
+    assert bake_influence.influence_strip(sleeve).influence == bake_influence.influence_strip(arm).influence
 
 
 def drop_armature(arm, sleeve):
@@ -261,15 +261,15 @@ def test_what_cannot_follow_is_refused_by_name(dressed, spoil, words):
 
 def test_the_bake_says_which_pieces_it_lacks(dressed):
     arm, sleeve = dressed
-    changes = part("changes")
+    staleness = part("staleness")
     bake(arm)
-    assert changes.outdated(arm) == []
+    assert staleness.outdated(arm) == []
     add_piece(arm, make_sleeve(arm, "Cuff"))
-    assert changes.outdated(arm) == ['attachment "Cuff" is new']
+    assert staleness.outdated(arm) == ['attachment "Cuff" is new']
     arm.dynamorph.pieces[0].choice = "RIGID"
-    assert changes.outdated(arm) == ['attachment "Cuff" is new', 'attachment "Sleeve" is not with the body any more']
+    assert staleness.outdated(arm) == ['attachment "Cuff" is new', 'attachment "Sleeve" is not with the body any more']
     bake(arm)
-    assert changes.outdated(arm) == [] and not sleeve.dynamorph.bake.keys and keys_of(sleeve) is None
+    assert staleness.outdated(arm) == [] and not sleeve.dynamorph.bake.keys and keys_of(sleeve) is None
 
 
 def test_a_removed_piece_has_no_bake_any_more(dressed):
@@ -314,7 +314,7 @@ def test_a_duplicate_of_the_character_has_pieces_of_its_own(dressed):
     bpy.ops.object.duplicate()
     other, worn = bpy.data.objects["Arm.001"], bpy.data.objects["Sleeve.001"]
     assert other.dynamorph.pieces[0].object == worn and worn.dynamorph.follows == other
-    part("sinks").free(other)
+    part("bake").free(other)
     assert keys_of(worn) is None and sleeve.dynamorph.bake.keys
 
 
@@ -325,7 +325,7 @@ def test_pieces_survive_saving(dressed, tmp_path):
     arm, sleeve = bpy.data.objects["Arm"], bpy.data.objects["Sleeve"]
     assert arm.dynamorph.pieces[0].object == sleeve and sleeve.dynamorph.follows == arm
     sleeve.name = "Renamed"
-    assert "Renamed" in drawn(arm) and part("changes").outdated(arm) == []
+    assert "Renamed" in drawn(arm) and part("staleness").outdated(arm) == []
     assert "'Renamed' moves with 'Arm'" in " ".join(drawn(sleeve))
 
 
@@ -339,12 +339,12 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     group.add(upper, 1.0, "REPLACE")
     with_buckle.group, with_buckle.choice = "Buckle", "OWN_CAGE"
     job = bake(soft_arm)
-    parts = part("scene_data").connected_parts(job.model.tets, len(job.model.nodes))
+    parts = part("geometry").connected_parts(job.model.tets, len(job.model.nodes))
     body = parts[job.model.embedding_nodes[job.character.pieces == 0, 0]]
     assert len(np.unique(parts)) > len(np.unique(body))
     (follower,) = job.followers
     other = np.isin(parts, np.setdiff1d(parts, body))
-    modes, _ = part("simulate").carried(job.model, job.result.node_modes * other[:, None], follower)
+    modes, _ = part("followers").carried(job.model, job.result.node_modes * other[:, None], follower)
     assert not modes.any()
 
 
@@ -399,7 +399,7 @@ def test_few_loose_parts_are_a_piece_each(scene):
     OPS.find_pieces()
     found = [(piece.group, piece.choice) for piece in arm.dynamorph.pieces]
     assert found == [("Dynamorph Piece Hair", "WITH_BODY"), ("Dynamorph Piece Part", "RIGID")]
-    groups = part("extract").group_weights(arm, [group for group, _ in found])
+    groups = part("mesh_data").group_weights(arm, [group for group, _ in found])
     body = len(scenes.tube()[0])
     assert (
         groups[:body].sum() == 0 and (groups[body : body + 8] == [0, 1]).all() and (groups[body + 8 :] == [1, 0]).all()
@@ -414,7 +414,7 @@ def test_many_loose_parts_are_grouped_by_material(scene):
     OPS.find_pieces()
     found = [(piece.group.removeprefix("Dynamorph Piece "), piece.choice) for piece in arm.dynamorph.pieces]
     assert found == [("Part", "RIGID"), ("Hair", "RIGID"), ("Small Parts", "WITH_BODY")]
-    counts = [int(part("pieces").members(arm, piece.group).sum()) for piece in arm.dynamorph.pieces]
+    counts = [int(part("attachments").members(arm, piece.group).sum()) for piece in arm.dynamorph.pieces]
     assert counts == [8, 160, 80]
 
 
@@ -424,7 +424,7 @@ def test_seams_do_not_part_a_mesh():
     points = np.concatenate([np.asarray(vertices)[list(face)] for face in faces])
     first = np.cumsum([0, *(len(face) for face in faces)])
     edges = [(a + k, a + (k + 1) % (b - a)) for a, b in pairwise(first) for k in range(b - a)]
-    loose_parts = part("scene_data").loose_parts
+    loose_parts = part("geometry").loose_parts
     assert loose_parts(points, np.array(edges)).max() == 0
     two = np.concatenate([points, points + np.array([9.0, 0.0, 0.0])])
     labels = loose_parts(two, np.concatenate([edges, np.array(edges) + len(points)]))
@@ -435,7 +435,7 @@ def test_a_long_chain_is_one_part():
     order = np.random.default_rng(1).permutation(5000)
     points = np.arange(15000.0).reshape(-1, 3)
     edges = np.column_stack([order[:-1], order[1:]])
-    loose_parts = part("scene_data").loose_parts
+    loose_parts = part("geometry").loose_parts
     assert loose_parts(points, edges).max() == 0
     assert loose_parts(points, np.delete(edges, 2000, axis=0)).max() == 1
 
@@ -448,11 +448,11 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
     body = len(scenes.tube()[0])
     character = part("extract").character(arm, without_targets=True)
     assert not character.pieces[:body].any() and sorted(character.pieces[body::8]) == [-1, 0, 1, 2]
-    build = part("jobs").engine()[0]
-    other = part("scene_data").Character(**{**vars(character), "pieces": None})
+    build = part("engine").engine()[0]
+    other = part("character").Character(**{**vars(character), "pieces": None})
     assert "pieces" in build.dependencies(character) and "pieces" not in build.dependencies(other)
     arm.vertex_groups[arm.dynamorph.pieces[0].group].name = "Buckle"
-    part("properties").reconcile(arm)
+    part("reconcile").reconcile(arm)
     assert arm.dynamorph.pieces[0].group == "Buckle"
     arm.vertex_groups.remove(arm.vertex_groups["Buckle"])
     assert "The vertex group 'Buckle' is gone" in " ".join(drawn(arm))
@@ -475,7 +475,7 @@ def test_what_is_left_alone_is_said(soft_arm):
     for name, kind, bone in (("Sword", "BONE", "lower"), ("Hat", "OBJECT", "")):
         other = make_mesh(bpy.context.scene, name, np.eye(3), [(0, 1, 2)])
         other.parent, other.parent_type, other.parent_bone = rig, kind, bone
-    assert sorted(part("pieces").left_alone(soft_arm)) == [
+    assert sorted(part("attachments").left_alone(soft_arm)) == [
         "'Hat' is parented to 'Arm Rig': it moves with it as a whole and is left alone",
         "'Sword' is parented to bone 'lower': it moves with the bone and is left alone",
     ]
@@ -507,9 +507,9 @@ def test_setups_have_the_pieces(dressed, tmp_path):
     "piece", [7, {}, {"object": 3, "group": "x"}, {"object": "", "group": ""}, {"object": "Sleeve", "choice": "UP"}]
 )
 def test_a_setup_with_wrong_pieces_changes_nothing(dressed, piece):
-    setups = part("setups")
+    setups, errors = part("setups"), part("errors")
     setup = setups.of_object(dressed[0]) | {"pieces": [piece]}
-    with pytest.raises(setups.SetupError, match="Piece 1"):
+    with pytest.raises(errors.SetupError, match="Piece 1"):
         setups.check(setup)
 
 
@@ -523,4 +523,4 @@ def test_a_copy_leaves_the_clothes_where_they_are(dressed):
     other.select_set(True)
     OPS.copy_to_selected()
     assert [piece.group for piece in other.dynamorph.pieces] == ["Dynamorph Piece Hair"]
-    assert part("pieces").members(other, "Dynamorph Piece Hair").sum() == 100
+    assert part("attachments").members(other, "Dynamorph Piece Hair").sum() == 100

@@ -13,14 +13,22 @@ def names(obj):
 
 
 def test_defaults_are_those_of_scene_data(soft_arm):
-    scene_data = part("scene_data")
-    assert vars(soft_arm.dynamorph.model.settings()) == pytest.approx(vars(scene_data.ModelSettings()))
-    assert vars(soft_arm.dynamorph.targets[0].material()) == pytest.approx(vars(scene_data.Material()))
+    settings = part("settings")
+    assert vars(soft_arm.dynamorph.model.settings()) == pytest.approx(vars(settings.ModelSettings()))
+    assert vars(soft_arm.dynamorph.targets[0].material()) == pytest.approx(vars(settings.Material()))
 
 
 def test_every_property_has_a_description():
-    properties = part("properties")
-    for cls in (properties.DynamorphTarget, properties.DynamorphModel, properties.DynamorphSimulation):
+    target_properties, model_properties, bake_properties = (
+        part("target_properties"),
+        part("model_properties"),
+        part("bake_properties"),
+    )
+    for cls in (
+        target_properties.DynamorphTarget,
+        model_properties.DynamorphModel,
+        bake_properties.DynamorphSimulation,
+    ):
         for prop in cls.bl_rna.properties:
             assert prop.description or prop.identifier in {"rna_type", "name"}, prop.identifier
 
@@ -31,7 +39,7 @@ def test_materials_stay_physical(soft_arm, field, value):
     target = soft_arm.dynamorph.targets[0]
     setattr(target, field, value)
     if np.isnan(value):
-        with pytest.raises(part("extract").SceneError, match=f"'Arm': {field} of target 'Neutral'"):
+        with pytest.raises(part("errors").SceneError, match=f"'Arm': {field} of target 'Neutral'"):
             part("extract").character(soft_arm)
     else:
         assert np.isfinite(getattr(target, field)) and getattr(target, field) >= 0.0
@@ -45,9 +53,9 @@ def test_steps_are_at_most_a_120th_of_a_second(soft_arm, fps, substeps):
 
 
 def test_pose_round_trip(scene, soft_arm):
-    extract = part("extract")
+    rig_motion = part("rig_motion")
     scene.frame_set(20)
-    skeleton, local, rig_world = extract.current_pose(soft_arm)
+    skeleton, local, rig_world = rig_motion.current_pose(soft_arm)
     target = soft_arm.dynamorph.targets[1]
     np.testing.assert_allclose(target.local(skeleton), local, atol=1e-6)
     np.testing.assert_allclose(np.array(target.rig_world).reshape(4, 4), rig_world)
@@ -85,6 +93,7 @@ def test_key_renamed_while_the_addon_was_off_is_followed(soft_arm):
     soft_arm.active_shape_key_index = 1
     bpy.ops.object.shape_key_move(type="BOTTOM")
     handlers.extend(kept)
+    part("reconcile").reconcile(soft_arm)
     assert [t.name for t in part("extract").character(soft_arm).targets] == ["Neutral", "biceps"]
     assert soft_arm.dynamorph.targets[1].key_index == 2
 
@@ -93,9 +102,9 @@ def test_equal_shapes_are_told_apart_by_place(soft_arm):
     basis = [c for p in soft_arm.data.shape_keys.reference_key.points for c in p.co]
     for name in ("flexed", "smile"):
         soft_arm.data.shape_keys.key_blocks[name].points.foreach_set("co", basis)
-    part("properties").reconcile(soft_arm)
+    part("reconcile").reconcile(soft_arm)
     soft_arm.data.shape_keys.key_blocks["flexed"].name = "biceps"
-    part("properties").reconcile(soft_arm)
+    part("reconcile").reconcile(soft_arm)
     assert names(soft_arm) == ["Neutral", "biceps"]
 
 
@@ -104,7 +113,7 @@ def test_a_removed_key_is_never_mistaken(soft_arm):
     add_key(soft_arm, "other", 0.1)
     bpy.context.view_layer.update()
     assert names(soft_arm) == ["Neutral", "flexed"]
-    with pytest.raises(part("extract").SceneError, match="'flexed' is gone"):
+    with pytest.raises(part("errors").SceneError, match="'flexed' is gone"):
         part("extract").character(soft_arm)
 
 
@@ -126,7 +135,7 @@ def test_bones_renamed_in_edit_mode_and_moved_later(soft_arm):
     bpy.ops.object.mode_set(mode="EDIT")
     rig.data.edit_bones["lower"].tail.x += 0.5
     bpy.ops.object.mode_set(mode="OBJECT")
-    part("properties").reconcile(soft_arm)
+    part("reconcile").reconcile(soft_arm)
     bpy.ops.object.mode_set(mode="EDIT")
     rig.data.edit_bones["lower"].name = "forearm"
     bpy.ops.object.mode_set(mode="OBJECT")
@@ -148,14 +157,14 @@ def test_a_bone_added_later_is_at_rest(soft_arm):
 def test_posing_costs_little(scene, soft_arm):
     """The handler must not hash and compare everything while the artist drags a bone."""
     calls = []
-    properties = part("properties")
-    original, properties.reconcile = properties.reconcile, lambda obj: calls.append(obj)
+    reconcile = part("reconcile")
+    original, reconcile.reconcile = reconcile.reconcile, lambda obj: calls.append(obj)
     try:
         rig_of(soft_arm).pose.bones["lower"].rotation_euler.x = 0.4
         bpy.context.view_layer.update()
         scene.frame_set(12)
     finally:
-        properties.reconcile = original
+        reconcile.reconcile = original
     assert not calls
 
 

@@ -26,9 +26,9 @@ pytestmark = pytest.mark.skipif(
 def baked(addon):
     """The body with its bake, and the job that made it."""
     body = real_character.open_character(CLIP)
-    jobs = part("jobs")
-    job = jobs.Job(body, goal="BAKE", frames=(1, LAST), substeps=4)
-    jobs.run(job)
+    batch = part("batch")
+    job = part("job").Job(body, goal="BAKE", frames=(1, LAST), substeps=4)
+    batch.run(job)
     return body, job
 
 
@@ -36,7 +36,7 @@ def baked(addon):
 def single(baked):
     """The same shot with the neutral target alone."""
     _, job = baked
-    build, simulate = part("jobs").engine()
+    build, simulate = part("engine").engine()
     character = job.character.with_settings(method="SINGLE")
     return simulate.bake(build.build(character), character, job.rig, job.settings)[0]
 
@@ -91,7 +91,7 @@ def test_blender_shows_what_the_engine_computed(baked):
 def test_a_target_s_pose_shows_the_sculpted_shape(baked):
     """Held at the pose of a target the body rests at its shape key, to 1e-6 of its size, gravity or not."""
     _, job = baked
-    _, simulate = part("jobs").engine()
+    _, simulate = part("engine").engine()
     targets = job.character.targets
     pose = job.character.skeleton.pose(np.array([targets[1].local]))
     rig = replace(job.rig[:1], pose=pose)
@@ -111,13 +111,13 @@ def test_picture(baked, single):
 
     body, job = baked
     _keep_outside(bpy.data.objects["Swimsuit"], body)
-    sinks = part("sinks")
+    bake = part("bake")
     rows = [Row("Dynamic morph targets", "", _pictures(), [""] * len(PICTURED))]
-    sinks.write_keys(body, single)
+    bake.write_keys(body, single)
     rows.insert(0, Row("Single material", "", _pictures(), [""] * len(PICTURED)))
-    sinks.free(body)
+    bake.free(body)
     rows.insert(0, Row("Plain skinning", "", _pictures(), [""] * len(PICTURED)))
-    sinks.write_keys(body, job.result)
+    bake.write_keys(body, job.result)
     columns = [f"{frame}: {event}" for frame, event in PICTURED.items()]
     save(
         compose("MakeHuman body", f"{CLIP}, the file's own clip and shape keys", columns, rows),

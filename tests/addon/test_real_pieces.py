@@ -18,7 +18,7 @@ FRAMES = range(9, 46, 4)
 
 def depths(suit, body):
     """How deep the vertices of `suit` are inside `body`, as Blender shows them: (F, V) in metres."""
-    triangles = part("extract").mesh_triangles(body.data).tolist()
+    triangles = part("mesh_data").mesh_triangles(body.data).tolist()
     out = []
     for frame in FRAMES:
         bpy.context.scene.frame_set(frame)

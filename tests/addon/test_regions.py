@@ -67,7 +67,7 @@ def as_new(obj):
     settings.model.hold, settings.simulation.substeps = "THICKNESS", 3
     settings.model.cage_nodes, settings.model.modes, settings.model.pin_radius = 500, 20, 0.3
     settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
-    settings.targets[0].set_material(part("scene_data").Material(stiffness=1e5))
+    settings.targets[0].set_material(part("settings").Material(stiffness=1e5))
     settings.targets[0].frequency, settings.targets[0].by_hand = 0.0, True
     return obj
 
@@ -81,7 +81,7 @@ def pose(obj, **turned):
 
 
 def rest(obj):
-    return part("extract").rest_points(obj)
+    return part("mesh_data").rest_points(obj)
 
 
 def add(obj, key, centre, **turned):
@@ -94,7 +94,7 @@ def add(obj, key, centre, **turned):
 
 
 def group(obj, name):
-    return part("extract").group_weights(obj, [name])[:, 0]
+    return part("mesh_data").group_weights(obj, [name])[:, 0]
 
 
 def weights_at(obj, **turned):
@@ -105,7 +105,7 @@ def weights_at(obj, **turned):
 
 def weights_now(obj):
     bpy.context.view_layer.update()
-    now = part("influence").weights_now(obj, bpy.context.evaluated_depsgraph_get())
+    now = part("weight_curves").weights_now(obj, bpy.context.evaluated_depsgraph_get())
     names = [target.name for target_set in now.sets for target in target_set.targets]
     return dict(zip(names, now.weights[0], strict=True))
 
@@ -113,7 +113,7 @@ def weights_now(obj):
 def motion(obj):
     """How far the skin (F, V) is from where it would be without motion, after a bake, in metres; the bake is gone."""
     OPS.bake()
-    bake = part("sinks").read_back(obj)
+    bake = part("bake").read_back(obj)
     moved = np.tensordot(bake.coordinates - bake.dry, bake.modes, 1)
     OPS.free_bake()
     return moved
@@ -126,8 +126,8 @@ def motion(obj):
 def test_the_neutral_target_alone_is_a_soft_body(bar, method):
     bar.dynamorph.model.method = method
     assert not list(part("checks").next_steps(bar))
-    job = part("jobs").Job(bar, goal="BAKE")
-    part("jobs").run(job)
+    job = part("job").Job(bar, goal="BAKE")
+    part("batch").run(job)
     bake = job.result
     assert np.abs(np.tensordot(bake.coordinates, bake.modes, 1)).max() > MOVES
     assert_shows(bar, bake)
@@ -136,7 +136,7 @@ def test_the_neutral_target_alone_is_a_soft_body(bar, method):
     shown = []
     for frame in range(1, 8):
         bpy.context.scene.frame_set(frame)
-        shown.append(part("properties").key_points(bar.data.shape_keys.key_blocks["Dynamorph Live"]))
+        shown.append(part("references").key_points(bar.data.shape_keys.key_blocks["Dynamorph Live"]))
     assert np.abs(shown - rest(bar)).max() > MOVES and part("live").problem(bar) == ""
     OPS.live()
 
@@ -182,7 +182,7 @@ def test_on_the_command_line(bar, tmp_path, capfd):
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
 
     def main(arguments):
-        return part("cli").main(arguments, opens_file=True)
+        return part("main").main(arguments, opens_file=True)
 
     assert main(["check", str(path)]) == 0 and "Bar: can be built" in capfd.readouterr().out
     assert main(["bake", str(path), "--all", "-o", str(output)]) == 0
@@ -197,7 +197,7 @@ def test_on_the_command_line(bar, tmp_path, capfd):
 
 def test_a_new_target_is_of_the_neutral_s_material(bar):
     neutral = bar.dynamorph.targets[0]
-    neutral.set_material(part("scene_data").Material(5e3, 0.3, 900.0, 0.5, 0.02))
+    neutral.set_material(part("settings").Material(5e3, 0.3, 900.0, 0.5, 0.02))
     neutral.frequency, neutral.by_hand = 2.5, True
     added = [add(bar, "flexed", 1.0, lower=1.0).name]
     add_key(bar, "driven", bump(rest(bar), 3.0))
@@ -258,7 +258,7 @@ def test_a_key_that_moves_nothing_yet_takes_all_that_are_turned(bar):
 def sculpt(obj, key, centre):
     """As strokes do, while the key is sculpted."""
     block = obj.data.shape_keys.key_blocks[key]
-    before = part("extract").target_shape(obj, key)
+    before = part("mesh_data").target_shape(obj, key)
     bpy.ops.object.mode_set(mode="OBJECT")
     part("targets").set_shape(block, before + bump(rest(obj), centre))
 
@@ -282,7 +282,7 @@ def test_finish_sculpting_chooses_bones_unless_the_artist_did(bar):
 
 def test_a_region_is_one_on_the_sculpt_and_fades_smoothly(bar):
     shape = bump(rest(bar), 2.0)
-    triangles = part("extract").mesh_triangles(bar.data)
+    triangles = part("mesh_data").mesh_triangles(bar.data)
     weights = part("regions").region(rest(bar), triangles, shape)
     moved = np.linalg.norm(shape, axis=1)
     assert (weights[moved > 0.02 * moved.max()] == 1.0).all()
@@ -295,7 +295,7 @@ def test_a_region_is_one_on_the_sculpt_and_fades_smoothly(bar):
 
 def test_a_region_goes_on_across_seams(bar):
     """Imported meshes are split at seams: each face has points of its own."""
-    points, triangles = rest(bar), part("extract").mesh_triangles(bar.data)
+    points, triangles = rest(bar), part("mesh_data").mesh_triangles(bar.data)
     region = part("regions").region
     whole = region(points, triangles, bump(points, 2.0))
     split = points[triangles.ravel()]
@@ -318,7 +318,7 @@ def test_targets_that_share_a_bone_form_one_set(bar):
     targets = bar.dynamorph.targets
     assert targets[first].region == targets[second].region != targets[other].region
     region, points = part("regions").region, rest(bar)
-    triangles = part("extract").mesh_triangles(bar.data)
+    triangles = part("mesh_data").mesh_triangles(bar.data)
     union = np.maximum(*(region(points, triangles, bump(points, centre)) for centre in (1.0, 1.4)))
     np.testing.assert_allclose(group(bar, targets[first].region), union, atol=1e-6)
     targets[second].set_bones(["hand"])
@@ -444,7 +444,7 @@ def test_a_pose_serves_as_many_targets_as_limbs_are_turned(bar):
         sculpt(bar, key, centre)
         OPS.finish_sculpt()
         assert bar.dynamorph.targets[key].bone_names() == bones
-        assert part("extract").target_shape(bar, key) == pytest.approx(bump(rest(bar), centre), abs=1e-6)
+        assert part("mesh_data").target_shape(bar, key) == pytest.approx(bump(rest(bar), centre), abs=1e-6)
     now = weights_at(bar, **turned)
     assert now["root"] == pytest.approx(1.0, abs=EXACT) == now["tip"]
     pose(bar, lower=1.0)
@@ -456,14 +456,14 @@ def test_a_new_target_takes_over_nothing_of_other_limbs(bar):
     add(bar, "tip", 3.0, finger=1.0)
     pose(bar, lower=1.0, finger=1.0)
     OPS.new_from_pose(key="root")
-    assert part("extract").target_shape(bar, "root") == pytest.approx(bump(rest(bar), 3.0), abs=1e-6)
+    assert part("mesh_data").target_shape(bar, "root") == pytest.approx(bump(rest(bar), 3.0), abs=1e-6)
     sculpt(bar, "root", 1.0)
     OPS.finish_sculpt()
     target = bar.dynamorph.targets["root"]
     assert target.bone_names() == ("lower",) and target.region != bar.dynamorph.targets["tip"].region
-    assert part("extract").target_shape(bar, "root") == pytest.approx(bump(rest(bar), 1.0), abs=1e-6)
+    assert part("mesh_data").target_shape(bar, "root") == pytest.approx(bump(rest(bar), 1.0), abs=1e-6)
     both = bump(rest(bar), 1.0) + bump(rest(bar), 3.0)
-    assert part("targets").blended_shape(bar, part("extract").current_pose(bar)[1]) == pytest.approx(both, abs=1e-5)
+    assert part("targets").blended_shape(bar, part("rig_motion").current_pose(bar)[1]) == pytest.approx(both, abs=1e-5)
     assert not group(bar, target.region)[rest(bar)[:, 0] > 2.2].any()
 
 
@@ -544,7 +544,7 @@ def test_live_shows_a_new_sculpt_too(bar):
     pose(bar, lower=1.0)
     bpy.context.scene.frame_set(2)
     assert part("live").is_on(bar) and part("live").problem(bar) == "" and value(bar, "flexed") == 0.0
-    points = part("properties").key_points(bar.data.shape_keys.key_blocks["Dynamorph Live"])
+    points = part("references").key_points(bar.data.shape_keys.key_blocks["Dynamorph Live"])
     assert np.abs(points - rest(bar)).max() == pytest.approx(np.abs(bump(rest(bar), 1.0)).max(), rel=0.3)
     OPS.live()
 

@@ -26,8 +26,8 @@ def new_arm(arm):
 
 
 def bake(obj, **options):
-    job = part("jobs").Job(obj, goal="BAKE", **options)
-    part("jobs").run(job)
+    job = part("job").Job(obj, goal="BAKE", **options)
+    part("batch").run(job)
     return job
 
 
@@ -86,7 +86,7 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     assert not neutral.by_hand
     assert new_arm.dynamorph.simulation.rehearsed == job.rehearsed
     assert f"to {neutral.frequency:.3g} Hz" in job.rehearsed
-    assert not part("changes").outdated(new_arm)
+    assert not part("staleness").outdated(new_arm)
     again = bake(new_arm)  # it runs once
     assert not again.rehearsed and neutral.frequency == job.character.targets[0].frequency
     assert np.array_equal(again.result.coordinates, job.result.coordinates)
@@ -148,7 +148,7 @@ def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
     whole = bake(new_arm)
     new_arm.dynamorph.simulation.rehearsed = ""
     new_arm.dynamorph.targets[0].set_frequency(3.5, part("feel").FEELS["NATURAL"].damping)
-    monkeypatch.setattr(part("jobs"), "STRETCH", 6)
+    monkeypatch.setattr(part("job"), "STRETCH", 6)
     parts = bake(new_arm)
     assert parts.rehearsed == whole.rehearsed
     assert parts.result.coordinates == pytest.approx(whole.result.coordinates, rel=1e-4, abs=1e-6)
@@ -166,7 +166,7 @@ def test_what_others_have_to_agree_with_is_not_rehearsed(new_arm, how, tmp_path)
     elif how == "part":
         options["frames"] = (1, 10)
     elif how == "share":
-        options["share"] = part("share").Share(tmp_path)
+        options["share"] = part("cache_dir").Share(tmp_path)
     elif how == "patch":
         settings.simulation.use_scene_range, settings.simulation.keep_outside = False, True
         settings.simulation.start, settings.simulation.end = 1, 12
@@ -199,7 +199,7 @@ def test_old_settings_are_left_alone(new_arm):
     settings.model.hold = "BONES"
     limit(new_arm, 0.0)
     neutral = settings.targets[0]
-    neutral.set_material(part("scene_data").Material())
+    neutral.set_material(part("settings").Material())
     before = neutral.material()
     job = bake(new_arm)
     assert neutral.material() == before and not len(job.model.held) and job.model.pinned.any()

@@ -191,7 +191,7 @@ def action_over_strips(obj):
 
 def noisy_curves(obj):
     data = rig_of(obj).animation_data
-    for curve in part("checks").curves(data.action, data.action_slot):
+    for curve in part("animation").curves(data.action, data.action_slot):
         curve.modifiers.new("NOISE").strength = 0.3
 
 
@@ -311,8 +311,8 @@ def test_what_is_baked_is_what_blender_evaluates(scene, soft_arm, feature):
     bpy.context.view_layer.update()
     soft_arm.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.capture_pose()
-    job = part("jobs").Job(soft_arm, goal="BAKE", substeps=3)
-    part("jobs").run(job)
+    job = part("job").Job(soft_arm, goal="BAKE", substeps=3)
+    part("batch").run(job)
     bake = job.result
     assert np.isfinite(bake.coordinates).all()
     assert bake.weights[-1] == pytest.approx([0.0, 1.0], abs=1e-5)

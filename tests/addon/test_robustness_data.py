@@ -24,7 +24,7 @@ def skin(soft_arm):
 
 def add_group(obj, name, low, high):
     """A vertex group that fades in between two heights."""
-    heights = part("properties").key_points(keys_of(obj).reference_key)[:, 2]
+    heights = part("references").key_points(keys_of(obj).reference_key)[:, 2]
     group = obj.vertex_groups.new(name=name)
     for index, weight in enumerate(np.clip((heights - low) / (high - low), 0.0, 1.0)):
         group.add([index], float(weight), "REPLACE")
@@ -86,7 +86,7 @@ def test_groups_swapped_sorted_or_removed_are_not_mistaken_for_renamed(soft_arm)
     soft_arm.vertex_groups.new(name="Hair")
     bpy.context.view_layer.update()
     assert soft_arm.dynamorph.soft_group == "Soft"
-    with pytest.raises(part("extract").SceneError, match="'Soft' for Soft is gone"):
+    with pytest.raises(part("errors").SceneError, match="'Soft' for Soft is gone"):
         part("extract").character(soft_arm)
 
 
@@ -94,7 +94,7 @@ def test_a_bone_is_renamed_whose_group_is_a_region(soft_arm):
     """Blender renames the group with the bone."""
     soft_arm.dynamorph.targets[1].region = "lower"
     bpy.context.view_layer.update()
-    part("properties").reconcile(soft_arm)
+    part("reconcile").reconcile(soft_arm)
     rig_of(soft_arm).data.bones["lower"].name = "forearm"
     bpy.context.view_layer.update()
     assert soft_arm.dynamorph.targets[1].region == "forearm"
@@ -153,10 +153,10 @@ def test_alt_d(skin, when):
     assert (first.reasons, second.reasons) == ((["not built yet"],) * 2 if when == "before the bake" else ([], []))
     assert_shows(skin, first.result)
     assert_shows(twin, second.result)
-    part("sinks").free(skin)
+    part("bake").free(skin)
     assert names(skin) == before
     assert_shows(twin, second.result)
-    part("sinks").free(twin)
+    part("bake").free(twin)
     assert names(twin) == before
 
 
@@ -218,7 +218,7 @@ def test_two_characters_on_one_armature(scene, skin):
     activate(skin)
     assert OPS.free_bake() == {"FINISHED"}
     assert_shows(other, results[other])
-    part("sinks").free(other)
+    part("bake").free(other)
     bpy.context.scene.frame_set(1)
     assert fingerprint(other)["keys"] == before
 
@@ -280,11 +280,11 @@ def test_mesh_edited_after_the_bake(skin, change):
     bake(skin)
     change(skin)
     assert np.isfinite(motion(skin)).all()
-    part("jobs").show_stale(skin)
+    part("storage").show_stale(skin)
     stale = skin.dynamorph.model.stale
     vertices = len(skin.data.vertices)
     assert stale == f"the mesh has {vertices} vertices instead of 272" if vertices != 272 else "mesh changed" in stale
-    assert part("jobs").load_model(skin) and len(skin.dynamorph.targets) == 2
+    assert part("model_store").load_model(skin) and len(skin.dynamorph.targets) == 2
     job = bake(skin)
     assert job.reasons == [stale] or vertices == 272
     assert_shows(skin, job.result)
@@ -315,7 +315,7 @@ def test_parts_separated_and_joined_after_the_bake(skin):
     bpy.ops.object.mode_set(mode="OBJECT")
     tip = next(obj for obj in bpy.data.objects if obj.type == "MESH" and obj != skin)
     assert (len(tip.data.vertices), len(skin.data.vertices)) == (64, 224)  # both have the ring of the cut
-    part("sinks").free(tip)
+    part("bake").free(tip)
     assert names(tip) == ["Basis", "flexed", "smile"]
     tip.select_set(True)
     skin.select_set(True)
@@ -327,11 +327,13 @@ def test_parts_separated_and_joined_after_the_bake(skin):
 
 def test_a_refused_bake_after_an_edit_keeps_model_and_bake(skin):
     bake(skin)
-    model = part("jobs").stored_model(skin)
+    model = part("model_store").stored_model(skin)
     edit(skin, lambda mesh: bmesh.ops.delete(mesh, geom=list(mesh.faces), context="FACES_ONLY"))
     keys = names(skin)
     refused(OPS.bake, "'Arm' has no faces")
-    assert part("jobs").stored_model(skin) == model and names(skin) == keys and len(skin.dynamorph.bake.keys) == 7
+    assert (
+        part("model_store").stored_model(skin) == model and names(skin) == keys and len(skin.dynamorph.bake.keys) == 7
+    )
 
 
 def test_shape_keys_reordered(skin):
@@ -395,7 +397,7 @@ def animate_keys(obj):
             animation.action = None
     keys.key_blocks["flexed"].driver_add("value").driver.expression = "frame / 20"
     time = np.linspace(0.0, 1.0, 20)[:, None, None]
-    shape = part("extract").target_shape
+    shape = part("mesh_data").target_shape
     return time * shape(obj, "brow") + (1.0 - time) * shape(obj, "smile")
 
 
@@ -405,7 +407,7 @@ def test_driver_nla_and_action_on_the_keys(scene, skin):
     before = fingerprint(skin)
     shown = motion(skin)
     job = bake(skin)
-    samples, character = part("extract").sample_rig(skin, 1, 20, 1), part("extract").character(skin)
+    samples, character = part("rig_motion").sample_rig(skin, 1, 20, 1), part("extract").character(skin)
     for i in range(20):
         scene.frame_set(i + 1)
         expected = skinned(character, samples[i : i + 1], job.result.displacement(i) + own[i])[0]

@@ -9,7 +9,7 @@ import addon_utils
 import bpy
 import numpy as np
 import pytest
-from builders import MODULE, activate, fingerprint, part, rig_of
+from builders import MODULE, PACKAGE, activate, fingerprint, part, rig_of
 from robustness import CALLS, CHANGING_NOTHING, OPS, bake, coarse, motion, names, settings, state
 from test_operators import refused
 from test_panels import drawn
@@ -35,7 +35,7 @@ def test_every_button_is_tried(addon):
 def test_undo_and_redo(skin, name):
     prepare, arguments = CALLS[name]
     prepare(skin)
-    part("properties").reconcile(skin)
+    part("reconcile").reconcile(skin)
     bpy.ops.ed.undo_push(message="before")
     before = state()
     assert getattr(OPS, name)("EXEC_DEFAULT", True, **arguments) == {"FINISHED"}
@@ -153,7 +153,7 @@ def test_an_appended_model_needs_no_new_build(asset):
 
 def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypatch):
     """Its file lies beside the .blend that it came from."""
-    monkeypatch.setattr(part("jobs"), "PACK_LIMIT", 100)
+    monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "asset.blend"))
     obj = open_shot(asset("build"), link=False)
     refused(OPS.bake, "'Arm' is large.*save the .blend first")
@@ -162,7 +162,7 @@ def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypa
     assert bake(obj).reasons == []
     (tmp_path / "far").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "far" / "shot.blend"))
-    part("jobs")._load.cache_clear()
+    part("model_store")._load.cache_clear()
     assert "is missing" in bake(obj).reasons[0]
 
 
@@ -176,8 +176,8 @@ def test_a_linked_character_plays_and_cannot_be_changed(asset):
     for name in CALLS:
         assert not getattr(OPS, name).poll(), name
     for goal in ("BUILD", "BAKE"):  # as the command line does it
-        with pytest.raises(part("sinks").SinkError, match="Object 'Arm' is linked.*make it local"):
-            part("jobs").run(part("jobs").Job(obj, goal=goal, rebuild=True))
+        with pytest.raises(part("errors").SinkError, match="Object 'Arm' is linked.*make it local"):
+            part("batch").run(part("job").Job(obj, goal=goal, rebuild=True))
     assert state() == before
 
 
@@ -195,7 +195,7 @@ def test_a_linked_character_that_is_live_plays(asset):
 def test_an_override_keeps_materials_alone(asset, tmp_path):
     saved = asset("build")
     obj = open_override(saved)
-    stored = part("jobs").stored_model(obj)
+    stored = part("model_store").stored_model(obj)
     obj.dynamorph.active_target_index = 1
     assert OPS.apply_material(preset="FAT") == {"FINISHED"}
     obj.dynamorph.targets[0].stiffness = 4321.0
@@ -205,17 +205,17 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
     for name in set(CALLS) - {"apply_feel", "apply_material", "fit_material"}:
         assert not getattr(OPS, name).poll(), name
     for goal in ("BUILD", "BAKE"):
-        with pytest.raises(part("sinks").SinkError, match="'Arm' is a library override.*make it local"):
-            part("jobs").run(part("jobs").Job(obj, goal=goal, rebuild=True))
+        with pytest.raises(part("errors").SinkError, match="'Arm' is a library override.*make it local"):
+            part("batch").run(part("job").Job(obj, goal=goal, rebuild=True))
     assert state() == before
     reload(tmp_path)
     obj = the_override()
     neutral, flexed = obj.dynamorph.targets
     assert (neutral.name, flexed.name, flexed.bone_names()) == ("Neutral", "flexed", ("lower",))
-    assert vars(flexed.material()) == pytest.approx(vars(part("materials").PRESETS["FAT"].material))
+    assert vars(flexed.material()) == pytest.approx(vars(part("material_presets").PRESETS["FAT"].material))
     assert (neutral.stiffness, obj.dynamorph.simulation.preroll) == (4321.0, 7)
-    assert part("jobs").stored_model(obj) == stored
-    assert part("jobs").stale_reasons(obj, part("extract").character(obj)) == []
+    assert part("model_store").stored_model(obj) == stored
+    assert part("model_store").stale_reasons(obj, part("extract").character(obj)) == []
 
 
 def test_a_mesh_of_its_own_does_not_make_an_override_safe(asset):
@@ -224,7 +224,7 @@ def test_a_mesh_of_its_own_does_not_make_an_override_safe(asset):
     obj.data = obj.data.copy()
     before = fingerprint(obj)
     assert not OPS.bake.poll()
-    with pytest.raises(part("sinks").SinkError, match="'Arm' is a library override"):
+    with pytest.raises(part("errors").SinkError, match="'Arm' is a library override"):
         bake(obj)
     assert fingerprint(obj) == before
 
@@ -243,7 +243,7 @@ def test_the_remedy_for_overrides_works(asset, tmp_path):
     reload(tmp_path)
     obj = bpy.data.objects[name]
     assert_shows(obj, job.result)
-    part("sinks").free(obj)
+    part("bake").free(obj)
     assert names(obj) == before
 
 
@@ -299,6 +299,5 @@ assert addon_utils.enable("bl_ext.user_default.dynamic_morph_targets", default_s
 
 def test_python_ends_quietly_with_the_add_on_enabled(tmp_path, monkeypatch):
     monkeypatch.setenv("BLENDER_USER_RESOURCES", str(tmp_path))
-    source = part("jobs").__spec__.origin.rpartition("/")[0]
-    run = subprocess.run([sys.executable, "-c", ENABLE_AND_END, source], capture_output=True, text=True, check=False)
+    run = subprocess.run([sys.executable, "-c", ENABLE_AND_END, PACKAGE], capture_output=True, text=True, check=False)
     assert run.returncode == 0 and "Traceback" not in run.stdout + run.stderr, run.stdout + run.stderr

@@ -149,11 +149,11 @@ def test_other_skinning_is_refused_and_nothing_changes(scene, skin, change, word
     bake(skin)
     change(skin)
     scene.frame_set(1)
-    before, model = fingerprint(skin), part("jobs").stored_model(skin)
+    before, model = fingerprint(skin), part("model_store").stored_model(skin)
     for button in (OPS.bake, OPS.build, OPS.capture_pose, OPS.fit_material):
         refused(button, words)
-    assert fingerprint(skin) == before and part("jobs").stored_model(skin) == model
-    part("jobs").show_stale(skin)
+    assert fingerprint(skin) == before and part("model_store").stored_model(skin) == model
+    part("storage").show_stale(skin)
     assert words in skin.dynamorph.model.stale
     assert np.isfinite(motion(skin)).all()  # the bake still plays
     assert OPS.free_bake() == {"FINISHED"}
@@ -215,7 +215,7 @@ def test_twice_the_frame_rate_is_the_same_motion(scene, skin):
 @pytest.mark.parametrize("fps, base", [(24, 1.001), (30, 1.0), (60, 1.0), (12, 0.5)])
 def test_frame_rates(scene, skin, fps, base):
     scene.render.fps, scene.render.fps_base = fps, base
-    settings = part("extract").simulation_settings(skin, scene)
+    settings = part("run_settings").simulation_settings(skin, scene)
     assert settings.fps == pytest.approx(fps / base)
     assert settings.step == pytest.approx(base / fps / settings.substeps) and settings.step <= 1.01 / 120.0
     assert_shows(skin, bake(skin).result)
@@ -249,7 +249,7 @@ def test_time_remapped_after_the_bake_keeps_rig_and_flesh_together(scene, skin):
     scene.render.frame_map_new = 200
     for frame in (3, 9, 19):
         scene.frame_set(2 * frame)
-        rig = part("extract").sample_rig(skin, 2 * frame, 2 * frame, 1)
+        rig = part("rig_motion").sample_rig(skin, 2 * frame, 2 * frame, 1)
         expected = skinned(part("extract").character(skin), rig, job.result.displacement(frame - 1))[0]
         assert np.abs(evaluated_points(skin) - expected).max() < 2e-5
 
@@ -272,7 +272,7 @@ def test_a_range_that_ends_before_it_begins(skin):
 
 def test_sub_frames_lie_in_between(scene, skin):
     job = bake(skin)
-    character, samples = part("extract").character(skin), part("extract").sample_rig(skin, 1, 20, 4)
+    character, samples = part("extract").character(skin), part("rig_motion").sample_rig(skin, 1, 20, 4)
     for s in range(len(samples)):
         frame, part_of_it = divmod(s, 4)
         scene.frame_set(1 + frame, subframe=part_of_it / 4)

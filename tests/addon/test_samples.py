@@ -94,9 +94,9 @@ def test_flexed_shape_regains_the_volume_that_skinning_loses(limb):
 
 def test_soft_when_straight_and_hard_when_flexed(limb):
     pytest.importorskip("dynamorph", reason="needs the engine")
-    jobs = part("jobs")
-    job = jobs.Job(limb, goal="BAKE")
-    jobs.run(job)
+    batch = part("batch")
+    job = part("job").Job(limb, goal="BAKE")
+    batch.run(job)
     assert job.warnings == []
     assert job.model.summary["dofs"] == pytest.approx(918, rel=0.02)
     assert job.model.summary["modes"] == 13
@@ -114,9 +114,9 @@ def test_soft_when_straight_and_hard_when_flexed(limb):
 
 
 def test_the_push_acts_with_the_same_force_when_flexed_and_when_straight(limb):
-    extract = part("extract")
+    extract, rig_motion = part("extract"), part("rig_motion")
     character = extract.character(limb)
-    samples = extract.sample_rig(limb, 1, 160, 1)
+    samples = rig_motion.sample_rig(limb, 1, 160, 1)
     (field,) = samples.fields
     assert field.strength[46 - 1 :][:20] == pytest.approx(field.strength[114 - 1 :][:20], abs=0.1)
     reached = [pushed_vertices(character, samples, frame).sum() for frame in (55, 123)]
@@ -150,7 +150,7 @@ def content(limb):
         content[f"shape {target.name}"] = target.shape
         content[f"pose {target.name}"] = target.local
         content[f"material {target.name}"] = [material.stiffness, material.mass_damping, material.stiffness_damping]
-    samples = part("extract").sample_rig(limb, 1, 160, 1)
+    samples = part("rig_motion").sample_rig(limb, 1, 160, 1)
     (field,) = samples.fields
     motion = {"motion": samples.pose, "rig": samples.rig_world, "push": field.strength, "from": field.world}
     return content | motion

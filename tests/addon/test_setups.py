@@ -86,9 +86,9 @@ def test_a_setup_comes_back_as_it_was_saved(rich, file):
 def test_a_setup_holds_what_was_authored_and_no_results(rich, stand_in):
     OPS.build()
     setup = setup_of(rich)
-    scene_data = part("scene_data")
-    assert set(setup["model"]) == set(vars(scene_data.ModelSettings()))
-    assert set(vars(scene_data.Material())) < set(setup["targets"][0])
+    settings = part("settings")
+    assert set(setup["model"]) == set(vars(settings.ModelSettings()))
+    assert set(vars(settings.Material())) < set(setup["targets"][0])
     assert setup["targets"][2]["bones"] == ["lower"] and set(setup["targets"][2]["pose"]) == {"upper", "lower"}
     assert setup["skin"] == {"soft_group": "loose", "stiffness_group": "belly", "stiffness_factor": pytest.approx(3.3)}
     assert [mode["gain"] for mode in setup["modes"][:2]] == [pytest.approx(0.4), 1.0]
@@ -271,7 +271,7 @@ def test_what_a_file_leaves_out_stays(rich, tmp_path):
     OPS.load_setup(filepath=str(path))
     settings = rich.dynamorph
     assert (settings.model.modes, settings.simulation.scheme, settings.soft_group) == (7, "EULER", "loose")
-    assert settings.targets[1].stiffness == part("scene_data").Material().stiffness
+    assert settings.targets[1].stiffness == part("settings").Material().stiffness
     assert len(settings.targets[1].pose) == 0  # every bone at rest
 
 
@@ -296,7 +296,7 @@ def test_a_material_of_ones_own(rich, on_the_rig):
         activate(rig_of(rich))
     assert OPS.material_preset(name="My Jelly") == {"FINISHED"}
     assert preset_file("material", "My_Jelly").is_file()
-    flexed.set_material(part("materials").PRESETS["SKIN"].material)
+    flexed.set_material(part("material_presets").PRESETS["SKIN"].material)
     assert use("material", "My_Jelly") == {"FINISHED"}
     assert flexed.material() == before and neutral.material() == untouched
     assert rich.dynamorph.model.modes == 7
@@ -363,12 +363,12 @@ def test_the_material_menu_lists_the_measured_ones_first(rich):
         drawn = [text for text in texts("DYNAMORPH_PT_material_presets") if text]
     finally:
         OPS.material_preset(name="Ogre", remove_name=True)
-    labels = [preset.label for preset in part("materials").PRESETS.values()]
+    labels = [preset.label for preset in part("material_presets").PRESETS.values()]
     assert [text for text in drawn if text in labels] == labels
     assert drawn.index("Ogre") > drawn.index(labels[-1]) and "dynamorph.material_preset" in drawn
-    described = part("target_operators").DYNAMORPH_OT_apply_material.description
+    described = part("material_operators").DYNAMORPH_OT_apply_material.description
     given = types.SimpleNamespace(preset="FAT", is_property_set=lambda _name: True)
-    assert described(bpy.context, given) == part("materials").PRESETS["FAT"].source
+    assert described(bpy.context, given) == part("material_presets").PRESETS["FAT"].source
 
 
 def test_before_the_first_preset_there_is_no_complaint(rich):
@@ -400,11 +400,11 @@ def select(source, *others):
 
 
 def shape(obj, name):
-    return part("extract").target_shape(obj, name)
+    return part("mesh_data").target_shape(obj, name)
 
 
 def weights(obj, name):
-    return part("extract").group_weights(obj, [name])[:, 0]
+    return part("mesh_data").group_weights(obj, [name])[:, 0]
 
 
 def test_an_identical_mesh_gets_the_same(rich, capfd):
@@ -414,8 +414,8 @@ def test_an_identical_mesh_gets_the_same(rich, capfd):
     assert setup_of(other) == setup_of(rich)
     for name in ("flexed", "smile"):
         np.testing.assert_array_equal(
-            part("properties").key_points(other.data.shape_keys.key_blocks[name]),
-            part("properties").key_points(rich.data.shape_keys.key_blocks[name]),
+            part("references").key_points(other.data.shape_keys.key_blocks[name]),
+            part("references").key_points(rich.data.shape_keys.key_blocks[name]),
         )
         assert other.data.shape_keys.key_blocks[name].value == 0.0
     for name in ("belly", "loose"):
@@ -618,26 +618,26 @@ def chosen(scene):
 
 
 def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monkeypatch, chosen):
-    jobs = part("jobs")
-    monkeypatch.setattr(jobs, "PACK_LIMIT", 100)
+    model_store = part("model_store")
+    monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
     chosen.model_folder = str(tmp_path / "models")
     OPS.build()  # though the .blend has no folder yet
     name = f"{soft_arm.dynamorph.model.content_id}.dynamorph"
     assert [file.name for file in (tmp_path / "models").iterdir()] == [name]
-    assert jobs.stored_model(soft_arm)
+    assert model_store.stored_model(soft_arm)
     (tmp_path / "shots").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shots" / "arm.blend"))
     chosen.model_folder = "//cache/models"
-    with pytest.raises(part("model_file").ModelFileError, match="missing"):
-        jobs.stored_model(soft_arm)
+    with pytest.raises(part("errors").ModelFileError, match="missing"):
+        model_store.stored_model(soft_arm)
     OPS.build()
     assert (tmp_path / "shots" / "cache" / "models" / name).is_file()
     chosen.model_folder = "//elsewhere"  # another user: a model beside the .blend is found all the same
     (tmp_path / "shots" / "cache" / "models").rename(tmp_path / "shots" / "dynamorph_models")
-    assert jobs.stored_model(soft_arm)
+    assert model_store.stored_model(soft_arm)
     soft_arm.dynamorph.model.content_id = "../../etc/passwd"
-    with pytest.raises(part("model_file").ModelFileError, match="elsewhere"):
-        jobs.stored_model(soft_arm)
+    with pytest.raises(part("errors").ModelFileError, match="elsewhere"):
+        model_store.stored_model(soft_arm)
 
 
 def test_threads_are_told_to_the_engine(soft_arm, stand_in, monkeypatch, chosen):
@@ -663,10 +663,10 @@ def test_the_preferences_show_the_engine(chosen, monkeypatch):
         return out
 
     preferences = part("preferences")
-    monkeypatch.setattr(part("jobs"), "engine_problem", lambda: "")
+    monkeypatch.setattr(part("engine"), "engine_problem", lambda: "")
     monkeypatch.setattr(preferences.metadata, "version", lambda _name: "1.2.3")
     assert drawn() == ["model_folder", "threads", "Engine: version 1.2.3"]
-    monkeypatch.setattr(part("jobs"), "engine_problem", lambda: "The engine cannot be loaded")
+    monkeypatch.setattr(part("engine"), "engine_problem", lambda: "The engine cannot be loaded")
     assert drawn()[-1] == "The engine cannot be loaded"
 
 

@@ -24,16 +24,16 @@ def folder(tmp_path):
 
 
 def baked(obj, folder=None, goal="BAKE"):
-    jobs = part("jobs")
-    job = jobs.Job(obj, goal, share=folder and part("share").Share(folder))
-    jobs.run(job)
+    batch = part("batch")
+    job = part("job").Job(obj, goal, share=folder and part("cache_dir").Share(folder))
+    batch.run(job)
     return job
 
 
 def stopped(obj, folder, monkeypatch, stretches):
     """A bake that ends after so many stretches; nothing is written."""
-    share, jobs = part("share"), part("jobs")
-    keep, left = share.Share.keep, iter(range(stretches - 1, -1, -1))
+    cache_dir, batch, job = part("cache_dir"), part("batch"), part("job")
+    keep, left = cache_dir.Share.keep, iter(range(stretches - 1, -1, -1))
 
     def keep_and_stop(self, *args):
         keep(self, *args)
@@ -41,18 +41,18 @@ def stopped(obj, folder, monkeypatch, stretches):
             raise InterruptedError
 
     with monkeypatch.context() as patch:
-        patch.setattr(share.Share, "keep", keep_and_stop)
+        patch.setattr(cache_dir.Share, "keep", keep_and_stop)
         with pytest.raises(InterruptedError):
-            jobs.run(jobs.Job(obj, "BAKE", share=share.Share(folder)))
+            batch.run(job.Job(obj, "BAKE", share=cache_dir.Share(folder)))
 
 
 def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
-    monkeypatch.setattr(part("jobs"), "SHORT_STRETCH", 5)
+    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
     assert len(list(folder.glob("*.unfinished"))) == 1
     job = baked(coarse, folder)
     assert len(job.resumed["coordinates"]) == 11  # frames
-    assert part("cli").character_record(job)["bake"]["resumed"] == 11
+    assert part("record").character_record(job)["bake"]["resumed"] == 11
     whole = baked(coarse)
     assert np.array_equal(job.result.coordinates, whole.result.coordinates)
     assert job.report["steps"] == whole.report["steps"]
@@ -60,7 +60,7 @@ def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
 
 def test_a_bake_with_other_modes_begins_anew(coarse, folder, monkeypatch):
     """Models that are built elsewhere from the same may have modes of other signs."""
-    monkeypatch.setattr(part("jobs"), "SHORT_STRETCH", 5)
+    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
     (built,) = folder.glob("*.dynamorph")
     model_file = part("model_file")
@@ -71,7 +71,7 @@ def test_a_bake_with_other_modes_begins_anew(coarse, folder, monkeypatch):
 
 
 def test_a_changed_file_begins_anew(coarse, folder, monkeypatch):
-    monkeypatch.setattr(part("jobs"), "SHORT_STRETCH", 5)
+    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 5)
     stopped(coarse, folder, monkeypatch, stretches=1)
     rig_of(coarse).pose.bones[0].constraints.new("LIMIT_ROTATION")  # of which settings and animation know nothing
     bpy.ops.wm.save_mainfile()
@@ -80,7 +80,7 @@ def test_a_changed_file_begins_anew(coarse, folder, monkeypatch):
 
 def test_models_are_built_once(coarse, folder, monkeypatch):
     first = baked(coarse, folder, goal="BUILD")
-    part("jobs").forget_model(coarse)
+    part("storage").forget_model(coarse)
     monkeypatch.setattr(part("simulate"), "build_for", None)
     second = baked(coarse, folder, goal="BUILD")
     assert second.reasons and np.array_equal(second.model.basis, first.model.basis)
@@ -103,7 +103,7 @@ def test_what_cannot_be_gone_on_with_is_baked_all_the_same(coarse, tmp_path, fol
         coarse.modifiers["Armature"].use_deform_preserve_volume = True
     bpy.ops.wm.save_mainfile()
     arguments = ["bake", "--object", coarse.name, "--share", str(folder), "-o", str(tmp_path / "baked.blend")]
-    assert part("cli").main(arguments) == 0
+    assert part("main").main(arguments) == 0
     assert not list(folder.glob("*.unfinished"))
 
 
@@ -111,7 +111,7 @@ def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
     """Its own cage may have others, if another version made it."""
     coarse.modifiers["Armature"].use_deform_preserve_volume = True
     shared = baked(coarse, folder)
-    part("jobs").forget_model(coarse)
+    part("storage").forget_model(coarse)
     (built,) = folder.glob("*.dynamorph")
     model_file = part("model_file")
     arrays, meta = model_file.unpack(built.read_bytes())
@@ -123,17 +123,16 @@ def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
 
 def test_an_undo_between_two_stretches_stops_a_bake(coarse, folder, monkeypatch):
     """What was read before it is of another scene."""
-    jobs = part("jobs")
-    monkeypatch.setattr(jobs, "STRETCH", 5)
-    job = jobs.Job(coarse, "BAKE")
-    batch = jobs.Batch([job], "BAKE")
-    go_on = jobs.Job.go_on
+    monkeypatch.setattr(part("job"), "STRETCH", 5)
+    job = part("job").Job(coarse, "BAKE")
+    batch = part("batch").Batch([job], "BAKE")
+    go_on = part("job").Job.go_on
 
     def undone(self):
         batch.undone = True
         return go_on(self)
 
-    monkeypatch.setattr(jobs.Job, "go_on", undone)
-    with pytest.raises(part("extract").SceneError, match="was undone"):
-        jobs.run_all(batch)
+    monkeypatch.setattr(part("job").Job, "go_on", undone)
+    with pytest.raises(part("errors").SceneError, match="was undone"):
+        part("batch").run_all(batch)
     assert not coarse.dynamorph.bake.keys

@@ -26,9 +26,9 @@ def shoulder(addon):
     """The soft skin as arrays, and `posed`: its vertices at a frame, displaced by a shape before the bones act."""
     bpy.ops.wm.open_mainfile(filepath=str(SCENE))
     skin = bpy.data.objects["Shoulder"]
-    extract = part("extract")
+    extract, rig_motion = part("extract"), part("rig_motion")
     character = extract.character(skin)
-    samples = extract.sample_rig(skin, 1, bpy.context.scene.frame_end, 1)
+    samples = rig_motion.sample_rig(skin, 1, bpy.context.scene.frame_end, 1)
     matrices = samples.skin_matrices(character.skeleton, character.to_bind)
 
     def posed(frame, shape=0):
@@ -47,9 +47,9 @@ def shoulder(addon):
 @pytest.fixture(scope="module")
 def baked(shoulder):
     pytest.importorskip("dynamorph", reason="needs the engine")
-    jobs = part("jobs")
-    job = jobs.Job(shoulder.object, goal="BAKE")
-    jobs.run(job)
+    batch = part("batch")
+    job = part("job").Job(shoulder.object, goal="BAKE")
+    batch.run(job)
     return job
 
 

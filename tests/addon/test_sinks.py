@@ -25,7 +25,7 @@ from builders import (
 def test_blender_shows_the_bake(soft_arm):
     bake = hand_made_bake(soft_arm)
     soft_arm.scale = (1.0, 2.0, 0.5)
-    part("sinks").write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == [
         "Basis", "flexed", "smile", "Dynamorph Mode 01", "Dynamorph Mode 02", "Dynamorph Mode 03",
         "Dynamorph Detail flexed",
@@ -41,9 +41,9 @@ def test_the_artists_keys_play_on_top(soft_arm):
     soft_arm.vertex_groups.new(name="Half").add(list(range(200)), 0.5, "REPLACE")
     blocks["smile"].vertex_group = "Half"
     bake = hand_made_bake(soft_arm)
-    part("sinks").write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     assert blocks["flexed"].mute and not blocks["smile"].mute
-    assert_shows(soft_arm, bake, extra=0.5 * part("extract").target_shape(soft_arm, "smile"))
+    assert_shows(soft_arm, bake, extra=0.5 * part("mesh_data").target_shape(soft_arm, "smile"))
 
 
 def test_the_artists_action_and_nla_play_on(scene, soft_arm):
@@ -61,7 +61,7 @@ def test_the_artists_action_and_nla_play_on(scene, soft_arm):
     scene.frame_set(1)
     before = fingerprint(soft_arm)
     bake = hand_made_bake(soft_arm)
-    part("sinks").write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     assert keys.animation_data.action.name == before["animation"][0]
     scene.frame_set(20)
     assert smile.value == pytest.approx(1.0)
@@ -74,7 +74,7 @@ def test_the_artists_action_and_nla_play_on(scene, soft_arm):
     scene.frame_set(7, subframe=0.5)
     assert keys.key_blocks["Dynamorph Mode 01"].value == pytest.approx(values[6:8].mean(), abs=1e-6)
     scene.frame_set(1)
-    part("sinks").free(soft_arm)
+    part("bake").free(soft_arm)
     assert fingerprint(soft_arm) == before
 
 
@@ -112,57 +112,57 @@ def test_free_leaves_no_trace(scene, soft_arm, prepare):
     soft_arm.active_shape_key_index = 1
     scene.frame_set(5)
     before = fingerprint(soft_arm)
-    sinks = part("sinks")
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     assert soft_arm.active_shape_key_index == 1
     scene.frame_set(5)
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm, modes=5, seed=2))  # bake again
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm, modes=5, seed=2))  # bake again
     scene.frame_set(5)
     assert [track.name for track in keys_of(soft_arm).animation_data.nla_tracks] == ["Dynamorph Shapes", "Dynamorph"]
-    sinks.free(soft_arm)
+    bake.free(soft_arm)
     assert fingerprint(soft_arm) == before
-    sinks.free(soft_arm)
+    bake.free(soft_arm)
     assert fingerprint(soft_arm) == before
 
 
 def test_baking_again_replaces_the_bake(soft_arm):
-    sinks = part("sinks")
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     names = [k.name for k in keys_of(soft_arm).key_blocks]
     second = hand_made_bake(soft_arm, seed=2)
-    sinks.write_keys(soft_arm, second)
+    bake.write_keys(soft_arm, second)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == names
     assert len(bpy.data.actions) == 2  # the rig's and the bake's
     assert_shows(soft_arm, second)
 
 
 def test_a_failure_keeps_the_previous_bake(soft_arm, monkeypatch):
-    sinks = part("sinks")
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     bpy.context.scene.frame_set(5)
     before = fingerprint(soft_arm)
     for broken in ("_add_curves", "_add_key"):
         with monkeypatch.context() as patch:
-            patch.setattr(sinks, broken, lambda *_args: 1 / 0)
+            patch.setattr(bake, broken, lambda *_args: 1 / 0)
             with pytest.raises(ZeroDivisionError):
-                sinks.write_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
+                bake.write_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
         bpy.context.scene.frame_set(5)
         assert fingerprint(soft_arm) == before
 
 
 def test_a_failed_first_bake_leaves_no_trace(soft_arm, monkeypatch):
-    sinks = part("sinks")
+    bake = part("bake")
     before = fingerprint(soft_arm)
-    monkeypatch.setattr(sinks, "_add_curves", lambda *_args: 1 / 0)
+    monkeypatch.setattr(bake, "_add_curves", lambda *_args: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
+        bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     assert fingerprint(soft_arm) == before
 
 
 def test_free_finds_renamed_and_moved_keys(soft_arm):
-    sinks = part("sinks")
+    bake = part("bake")
     before = fingerprint(soft_arm)
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     blocks = keys_of(soft_arm).key_blocks
     blocks["Dynamorph Mode 02"].name = "my favourite"
     blocks["flexed"].name = "biceps"
@@ -174,107 +174,103 @@ def test_free_finds_renamed_and_moved_keys(soft_arm):
     assert [t.name for t in soft_arm.dynamorph.targets] == ["Neutral", "biceps"]
     blocks["biceps"].name = "flexed"
     bpy.context.view_layer.update()
-    sinks.free(soft_arm)
+    bake.free(soft_arm)
     assert {**fingerprint(soft_arm), "active": 0} == {**before, "active": 0}
 
 
 def test_a_users_key_named_like_ours_is_never_taken(soft_arm):
     """The record knows its keys by name and shape, not by a prefix."""
-    sinks = part("sinks")
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     add_key(soft_arm, "Dynamorph Mode 09", 0.1)
-    sinks.free(soft_arm)
+    bake.free(soft_arm)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile", "Dynamorph Mode 09"]
 
 
 def test_baking_again_after_a_key_was_deleted(soft_arm):
-    sinks = part("sinks")
     before = fingerprint(soft_arm)
     bake = hand_made_bake(soft_arm)
-    sinks.write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks["Dynamorph Mode 01"])
-    sinks.write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     assert [key.key_index for key in soft_arm.dynamorph.bake.keys] == [3, 4, 5, 6]
     assert_shows(soft_arm, bake)
     bpy.context.scene.frame_set(1)
-    sinks.free(soft_arm)
+    part("bake").free(soft_arm)
     assert fingerprint(soft_arm) == before
 
 
 @pytest.mark.parametrize("name", ["Dynamorph Mode 01", "Dynamorph Detail flexed"])  # the first and the last key
 def test_a_users_key_in_place_of_a_deleted_one_is_never_taken(soft_arm, name):
-    sinks = part("sinks")
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     soft_arm.shape_key_remove(keys_of(soft_arm).key_blocks[name])
     add_key(soft_arm, name, 0.1)
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
-    sinks.free(soft_arm)
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm, seed=2))
+    bake.free(soft_arm)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile", name]
 
 
 def test_free_finds_its_keys_after_an_edit_of_the_mesh(soft_arm):
     """Blender carries the edit of the Basis into the other keys, and rounds."""
-    sinks = part("sinks")
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
+    bake = part("bake")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
     soft_arm.active_shape_key_index = 0
     activate(soft_arm)
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.ops.transform.translate(value=(0.1234567, 0.0, 0.0))
     bpy.ops.object.mode_set(mode="OBJECT")
-    sinks.free(soft_arm)
+    bake.free(soft_arm)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == ["Basis", "flexed", "smile"]
 
 
 def test_a_duplicate_is_freed_alone(soft_arm):
-    sinks = part("sinks")
     before = [k.name for k in keys_of(soft_arm).key_blocks]
     bake = hand_made_bake(soft_arm)
-    sinks.write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     activate(soft_arm)
     soft_arm.select_set(True)
     bpy.ops.object.duplicate()
     copy = bpy.context.object
     assert copy != soft_arm and copy.data != soft_arm.data
-    sinks.free(copy)
+    part("bake").free(copy)
     assert [k.name for k in keys_of(copy).key_blocks] == before
     assert not keys_of(copy).animation_data
     assert_shows(soft_arm, bake)
-    sinks.free(soft_arm)
+    part("bake").free(soft_arm)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == before
 
 
 def test_bakes_survive_save_and_load(soft_arm, tmp_path):
-    sinks = part("sinks")
     before = fingerprint(soft_arm)
     bake = hand_made_bake(soft_arm)
-    sinks.write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     for _ in range(2):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
     obj = bpy.data.objects["Arm"]
     assert_shows(obj, bake)
     bpy.context.scene.frame_set(1)
-    sinks.free(obj)
+    part("bake").free(obj)
     assert fingerprint(obj) == before
 
 
 def test_two_baked_characters(scene, soft_arm):
-    sinks = part("sinks")
+    bake = part("bake")
     other = make_soft(make_arm(scene, "Leg"))
     first, second = hand_made_bake(soft_arm), hand_made_bake(other, seed=5)
-    sinks.write_keys(soft_arm, first)
-    sinks.write_keys(other, second)
+    bake.write_keys(soft_arm, first)
+    bake.write_keys(other, second)
     assert_shows(soft_arm, first)
-    sinks.free(soft_arm)
+    bake.free(soft_arm)
     assert_shows(other, second)
 
 
 def test_single_frame_and_still_bakes(scene, soft_arm):
-    sinks = part("sinks")
     bake = hand_made_bake(soft_arm, frames=range(7, 8))
     bake.coordinates[:, 1] = 0.0
-    sinks.write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     for frame in (1, 7, 30):
         scene.frame_set(frame)
         value = keys_of(soft_arm).key_blocks["Dynamorph Mode 01"].value
@@ -297,16 +293,16 @@ def shown_displacement(obj):
     bpy.context.view_layer.update()
     points = evaluated_points(obj)
     obj.modifiers["Armature"].show_viewport = True
-    return points - part("properties").key_points(obj.data.shape_keys.reference_key)
+    return points - part("references").key_points(obj.data.shape_keys.reference_key)
 
 
 @pytest.mark.parametrize("influence", [1.0, 0.5, 0.0])
 def test_influence_blends_from_the_shapes_to_the_motion(scene, soft_arm, influence):
-    sinks = part("sinks")
+    bake_influence = part("bake_influence")
     bake = hand_made_bake(soft_arm)
     bake.dry[:, 1] = 0.0  # a mode that no shape needs
-    sinks.write_keys(soft_arm, bake)
-    sinks.influence_strip(soft_arm).influence = influence
+    part("bake").write_keys(soft_arm, bake)
+    bake_influence.influence_strip(soft_arm).influence = influence
     for frame in (1, 7, 20, 30):
         scene.frame_set(frame)
         expected = influenced(bake, influence, min(frame, 20))
@@ -314,22 +310,22 @@ def test_influence_blends_from_the_shapes_to_the_motion(scene, soft_arm, influen
 
 
 def test_the_slider_shows_at_once(scene, soft_arm):
-    sinks = part("sinks")
+    bake_influence = part("bake_influence")
     bake = hand_made_bake(soft_arm)
-    sinks.write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     scene.frame_set(4)
-    sinks.influence_strip(soft_arm).influence = 0.25
-    sinks.show_influence(soft_arm)
+    bake_influence.influence_strip(soft_arm).influence = 0.25
+    bake_influence.show_influence(soft_arm)
     bpy.context.view_layer.update()
     assert shown_displacement(soft_arm) == pytest.approx(influenced(bake, 0.25, 4), abs=1e-6)
-    assert sinks.influence_strip(soft_arm).influence == 0.25
+    assert bake_influence.influence_strip(soft_arm).influence == 0.25
 
 
 def test_keyed_influence_survives_saving_and_another_bake(scene, soft_arm, tmp_path):
-    sinks = part("sinks")
+    bake_influence = part("bake_influence")
     before = fingerprint(soft_arm)
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
-    strip = sinks.influence_strip(soft_arm)
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
+    strip = bake_influence.influence_strip(soft_arm)
     for frame, influence in ((1, 0.0), (11, 1.0)):
         strip.influence = influence
         assert strip.keyframe_insert("influence", frame=frame)
@@ -339,40 +335,40 @@ def test_keyed_influence_survives_saving_and_another_bake(scene, soft_arm, tmp_p
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
     obj, scene = bpy.data.objects["Arm"], bpy.context.scene
     bake = hand_made_bake(obj, frames=range(1, 31), seed=4)
-    sinks.write_keys(obj, bake)
+    part("bake").write_keys(obj, bake)
     for frame, influence in ((1, 0.0), (6, 0.5), (11, 1.0), (25, 1.0)):
         scene.frame_set(frame)
         assert shown_displacement(obj) == pytest.approx(influenced(bake, influence, frame), abs=1e-6)
     scene.frame_set(1)
-    sinks.free(obj)
+    part("bake").free(obj)
     assert fingerprint(obj) == before
 
 
 def test_a_slider_that_was_set_stays_for_the_next_bake(soft_arm):
-    sinks = part("sinks")
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
-    sinks.influence_strip(soft_arm).influence = 0.375
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm, seed=3))
-    strip = sinks.influence_strip(soft_arm)
+    bake, bake_influence = part("bake"), part("bake_influence")
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    bake_influence.influence_strip(soft_arm).influence = 0.375
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm, seed=3))
+    strip = bake_influence.influence_strip(soft_arm)
     assert strip.influence == 0.375 and not strip.fcurves.find("influence").keyframe_points
-    sinks.free(soft_arm)
-    assert sinks.influence_strip(soft_arm) is None
-    sinks.write_keys(soft_arm, hand_made_bake(soft_arm))
-    assert sinks.influence_strip(soft_arm).influence == 1.0
+    bake.free(soft_arm)
+    assert bake_influence.influence_strip(soft_arm) is None
+    bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    assert bake_influence.influence_strip(soft_arm).influence == 1.0
 
 
 def test_static_morph_targets_have_no_motion_to_influence(scene, soft_arm):
-    sinks = part("sinks")
+    bake_influence = part("bake_influence")
     bake = hand_made_bake(soft_arm, modes=0)
-    sinks.write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     assert [track.name for track in keys_of(soft_arm).animation_data.nla_tracks] == ["Dynamorph Shapes"]
-    assert sinks.influence_strip(soft_arm) is None
+    assert bake_influence.influence_strip(soft_arm) is None
     assert_shows(soft_arm, bake)
 
 
 def test_the_size_of_a_bake(soft_arm):
     bake = hand_made_bake(soft_arm)
-    size = part("sinks").write_keys(soft_arm, bake)
+    size = part("bake").write_keys(soft_arm, bake)
     keys, vertices, frames = 4, len(soft_arm.data.vertices), 20
     assert size == keys * vertices * 12 + (3 + 3 + 2) * frames * 72
 
@@ -426,8 +422,8 @@ def test_refused(soft_arm, spoil, words):
     bake = hand_made_bake(soft_arm)
     spoil(soft_arm)
     names = [k.name for k in keys_of(soft_arm).key_blocks]
-    with pytest.raises(part("sinks").SinkError, match=words):
-        part("sinks").write_keys(soft_arm, bake)
+    with pytest.raises(part("errors").SinkError, match=words):
+        part("bake").write_keys(soft_arm, bake)
     assert [k.name for k in keys_of(soft_arm).key_blocks] == names
     assert not soft_arm.dynamorph.bake.keys
 
@@ -440,20 +436,20 @@ def test_linked_data_is_refused(soft_arm, tmp_path):
         wanted.objects = ["Arm"]
     linked = wanted.objects[0]
     bpy.context.scene.collection.objects.link(linked)
-    with pytest.raises(part("sinks").SinkError, match=r"'Arm' is linked.*make it local"):
-        part("sinks").check(linked)
+    with pytest.raises(part("errors").SinkError, match=r"'Arm' is linked.*make it local"):
+        part("bake").check(linked)
     override = linked.override_create()
     assert [t.name for t in override.dynamorph.targets] == ["Neutral", "flexed"]
-    with pytest.raises(part("sinks").SinkError, match=r"library override.*make it local"):
-        part("sinks").check(override)
+    with pytest.raises(part("errors").SinkError, match=r"library override.*make it local"):
+        part("bake").check(override)
 
 
 def test_vertex_count_must_match(soft_arm):
     bake = hand_made_bake(soft_arm)
     other = make_mesh(bpy.context.scene, "Other", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
     other.shape_key_add(name="Basis")
-    with pytest.raises(part("sinks").SinkError, match="'Other' has 3 vertices, the bake 272"):
-        part("sinks").write_keys(other, bake)
+    with pytest.raises(part("errors").SinkError, match="'Other' has 3 vertices, the bake 272"):
+        part("bake").write_keys(other, bake)
 
 
 def test_writing_is_fast(scene):
@@ -461,12 +457,12 @@ def test_writing_is_fast(scene):
     rng = np.random.default_rng(0)
     obj = make_mesh(scene, "Body", rng.normal(size=(13_000, 3)), [(0, 1, 2)])
     obj.shape_key_add(name="Basis")
-    bake = part("scene_data").Bake(
+    bake = part("baked").Bake(
         np.arange(250), rng.normal(size=(250, 20)), np.ones((250, 1)), rng.normal(size=(20, 13_000, 3)),
         np.zeros((1, 13_000, 3)), ("Neutral",), rng.normal(size=(250, 20)),
     )  # fmt: skip
     began = time.perf_counter()
-    part("sinks").write_keys(obj, bake)
+    part("bake").write_keys(obj, bake)
     seconds = time.perf_counter() - began
     print(f"write_keys: {seconds * 1e3:.0f} ms")
     assert seconds < 2.0
@@ -474,6 +470,6 @@ def test_writing_is_fast(scene):
 
 def test_a_key_whose_mute_is_driven_is_refused(soft_arm):
     soft_arm.data.shape_keys.key_blocks["flexed"].driver_add("mute")
-    with pytest.raises(part("sinks").SinkError, match="flexed.*has a driver"):
-        part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    with pytest.raises(part("errors").SinkError, match="flexed.*has a driver"):
+        part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     assert not soft_arm.dynamorph.bake.keys

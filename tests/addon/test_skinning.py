@@ -188,7 +188,7 @@ def test_the_probe_is_posed_as_blender_poses_the_mesh(scene, soft_arm, change):
     change(soft_arm)
     bpy.context.view_layer.update()
     probe, rest = skin_probe(soft_arm)
-    samples = part("extract").sample_rig(soft_arm, 1, 20, 1, probe)
+    samples = part("rig_motion").sample_rig(soft_arm, 1, 20, 1, probe)
     posed = moved(samples.nodes.transforms(samples.object_world), rest)
     for frame in FRAMES:
         scene.frame_set(frame)
@@ -202,7 +202,7 @@ def test_displaced_flesh_is_carried_as_blender_carries_it(scene, soft_arm, chang
     change(soft_arm)
     motion = flesh_motion(soft_arm)
     probe, rest = skin_probe(soft_arm)
-    samples = part("extract").sample_rig(soft_arm, 1, 20, 1, probe)
+    samples = part("rig_motion").sample_rig(soft_arm, 1, 20, 1, probe)
     to_bind = part("extract").character(soft_arm).to_bind
     posed = moved(samples.nodes.transforms(samples.object_world), rest + motion @ to_bind.T)
     displace(soft_arm, motion)
@@ -218,7 +218,7 @@ def test_bendy_bones_carry_flesh_to_first_order(scene, soft_arm):
     rig_of(soft_arm).location.z = -0.04  # no vertex is where two segments meet: there the derivative jumps
     motion = flesh_motion(soft_arm)
     probe, rest = skin_probe(soft_arm)
-    samples = part("extract").sample_rig(soft_arm, 20, 20, 1, probe)
+    samples = part("rig_motion").sample_rig(soft_arm, 20, 20, 1, probe)
     transforms = samples.nodes.transforms(samples.object_world)[0]
     scene.frame_set(20)
     displace(soft_arm, np.zeros_like(motion))
@@ -232,21 +232,21 @@ def test_bendy_bones_carry_flesh_to_first_order(scene, soft_arm):
     assert errors[0] < 0.1 and errors[1] < 0.4 * errors[0]
     # Probed where the flesh is, there is nothing to approximate.
     probe, there = skin_probe(soft_arm, 0.1 * motion)
-    samples = part("extract").sample_rig(soft_arm, 20, 20, 1, probe)
+    samples = part("rig_motion").sample_rig(soft_arm, 20, 20, 1, probe)
     assert np.abs(moved(samples.nodes.transforms(samples.object_world)[0], there) - shown).max() < 1e-5
 
 
 def test_probing_in_slices_is_the_same_and_leaves_nothing_between_them(soft_arm):
     twisting(soft_arm)
-    extract = part("extract")
+    rig_motion = part("rig_motion")
     kinds = "scenes", "objects", "meshes", "armatures", "actions"
     before = [len(getattr(bpy.data, kind)) for kind in kinds]
     probe, _ = skin_probe(soft_arm)
-    sampling = extract.RigSampling(soft_arm, 1, 20, 2)
+    sampling = rig_motion.RigSampling(soft_arm, 1, 20, 2)
     sampling.probe = probe
     while not sampling.advance(soft_arm, 0.0):
         assert [len(getattr(bpy.data, kind)) for kind in kinds] == before
-    at_once = extract.sample_rig(soft_arm, 1, 20, 2, probe)
+    at_once = rig_motion.sample_rig(soft_arm, 1, 20, 2, probe)
     np.testing.assert_array_equal(sampling.samples().nodes.points, at_once.nodes.points)
     np.testing.assert_array_equal(sampling.samples().held.points, at_once.held.points)
     assert at_once[5:7].nodes.points.shape == (2, 4, 272, 3) and len(at_once[5:7].held.points) == 2
@@ -266,7 +266,7 @@ def test_captured_poses_are_taken_again(scene, soft_arm, inherit):
     soft_arm.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.capture_pose()
     probe, rest = skin_probe(soft_arm)
-    samples = part("extract").sample_rig(soft_arm, 20, 20, 1, probe)
+    samples = part("rig_motion").sample_rig(soft_arm, 20, 20, 1, probe)
     held = moved(samples.held.transforms(np.repeat(samples.object_world, 2, axis=0)), rest)
     assert np.abs(held[1] - evaluated_points(soft_arm)).max() < 1e-5
     assert [c.type for c in rig.pose.bones["lower"].constraints] == ["LIMIT_ROTATION"]
@@ -285,8 +285,8 @@ def small_arm(soft_arm):
 
 
 def run(obj, **options):
-    job = part("jobs").Job(obj, **{"goal": "BAKE", **options})
-    part("jobs").run(job)
+    job = part("job").Job(obj, **{"goal": "BAKE", **options})
+    part("batch").run(job)
     return job
 
 
@@ -302,7 +302,7 @@ def test_blender_shows_what_the_engine_computed(scene, small_arm, change):
     for k in (0, 6, 19):
         displacement = job.result.displacement(k)
         probe, there = skin_probe(small_arm, displacement if change is bendy else 0.0)
-        samples = part("extract").sample_rig(small_arm, k + 1, k + 1, 1, probe)
+        samples = part("rig_motion").sample_rig(small_arm, k + 1, k + 1, 1, probe)
         if change is not bendy:
             there = there + displacement @ job.character.to_bind.T
         scene.frame_set(k + 1)
@@ -331,7 +331,7 @@ def test_modifiers_before_the_armature_stay_with_a_note(scene, small_arm, change
     assert len(notes) == 2 and [modifier.type for modifier in small_arm.modifiers] == [*kinds, "ARMATURE"]
     scene.frame_set(12)
     with_both = evaluated_points(small_arm)
-    baked = part("properties").key_points(small_arm.data.shape_keys.reference_key) + job.result.displacement(11)
+    baked = part("references").key_points(small_arm.data.shape_keys.reference_key) + job.result.displacement(11)
     bpy.ops.dynamorph.free_bake()
     displace(small_arm, baked - job.character.vertices)
     assert np.abs(evaluated_points(small_arm) - with_both).max() < 1e-5
@@ -343,9 +343,9 @@ def test_the_nodes_move_with_the_skin(scene, small_arm):
     """Transforms of the nodes, carried to the skin, put it about where Blender does."""
     twisting(small_arm)
     job = run(small_arm)
-    player = part("simulate").Player(job.model, job.character, job.settings)
-    skin = player._skin
-    frames = player._frames(job.rig[-1:])
+    player = part("player").Player(job.model, job.character, job.settings)
+    skin = player.posing.skin
+    frames = player.posing.frames(job.rig[-1:])
     scene.frame_set(20)
     small_arm.data.shape_keys.key_blocks.foreach_set("mute", [True] * len(small_arm.data.shape_keys.key_blocks))
     apart = np.linalg.norm(skin.posed(frames[0]) - evaluated_points(small_arm), axis=1)[skin.known]
@@ -357,7 +357,7 @@ def test_on_plain_bones_both_ways_are_one(small_arm, monkeypatch, solver):
     small_arm.dynamorph.model.solver = solver
     small_arm.dynamorph.simulation.end = 8
     small_arm.dynamorph.simulation.use_scene_range = False
-    monkeypatch.setattr(part("checks"), "beyond_bones", lambda _obj: "a test")
+    monkeypatch.setattr(part("skinning"), "beyond_bones", lambda _obj: "a test")
     dense = run(small_arm)
     monkeypatch.undo()
     plain = run(small_arm)
@@ -400,13 +400,13 @@ def test_a_loop_a_jump_and_wind(scene, small_arm):
     job = run(small_arm)
     assert any("rig jumps at frame 10" in text for text in job.warnings)
     assert max(np.abs(job.result.displacement(k)).max() for k in range(20)) < 0.5
-    player = part("simulate").Player(job.model, job.character, job.settings)
+    player = part("player").Player(job.model, job.character, job.settings)
     player.begin(job.rig[:2])
     rest = job.character.vertices @ job.character.to_bind.T
     assert player.pose_gap(job.rig[:1]) < 1e-12 and player.pose_gap(job.rig) > 0.1
-    assert player._skinned(job.rig[:1])[0] == pytest.approx(rest[player._skin.known], abs=1e-5)
-    push = player._push(job.rig.fields, 0, player._frames(job.rig[:1])[0])
-    assert push.sum(axis=0)[2] == pytest.approx(40.0 * player._skin.areas.sum(), rel=1e-6)
+    assert player.posing.skinned(job.rig[:1])[0] == pytest.approx(rest[player.posing.skin.known], abs=1e-5)
+    push = player._push(job.rig.fields, 0, player.posing.frames(job.rig[:1])[0])
+    assert push.sum(axis=0)[2] == pytest.approx(40.0 * player.posing.skin.areas.sum(), rel=1e-6)
     small_arm.dynamorph.simulation.loop = True
     assert "gap" in run(small_arm).report
 
@@ -424,45 +424,45 @@ def test_bones_scaled_to_zero_are_held(small_arm):
 
 def test_the_bake_is_outdated_by_the_modifiers_and_the_model_is_not(small_arm):
     run(small_arm)
-    assert part("changes").outdated(small_arm) == []
+    assert part("staleness").outdated(small_arm) == []
     preserve_volume(small_arm)
-    assert part("changes").outdated(small_arm) == ["Armature modifiers changed"]
+    assert part("staleness").outdated(small_arm) == ["Armature modifiers changed"]
     job = run(small_arm)
-    assert job.reasons == [] and part("changes").outdated(small_arm) == []
+    assert job.reasons == [] and part("staleness").outdated(small_arm) == []
     rig_of(small_arm).data.bones["lower"].bbone_segments = 4
-    assert part("changes").outdated(small_arm) == ["Armature modifiers changed"]
+    assert part("staleness").outdated(small_arm) == ["Armature modifiers changed"]
 
 
 def test_the_animation_of_every_armature_counts(small_arm):
     two_armatures(small_arm)
-    names = [name for name, _ in part("extract").animation(small_arm)]
+    names = [name for name, _ in part("animation").animation(small_arm)]
     assert names == ["Arm Rig", "Arm", "Second Rig"]
 
 
 def test_a_cage_is_made_before_the_rig_is_read_and_serves_the_model(small_arm):
     preserve_volume(small_arm)
-    jobs = part("jobs")
-    job = jobs.Job(small_arm, "BAKE")
+    batch = part("batch")
+    job = part("job").Job(small_arm, "BAKE")
     seen = []
-    jobs.run(job, lambda job: seen.append(job.fraction))
+    batch.run(job, lambda job: seen.append(job.fraction))
     assert seen == sorted(seen) and job.model.summary["seconds"]["meshing"] < 0.01
     stages = {"build", "sample rig", "measure", "simulate", "judge", "make keys", "store model", "write keys"}
     assert set(job.seconds) == stages
-    assert not jobs.Job(small_arm, "BUILD").needs_cage()
-    again = jobs.Job(small_arm, "BAKE")
+    assert not part("job").Job(small_arm, "BUILD").needs_cage()
+    again = part("job").Job(small_arm, "BAKE")
     again.read()
     assert not again.needs_cage() and again.reasons == []
 
 
 def test_cancelled_while_the_cage_is_made(small_arm):
     preserve_volume(small_arm)
-    jobs = part("jobs")
-    batch = jobs.Batch([jobs.Job(small_arm, "BAKE")], "BAKE")
+    errors, job = part("errors"), part("job")
+    batch = part("batch").Batch([job.Job(small_arm, "BAKE")], "BAKE")
     steps = batch.steps(0.0, 0.0)
     next(steps), next(steps)
     assert batch.jobs[0].thread.is_alive()
     batch.cancel()
-    with pytest.raises(jobs.Cancelled):
+    with pytest.raises(errors.Cancelled):
         list(steps)
     assert small_arm.dynamorph.model.content_id == ""
 
@@ -489,17 +489,17 @@ def test_a_body_in_two_cages(small_arm):
 def test_a_shot_in_stretches_is_the_whole_shot(small_arm, monkeypatch):
     twisting(small_arm)
     whole = run(small_arm).result
-    monkeypatch.setattr(part("jobs"), "SHORT_STRETCH", 6)
+    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 6)
     job = run(small_arm)
     assert len(job.rig) < 40 and np.abs(job.result.coordinates - whole.coordinates).max() < 1e-9
 
 
 def test_methods_are_compared(small_arm):
     twisting(small_arm)
-    job = part("jobs").Job(small_arm, "BAKE", frames=(1, 3))
+    job = part("job").Job(small_arm, "BAKE", frames=(1, 3))
     job.prepare()
-    variants = {name: part("scene_data").VARIANTS[name] for name in ("DMT StVK reduced", "DMT StVK full")}
-    found = part("report").compare(job.character, job.rig, job.settings, variants)["variants"]
+    variants = {name: part("settings").VARIANTS[name] for name in ("DMT StVK reduced", "DMT StVK full")}
+    found = part("compare").compare(job.character, job.rig, job.settings, variants)["variants"]
     assert found["DMT StVK reduced"]["steps"] > 0 and found["DMT StVK reduced"]["error"]["rms_total"] < 1.0
 
 
@@ -523,7 +523,7 @@ def test_playback_is_the_bake(scene, small_arm):
     for k in range(20):
         scene.frame_set(k + 1)
         assert part("live").problem(small_arm) == ""
-        shown = part("properties").key_points(block) - job.character.vertices
+        shown = part("references").key_points(block) - job.character.vertices
         assert np.abs(shown - job.result.displacement(k)).max() < 2e-6
     scene.frame_set(20)
     small_arm.dynamorph.active_target_index = 1
@@ -539,7 +539,7 @@ def test_previews(scene, small_arm):
     scene.frame_set(12)
     for button in (lambda: bpy.ops.dynamorph.shake_test(kind="HOP"), bpy.ops.dynamorph.play_mode):
         assert button() == {"FINISHED"}
-    samples = part("extract").sample_present(small_arm, skin_probe(small_arm)[0])
+    samples = part("rig_motion").sample_present(small_arm, skin_probe(small_arm)[0])
     away = samples.moved(np.array([Matrix.Translation((0, 0, z)) for z in (0.0, 2.0)]))
     first, second = away.nodes.transforms(away.object_world)
     assert (second - first)[..., 3] == pytest.approx(np.tile([0.0, 0.0, 2.0], (272, 1)), abs=1e-6)

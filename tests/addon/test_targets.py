@@ -17,19 +17,19 @@ OPS = bpy.ops.dynamorph
 
 
 def key_points(obj, name):
-    return part("properties").key_points(obj.data.shape_keys.key_blocks[name])
+    return part("references").key_points(obj.data.shape_keys.key_blocks[name])
 
 
 def shape(obj, name):
-    return part("extract").target_shape(obj, name)
+    return part("mesh_data").target_shape(obj, name)
 
 
 def angles(obj, target):
     """How far each bone is turned in a target's pose, in degrees, by name; those that are not left out."""
-    extract = part("extract")
-    skeleton = part("properties").rest_skeleton(rig_of(obj).data)
+    geometry = part("geometry")
+    skeleton = part("references").rest_skeleton(rig_of(obj).data)
     local = target.local(skeleton)
-    turned = np.degrees(extract.turned(local, np.tile(np.eye(4), (len(local), 1, 1))))
+    turned = np.degrees(geometry.turned(local, np.tile(np.eye(4), (len(local), 1, 1))))
     return {name: angle for name, angle in zip(skeleton.names, turned, strict=True) if angle > 0.01}
 
 
@@ -196,7 +196,7 @@ def test_a_new_target_starts_as_the_targets_look_there(soft_arm):
 
 
 def test_without_the_engine_a_new_target_starts_as_the_basis(soft_arm, monkeypatch):
-    monkeypatch.setattr(part("jobs"), "engine_problem", lambda: "no wheel")
+    monkeypatch.setattr(part("engine"), "engine_problem", lambda: "no wheel")
     pose_by_hand(soft_arm, upper=1.0)
     OPS.new_from_pose(mode="EDIT")
     OPS.finish_sculpt()
@@ -299,7 +299,7 @@ def test_go_to_pose_and_back(soft_arm):
 
 def test_a_pose_of_bones_that_inherit_otherwise(soft_arm):
     """The captured pose comes back where a bone takes neither rotation nor scale from its parent."""
-    extract = part("extract")
+    rig_motion = part("rig_motion")
     rig = pose_by_hand(soft_arm, upper=0.8, lower=-0.5)
     rig.data.bones["lower"].use_inherit_rotation = False
     rig.data.bones["lower"].inherit_scale = "NONE"
@@ -308,11 +308,11 @@ def test_a_pose_of_bones_that_inherit_otherwise(soft_arm):
     bpy.context.view_layer.update()
     soft_arm.dynamorph.active_target_index = 1
     OPS.capture_pose()
-    captured = extract.current_pose(soft_arm)[1]
+    captured = rig_motion.current_pose(soft_arm)[1]
     pose_by_hand(soft_arm)
     rig.pose.bones["upper"].matrix_basis = Matrix()
     OPS.go_to_pose()
-    assert extract.current_pose(soft_arm)[1] == pytest.approx(captured, abs=1e-5)
+    assert rig_motion.current_pose(soft_arm)[1] == pytest.approx(captured, abs=1e-5)
 
 
 def test_go_to_pose_names_bones_that_are_held(soft_arm, capfd):
@@ -395,7 +395,7 @@ def test_blender_shows_the_mirror_image(arms):
 
 
 def test_mirrored_twice_is_the_original(arms):
-    skeleton = part("properties").rest_skeleton(rig_of(arms).data)
+    skeleton = part("references").rest_skeleton(rig_of(arms).data)
     before = arms.dynamorph.targets[1].local(skeleton), shape(arms, "flexed.L")
     OPS.mirror_target()
     arms.dynamorph.targets[1].stiffness = 1.0
@@ -498,7 +498,7 @@ def test_duplicating_a_target(scene, soft_arm, capfd):
     assert (shape(soft_arm, "flexed copy") == shape(soft_arm, "flexed")).all()
     assert keys.key_blocks["flexed copy"].value == 0.0
     source, copy = settings.targets[1], settings.targets[2]
-    plain = part("properties").plain
+    plain = part("plain").plain
     skip = ("name", "key_index", "key_hash")
     assert plain(source, skip) == plain(copy, skip) and source.bone_names() == copy.bone_names()
     assert [plain(bone) for bone in source.pose] == [plain(bone) for bone in copy.pose]
@@ -537,7 +537,7 @@ def test_renaming_in_the_list_renames_the_key(soft_arm):
             super().prop(data, name, **options)
 
     settings = soft_arm.dynamorph
-    part("panels").draw_target_list(Recorder([]), settings)
+    part("panel_targets").draw_target_list(Recorder([]), settings)
     assert (soft_arm.data.shape_keys.key_blocks["flexed"], "name") in edited
     soft_arm.data.shape_keys.key_blocks["flexed"].name = "biceps"
     bpy.context.view_layer.update()
@@ -546,7 +546,7 @@ def test_renaming_in_the_list_renames_the_key(soft_arm):
 
 def test_the_menu(soft_arm):
     out = []
-    part("panels").DYNAMORPH_MT_targets.draw(types.SimpleNamespace(layout=Layout(out)), bpy.context)
+    part("panel_targets").DYNAMORPH_MT_targets.draw(types.SimpleNamespace(layout=Layout(out)), bpy.context)
     assert {"dynamorph.suggest_targets", "dynamorph.mirror_target", "dynamorph.duplicate_target"} <= set(out)
 
 
@@ -564,7 +564,7 @@ def test_each_is_one_undo_step(arms, operator):
 
     def state():
         obj = bpy.data.objects["Arms"]
-        plain = part("properties").plain
+        plain = part("plain").plain
         return (
             [(plain(target), target.bone_names()) for target in obj.dynamorph.targets],
             [(block.name, key_points(obj, block.name).tolist()) for block in obj.data.shape_keys.key_blocks],
@@ -586,5 +586,5 @@ def test_adding_asks_for_the_key_only_where_there_are_several(soft_arm):
     targets = part("targets")
     add_key(soft_arm, "frown", 0.0)
     assert targets.eligible(soft_arm) == ["smile", "frown"]
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     assert targets.eligible(soft_arm) == ["smile", "frown"]

@@ -34,12 +34,19 @@ class Shot:
 
 def shot(obj, original: Shot | None = None, moved=STILL) -> Shot:
     """original: the shot of the same character, whose cage serves, where that character is `moved` in the world."""
-    build, simulate, extract = part("build"), part("simulate"), part("extract")
+    build, simulate, extract, run_settings, rig_motion = (
+        part("build"),
+        part("simulate"),
+        part("extract"),
+        part("run_settings"),
+        part("rig_motion"),
+    )
     bpy.context.scene.frame_set(1)
     bpy.context.view_layer.update()
+    part("reconcile").reconcile(obj)
     character = extract.character(obj)
-    settings = extract.simulation_settings(obj, bpy.context.scene, substeps=SUBSTEPS)
-    rig = extract.sample_rig(obj, settings.start, settings.end, SUBSTEPS)
+    settings = run_settings.simulation_settings(obj, bpy.context.scene, substeps=SUBSTEPS)
+    rig = rig_motion.sample_rig(obj, settings.start, settings.end, SUBSTEPS)
     world = rig.object_world[0] @ np.linalg.inv(affine(character.to_bind))
     previous = original and carried(original, np.linalg.inv(world) @ moved @ original.world, character)
     model = build.build(character, previous=previous)
@@ -114,7 +121,7 @@ def reframe(held, frame: Matrix):
 def _scale_travel(rig, factor: float):
     """Bones travel in the armature's own units."""
     data = rig.animation_data
-    for curve in part("checks").curves(data.action, data.action_slot):
+    for curve in part("animation").curves(data.action, data.action_slot):
         if curve.data_path.endswith("location"):
             for key in curve.keyframe_points:
                 for point in (key.co, key.handle_left, key.handle_right):
@@ -275,7 +282,7 @@ def test_the_cage_does_not_depend_on_the_scale(scene, scale):
     expected = original().model
     obj = limb(clear())
     scaled(obj, scale, scale)
-    volume = part("volume").volume(part("extract").character(obj), None, part("volume").Stages(None))
+    volume = part("cage").volume(part("extract").character(obj), None, part("cage").Stages(None))
     np.testing.assert_array_equal(volume.mesh.tets, expected.tets)
     np.testing.assert_allclose(volume.mesh.nodes, expected.nodes, atol=1e-6)
 
@@ -308,12 +315,14 @@ def test_without_a_unit_system_a_unit_is_a_metre(in_centimetres):
 
 
 def test_another_unit_scale_makes_a_model_old(in_centimetres):
-    jobs, units = part("jobs"), bpy.context.scene.unit_settings
-    jobs.run(jobs.Job(in_centimetres, goal="BUILD"))
-    assert part("changes").model_changes(in_centimetres) == []
+    batch, job, model_store, units = part("batch"), part("job"), part("model_store"), bpy.context.scene.unit_settings
+    batch.run(job.Job(in_centimetres, goal="BUILD"))
+    assert part("staleness").model_changes(in_centimetres) == []
     units.scale_length = 0.1
-    assert part("changes").model_changes(in_centimetres) == ["Unit scale changed"]
-    assert "object scale changed" in jobs.stale_reasons(in_centimetres, part("extract").character(in_centimetres))
+    assert part("staleness").model_changes(in_centimetres) == ["Unit scale changed"]
+    assert "object scale changed" in model_store.stale_reasons(
+        in_centimetres, part("extract").character(in_centimetres)
+    )
 
 
 def test_the_cages_distance_is_in_metres(in_centimetres):
@@ -325,24 +334,24 @@ def test_force_fields_are_in_metres(in_centimetres):
     bpy.ops.object.effector_add(type="WIND", location=(300.0, 0.0, 0.0))
     field = bpy.context.object.field
     field.use_max_distance, field.distance_max = True, 250.0
-    (found,) = part("extract").sample_rig(in_centimetres, 1, 2, 1).fields
+    (found,) = part("rig_motion").sample_rig(in_centimetres, 1, 2, 1).fields
     assert found.farthest == pytest.approx(2.5)
     np.testing.assert_allclose(found.world[0, :3, 3], (3.0, 0.0, 0.0), rtol=1e-6)
 
 
 def test_what_is_drawn_is_in_blender_units(in_centimetres):
-    jobs = part("jobs")
-    jobs.run(jobs.Job(in_centimetres, goal="BUILD"))
+    batch, job, model_store = part("batch"), part("job"), part("model_store")
+    batch.run(job.Job(in_centimetres, goal="BUILD"))
     bpy.context.scene.frame_set(1)
     bones = part("overlays").skin_matrices(in_centimetres, bpy.context.evaluated_depsgraph_get())
-    cage = part("overlays").cage_of(jobs.load_model(in_centimetres))
+    cage = part("overlays").cage_of(model_store.load_model(in_centimetres))
     assert 200.0 < np.ptp(cage.posed(bones)[:, 2]) < 260.0
 
 
 def test_a_shake_moves_the_rig_in_blender_units(in_centimetres):
-    jobs, operators = part("jobs"), part("live_operators")
-    jobs.run(jobs.Job(in_centimetres, goal="BUILD"))
-    flesh = part("live").Flesh(in_centimetres, bpy.context.scene)
-    samples, transforms = operators.shaken(in_centimetres, flesh, "HOP")
+    batch, job, preview = part("batch"), part("job"), part("preview")
+    batch.run(job.Job(in_centimetres, goal="BUILD"))
+    flesh = part("session").Flesh(in_centimetres, bpy.context.scene)
+    samples, transforms = preview.shaken(in_centimetres, flesh, "HOP")
     assert np.ptp(samples.rig_world[:, 2, 3]) == pytest.approx(0.12 * 2.17, rel=0.05)
     np.testing.assert_allclose(transforms[:, 2, 3], 100.0 * samples.rig_world[:, 2, 3], rtol=1e-5, atol=1e-6)

@@ -169,24 +169,24 @@ def test_a_finer_cage(baked):
 
 
 def test_rehearse_asks_the_job_for_it(baked, monkeypatch):
-    jobs, asked = part("jobs"), []
-    make = jobs.Job
+    job, asked = part("job"), []
+    make = job.Job
 
     class Spy(make):
         def __init__(self, *arguments, **options):
             asked.append(options)
             super().__init__(*arguments, **options)
 
-    monkeypatch.setattr(jobs, "Job", Spy)
+    monkeypatch.setattr(job, "Job", Spy)
     assert OPS.rehearse() == {"FINISHED"}
     assert asked == [{"rehearse": True}]
 
 
 def test_in_a_window_the_remedy_goes_on_to_a_bake(baked, monkeypatch):
     """`bpy.ops` cannot be pressed in the background as in a window: what is asked of it is looked at."""
-    operators, pressed = part("operators"), []
-    monkeypatch.setattr(operators, "press", lambda _operator, name: pressed.append(name))
-    monkeypatch.setattr(operators.bpy, "app", type("App", (), {"background": False}))
+    job_operators, pressed = part("job_operators"), []
+    monkeypatch.setattr(job_operators, "press", lambda _operator, name: pressed.append(name))
+    monkeypatch.setattr(job_operators.bpy, "app", type("App", (), {"background": False}))
 
     class Button(part("feel_operators").DYNAMORPH_OT_refine_cage.__mro__[1]):
         job = "dynamorph.bake"
@@ -214,10 +214,10 @@ def test_colors_go_from_cold_to_hot(addon):
 @pytest.mark.parametrize("frame", [1, 9, 20])
 def test_a_bake_is_as_hot_as_it_moves(scene, soft_arm, frame):
     bake = hand_made_bake(soft_arm)
-    part("sinks").write_keys(soft_arm, bake)
+    part("bake").write_keys(soft_arm, bake)
     soft_arm.scale = (2.0, 1.0, 1.0)
     scene.frame_set(frame)
-    rest = part("extract").rest_points(soft_arm)
+    rest = part("mesh_data").rest_points(soft_arm)
     moved = np.tensordot(bake.coordinates[frame - 1] - bake.dry[frame - 1], bake.modes, 1)
     size = np.linalg.norm(np.ptp(rest * [2.0, 1.0, 1.0], axis=0))
     expected = np.linalg.norm(moved * [2.0, 1.0, 1.0], axis=1) / size
@@ -229,17 +229,17 @@ def test_a_bake_is_as_hot_as_it_moves(scene, soft_arm, frame):
 
 
 def test_what_cannot_be_colored_is_said(soft_arm):
-    heat, extract = part("heat"), part("extract")
-    with pytest.raises(extract.SceneError, match="turn Live on or press Bake"):
+    heat, errors = part("heat"), part("errors")
+    with pytest.raises(errors.SceneError, match="turn Live on or press Bake"):
         heat.displacements(soft_arm)
-    with pytest.raises(extract.SceneError, match="no model with a hold by thickness"):
+    with pytest.raises(errors.SceneError, match="no model with a hold by thickness"):
         heat.holds(soft_arm)
 
 
 def test_the_colored_surface_lies_on_the_mesh(scene, soft_arm):
     """Modifiers that add vertices put them after the mesh's own."""
     overlays = part("overlays")
-    part("sinks").write_keys(soft_arm, hand_made_bake(soft_arm))
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     scene.frame_set(12)
     before = overlays.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
     soft_arm.modifiers.new("Solidify", "SOLIDIFY").offset = 1.0
@@ -249,7 +249,7 @@ def test_the_colored_surface_lies_on_the_mesh(scene, soft_arm):
     assert corners.shape == (2 * len(soft_arm.data.polygons), 3) or (len(corners) and corners.max() < len(points))
     soft_arm.modifiers.remove(soft_arm.modifiers["Solidify"])
     soft_arm.modifiers.new("Decimate", "DECIMATE").ratio = 0.2
-    with pytest.raises(part("extract").SceneError, match="take vertices of 'Arm' away"):
+    with pytest.raises(part("errors").SceneError, match="take vertices of 'Arm' away"):
         overlays.shown_points(soft_arm, bpy.context.evaluated_depsgraph_get())
 
 

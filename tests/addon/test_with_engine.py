@@ -40,8 +40,8 @@ def mirrored(obj):
 
 
 def run(obj, **options):
-    job = part("jobs").Job(obj, **options)
-    part("jobs").run(job)
+    job = part("job").Job(obj, **options)
+    part("batch").run(job)
     return job
 
 
@@ -60,10 +60,10 @@ def test_playing_never_makes_a_model_old(scene, small_arm, change):
     small_arm.dynamorph.simulation.use_scene_range = False
     small_arm.dynamorph.simulation.end = 2
     run(small_arm, goal="BUILD")
-    jobs, extract = part("jobs"), part("extract")
+    model_store, extract = part("model_store"), part("extract")
     for frame in range(1, 21):
         scene.frame_set(frame)
-        assert jobs.stale_reasons(small_arm, extract.character(small_arm)) == []
+        assert model_store.stale_reasons(small_arm, extract.character(small_arm)) == []
 
 
 def stiffer(obj):
@@ -119,10 +119,16 @@ def test_what_needs_one_is_named(small_arm, change, reason):
 
 def test_a_cage_that_targets_grade_is_made_anew_for_other_targets(small_arm):
     """Else it would be fine where an old sculpt was."""
-    jobs, extract, build = part("jobs"), part("extract"), part("build")
+    batch, model_store, job, extract, build = (
+        part("batch"),
+        part("model_store"),
+        part("job"),
+        part("extract"),
+        part("build"),
+    )
     small_arm.dynamorph.model.cage_grading = 0.5
-    jobs.run(jobs.Job(small_arm, goal="BUILD"))
-    model = jobs.load_model(small_arm)
+    batch.run(job.Job(small_arm, goal="BUILD"))
+    model = model_store.load_model(small_arm)
     assert build.has_cage(model, extract.character(small_arm))
     keys_of(small_arm).key_blocks["flexed"].points[0].co.x += 0.3
     sculpted = extract.character(small_arm)
@@ -132,11 +138,11 @@ def test_a_cage_that_targets_grade_is_made_anew_for_other_targets(small_arm):
 
 
 def test_cancelling_the_engine(small_arm):
-    jobs = part("jobs")
-    job = jobs.Job(small_arm, goal="BAKE")
+    errors = part("errors")
+    job = part("job").Job(small_arm, goal="BAKE")
     job.prepare()
     job.cancelled = True
     job.start()
-    with pytest.raises(jobs.Cancelled):
+    with pytest.raises(errors.Cancelled):
         job.wait()
     assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id

@@ -32,8 +32,11 @@ import test_time  # noqa: E402
 import walks  # noqa: E402
 from builders import make_arm, make_soft  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets import jobs, model_file, sinks  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.core import slider_keys  # noqa: E402
+from dynamic_morph_targets.io import model_file, paths  # noqa: E402
+from dynamic_morph_targets.run import batch, job  # noqa: E402
+from dynamic_morph_targets.run.job import Job  # noqa: E402
 
 
 def main():
@@ -73,8 +76,8 @@ def round_trips(folder: Path) -> dict:
         """A bake to shape keys as `output` says: its keys, by how much it is said to be off, and is, in body sizes."""
         for name, value in output.items():
             setattr(obj.dynamorph.output, name, value)
-        job = jobs.Job(obj, "BAKE", folder=folder)
-        jobs.run(job)
+        job = Job(obj, "BAKE", folder=folder)
+        batch.run(job)
         ours = round_trips.exact(job)
         shown = round_trips.shown(obj.name, job.result.frames)
         return {
@@ -124,7 +127,7 @@ def long(folder: Path) -> dict:
     command_line("build", shot, "--object", name, "-o", built)
     opened = command_line("info", built, "--object", name)
     rows = [long_bake(built, name, sink, frames) for sink in LONG_SINKS for frames in LENGTHS]
-    return about | {"stretch": jobs.STRETCH, "opened": opened["memory"], "bakes": rows}
+    return about | {"stretch": job.STRETCH, "opened": opened["memory"], "bakes": rows}
 
 
 def repeat_forever(rig):
@@ -136,7 +139,7 @@ def repeat_forever(rig):
 
 def long_bake(shot: Path, name: str, sink: str, frames: int) -> dict:
     output = shot.with_name("long.blend")
-    more = ["--sink-file", shot.with_name(f"{sinks.OBJECT}.pc2")] if sink == "pc2" else []
+    more = ["--sink-file", shot.with_name(f"{paths.OBJECT}.pc2")] if sink == "pc2" else []
     arguments = ("--object", name, "--frames", 1, frames, "--sink", sink, *more, "-o", output)
     run = command_line("bake", shot, *arguments)
     bpy.ops.wm.open_mainfile(filepath=str(output))
@@ -148,7 +151,7 @@ def long_bake(shot: Path, name: str, sink: str, frames: int) -> dict:
     for cache in caches:
         cache.unlink()
     return {
-        "sink": sink, "frames": frames, "keyframes": points, "keyframe_bytes": points * sinks.KEYFRAME_BYTES,
+        "sink": sink, "frames": frames, "keyframes": points, "keyframe_bytes": points * slider_keys.KEYFRAME_BYTES,
         "file": file, **run,
     }  # fmt: skip
 

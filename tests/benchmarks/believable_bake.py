@@ -27,8 +27,8 @@ import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import quiet, render  # noqa: E402
-from dynamic_morph_targets import jobs, live_operators  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.run import batch, job, preview  # noqa: E402
 from mathutils import Matrix  # noqa: E402
 from portrait import aim  # noqa: E402
 
@@ -97,18 +97,18 @@ def skinned(rig) -> list:
 # The click ------------------------------------------------------------------------------------------------------------
 
 
-def click(body, found: dict) -> jobs.Job | None:
+def click(body, found: dict) -> job.Job | None:
     """Add Soft Skin and Bake; the job, or None if one of them refused, and then `found` says why."""
     bpy.ops.object.select_all(action="DESELECT")
     bpy.context.view_layer.objects.active = body
     body.select_set(True)
-    batches, run_all = [], jobs.run_all
+    batches, run_all = [], batch.run_all
 
     def recorded(batch, tick=None):
         batches.append(batch)
         run_all(batch, tick)
 
-    jobs.run_all = recorded
+    batch.run_all = recorded
     began = time.perf_counter()
     try:
         bpy.ops.dynamorph.add_soft_skin()
@@ -117,12 +117,12 @@ def click(body, found: dict) -> jobs.Job | None:
     except RuntimeError as error:
         found["refused"] = str(error).removeprefix("Error: ").strip()
     finally:
-        jobs.run_all = run_all
+        batch.run_all = run_all
         found["seconds"]["click to baked"] = time.perf_counter() - began
     return None if "refused" in found else batches[-1].jobs[-1]
 
 
-def of_job(job: jobs.Job) -> dict:
+def of_job(job: job.Job) -> dict:
     """What the bake says of itself."""
     tets = len(job.model.tets)
     return {
@@ -136,7 +136,7 @@ def of_job(job: jobs.Job) -> dict:
     }
 
 
-def of_stages(job: jobs.Job) -> dict[str, float]:
+def of_stages(job: job.Job) -> dict[str, float]:
     """Seconds by stage of the job and, as "build: ...", of what a build consists of."""
     built = {f"build: {stage}": seconds for stage, seconds in job.model.summary["seconds"].items()}
     return job.seconds | built
@@ -247,8 +247,8 @@ def hop_and_twist(rig, size: float) -> None:
         bone.matrix_basis = Matrix()
     bpy.context.view_layer.update()
     seconds = np.arange(FRAMES) / (scene.render.fps / scene.render.fps_base)
-    heights, _ = live_operators.shake("HOP", seconds)
-    _, angles = live_operators.shake("TWIST", seconds - HOPS)
+    heights, _ = preview.shake("HOP", seconds)
+    _, angles = preview.shake("TWIST", seconds - HOPS)
     world = rig.matrix_world.copy()
     rotation = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
     for frame, (height, angle) in enumerate(zip(heights, angles, strict=True), 1):

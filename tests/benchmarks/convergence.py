@@ -28,8 +28,10 @@ import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import numpy as np  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
-from dynamic_morph_targets import jobs, materials, simulate  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.core import calibration, simulate  # noqa: E402
+from dynamic_morph_targets.run import job  # noqa: E402
+from dynamic_morph_targets.run.job import Job  # noqa: E402
 from measured import measured_at  # noqa: E402
 
 CACHE = ROOT / "build" / "convergence"
@@ -63,7 +65,7 @@ def main() -> int:
     return 0
 
 
-def shot() -> jobs.Job:
+def shot() -> job.Job:
     """The body after one click, with the liveliest frames of its liveliest clip read."""
     with quiet():
         characters.open_file(BODY)
@@ -74,19 +76,19 @@ def shot() -> jobs.Job:
         bpy.ops.dynamorph.add_soft_skin()
         bpy.ops.dynamorph.bake()  # which rehearses, and so sets the frequency
         bpy.ops.dynamorph.free_bake()
-        job = jobs.Job(body, "BAKE")
+        job = Job(body, "BAKE")
         job.prepare()
     return job
 
 
-def simulated(job: jobs.Job, size: int, stiffness: float | None) -> dict:
+def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
     """Simulates the shot in a cage of this size, unreduced: with the stiffness that its own frequency asks for, and,
     where there is one, with another cage's stiffness. Keeps both motions."""
     began = time.perf_counter()
     frames = len(job.settings.frames)
     character = job.character.with_settings(solver="FULL", modes=frames, cage_nodes=size)
     model = simulate.build_for(character, job.rig, job.settings)
-    character = materials.calibrated(character, list(materials.references(model, character)))
+    character = calibration.calibrated(character, list(calibration.references(model, character)))
     own = character.targets[0].material.stiffness
     figures = {
         "nodes": len(model.nodes),
@@ -109,7 +111,7 @@ def simulated(job: jobs.Job, size: int, stiffness: float | None) -> dict:
     return figures
 
 
-def motion(job: jobs.Job, model, character) -> np.ndarray:
+def motion(job: job.Job, model, character) -> np.ndarray:
     """Displacement (F, V, 3) of the surface, bind space."""
     bake, _ = simulate.bake(model, character, job.rig, job.settings)
     return np.array([bake.displacement(k) for k in range(len(bake.frames))]) @ character.to_bind.T

@@ -23,8 +23,9 @@ import dynamorph  # noqa: E402
 import numpy as np  # noqa: E402
 import test_defects  # noqa: E402
 from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
-from dynamic_morph_targets import extract, jobs  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
+from dynamic_morph_targets.run import batch  # noqa: E402
+from dynamic_morph_targets.scene import mesh_data  # noqa: E402
 from mathutils import Vector  # noqa: E402
 from measured import measured_at  # noqa: E402
 from performance_page import grid  # noqa: E402
@@ -114,7 +115,7 @@ def write_page() -> None:
     defects, cages, bakes, pictures = [], [], [], []
     for name, shot in characters.SHOTS.items():
         with quiet():
-            baked = characters.bake(jobs, characters.open_shot(shot))
+            baked = characters.bake(batch, characters.open_shot(shot))
             pictures.append(picture(baked))
         defects.append((name, *mesh_row(baked)))
         cages.append((name, *cage_row(baked)))
@@ -252,7 +253,7 @@ def surfaces() -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         for obj in bpy.context.scene.objects:
             if obj.type == "MESH" and obj.data.polygons:
                 points = np.array([obj.matrix_world @ vertex.co for vertex in obj.data.vertices], float)
-                yield f"{shot.file}, {obj.name}", points, extract.mesh_triangles(obj.data)
+                yield f"{shot.file}, {obj.name}", points, mesh_data.mesh_triangles(obj.data)
     for file in sorted(MESHES.glob("*.npz")):
         with np.load(file) as stored:
             yield file.name, stored["V"], boundary(stored["T"])

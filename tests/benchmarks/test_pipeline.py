@@ -21,7 +21,9 @@ import dynamic_morph_targets
 import dynamorph
 import pytest
 import real_character
-from dynamic_morph_targets import extract, jobs, live
+from dynamic_morph_targets.run import batch, job, live
+from dynamic_morph_targets.run.job import Job
+from dynamic_morph_targets.scene import extract, rig_motion
 
 SUBSTEPS = 4
 ROUNDS = 7
@@ -66,14 +68,14 @@ class TimedScene:
 def pose_evaluation(monkeypatch) -> list[float]:
     """Seconds of every frame_set of the scenes that `extract` samples the rig in."""
     seconds: list[float] = []
-    rig_scene = extract._rig_scene
+    rig_scene = rig_motion.rig_scene
 
     @contextmanager
     def timed(*moving):
         with rig_scene(*moving) as (scene, follower):
             yield TimedScene(scene, seconds), follower
 
-    monkeypatch.setattr(extract, "_rig_scene", timed)
+    monkeypatch.setattr(rig_motion, "_rig_scene", timed)
     return seconds
 
 
@@ -101,15 +103,15 @@ def test_meshing(benchmark):
 def test_bake(benchmark, pose_evaluation, frames, subdivided):
     """A bake whose model is up to date."""
     body = open_body(subdivided)
-    build = jobs.Job(body, goal="BUILD", rebuild=True)
-    jobs.run(build)
+    build = job.Job(body, goal="BUILD", rebuild=True)
+    batch.run(build)
     runs = []
 
     def bake():
         pose_evaluation.clear()
         began = time.perf_counter()
-        job = jobs.Job(body, goal="BAKE", frames=(1, frames), substeps=SUBSTEPS)
-        jobs.run(job)
+        job = Job(body, goal="BAKE", frames=(1, frames), substeps=SUBSTEPS)
+        batch.run(job)
         total = time.perf_counter() - began
         evaluated, engine = sum(pose_evaluation), job.report["engine_seconds"]
         stages = {
@@ -139,7 +141,7 @@ def live_body():
     """The character with Live on, at the first frame."""
     body = open_body()
     body.dynamorph.simulation.substeps = SUBSTEPS
-    jobs.run(jobs.Job(body, goal="BUILD", rebuild=True))
+    batch.run(job.Job(body, goal="BUILD", rebuild=True))
     bpy.context.scene.frame_set(1)
     live.turn_on(body, bpy.context.scene)
     return body

@@ -13,7 +13,10 @@ import numpy as np
 import plots
 from builders import evaluated_points
 from contact_sheet import Row, compose, quiet, render, save
-from dynamic_morph_targets import jobs, loops, simulate
+from dynamic_morph_targets.core import loops, player
+from dynamic_morph_targets.core.player import Player
+from dynamic_morph_targets.run import batch, job
+from dynamic_morph_targets.run.job import Job
 from mathutils import Matrix, Vector
 from PIL import Image
 
@@ -49,7 +52,7 @@ ENDLESS = "T-rex"  # its flesh finds no steady motion by itself
 class Baked:
     """job: the bake; pictures: of its first and its last frame; apart: metres between them as Blender shows them."""
 
-    job: jobs.Job
+    job: job.Job
     pictures: list[Image.Image]
     apart: float
 
@@ -120,8 +123,8 @@ def set_off(body, walk: Walk):
 
 def bake(body, path, loop: bool) -> Baked:
     body.dynamorph.simulation.loop = loop
-    job = jobs.Job(body, "BAKE")
-    jobs.run(job)
+    job = Job(body, "BAKE")
+    batch.run(job)
     ends, surfaces = (job.settings.start, job.settings.end), []
     for frame in ends:
         bpy.context.scene.frame_set(frame)
@@ -136,7 +139,7 @@ def repeat(job) -> tuple[np.ndarray, list[float]]:
     beginning, in sizes of the body.
     """
     settings = replace(job.settings, loop=False)
-    player = simulate.Player(job.model, job.character, settings)
+    player = Player(job.model, job.character, settings)
     first, cycles, gaps = player.begin(job.rig), [], []
     for _ in range(REPEATED):
         frames = [first, *player.play(job.rig[1:], settings.simulated[1:])]
@@ -146,7 +149,7 @@ def repeat(job) -> tuple[np.ndarray, list[float]]:
     return np.array(cycles), gaps
 
 
-class Watched(simulate.Player):
+class Watched(player.Player):
     """Notes the gaps that a loop is judged by: in place, and a frame later."""
 
     gaps: tuple[float, ...] = ()

@@ -8,10 +8,11 @@ import dynamorph
 import numpy as np
 import pytest
 import scenes
-from dynamic_morph_targets import build as building
-from dynamic_morph_targets import model_file
-from dynamic_morph_targets.build import build, build_cage, has_cage, stale_reasons
-from dynamic_morph_targets.scene_data import Character, Material, ModelSettings, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core import build as building
+from dynamic_morph_targets.core.build import build, build_cage, has_cage, stale_reasons
+from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.settings import Material, ModelSettings
+from dynamic_morph_targets.io import model_file
 
 LENGTH, HELD = 0.8, 0.1  # metres; the bar is held up to this height
 BONES = np.tile(np.eye(3, 4), (2, 1, 1))

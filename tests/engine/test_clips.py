@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dynamic_morph_targets import clips
-from dynamic_morph_targets.scene_data import Bake
+from dynamic_morph_targets.core import baked, keys
+from dynamic_morph_targets.core.baked import Bake
+from dynamic_morph_targets.io import point_cache
 
 HEADER = Path(__file__).parents[2] / "runtime" / "dynamorph.h"
 FPS = 24.0
@@ -60,7 +61,7 @@ def shot(frames=40, modes=6, targets=3, vertices=50, seed=0) -> tuple[Bake, np.n
 
 
 def surface(bake, vertices):
-    return np.concatenate(list(clips.surfaces(bake, vertices, chunk=7)))
+    return np.concatenate(list(baked.surfaces(bake, vertices, chunk=7)))
 
 
 def test_surfaces_are_the_bake_s_own():
@@ -75,8 +76,8 @@ def test_fewer_keys_are_the_best_and_say_how_far_they_are_off():
     exact = surface(bake, 0.0).reshape(len(bake.frames), -1)
     errors = []
     for budget in (1, 2, 4, 8):
-        fewer = clips.with_fewer_keys(bake, budget)
-        error = clips.distance(bake, fewer, np.eye(3))
+        fewer = keys.with_fewer_keys(bake, budget)
+        error = baked.distance(bake, fewer, np.eye(3))
         assert len(fewer.modes) + len(fewer.details) == budget
         off = np.linalg.norm(surface(bake, vertices) - surface(fewer, vertices), axis=2).max()
         assert error == pytest.approx(off, rel=1e-9)
@@ -87,7 +88,7 @@ def test_fewer_keys_are_the_best_and_say_how_far_they_are_off():
         missed = both - np.vstack([fewer.coordinates, fewer.dry]) @ fewer.modes.reshape(budget, -1)
         assert np.linalg.norm(missed) == pytest.approx(np.linalg.norm(left), rel=1e-6, abs=1e-9)
     assert errors == sorted(errors, reverse=True)
-    same = clips.with_fewer_keys(bake, 99)
+    same = keys.with_fewer_keys(bake, 99)
     assert same is bake
 
 
@@ -95,7 +96,7 @@ def test_key_frames_keep_the_surface_within_the_tolerance():
     bake, vertices = shot(frames=200)
     exact, counts = surface(bake, vertices), []
     for tolerance in (3.0, 1.0, 0.1):
-        kept = clips.key_frames(bake, tolerance, np.eye(3))
+        kept = keys.key_frames(bake, tolerance, np.eye(3))
         between = np.array([
             [np.interp(np.arange(200), kept, exact[kept, v, c]) for c in range(3)] for v in range(len(vertices))
         ]).transpose(2, 0, 1)  # fmt: skip
@@ -103,7 +104,7 @@ def test_key_frames_keep_the_surface_within_the_tolerance():
         counts.append(len(kept))
     assert counts == sorted(counts)
     assert counts[0] < 200
-    assert list(clips.key_frames(shot(frames=1)[0], 0.0, np.eye(3))) == [0]
+    assert list(keys.key_frames(shot(frames=1)[0], 0.0, np.eye(3))) == [0]
 
 
 @pytest.mark.parametrize("first, last", [(0, 39), (10, 25), (0, 12), (30, 39)])
@@ -111,8 +112,8 @@ def test_a_patch_takes_the_place_of_its_frames(first, last):
     """Whatever modes it has: where it is far from its seams it shows, and outside the bake is as it was."""
     bake, vertices = shot()
     other, _ = shot(modes=5, seed=3)
-    patch = clips.at_rows(other, np.arange(first, last + 1))
-    found, apart = clips.splice(bake, patch, 4.0, 2.0 * np.eye(3))
+    patch = baked.at_rows(other, np.arange(first, last + 1))
+    found, apart = keys.splice(bake, patch, 4.0, 2.0 * np.eye(3))
     np.testing.assert_array_equal(found.frames, bake.frames)
     size = np.abs(surface(bake, 0.0)).max()
     inner = np.arange(first + 4 * (first > 0), last + 1 - 4 * (last < 39))
@@ -132,7 +133,7 @@ def test_a_patch_of_the_same_model_needs_no_more_keys():
     same = replace(
         bake, coordinates=bake.coordinates @ turned, dry=bake.dry @ turned, modes=np.tensordot(turned.T, bake.modes, 1)
     )
-    found, apart = clips.splice(bake, clips.at_rows(same, np.arange(10, 20)), 2.0, np.eye(3))
+    found, apart = keys.splice(bake, baked.at_rows(same, np.arange(10, 20)), 2.0, np.eye(3))
     assert apart < 1e-9
     assert len(found.modes) == len(bake.modes) + len(bake.details) - 1  # the neutral target has no detail
     np.testing.assert_allclose(surface(found, vertices), surface(bake, vertices), atol=1e-4)
@@ -141,13 +142,13 @@ def test_a_patch_of_the_same_model_needs_no_more_keys():
 def test_point_caches_are_read_back():
     bake, vertices = shot()
     exact = surface(bake, vertices).astype(np.float32)
-    pc2 = b"".join(clips.point_cache(bake, vertices))
+    pc2 = b"".join(point_cache.point_cache(bake, vertices))
     assert pc2[:12] == b"POINTCACHE2\0"
     assert np.frombuffer(pc2, "<i4", 2, 12).tolist() == [1, len(vertices)]
     assert np.frombuffer(pc2, "<f4", 2, 20).tolist() == [1.0, 1.0]
     assert np.frombuffer(pc2, "<i4", 1, 28).tolist() == [len(exact)]
     np.testing.assert_array_equal(np.frombuffer(pc2, "<f4", offset=32).reshape(exact.shape), exact)
-    mdd = b"".join(clips.motion_designer(bake, vertices, FPS))
+    mdd = b"".join(point_cache.motion_designer(bake, vertices, FPS))
     assert np.frombuffer(mdd, ">i4", 2).tolist() == [len(exact), len(vertices)]
     np.testing.assert_allclose(np.frombuffer(mdd, ">f4", len(exact), 8), bake.frames / FPS, rtol=1e-6)
     np.testing.assert_array_equal(np.frombuffer(mdd, ">f4", offset=8 + 4 * len(exact)).reshape(exact.shape), exact)
@@ -155,8 +156,8 @@ def test_point_caches_are_read_back():
 
 def test_a_raw_clip_is_what_numpy_reads():
     bake, vertices = shot()
-    packed = clips.raw(bake, vertices, FPS)
-    assert packed == clips.raw(bake, vertices, FPS)
+    packed = point_cache.raw(bake, vertices, FPS)
+    assert packed == point_cache.raw(bake, vertices, FPS)
     with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
         again = vertices + np.tensordot(arrays["coordinates"], arrays["modes"], 1)
         again += np.tensordot(arrays["weights"], arrays["details"], 1)
@@ -190,7 +191,7 @@ def player(tmp_path_factory):
 def test_the_c_header_plays_a_clip(player):
     bake, vertices = shot()
     times = (-1.0, 0.0, 2.0, 7.25, 38.9, 39.0, 100.0)
-    text, code = player(clips.raw(bake, vertices, FPS), *times)
+    text, code = player(point_cache.raw(bake, vertices, FPS), *times)
     assert code == 0
     rows = np.array([line.split() for line in text.splitlines()], float)
     exact, at = surface(bake, vertices).reshape(len(bake.frames), -1), np.clip(times, 0, 39)
@@ -201,7 +202,7 @@ def test_the_c_header_plays_a_clip(player):
 
 def test_the_c_header_refuses_what_is_no_clip(player):
     bake, vertices = shot()
-    packed = clips.raw(bake, vertices, FPS)
+    packed = point_cache.raw(bake, vertices, FPS)
     random = np.random.default_rng(1)
     for size in (0, 10, 100, len(packed) // 2, len(packed) - 1):
         assert player(packed[:size])[1] == 2

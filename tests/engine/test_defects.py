@@ -17,18 +17,11 @@ import dynamorph
 import numpy as np
 import pytest
 import scenes
-from dynamic_morph_targets import simulate, volume
-from dynamic_morph_targets.build import build
-from dynamic_morph_targets.scene_data import (
-    Character,
-    Material,
-    ModelSettings,
-    RigSamples,
-    SimulationSettings,
-    Skeleton,
-    Target,
-    TargetSet,
-)
+from dynamic_morph_targets.core import cage, simulate
+from dynamic_morph_targets.core.build import build
+from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.settings import Material, ModelSettings, SimulationSettings
 from hypothesis import HealthCheck, Phase, event, given, settings
 from hypothesis import strategies as st
 from hypothesis.database import DirectoryBasedExampleDatabase
@@ -352,7 +345,7 @@ def assert_survives(body: Body, cage_nodes: int = 120) -> bool:
         assert time.monotonic() - began < LONGEST
     used = body.visible
     outside = dynamorph.embed(dynamorph.TetMesh(model.nodes, model.tets), body.vertices[used]).distances
-    assert outside.max() < volume.GRID * body.size  # on which it is meshed
+    assert outside.max() < cage.GRID * body.size  # on which it is meshed
     moved = np.array([baked.displacement(k) for k in range(FRAMES)])[:, used]
     assert np.isfinite(moved).all()
     assert np.linalg.norm(moved, axis=2).max() < body.size

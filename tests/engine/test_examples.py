@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 import scenes
 import trimesh
-from dynamic_morph_targets import model_file
-from dynamic_morph_targets.build import build
-from dynamic_morph_targets.scene_data import Material, Target, TargetSet
+from dynamic_morph_targets.core.build import build
+from dynamic_morph_targets.core.character import Target, TargetSet
+from dynamic_morph_targets.core.settings import Material
+from dynamic_morph_targets.io import model_file
 from test_build import bar
 
 ROOT = Path(__file__).resolve().parents[2]

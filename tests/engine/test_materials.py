@@ -8,9 +8,10 @@ from pathlib import Path
 import dynamorph
 import numpy as np
 import pytest
-from dynamic_morph_targets import materials
-from dynamic_morph_targets.build import build
-from dynamic_morph_targets.scene_data import Character, Material, ModelSettings, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core import material_fit, material_presets, oscillation
+from dynamic_morph_targets.core.build import build
+from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.settings import Material, ModelSettings
 from scenes import tube
 
 # Reading an oscillation --------------------------------------------------------------------------------------------
@@ -30,7 +31,7 @@ def test_an_oscillation_is_read_through_noise(frequency, decay):
     """5 % noise: frequency within 2 %, decay within 10 % or 0.1/s, in nine of ten records; the errors are honest."""
     off = []
     for seed in range(20):
-        seen = materials.oscillation(*swing(frequency, decay, 3.0, noise=0.05, seed=seed))
+        seen = oscillation.oscillation(*swing(frequency, decay, 3.0, noise=0.05, seed=seed))
         off.append((abs(seen.frequency / frequency - 1), abs(seen.decay - decay)))
         assert abs(seen.frequency - frequency) < 5 * seen.frequency_error
         assert abs(seen.decay - decay) < 5 * max(seen.decay_error, 0.02)
@@ -43,14 +44,14 @@ def test_a_clean_oscillation_is_read_exactly():
     uneven = np.random.default_rng(1).choice(len(times), 80, replace=False)
     uneven.sort()
     for seen in (
-        materials.oscillation(times, points),
-        materials.oscillation(times + 100.0, points[:, 2]),
-        materials.oscillation(times, points[:, :2]),
-        materials.oscillation(times[uneven], points[uneven]),
+        oscillation.oscillation(times, points),
+        oscillation.oscillation(times + 100.0, points[:, 2]),
+        oscillation.oscillation(times, points[:, :2]),
+        oscillation.oscillation(times[uneven], points[uneven]),
     ):
         assert (seen.frequency, seen.decay) == pytest.approx((3.3, 2.0), rel=1e-6)
         assert seen.settle == pytest.approx(log(20) / 2.0)
-        assert materials.decay_of(seen.settle) == pytest.approx(seen.decay)
+        assert oscillation.decay_of(seen.settle) == pytest.approx(seen.decay)
 
 
 def bad_records():
@@ -74,14 +75,14 @@ def bad_records():
 @pytest.mark.parametrize(("times", "points", "words"), list(bad_records()))
 def test_what_is_no_oscillation_is_refused(times, points, words):
     with pytest.raises(ValueError, match=words):
-        materials.oscillation(times, points)
+        oscillation.oscillation(times, points)
 
 
 @pytest.mark.parametrize("text", ["t,x\n0,1\n0.5,2\n", "0,1\r\n\r\n.5,2\r\n", "\ufefftime,x\n0, 1\n+0.5, 2"])
 def test_columns_are_read(tmp_path, text):
     path = tmp_path / "point.csv"
     path.write_bytes(text.encode())
-    np.testing.assert_array_equal(materials.read_columns(path, (2, 4)), [[0.0, 1.0], [0.5, 2.0]])
+    np.testing.assert_array_equal(oscillation.read_columns(path, (2, 4)), [[0.0, 1.0], [0.5, 2.0]])
 
 
 @pytest.mark.parametrize("text", ["", "t,x\n", "1,2,3\n", "1,2\n3\n", "1;2\n", "1,two\n"])
@@ -89,7 +90,7 @@ def test_other_files_are_refused(tmp_path, text):
     path = tmp_path / "point.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match="'point.csv': expected 2 or 4 numbers"):
-        materials.read_columns(path, (2, 4))
+        oscillation.read_columns(path, (2, 4))
 
 
 # A body to fit -----------------------------------------------------------------------------------------------------
@@ -216,47 +217,47 @@ def test_a_material_is_recovered_from_a_tracked_point(limbs, law, solver, target
     size = np.linalg.norm(path[0] - path[-1])
     path = path + 0.05 * size * np.random.default_rng(7).normal(size=path.shape)
     video = slice(10, None, 10)  # 60 frames a second
-    seen = materials.oscillation(times[video], path[video])
-    fitted = materials.fit_oscillation(model, character, target, seen.frequency, seen.decay)
+    seen = oscillation.oscillation(times[video], path[video])
+    fitted = material_fit.fit_oscillation(model, character, target, seen.frequency, seen.decay)
     print(law, solver, target, seen, fitted)
     assert fitted.stiffness == pytest.approx(TRUE.stiffness, rel=0.05)
-    true_decay = materials.bounce(model, made_of(character, TRUE), target).decay
-    assert materials.bounce(model, made_of(character, fitted), target).decay == pytest.approx(true_decay, rel=0.15)
-    shared = materials.fit_oscillation(model, character, target, seen.frequency, seen.decay, mass_share=0.0)
+    true_decay = material_fit.bounce(model, made_of(character, TRUE), target).decay
+    assert material_fit.bounce(model, made_of(character, fitted), target).decay == pytest.approx(true_decay, rel=0.15)
+    shared = material_fit.fit_oscillation(model, character, target, seen.frequency, seen.decay, mass_share=0.0)
     assert shared.mass_damping == 0.0 and shared.stiffness == fitted.stiffness
     assert (fitted.poisson, fitted.density) == (WRONG.poisson, WRONG.density)
 
 
 def test_bounce_and_fit_are_inverse(limbs):
     model, character = limbs("STABLE_STVK", "REDUCED")
-    seen = materials.bounce(model, made_of(character, TRUE), 1)
+    seen = material_fit.bounce(model, made_of(character, TRUE), 1)
     omega_squared = (2 * pi * seen.frequency) ** 2 + seen.decay**2
     mass_share = TRUE.mass_damping / (2 * seen.decay)
-    fitted = materials.fit_oscillation(model, character, 1, seen.frequency, seen.decay, mass_share=mass_share)
+    fitted = material_fit.fit_oscillation(model, character, 1, seen.frequency, seen.decay, mass_share=mass_share)
     assert astuple(fitted) == pytest.approx(astuple(TRUE), rel=1e-6)
     assert seen.decay == pytest.approx((TRUE.mass_damping + TRUE.stiffness_damping * omega_squared) / 2)
     # Heavy flesh swings slower: omega ~ sqrt(E / rho).
     heavy = replace(TRUE, density=4 * TRUE.density, mass_damping=0.0, stiffness_damping=0.0)
     light = replace(TRUE, mass_damping=0.0, stiffness_damping=0.0)
-    bounces = [materials.bounce(model, made_of(character, material), 1) for material in (heavy, light)]
+    bounces = [material_fit.bounce(model, made_of(character, material), 1) for material in (heavy, light)]
     assert bounces[1].frequency == pytest.approx(2 * bounces[0].frequency)
     assert bounces[0].settle == np.inf
-    assert materials.bounce(model, made_of(character, replace(TRUE, stiffness_damping=1.0)), 1).frequency == 0.0
+    assert material_fit.bounce(model, made_of(character, replace(TRUE, stiffness_damping=1.0)), 1).frequency == 0.0
 
 
 def test_a_region_is_fitted_beside_other_flesh(limbs):
     """The target's flesh is only the outer half: omega^2 ~ E no longer holds, and is met all the same."""
     model, character = limbs("STABLE_STVK", "REDUCED", True)
-    seen = materials.bounce(model, made_of(character, WRONG), 2)
-    fitted = materials.fit_oscillation(model, character, 2, 0.9 * seen.frequency, seen.decay)
+    seen = material_fit.bounce(model, made_of(character, WRONG), 2)
+    fitted = material_fit.fit_oscillation(model, character, 2, 0.9 * seen.frequency, seen.decay)
     assert fitted.stiffness < 0.75 * WRONG.stiffness
     sets = character.target_sets
     bent = replace(sets[1].targets[1], material=fitted)
     fitted_character = replace(character, target_sets=(sets[0], replace(sets[1], targets=(sets[1].targets[0], bent))))
-    again = materials.bounce(model, fitted_character, 2)
+    again = material_fit.bounce(model, fitted_character, 2)
     assert again.frequency == pytest.approx(0.9 * seen.frequency, rel=0.02)  # up to the others' damping
     with pytest.raises(ValueError, match="sets the pace"):
-        materials.fit_oscillation(model, character, 2, 50 * seen.frequency, seen.decay)
+        material_fit.fit_oscillation(model, character, 2, 50 * seen.frequency, seen.decay)
 
 
 @pytest.mark.parametrize("strength", [0.1, 4.0])
@@ -269,13 +270,13 @@ def test_stiffness_is_recovered_from_force_and_displacement(limbs, law, solver, 
     forces = strength * rng.normal(size=(10, 3)) * [1.0, 1.0, 0.3]
     moved, _ = pushed(model, made_of(character, TRUE), target, forces)
     noisy = moved + 0.05 * np.sqrt(np.square(moved).mean()) * rng.normal(size=moved.shape)
-    fitted = materials.fit_force_displacement(model, character, target, forces, noisy, tip_patch(character))
+    fitted = material_fit.fit_force_displacement(model, character, target, forces, noisy, tip_patch(character))
     print(law, solver, target, strength, np.linalg.norm(moved, axis=1).max(), fitted.stiffness / TRUE.stiffness)
     assert fitted.stiffness == pytest.approx(TRUE.stiffness, rel=0.03)
     assert replace(fitted, stiffness=0.0) == replace(WRONG, stiffness=0.0)
     if strength > 1.0:
         with pytest.raises(ValueError, match="no stiffness meets"):
-            materials.fit_force_displacement(model, character, target, forces, 10.0 * moved[:, ::-1])
+            material_fit.fit_force_displacement(model, character, target, forces, 10.0 * moved[:, ::-1])
 
 
 def test_bad_measurements_are_refused(limbs):
@@ -283,7 +284,7 @@ def test_bad_measurements_are_refused(limbs):
     one = np.array([[0.01, 0.0, 0.0]])
 
     def fit(forces, displacements, target=0, patch=None):
-        materials.fit_force_displacement(model, character, target, forces, displacements, patch)
+        material_fit.fit_force_displacement(model, character, target, forces, displacements, patch)
 
     for arguments, words in (
         ((one, one[:, :2]), "expected \\(k, 3\\)"),
@@ -299,37 +300,39 @@ def test_bad_measurements_are_refused(limbs):
             fit(*arguments)
     for frequency, decay in ((0.0, 1.0), (np.nan, 1.0), (3.0, -1.0)):
         with pytest.raises(ValueError, match="above zero"):
-            materials.fit_oscillation(model, character, 0, frequency, decay)
+            material_fit.fit_oscillation(model, character, 0, frequency, decay)
     with pytest.raises(ValueError, match="above zero"):
-        materials.decay_of(0.0)
+        oscillation.decay_of(0.0)
 
 
 # Presets -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("key", materials.PRESETS)
+@pytest.mark.parametrize("key", material_presets.PRESETS)
 def test_presets_are_sane_and_sourced(key):
-    preset = materials.PRESETS[key]
+    preset = material_presets.PRESETS[key]
     material = preset.material
     assert 1e3 < material.stiffness < 2e6 and material.poisson <= 0.4 and 900 <= material.density <= 1200
-    zeta = (material.mass_damping / materials.REFERENCE + material.stiffness_damping * materials.REFERENCE) / 2
+    zeta = (
+        material.mass_damping / material_presets.REFERENCE + material.stiffness_damping * material_presets.REFERENCE
+    ) / 2
     assert 0.02 < zeta < 0.25
     assert "Damping" in preset.source and any(word in preset.source for word in ("20", "19", "assumed"))
-    assert f"| {preset.label} |" in materials.table()
+    assert f"| {preset.label} |" in material_presets.table()
 
 
 def test_the_documents_table_is_the_code_s(tmp_path):
     text = (Path(__file__).parents[2] / "docs" / "materials.md").read_text(encoding="utf-8")
     copy = tmp_path / "materials.md"
     copy.write_text(text, encoding="utf-8")
-    materials.write_table(copy)
+    material_presets.write_table(copy)
     assert copy.read_text(encoding="utf-8") == text
     copy.write_text("no marks", encoding="utf-8")
     with pytest.raises(ValueError, match="marks"):
-        materials.write_table(copy)
+        material_presets.write_table(copy)
 
 
 def test_presets_are_ordered_as_flesh_is():
-    young = {key: preset.material.stiffness for key, preset in materials.PRESETS.items()}
+    young = {key: preset.material.stiffness for key, preset in material_presets.PRESETS.items()}
     assert young["FAT"] < young["MUSCLE_RELAXED"] < young["CHEEK"] < young["SKIN"] < young["MUSCLE_FLEXED"]
     assert young["FAT"] == pytest.approx(2.8 * 752, rel=0.01)

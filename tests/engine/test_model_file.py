@@ -8,8 +8,9 @@ import time
 
 import numpy as np
 import pytest
-from dynamic_morph_targets import model_file
-from dynamic_morph_targets.model_file import ModelFileError, pack, save, unpack
+from dynamic_morph_targets.core.errors import ModelFileError
+from dynamic_morph_targets.io import model_file
+from dynamic_morph_targets.io.model_file import pack, save, unpack
 
 ARRAYS = {
     "nodes": np.arange(12.0).reshape(4, 3),

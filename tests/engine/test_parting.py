@@ -6,8 +6,9 @@ from dataclasses import replace
 import dynamorph
 import numpy as np
 import pytest
-from dynamic_morph_targets.build import MESH_DEPENDENCIES, build, build_cage, dependencies, has_cage, stale_reasons
-from dynamic_morph_targets.scene_data import Character, Material, ModelSettings, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.build import MESH_DEPENDENCIES, build, build_cage, dependencies, has_cage, stale_reasons
+from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.settings import Material, ModelSettings
 
 BONES = np.tile(np.eye(3, 4), (2, 1, 1))
 

@@ -6,8 +6,9 @@ from dataclasses import replace
 import dynamorph
 import numpy as np
 import pytest
-from dynamic_morph_targets import simulate
-from dynamic_morph_targets.scene_data import Character, Material, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core import posing
+from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.settings import Material
 
 
 def hinged(*angles):
@@ -32,15 +33,15 @@ def elbow(radius=0.0):
 
 def test_a_radius_fades_its_target_out():
     angles = np.array([1.0, 1.2, 1.3, 1.4, 1.9, 0.5])
-    free = simulate.pose_space(elbow()).weights(hinged(*angles))
-    limited = simulate.pose_space(elbow(0.4)).weights(hinged(*angles))
+    free = posing.pose_space(elbow()).weights(hinged(*angles))
+    limited = posing.pose_space(elbow(0.4)).weights(hinged(*angles))
     np.testing.assert_allclose(free[:, 1], [1, 1, 1, 1, 1, 0.5], atol=1e-12)
     np.testing.assert_allclose(limited[:, 1], [1, 1, 0.5, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(limited.sum(axis=1), 1.0, atol=1e-12)
 
 
 def test_distances_are_angles():
-    space = simulate.pose_space(elbow())
+    space = posing.pose_space(elbow())
     np.testing.assert_allclose(space.distances(hinged(0.25, -0.5, 3.0)), [[0.25, 0.75], [0.5, 1.5], [3.0, 2.0]])
 
 
@@ -49,7 +50,7 @@ def test_a_negative_radius_is_refused():
     target_set = character.target_sets[0]
     bad = replace(target_set, targets=(target_set.targets[0], replace(target_set.targets[1], radius=-1.0)))
     with pytest.raises(ValueError, match="radius must be"):
-        simulate.pose_space(replace(character, target_sets=(bad,)))
+        posing.pose_space(replace(character, target_sets=(bad,)))
 
 
 def test_threads_cannot_be_fewer_than_none():

@@ -8,18 +8,10 @@ import dynamorph
 import numpy as np
 import pytest
 import scenes
-from dynamic_morph_targets import report
-from dynamic_morph_targets.scene_data import (
-    VARIANTS,
-    Character,
-    Material,
-    ModelSettings,
-    RigSamples,
-    SimulationSettings,
-    Skeleton,
-    Target,
-    TargetSet,
-)
+from dynamic_morph_targets.core import compare
+from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.settings import VARIANTS, Material, ModelSettings, SimulationSettings
 
 SKELETON = Skeleton(("upper", "lower"), np.array([-1, 0]), np.array([np.eye(4), np.eye(4)]))
 SKELETON.rest[1, 2, 3] = 1.0
@@ -68,7 +60,7 @@ def rig():
 
 @pytest.fixture(scope="module")
 def compared(character, rig):
-    return report.compare(character, rig, SHOT)
+    return compare.compare(character, rig, SHOT)
 
 
 def test_every_variant_has_its_figures(compared):
@@ -102,21 +94,21 @@ def test_one_cage_and_its_meshing_are_shared(compared):
 
 def test_more_modes_come_closer_to_the_full_model(character, rig):
     variants = {"full": {"solver": "FULL"}, "few": {"modes": 4}, "many": {"modes": 40}}
-    done = dict(report.runs(character, rig, SHOT, variants))
+    done = dict(compare.runs(character, rig, SHOT, variants))
     full = done["full"]
-    errors = [report.motion_error(done[name].motion, full.motion, full.static) for name in ("few", "many")]
+    errors = [compare.motion_error(done[name].motion, full.motion, full.static) for name in ("few", "many")]
     assert errors[1].rms_dynamic < 0.5 * errors[0].rms_dynamic
-    assert report.motion_error(full.motion, full.motion, full.static).max == 0
+    assert compare.motion_error(full.motion, full.motion, full.static).max == 0
 
 
 def test_motion_error_is_relative_to_the_motion():
     rng = np.random.default_rng(1)
     static = rng.standard_normal((5, 7, 3))
     reference = static + 0.1 * rng.standard_normal((5, 7, 3))
-    still = report.motion_error(static, reference, static)
+    still = compare.motion_error(static, reference, static)
     assert (still.rms_dynamic, still.max_dynamic) == pytest.approx((1, 1))
     assert still.rms_total == pytest.approx(still.rms / np.sqrt((reference**2).sum(axis=2).mean()))
-    assert report.motion_error(static, 0 * static, 0 * static).rms > 0
+    assert compare.motion_error(static, 0 * static, 0 * static).rms > 0
 
 
 def test_a_push_gives_as_the_pose_s_stiffness_says(character, rig):
@@ -126,8 +118,8 @@ def test_a_push_gives_as_the_pose_s_stiffness_says(character, rig):
     bones = np.repeat(np.eye(3, 4)[None], 3, axis=0)
     variants = {name: VARIANTS[name] for name in ("static morphs", "pose-dependent shape", "DMT linear full")}
     given = {}
-    for name, run in report.runs(character, rig, SHOT, variants):
-        statics = report.Statics(run.model, run.character)
+    for name, run in compare.runs(character, rig, SHOT, variants):
+        statics = compare.Statics(run.model, run.character)
         given[name] = [
             np.abs(statics.surface(weights, bones, push) - statics.surface(weights)).max() for weights in np.eye(2)
         ]
@@ -139,7 +131,7 @@ def test_a_push_gives_as_the_pose_s_stiffness_says(character, rig):
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system does not pin threads")
 def test_cores_are_given_back():
     before = os.sched_getaffinity(0)
-    with report.one_core():
+    with compare.one_core():
         assert len(os.sched_getaffinity(0)) == 1
     assert os.sched_getaffinity(0) == before
 
@@ -152,12 +144,12 @@ def test_progress_can_cancel(character, rig):
         return not message.startswith("pose-dependent shape: ")
 
     with pytest.raises(dynamorph.Cancelled):
-        report.compare(character, rig, SHOT, progress=progress)
+        compare.compare(character, rig, SHOT, progress=progress)
     assert heard[-1][1].startswith("pose-dependent shape: ")
     assert [fraction for fraction, _ in heard] == sorted(fraction for fraction, _ in heard)
 
 
 def test_table_names_every_variant(compared):
-    lines = report.table(compared).splitlines()
+    lines = compare.table(compared).splitlines()
     assert [line[:27].strip() for line in lines[1 : 1 + len(VARIANTS)]] == list(VARIANTS)
     assert max(map(len, lines)) <= 125

@@ -3,7 +3,8 @@
 
 import numpy as np
 import pytest
-from dynamic_morph_targets.scene_data import Skeleton, determinant, inverse
+from dynamic_morph_targets.core.character import Skeleton
+from dynamic_morph_targets.core.geometry import determinant, inverse
 
 
 @pytest.fixture

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dynamic_morph_targets import simulate
-from dynamic_morph_targets.build import build
-from dynamic_morph_targets.scene_data import Material, RigSamples, SimulationSettings
+from dynamic_morph_targets.core import simulate
+from dynamic_morph_targets.core.build import build
+from dynamic_morph_targets.core.rig_samples import RigSamples
+from dynamic_morph_targets.core.settings import Material, SimulationSettings
 from test_build import bar
 
 SECONDS = 1.0

@@ -43,7 +43,7 @@ def problem():
     yield from driver.keep("problem", sidebar, (left, bottom, width, y + height - bottom))
     yield from sidebar.press(fix)
     yield from until(lambda: not modifier.use_bone_envelopes, "the problem to be fixed")
-    assert not list(addon("checks").problems(skin()))
+    assert not list(addon("scene.checks").problems(skin()))
 
 
 # The cage ------------------------------------------------------------------------------------------------------------
@@ -78,7 +78,7 @@ def paint():
     tool.unified_paint_settings.weight = tool.brush.weight = 0.0
     wrist = np.linspace((0.56, -0.03, 0.03), (0.58, -0.03, -0.03), 6)
     yield from driver.drag([on_screen(point) for point in wrist])
-    weights = addon("extract").group_weights(skin(), ["Soft"])[:, 0]
+    weights = addon("scene.mesh_data").group_weights(skin(), ["Soft"])[:, 0]
     assert weights.min() < 0.5 < 0.9 < weights.max(), "the stroke painted nothing"
 
 
@@ -97,8 +97,8 @@ def stop_painting():
 def influence():
     yield from sidebar.unfold("dynamorph.suggest_pose", above="dynamorph.build")
     yield from sidebar.press("dynamorph.influence")
-    yield from until(lambda: addon("influence").drawn(skin()), "the graph")
-    known, graph = addon("influence").drawn(skin())
+    yield from until(lambda: addon("run.weight_curves").drawn(skin()), "the graph")
+    known, graph = addon("run.weight_curves").drawn(skin())
     assert (known.start, known.end) == (1, limb.LAST)
     # The flexed target is the last: its region forms a set of its own, after the body's.
     assert graph.weights[limb.FLEXED - 1, -1] > 0.99 and graph.outside[limb.TURNED - 1].any()

@@ -33,7 +33,7 @@ def bake_again():
 @step("Influence of the bake")
 def influence():
     """A value of 0.5 leaves half the motion."""
-    whole, strip = shown_at(limb.FLEXED + 1), addon("sinks").influence_strip(skin())
+    whole, strip = shown_at(limb.FLEXED + 1), addon("write.bake_influence").influence_strip(skin())
     yield from sidebar.enter(strip.path_from_id("influence"), "0")
     still = shown_at(limb.FLEXED + 1)
     yield from sidebar.enter(strip.path_from_id("influence"), "0.5")
@@ -64,7 +64,7 @@ def out_of_date():
     yield from select_target(1)
     yield from sidebar.unfold("targets[1].stiffness", above="dynamorph.build")
     yield from sidebar.enter("targets[1].stiffness", str(round(2.0 * settings().targets[1].stiffness)))
-    assert addon("changes").outdated(skin()) == ['stiffness of "flexed" changed']
+    assert addon("scene.staleness").outdated(skin()) == ['stiffness of "flexed" changed']
     yield from sidebar.fold("targets[1].stiffness")
     yield from sidebar.scroll("WHEELDOWNMOUSE", 40)  # to what the panel says of it
 
@@ -75,7 +75,7 @@ def bake_all():
     yield from sidebar.press("dynamorph.bake_all")
     yield from job_done()
     assert settings().model.content_id == model, "a new stiffness rebuilt the model"
-    assert not addon("changes").outdated(skin())
+    assert not addon("scene.staleness").outdated(skin())
     assert abs(wobble() - before) > 0.1 * before
 
 

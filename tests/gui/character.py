@@ -54,7 +54,7 @@ def open_character():
 def mirror():
     names = [target.name for target in settings().targets]
     left, right = names.index("biceps_bulge_L"), names.index("biceps_bulge_R")
-    skeleton = addon("properties").rest_skeleton(rig().data)
+    skeleton = addon("scene.references").rest_skeleton(rig().data)
     captured = settings().targets[right].local(skeleton)
     yield from select_target(right)
     yield from sidebar.press("dynamorph.remove_target")
@@ -81,15 +81,15 @@ def build():
 def live():
     yield from sidebar.unfold("dynamorph.live", above="output.sink")
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("live").is_on(skin()), "Live to be on")
-    with frames.timed(addon("live"), "follow") as follow:
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
+    with frames.timed(addon("run.live"), "follow") as follow:
         yield from measured("Live")
     measure("Live's own share of a frame", f"{np.median(follow):.1f} ms, mean {np.mean(follow):.1f} ms")
     seconds, problem = yield from frames.latency(skin(), settings().targets[0], 2.0 * settings().targets[0].stiffness)
     assert not problem
     measure("Stiffness to the next picture", f"{seconds:.2f} s")
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
     yield from sidebar.fold("dynamorph.live")
 
 

@@ -22,7 +22,7 @@ timeline = Region("DOPESHEET_EDITOR", "WINDOW")
 
 
 def addon(module: str):
-    """A module of the installed add-on."""
+    """A module of the installed add-on, such as run.live."""
     return importlib.import_module(f"{ADDON}.{module}")
 
 
@@ -49,7 +49,7 @@ def baked() -> list[str]:
 
 def job():
     """What is being built or baked, or None."""
-    return addon("jobs").running
+    return addon("run.batch").running
 
 
 def job_done(limit=120.0):

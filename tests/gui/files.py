@@ -30,7 +30,7 @@ def material():
         yield 0.1
     yield from driver.drawn()
     yield from driver.tap("RET", button)
-    _, second, *_ = addon("materials").PRESETS.values()
+    _, second, *_ = addon("core.material_presets").PRESETS.values()
     yield from until(lambda: settings().active_target.stiffness == second.material.stiffness, "the material")
     yield from driver.tap("ESC", button)
     yield from driver.rest()

@@ -99,8 +99,8 @@ def add_soft_skin():
     """It ends with Live on, after a hop in which other clicks do nothing."""
     yield from sidebar.press("dynamorph.add_soft_skin")
     yield from until(lambda: settings().targets, "a neutral target")
-    yield from until(lambda: addon("live").is_on(skin()), "Live to be on", 60.0)
-    yield from until(lambda: addon("live_operators").preview is None, "the end of the hop")
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60.0)
+    yield from until(lambda: addon("run.preview").preview is None, "the end of the hop")
 
 
 @step("Select the sculpted key")

@@ -28,7 +28,7 @@ def bake():
 
 def found():
     """What the panel says of the bake."""
-    return addon("verdict").parsed(settings().bake.verdict)
+    return addon("core.verdict").parsed(settings().bake.verdict)
 
 
 def displacement() -> float:
@@ -45,14 +45,14 @@ def plain():
     yield from driver.drawn()
     pictured, soft = driver.pixels(viewport.box), shown()
     yield from sidebar.press(PLAIN)
-    yield from until(lambda: addon("comparison").is_plain(skin()), "plain skinning")
+    yield from until(lambda: addon("write.comparison").is_plain(skin()), "plain skinning")
     yield from driver.drawn()
     changed = differing(pictured)
     assert changed > 0.002 and np.abs(shown() - soft).max() > 1e-3, f"the viewport shows no difference: {changed}"
     yield from sidebar.scroll("WHEELDOWNMOUSE", 40)  # to what the panel says of it
     yield from driver.keep("plain", view)
     yield from sidebar.press(PLAIN)
-    yield from until(lambda: not addon("comparison").is_plain(skin()), "the soft skin")
+    yield from until(lambda: not addon("write.comparison").is_plain(skin()), "the soft skin")
     yield from driver.drawn()
     assert np.array_equal(shown(), soft)
     assert differing(pictured) < 0.1 * changed, f"the viewport shows something else: {differing(pictured)} of {changed}"
@@ -103,7 +103,7 @@ def remedy():
 
 @step("Cartoon, Subtle and Natural")
 def presets():
-    swings, feel = {}, addon("feel")
+    swings, feel = {}, addon("core.feel")
     chosen = lambda: feel.active(settings().targets[0], settings().simulation)  # noqa: E731
     for key in ("CARTOON", "SUBTLE", "NATURAL"):
         yield from sidebar.press(f"dynamorph.apply_feel(feel='{key}')")

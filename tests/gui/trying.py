@@ -19,7 +19,7 @@ from editors import addon, job_done, keys, moved, rig, settings, shown, sidebar,
 def build():
     yield from sidebar.press("dynamorph.build")
     yield from job_done()
-    assert settings().model.summary and not addon("changes").model_age(skin())
+    assert settings().model.summary and not addon("scene.staleness").model_age(skin())
     measure("Model of the arm", settings().model.summary)
 
 
@@ -31,7 +31,7 @@ def bounce():
     wanted = round(0.6 * target.bounce, 2)
     yield from sidebar.enter("targets[2].bounce", str(wanted))
     assert abs(target.bounce - wanted) < 0.02 and target.stiffness < 0.5 * before
-    assert not addon("changes").model_age(skin()), "a new stiffness needs no new model"
+    assert not addon("scene.staleness").model_age(skin()), "a new stiffness needs no new model"
 
 
 @step("The model's settings")
@@ -49,7 +49,7 @@ def modes():
     measure("Check Targets", ", ".join(settings().live.checks.split("\n")))
     before, still = keys(), shown()
     yield from sidebar.press("dynamorph.play_mode")
-    yield from until(lambda: addon("live_operators").is_running("dynamorph.play_mode"), "the mode to play")
+    yield from until(lambda: addon("run.preview").is_running("dynamorph.play_mode"), "the mode to play")
     yield from until(lambda: np.abs(shown() - still).max() > 5e-3, "the mode to swing")
     yield from viewport.key("ESC")
     yield from until(lambda: keys() == before, "the preview to end")
@@ -67,20 +67,20 @@ def live():
     yield from sidebar.unfold("dynamorph.live", above="output.sink")
     begin = time.perf_counter()
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: addon("live").is_on(skin()), "Live to be on")
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
     measure("Live, turned on after", f"{time.perf_counter() - begin:.2f} s")
     assert keys()[-1] == "Dynamorph Live"
 
 
 @step("Play it live")
 def play_live():
-    with frames.timed(addon("live"), "follow") as follow:
+    with frames.timed(addon("run.live"), "follow") as follow:
         played = yield from frames.play(limb.FLEXED - limb.FIRST + 5)
     assert len(follow) >= len(played.evaluated)
     measure("Playback with Live", f"{played.fps:.0f} of {bpy.context.scene.render.fps} frames/s")
     measure("Live, a frame of the arm", f"{np.mean(follow):.1f} ms, at most {max(follow):.0f} ms")
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) > 1e-4, "the flesh does not swing"
-    assert not addon("live").problem(skin())
+    assert not addon("run.live").problem(skin())
 
 
 @step("Change the stiffness while it plays")
@@ -112,7 +112,7 @@ def shown_by_click(frame: int):
 @step("Shake Test", picture=view)
 def shake():
     rested, stood = shown(), rig().matrix_world.copy()
-    running = lambda: addon("live_operators").is_running("dynamorph.shake_test")  # noqa: E731
+    running = lambda: addon("run.preview").is_running("dynamorph.shake_test")  # noqa: E731
     hop = "dynamorph.shake_test(kind='HOP')"
     yield from sidebar.press(hop)
     yield from until(running, "the shake test")
@@ -145,7 +145,7 @@ def slots():
 @step("Live off")
 def live_off():
     yield from sidebar.press("dynamorph.live")
-    yield from until(lambda: not addon("live").is_on(skin()), "Live to be off")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
     assert keys() == ["Basis", "flexed", "Pose 1"]
     assert not any(block.mute for block in skin().data.shape_keys.key_blocks)
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) == 0.0

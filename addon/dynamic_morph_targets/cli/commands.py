@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the subcommands do."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..core import engine, errors, material_fit, oscillation
+from ..core.errors import InputError
+from ..core.settings import VARIANTS, Material, ModelSettings
+from ..io import cache_dir, model_file, paths, point_cache, report_page
+from ..run import batch, export_actions
+from ..run.job import Job
+from ..scene import checks, extract, mesh_data, model_store, skin, staleness
+from ..write import bake, exports, losses
+from ..write.reconcile import reconcile
+from .record import Progress, print_table
+
+SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
+MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
+SIMULATION_SETTINGS = (
+    "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop", "keep_outside",
+)  # fmt: skip
+OUTPUT_SETTINGS = ("keys", "every", "tolerance")
+SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
+
+
+def number(setting):
+    """A parser of numbers that Blender would not quietly move into the setting's range."""
+
+    def parse(text: str):
+        value = {"INT": int, "FLOAT": float}[setting.type](text)
+        if not setting.hard_min <= value <= setting.hard_max:
+            raise argparse.ArgumentTypeError(f"{text} is not between {setting.hard_min:g} and {setting.hard_max:g}")
+        return value
+
+    return parse
+
+
+def check_substeps(args):
+    if args.substeps is not None and args.substeps < 1:
+        raise InputError(f"--substeps is {args.substeps}: give 1 or more")
+
+
+def run_job(args):
+    """bake and build."""
+    check_substeps(args)
+    objects = chosen_objects(args)
+    folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
+    files = sink_files(args, objects, folder)
+    for obj in objects:  # all that may be refused, before any work
+        apply_settings(args, obj)
+    shared = cache_dir.Share(args.share.resolve()) if args.share else None
+    for obj in objects:
+        frames = tuple(args.frames) if args.frames else None
+        rebuild = args.goal == "BUILD" and shared is None
+        goal = "BUILD" if args.clips == "actions" else args.goal  # the clips are simulated as they are written
+        job = Job(obj, goal, frames, args.substeps, folder, rebuild, shared)
+        job.cache_files = files
+        batch.run(job, Progress(args.progress == "openjd"))
+        if sink_of(args) in exports.FORMATS:
+            export(args, obj, job, files[obj.name])
+        for reason in job.reasons:
+            print(f"{job.name}: built: {reason}")
+        if job.rehearsed:
+            print(f"{job.name}: {job.rehearsed}")
+        for warning in job.warnings:
+            print(f"{job.name}: warning: {warning}")
+        args.done.append(job)
+    seconds = save(args) if args.output or args.in_place else 0.0
+    for job in args.done:
+        print_table(job, seconds)
+        if job.kept:  # it is saved now
+            job.kept.unlink(missing_ok=True)
+
+
+def apply_settings(args, obj):
+    """Set on the object what the command line says. Raises InputError."""
+    for change in args.changes:
+        set_property(obj, change)
+    for group, names in SETTINGS.items():
+        for name in names:
+            if (value := getattr(args, name, None)) is not None:
+                setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
+    if args.sink:  # files for other programs are made of the modes
+        obj.dynamorph.output.sink = "MODES" if sink_of(args) in exports.FORMATS else sink_of(args)
+
+
+def sink_of(args) -> str:
+    return (args.sink or "").upper()
+
+
+def sink_names() -> list[str]:
+    """What can play a bake in Blender."""
+    output = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["output"].fixed_type
+    return [item.identifier for item in output.properties["sink"].enum_items]
+
+
+def sink_files(args, objects, folder: Path) -> dict[str, Path]:
+    """The files that --sink and --sink-file ask for, by the names of their meshes. Raises InputError, ExportError."""
+    if args.goal == "BUILD":
+        if not (args.output or args.in_place or args.share):
+            raise InputError("say where the model goes: --output, --in-place or --share")
+        return {}
+    sink = sink_of(args)
+    chosen = exports.FORMATS.get(sink)
+    if args.clips == "actions" and not (chosen and chosen.skins):
+        raise InputError("--clips actions is for --sink gltf and --sink fbx")
+    if args.clips == "actions" and args.frames:
+        raise InputError("--clips actions takes the frames of each Action: leave --frames out")
+    if not (args.output or args.in_place or chosen):
+        raise InputError("say where the bake goes: --output or --in-place, or --sink with a file for other programs")
+    if args.sink_file and not (chosen or sink in point_cache.CACHES):
+        raise InputError("--sink-file is for a --sink that is a file")
+    if not (args.sink_file or chosen):
+        return {}
+    suffix = chosen.suffix if chosen else f".{sink.lower()}"
+    pattern = args.sink_file or str(folder / f"{paths.OBJECT}{suffix}")
+    if Path(pattern).suffix.lower() != suffix:
+        raise InputError(f"--sink-file {pattern}: a file of {args.sink} ends in {suffix}")
+    meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else skin.clothes_in(obj)))]
+    files = {mesh.name: paths.file_path(pattern, mesh.name) for mesh in meshes}
+    if len(set(files.values())) < len(files):
+        raise InputError(f"--sink-file {pattern}: several meshes would share it, put {paths.OBJECT} in its name")
+    for path in files.values():
+        if not path.parent.is_dir():
+            raise InputError(f"there is no folder '{path.parent}' to write '{path.name}' to")
+    for obj in objects if chosen else ():
+        exports.check_place(obj, sink, files[obj.name])
+    return files
+
+
+def export(args, obj, job, path: Path):
+    """Write the bake for other programs."""
+    sink, takes, tick = sink_of(args), args.clips.upper(), Progress(args.progress == "openjd")
+    job.warnings += losses.losses(obj, sink, takes)
+    first, last = job.result.frames[[0, -1]] if job.bake else (0, 0)
+    job.warnings += export_actions.export(obj, sink, path, (math.ceil(first), math.floor(last)), takes, tick)
+    print(f"{job.name}: written to {path.name}")
+
+
+def set_property(obj, change: str):
+    """TARGET.PROPERTY=VALUE, a wedge of a farm; the name of a target may have dots in it. Raises InputError."""
+    where, _, text = change.partition("=")
+    name, _, field = where.rpartition(".")
+    target = obj.dynamorph.targets.get(name)
+    if target is None:
+        names = ", ".join(target.name for target in obj.dynamorph.targets)
+        raise InputError(f"--set {change}: '{obj.name}' has no target named '{name}': it has {names}")
+    if field not in SETTABLE:
+        raise InputError(f"--set {change}: a target has no '{field}': there are {', '.join(SETTABLE)}")
+    try:
+        setattr(target, field, number(target.bl_rna.properties[field])(text))
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        raise InputError(f"--set {change}: {error}") from error
+
+
+def run_collect(args):
+    """Raises CollectError when a bake failed or is missing, after the page is written."""
+    reports = report_page.read(args.folder)
+    wrong = report_page.failures(reports, args.expect)
+    model_file.save(args.page, report_page.page(reports, wrong).encode())
+    model_file.save(args.page.with_suffix(".json"), json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
+    print(f"{len(reports)} reports in {args.page}")
+    if wrong:
+        raise errors.CollectError("; ".join(wrong))
+
+
+def run_check(args):
+    """Raises InputError when something is in the way."""
+    engine.engine()
+    in_the_way = 0
+    for obj in chosen_objects(args):
+        problems = [problem.text for problem in (*checks.problems(obj), *checks.next_steps(obj))]
+        notes = []
+        if not problems:
+            try:
+                notes = extract.warnings(obj, extract.character(obj))
+            except engine.expected_errors() as error:
+                problems = [str(error)]
+        for kind, texts in (("error", problems), ("warning", notes)):
+            for text in texts:
+                print(f"{obj.name}: {kind}: {text}")
+        if not problems:
+            print(f"{obj.name}: can be built")
+        in_the_way += len(problems)
+    if in_the_way:
+        raise InputError(f"{in_the_way} problem{'s' * (in_the_way > 1)} in the way, listed above")
+
+
+def run_report(args):
+    check_substeps(args)
+    engine.engine()  # says what is missing
+    from ..core import compare
+
+    found = {}
+    for obj in chosen_objects(args):
+        job = Job(obj, "BAKE", frames=tuple(args.frames) if args.frames else None, substeps=args.substeps)
+        job.prepare()
+        tick = Progress()
+
+        def progress(fraction, message, job=job, tick=tick):
+            job.fraction, job.message = fraction, message
+            tick(job)
+            return True
+
+        variants = {name: VARIANTS[name] for name in args.methods}
+        found[obj.name] = compare.compare(job.character, job.rig, job.settings, variants, progress)
+    for name, compared in found.items():
+        print(f"\n{name}\n{compare.table(compared)}")
+    if args.json:
+        args.json.write_text(json.dumps(found, indent=1) + "\n")
+        print(f"written to {args.json}")
+
+
+def run_fit(args):
+    path = args.oscillation or args.force_displacement
+    if not path.is_file():
+        raise InputError(f"there is no file '{path}'")
+    rows = oscillation.read_columns(path, (2, 3, 4) if args.oscillation else (6,))
+    if args.oscillation:
+        seen = oscillation.oscillation(rows[:, 0], rows[:, 1:])
+        print(f"frequency {seen.frequency:.4g} +- {seen.frequency_error:.2g} Hz")
+        print(f"decay {seen.decay:.4g} +- {seen.decay_error:.2g} 1/s, settles in {seen.settle:.3g} s")
+    for obj in chosen_objects(args):
+        target = obj.dynamorph.targets.get(args.target)
+        if target is None:
+            raise InputError(f"'{obj.name}' has no target named '{args.target}'")
+        if args.patch and args.patch not in obj.vertex_groups:
+            raise InputError(f"'{obj.name}' has no vertex group named '{args.patch}'")
+        subject = model_store.fit_input(obj, target)
+        patch = None
+        if args.patch:
+            patch = np.zeros(len(subject[1].vertices))
+            patch[subject[1].own] = mesh_data.group_weights(obj, [args.patch])[:, 0]
+        if args.oscillation:
+            fitted = material_fit.fit_oscillation(*subject, seen.frequency, seen.decay, patch)
+        else:
+            fitted = material_fit.fit_force_displacement(*subject, rows[:, :3], rows[:, 3:], patch)
+        for name, value in asdict(fitted).items():
+            print(f"{obj.name}: {target.name}: {name.replace('_', ' ')} {getattr(target, name):.4g} -> {value:.4g}")
+        target.set_material(fitted, by_hand=True)
+    save(args)
+
+
+def run_free(args):
+    for obj in chosen_objects(args):
+        bake.check(obj)
+        baked = obj.dynamorph.bake
+        removed = f"{len(baked.keys)} baked keys" + (" and what plays the point cache" if baked.cache else "")
+        bake.free(obj)
+        print(f"{obj.name}: {removed} removed")
+    save(args)
+
+
+def run_info(args):
+    for obj in chosen_objects(args):
+        settings = obj.dynamorph
+        print(f"{obj.name}: {', '.join(target.name for target in settings.targets)}")
+        print(f"  model: {settings.model.summary or 'none'}")
+        try:
+            reasons = "; ".join(model_store.stale_reasons(obj, extract.character(obj))) or "up to date"
+        except engine.expected_errors() as error:
+            reasons = str(error)
+        print(f"  state: {reasons}")
+        if not settings.bake.exists:
+            print("  bake: none")
+            continue
+        print(f"  bake: {len(settings.bake.keys)} keys, {settings.bake.summary}")
+        print(f"  bake made from {settings.bake.content_id[:12]}, result {settings.bake.digest[:12]}")
+        staleness.look_at_animation(obj)
+        print(f"  bake state: {'; '.join(staleness.outdated(obj)) or 'up to date'}")
+
+
+def chosen_objects(args) -> list:
+    """The objects that --object or --all name."""
+    if not args.object:
+        found = skin.soft_skins(bpy.context.scene.objects)
+        if not found:
+            raise InputError(f"scene '{bpy.context.scene.name}' has no soft skin: press Add Soft Skin in Blender first")
+        return _reconciled(found)
+    missing = [name for name in args.object if name not in bpy.context.scene.objects]
+    if missing:
+        raise InputError(f"scene '{bpy.context.scene.name}' has no object named '{missing[0]}'")
+    return _reconciled([bpy.context.scene.objects[name] for name in args.object])
+
+
+def _reconciled(objects: list) -> list:
+    for obj in skin.soft_skins(objects):
+        reconcile(obj)
+    return objects
+
+
+def save(args) -> float:
+    """Save the .blend; returns the seconds it took."""
+    began = time.perf_counter()
+    path = str(args.output.resolve()) if args.output else bpy.data.filepath
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=path, copy=args.output is not None)
+    except RuntimeError as error:
+        raise OSError(f"'{path}' cannot be saved: {str(error).strip()}") from error
+    print(f"saved {args.output or bpy.data.filepath}")
+    return time.perf_counter() - began

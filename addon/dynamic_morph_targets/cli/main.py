@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Command line, the same for two callers:
+
+    blender -b shot.blend -c dynamorph bake --object Body -o baked.blend
+    python -m dynamic_morph_targets bake shot.blend --object Body -o baked.blend
+
+Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 70 a fault of this
+program, 75 a file could not be read or written (a full disk, a lost network: try again), 130 Ctrl-C.
+
+--report writes what came of a command as JSON, also when it fails. Its keys: docs/file_format.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+import traceback
+from pathlib import Path
+
+import bpy
+
+from ..core import engine, errors
+from ..core.errors import InputError
+from ..core.settings import VARIANTS
+from ..io import model_file, paths
+from ..write import exports
+from .commands import (
+    MODEL_SETTINGS,
+    OUTPUT_SETTINGS,
+    SIMULATION_SETTINGS,
+    number,
+    run_check,
+    run_collect,
+    run_fit,
+    run_free,
+    run_info,
+    run_job,
+    run_report,
+    sink_names,
+)
+from .record import record
+
+COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
+# 70 and 75 as EX_SOFTWARE and EX_TEMPFAIL of sysexits.h.
+DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70, 75, 130
+
+
+def main(argv, opens_file: bool = False) -> int:
+    """Run one command and return its exit code. opens_file: the .blend is an argument, not the one already open."""
+    try:
+        args = parser(opens_file).parse_args(argv)
+    except SystemExit as stop:  # argparse has printed why; Blender must not be ended by it
+        return stop.code if isinstance(stop.code, int) else BAD_INPUT
+    # Blender swallows the first Ctrl-C unless Python's own handler is in place.
+    handlers = {
+        signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, _preempted),
+    }
+    try:
+        return _run(args, opens_file)
+    finally:
+        for number, handler in handlers.items():
+            if handler is not None:  # else it is Blender's own, set in C: Blender ends here anyway
+                signal.signal(number, handler)
+        sys.stdout.flush()
+
+
+class Preempted(BaseException):
+    """A scheduler wants the machine for something else."""
+
+
+def _preempted(_number, _frame):
+    raise Preempted
+
+
+def _run(args, opens_file: bool) -> int:
+    """Run the command, and report what came of it; returns its exit code."""
+    args.done, code, error = [], DONE, ""
+    try:
+        open_file(args, opens_file)
+        args.run(args)
+    except Preempted:
+        code, error = TRY_AGAIN, "stopped by a signal, nothing was saved: run it again, with --share it goes on"
+    except KeyboardInterrupt:
+        code, error = INTERRUPTED, "interrupted, nothing was saved"
+    except errors.SelfCheckError as failure:
+        code, error = SELF_CHECK_FAILED, f"error: {failure}"
+    except OSError as failure:
+        code, error = TRY_AGAIN, f"error: {failure}: try again"
+    except engine.expected_errors() as failure:
+        code, error = BAD_INPUT, f"error: {failure}"
+    except Exception as fault:  # of ours: the report is written all the same
+        traceback.print_exc()
+        code, error = FAULT, f"fault: {type(fault).__name__}: {fault}"
+    if error:
+        print(f"dynamorph: {error}", file=sys.stderr)
+    if getattr(args, "report", None):
+        try:
+            model_file.save(args.report, json.dumps(record(args, code, error), indent=1).encode() + b"\n")
+        except OSError as failure:
+            print(f"dynamorph: error: {failure}: try again", file=sys.stderr)
+            return code or TRY_AGAIN
+    return code
+
+
+def parser(opens_file: bool) -> argparse.ArgumentParser:
+    root = argparse.ArgumentParser(
+        prog="python -m dynamic_morph_targets" if opens_file else "dynamorph",
+        description="Dynamic morph targets: soft skin for rigged characters.",
+    )
+    commands = root.add_subparsers(title="commands", required=True)
+
+    def command(name, run, text, writes=True):
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(run=run)
+        if opens_file:
+            sub.add_argument("file", type=Path, help="the .blend to open")
+        chosen = sub.add_mutually_exclusive_group(required=writes)
+        chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
+        chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
+        if writes:
+            target = sub.add_mutually_exclusive_group(required=name not in ("build", "bake"))
+            target.add_argument("-o", "--output", type=Path, metavar="FILE", help="the .blend to write")
+            target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
+        return sub
+
+    check = command("check", run_check, "say what is in the way of a build, and what is not likely to be meant", False)
+    bake = command("bake", run_job, "simulate, and write shape keys or files; builds first what is out of date")
+    bake.set_defaults(goal="BAKE")
+    add_shot(bake)
+    add_settings(bake, "simulation", SIMULATION_SETTINGS)
+    bake.add_argument("--sink", choices=[name.lower() for name in (*sink_names(), *exports.FORMATS)],
+                      help="what the bake becomes: modes, frames, pc2 and mdd play it in Blender, the rest are files "
+                      "for other programs; default: the object's own setting")  # fmt: skip
+    bake.add_argument("--sink-file", metavar="FILE",
+                      help=f"the file of such a sink; {paths.OBJECT} in it is the object's name; default: that name, "
+                      "beside the .blend")  # fmt: skip
+    bake.add_argument("--clips", choices=("scene", "actions"), default="scene",
+                      help="actions, of gltf and fbx: an animation for each Action of the armature, simulated by "
+                      "itself in the place of the scene's frames")  # fmt: skip
+    add_settings(bake, "output", OUTPUT_SETTINGS)
+    build = command("build", run_job, "build models")
+    build.set_defaults(goal="BUILD", frames=None, substeps=None, sink=None, sink_file=None, clips="scene")
+    for sub in (bake, build):
+        add_settings(sub, "model", MODEL_SETTINGS)
+        sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
+                         help="set a target's property first, as Flexed.stiffness=5e4; may be repeated")  # fmt: skip
+        sub.add_argument("--share", type=Path, metavar="FOLDER",
+                         help="keep models and unfinished bakes there, and go on with those that are")  # fmt: skip
+        sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to tell of progress")
+    for sub in (check, bake, build):
+        sub.add_argument("--report", type=Path, metavar="FILE", help="write what came of it as JSON, even if it fails")
+    report = command("report", run_report, "simulate by several methods and compare them", writes=False)
+    report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
+                        help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
+    report.add_argument("--json", type=Path, metavar="FILE", help="also write all figures, in metres and seconds")
+    add_shot(report)
+    fit = command("fit", run_fit, "set a target's stiffness and damping as measured; its model must be up to date")
+    fit.add_argument("--target", required=True, metavar="NAME", help="the target's name")
+    measured = fit.add_mutually_exclusive_group(required=True)
+    measured.add_argument("--oscillation", type=Path, metavar="CSV", help="a point let go: seconds, x, y, z")
+    measured.add_argument(
+        "--force-displacement", type=Path, metavar="CSV", help="pushes: newtons x, y, z, metres x, y, z; mesh's axes"
+    )
+    fit.add_argument("--patch", metavar="GROUP", help="vertex group looked at or pushed; default: the target's region")
+    collected = commands.add_parser("collect", help=COLLECT, description=COLLECT)
+    collected.set_defaults(run=run_collect)
+    collected.add_argument("folder", type=Path, help="with what --report wrote")
+    collected.add_argument("--expect", type=int, metavar="N", help="how many reports there should be")
+    collected.add_argument("-o", "--page", type=Path, metavar="FILE", required=True,
+                           help="the HTML to write, with a .json of the same name beside it")  # fmt: skip
+    command("free", run_free, "remove bakes and restore the target keys")
+    command("info", run_info, "print what the file holds", writes=False)
+    return root
+
+
+def add_shot(sub):
+    sub.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
+    sub.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
+
+
+def add_settings(sub, part: str, names):
+    """Settings of a panel by the same names; what is given is set on the object first."""
+    settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties[part].fixed_type.properties
+    for name in names:
+        setting = settings[name]
+        option, text = f"--{name.replace('_', '-')}", setting.description.replace("%", "%%")
+        if setting.type == "BOOLEAN":
+            sub.add_argument(option, action=argparse.BooleanOptionalAction, help=text)
+        elif setting.type == "ENUM":
+            sub.add_argument(option, choices=[item.identifier.lower() for item in setting.enum_items], help=text)
+        else:
+            sub.add_argument(option, type=number(setting), help=text)
+
+
+def open_file(args, opens_file: bool):
+    """Make sure that the .blend is open, and that the result can be written, before any work."""
+    if args.run == run_collect:
+        return
+    if opens_file:
+        if not args.file.is_file():
+            raise InputError(f"there is no file '{args.file}'")
+        try:
+            bpy.ops.wm.open_mainfile(filepath=str(args.file.resolve()))
+        except RuntimeError as error:
+            raise InputError(f"'{args.file}' cannot be opened: {error}") from error
+    if not bpy.data.filepath:  # Blender goes on with an empty scene when its file is missing
+        raise InputError("no .blend is open: name one that exists before -c")
+    output = getattr(args, "output", None)
+    if output is None:
+        return
+    if not output.resolve().parent.is_dir():
+        raise InputError(f"there is no folder '{output.resolve().parent}' to write '{output.name}' to")
+    if output.resolve() == Path(bpy.data.filepath).resolve():
+        raise InputError(f"'{output}' is the file that is open: say --in-place to overwrite it")

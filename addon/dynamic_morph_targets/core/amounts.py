@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much of a motion is shown: all of it, mode by mode, and region by region. Never touches bpy."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from .character import Character
+from .model import Model
+from .settings import SimulationSettings
+
+
+class Amounts:
+    """Scales the motion about the targets' shapes when it is shown; the simulation does not know of it.
+
+    amount: of all; gains (dofs,) of the modes; influence (J,) of the targets: to be set at any time. shapes (J, dofs):
+    the targets' in coordinates, of no width for static morph targets.
+    """
+
+    def __init__(self, model: Model, character: Character, shapes: np.ndarray, settings: SimulationSettings):
+        self._model = model
+        self._sizes = [len(target_set.targets) for target_set in character.target_sets]
+        self._shapes = shapes
+        self.amount = settings.amount
+        self.influence = np.array([target.influence for target in character.targets])
+        self.gains = np.ones(shapes.shape[1])
+        if model.settings.solver == "REDUCED":
+            known = min(len(settings.gains), len(self.gains))
+            self.gains[:known] = settings.gains[:known]
+
+    def shown(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Coordinates (..., dofs) at the targets' weights (..., J), with the amount, the gains and the influence.
+
+        In the region of a set the motion has the mean influence of its targets, by their weights, which sum to one.
+        """
+        coordinates = self.with_gains(coordinates, weights)
+        if not len(self.gains) or (self.influence == 1.0).all():
+            return coordinates
+        still = weights @ self._shapes
+        begins = np.cumsum([0, *self._sizes[:-1]])
+        means = np.add.reduceat(weights * self.influence, begins, axis=-1)
+        parts = self._in_regions(coordinates - still)
+        return still + sum(mean[..., None] * part for mean, part in zip(np.moveaxis(means, -1, 0), parts, strict=True))
+
+    def with_gains(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """As `shown`, whatever the influence."""
+        return coordinates + (self.amount * self.gains - 1.0) * (coordinates - weights @ self._shapes)
+
+    def _in_regions(self, motion: np.ndarray) -> list[np.ndarray]:
+        """Each set's part of a motion (..., dofs); they sum to it."""
+        if len(self._sizes) == 1:
+            return [motion]
+        if self._model.settings.solver == "FULL":
+            return [motion * share for share in self._node_shares]
+        return [motion @ part for part in self._region_parts]
+
+    @cached_property
+    def _node_shares(self) -> np.ndarray:
+        """How much of each free node follows each set, once an axis: (S, 3 free)."""
+        model = self._model
+        corners, around = model.tets.ravel(), np.repeat(model.shares, 4, axis=0)
+        total = np.array([np.bincount(corners, share, len(model.nodes)) for share in around.T])
+        return np.repeat((total / total.sum(axis=0).clip(1e-300))[:, model.free], 3, axis=1)
+
+    @cached_property
+    def _region_parts(self) -> list[np.ndarray]:
+        """For each set the (r, r) that takes coordinates to what the modes can do of their motion in its region alone,
+        by least squares.
+        """
+        back = np.linalg.pinv(self._model.basis)
+        return [(back @ (share[:, None] * self._model.basis)).T for share in self._node_shares]

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A bake as plain data: what a shot comes to, and its surface at any frame. Never touches bpy."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+CHUNK = 64  # frames whose surfaces are made at once: bounds memory
+
+
+def surfaces(bake: Bake, vertices: np.ndarray, chunk: int = CHUNK) -> Iterator[np.ndarray]:
+    """The surface at each frame, a few frames (F', V, 3) at a time; vertices (V, 3): the Basis."""
+    for first in range(0, len(bake.frames), chunk):
+        frames = slice(first, first + chunk)
+        yield vertices + displaced(bake.coordinates[frames], bake.weights[frames], bake.modes, bake.details)
+
+
+def digest(bake: Bake, *more) -> str:
+    """Identifies what was simulated: SHA-256 of all numbers of a bake, and of more."""
+    found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "details", "dry")
+    for name, numbers in (*((name, getattr(bake, name)) for name in names), *(("more", each) for each in more)):
+        array = np.ascontiguousarray(numbers)
+        found.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
+
+
+def reach(bake: Bake, to_bind: np.ndarray) -> float:
+    """How far a vertex is displaced from the Basis at most, in metres; to_bind (3, 3): local to metric space."""
+    in_metres = replace(bake, modes=bake.modes @ to_bind.T, details=bake.details @ to_bind.T)
+    return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(in_metres, 0.0))
+
+
+def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
+    """The largest distance of a vertex between two bakes of the same frames, metres; to_bind as for `reach`."""
+    difference = Bake(
+        frames=bake.frames,
+        coordinates=np.hstack([bake.coordinates, -other.coordinates]),
+        weights=np.hstack([bake.weights, -other.weights]),
+        modes=np.concatenate([bake.modes, other.modes]),
+        details=np.concatenate([bake.details, other.details]),
+        target_names=(),
+        dry=np.zeros((len(bake.frames), 0)),
+    )
+    return reach(difference, to_bind)
+
+
+def at_rows(bake: Bake, rows: np.ndarray) -> Bake:
+    """Some frames of a bake."""
+    return replace(
+        bake, frames=bake.frames[rows], coordinates=bake.coordinates[rows], weights=bake.weights[rows],
+        dry=bake.dry[rows],
+    )  # fmt: skip
+
+
+def samples_per_frame(bake: Bake) -> int:
+    """How many surfaces a bake has from one frame to the next."""
+    return round(1.0 / (bake.frames[1] - bake.frames[0])) if len(bake.frames) > 1 else 1
+
+
+def displaced(coordinates, weights, modes, details) -> np.ndarray:
+    return np.tensordot(coordinates, modes, 1) + np.tensordot(weights, details, 1)
+
+
+@dataclass(frozen=True)
+class Bake:
+    """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
+
+    frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
+    details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). dry (F, r): the coordinates
+    of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind space, for
+    what else moves with the flesh. key_names (r + J,): of the shape keys that modes and details become; empty:
+    numbered, and by the targets.
+    """
+
+    frames: np.ndarray
+    coordinates: np.ndarray
+    weights: np.ndarray
+    modes: np.ndarray
+    details: np.ndarray
+    target_names: tuple[str, ...]
+    dry: np.ndarray
+    node_modes: np.ndarray | None = None
+    key_names: tuple[str, ...] = ()
+
+    def displacement(self, index: int) -> np.ndarray:
+        """Displacement (V, 3) of the bound surface at frame number `index`, local space."""
+        return np.tensordot(self.coordinates[index], self.modes, 1) + np.tensordot(self.weights[index], self.details, 1)

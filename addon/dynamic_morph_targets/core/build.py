@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Character -> Model: cage, tetrahedra, target shapes in the nodes, modes, polynomials. Never touches bpy.
+
+A Model holds geometry only. Stiffness, damping, density and poses come from the Character when it is simulated, so
+that changing them never needs a new build.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+import dynamorph
+import numpy as np
+
+from . import cage
+from .cage import Progress, Stages
+from .character import Character, Target
+from .model import Model, array_hash, engine_hash, morph_targets
+from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS
+
+Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.ndarray]]
+REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
+REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
+FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
+# Of the tetrahedra.
+MESH_DEPENDENCIES = (
+    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
+    "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
+)  # fmt: skip
+# Of them and of what is held.
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
+CAGE_SHARE = 0.35  # of the time of a build
+
+
+def build(
+    character: Character,
+    progress: Progress | None = None,
+    previous: Model | None = None,
+    rehearse: Rehearsal | None = None,
+) -> Model:
+    """Builds the model of a character. progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
+
+    previous: a model of the same character, whose tetrahedra serve again if nothing they depend on has changed.
+    rehearse(model, report): coordinates (F, dofs) and target weights (F, J) of the shot that modes are to be fitted to.
+    Raises dynamorph.Error or ValueError with advice when the mesh or the targets cannot be used.
+    """
+    authored = dependencies(character)
+    character = character.by_method()
+    if character.settings.method == "STATIC":
+        return _static_model(character, authored)
+    stages = Stages(progress)
+    model, embedding = _with_flesh(character, authored, _reusable(previous, authored), stages)
+    body = model.soft_body()
+    with stages("Target shapes", 0.10):
+        _shape_targets(model, body, embedding, character.targets)
+    targets = morph_targets(character, model.displacements)
+    law = dynamorph.Law.__members__[character.settings.law]
+    full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
+    if character.settings.solver == "REDUCED":
+        if character.settings.fit_to_shot:
+            basis = _fitted_basis(model, body, full, character, rehearse, stages)
+        else:
+            with stages("Modes", 0.35) as report:
+                basis = dynamorph.make_basis(full, character.settings.modes, report).U
+        with stages("Polynomials", 0.20) as report:
+            model = _reduced(model, full, basis, report)
+    fallbacks = _fallbacks(full, character.targets)
+    model.summary.update(
+        dofs=full.dofs,
+        modes=model.basis.shape[1],
+        targets=len(targets),
+        fallbacks=fallbacks,
+        warnings=model.summary["warnings"] + _fallback_warnings(fallbacks, len(model.tets)),
+        seconds=stages.seconds,
+    )
+    return model
+
+
+def build_cage(character: Character, progress: Progress | None = None, previous: Model | None = None) -> Model:
+    """The tetrahedra alone and what holds them: a model to look at, which `build` takes as its `previous`.
+
+    Arguments and errors as for `build`.
+    """
+    if character.settings.method == "STATIC":
+        raise ValueError(f"'{character.name}' needs no cage: with the Method Static nothing is simulated")
+    authored = dependencies(character)
+    stages = Stages(progress, CAGE_SHARE)
+    mesh = _reusable(previous, authored)
+    of_cage = {name: authored[name] for name in CAGE_DEPENDENCIES if name in authored}
+    model, _ = _with_flesh(character.by_method(), of_cage, mesh, stages)
+    model.summary.update(modes=0, seconds=stages.seconds)
+    return model
+
+
+def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.TetMesh | None:
+    """The tetrahedra of an earlier model, if there are any and nothing they depend on has changed."""
+    if previous is None or not len(previous.tets):
+        return None
+    fits = all(previous.dependencies.get(name) == authored.get(name) for name in MESH_DEPENDENCIES)
+    return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
+
+
+def _reduced(model: Model, full, basis: np.ndarray, report) -> Model:
+    """The model in the modes of `basis` (3 free, r)."""
+    tables = dynamorph.reduce(full, basis, report)
+    return replace(model, basis=basis, table_lambda=np.array(tables.lame_lambda), table_mu=np.array(tables.lame_mu))
+
+
+def _fitted_basis(model: Model, body, full, character: Character, rehearse, stages: Stages) -> np.ndarray:
+    """Modes (3 free, r) for a shot: the targets' shapes exactly, then what moves most about them in a rehearsal
+    (mass-PCA). It is unreduced where that takes seconds, else in more modes than are wanted.
+
+    The usual modes move a little too, so that there are enough of them in a shot in which little does.
+    """
+    if rehearse is None:
+        raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
+    wanted = character.settings.modes
+    in_full = full.dofs <= REHEARSED_IN_FULL
+    with stages("Modes", 0.05 if in_full else 0.15) as report:
+        more = 0 if in_full else min(int(np.clip(2 * wanted, *REHEARSAL_MODES)), full.dofs // 3)
+        usual = dynamorph.make_basis(full, max(wanted, more), report).U
+    with stages("Rehearsal", 0.30 if in_full else 0.20) as report:
+        building = 0.0 if in_full else 0.8  # of the time, by polynomials in many modes
+        if in_full:
+            rehearsed = replace(model, settings=replace(model.settings, solver="FULL"))
+            root = np.sqrt(np.repeat(body.volumes.sum(axis=1), 3))  # of the mass for unit density
+            orthonormal, scale, little = np.diag(1.0 / root), root, root[:, None] * usual
+        else:
+            orthonormal, scale, little = usual, 1.0, np.eye(usual.shape[1])
+            rehearsed = _reduced(model, full, usual, lambda fraction: report(building * fraction))
+        coordinates, weights = rehearse(rehearsed, lambda fraction: report(building + (1.0 - building) * fraction))
+        targets = rehearsed.target_coordinates(rehearsed.engine(character))
+        motion = (scale * (coordinates - weights @ targets)).T
+        u, s, _ = np.linalg.svd((scale * targets).T, full_matrices=False)
+        shapes = u[:, s > 1e-9 * max(s[0], 1e-300)]
+        motion = np.hstack([motion, little * max(1e-3 * np.abs(motion).max(), 1e-300)])
+        others, _, _ = np.linalg.svd(motion - shapes @ (shapes.T @ motion), full_matrices=False)
+    return orthonormal @ np.hstack([shapes, others[:, : wanted - shapes.shape[1]]])
+
+
+def _static_model(character: Character, authored: dict[str, str]) -> Model:
+    """Geometric morph targets: nothing is simulated, so there is no flesh, and the shapes are all detail."""
+    targets = character.targets
+    return _model(
+        character,
+        authored,
+        shares=np.zeros((0, len(character.target_sets))),
+        details=np.array([target.shape for target in targets]),
+        summary={
+            **dict.fromkeys(("nodes", "tets", "pinned", "dofs", "modes"), 0),
+            "targets": len(targets),
+            "warnings": [],
+            "seconds": {},
+        },
+    )
+
+
+def _model(character: Character, authored: dict[str, str], **known) -> Model:
+    """What is `known` of a model, with what it takes over from the character; all else is empty."""
+    empty = {name: np.zeros((0, 0)) for name in Model.array_names()}
+    taken = {
+        "to_bind": character.to_bind,
+        "parents": character.skeleton.parents,
+        "rest": character.skeleton.rest,
+        "bone_names": character.skeleton.names,
+        "settings": character.settings,
+        "dependencies": authored,
+        "summary": {},
+    }
+    return Model(**(empty | taken | known))
+
+
+def _with_flesh(character: Character, authored, mesh, stages: Stages) -> tuple[Model, dynamorph.Embedding]:
+    """The tetrahedra around the skin with all they inherit from it; the targets' shapes are still to come."""
+    flesh = cage.volume(character, mesh, stages)
+    held = flesh.hold
+    model = _model(
+        character,
+        authored,
+        nodes=flesh.mesh.nodes,
+        tets=flesh.mesh.tets,
+        fill=flesh.fill,
+        stiffness=flesh.stiffness,
+        shares=flesh.shares,
+        pinned=flesh.pinned,
+        held=held.held if held else np.zeros(0),
+        hold=held.phi if held else np.zeros(0),
+        thickness=held.thickness if held else np.zeros(0),
+        node_weights=flesh.node_weights,
+        embedding_nodes=flesh.embedding.nodes,
+        embedding_weights=flesh.embedding.weights,
+        displacements=np.zeros((len(character.targets), len(flesh.mesh.nodes), 3)),
+        details=np.zeros((len(character.targets), len(character.vertices), 3)),
+        summary=flesh.summary,
+    )
+    return model, flesh.embedding
+
+
+def _shape_targets(model: Model, body, embedding, targets: list[Target]):
+    """Carries each sculpted shape into the nodes; what the cage cannot carry stays as detail."""
+    sculpted = [j for j, target in enumerate(targets) if target.shape.any()]
+    if sculpted:
+        shapes = np.array([targets[j].shape for j in sculpted])
+        model.displacements[sculpted] = body.extend_shapes(embedding, shapes @ model.to_bind.T)
+        model.details[sculpted] = shapes - model.surface(model.displacements[sculpted])
+
+
+def _fallbacks(full, targets: list[Target]) -> dict[str, int]:
+    """How many tetrahedra each target's sculpt would crush or invert: for it they stay as in the neutral shape."""
+    counts = {target.name: full.fallbacks(j) for j, target in enumerate(targets)}
+    return {name: count for name, count in counts.items() if count}
+
+
+def _fallback_warnings(fallbacks: dict[str, int], tets: int) -> list[str]:
+    """With advice, where it is more than a few."""
+    return [
+        f"Target '{name}' would crush or invert {count} of {tets} tetrahedra, which stay as in the neutral shape: "
+        "sculpt it smoother, or raise Cage Nodes"
+        for name, count in fallbacks.items()
+        if count > FEW * tets
+    ]
+
+
+# What a model depends on -------------------------------------------------------------------------------------------
+
+
+def dependencies(character: Character) -> dict[str, str]:
+    """Hashes of all that a built model depends on, by name. Materials and poses are none of it."""
+    skeleton, settings = character.skeleton, character.settings
+    parts = {
+        "mesh": (character.vertices, character.triangles),
+        "object scale": (character.to_bind,),
+        "skin weights": (character.weights,),
+        "Soft vertex group": (character.softness,),
+        "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
+        "regions": (
+            np.array([len(target_set.targets) for target_set in character.target_sets]),
+            *(target_set.share for target_set in character.target_sets),
+        ),
+        "number of targets": (np.array([len(character.targets)]),),
+    }
+    if (character.stiffness != 1.0).any():  # else there is none, as in the models from before there was
+        parts["Stiffness vertex group"] = (character.stiffness,)
+    if character.pieces.any():
+        parts["pieces"] = (character.pieces,)
+    if settings.hold != "BONES":
+        parts["what is rigid"] = (character.rigidity, np.array([character.painted]))
+    for j, target in enumerate(character.targets):
+        parts[f"shape {j}"] = (target.shape,)
+    if character.cage:
+        parts["cage object"] = character.cage[1:]
+    if settings.cage_grading:
+        parts["how far targets move"] = (cage.moved(character.by_method()),)
+    for name, value in asdict(settings).items():
+        if name not in FREE_SETTINGS and value != LATER_SETTINGS.get(name):
+            parts[name.replace("_", " ")] = (np.frombuffer(str(value).encode(), np.uint8),)
+    return {"engine": engine_hash(ENGINE)} | {name: array_hash(arrays) for name, arrays in parts.items()}
+
+
+def stale_reasons(model: Model, character: Character) -> list[str]:
+    """Why `model` no longer fits `character`, for the artist; empty when it does."""
+    vertices, before = len(character.vertices), model.details.shape[1]
+    if vertices != before:  # and with them all else
+        return [f"the mesh has {vertices} vertices instead of {before}"]
+    now, then = dependencies(character), model.dependencies
+    only_cage = set(then) <= set(CAGE_DEPENDENCIES)
+    considered = CAGE_DEPENDENCIES if only_cage else {**now, **then}
+    changed = [name for name in considered if now.get(name) != then.get(name)]
+    names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
+    if "number of targets" in changed:
+        changed = [name for name in changed if not name.startswith("shape ")]
+    return ["only the cage is built"] * only_cage + [f"{names.get(name, name)} changed" for name in changed]
+
+
+def has_cage(model: Model, character: Character) -> bool:
+    """Whether `model` has the tetrahedra, and the nodes held by bones, that `character` asks for."""
+    now = dependencies(character)
+    return len(model.tets) > 0 and all(model.dependencies.get(name) == now.get(name) for name in CAGE_DEPENDENCIES)

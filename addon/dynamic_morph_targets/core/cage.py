@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Character -> tetrahedra around its skin, and what they inherit from it. Never touches bpy."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import dynamorph
+import numpy as np
+
+from .character import Character
+from .geometry import connected_parts
+from .hold import Hold, hold
+
+Progress = Callable[[float, str], bool]
+GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
+MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
+HELD = 0.05  # nodes softer than this in the Soft group are free
+FEWEST_NODES = 50  # of a piece's own cage
+
+
+@dataclass(frozen=True)
+class Volume:
+    """The flesh before the targets: n nodes, m tets, S target sets, B bones. Bind space, metres.
+
+    embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor, painted and by thickness;
+    shares (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness, or None; summary: what is to be told
+    of it.
+    """
+
+    mesh: dynamorph.TetMesh
+    embedding: dynamorph.Embedding
+    fill: np.ndarray
+    stiffness: np.ndarray
+    shares: np.ndarray
+    pinned: np.ndarray
+    node_weights: np.ndarray
+    hold: Hold | None
+    summary: dict
+
+
+def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages) -> Volume:
+    """The tetrahedra of a character; mesh: those of an earlier build that serve again.
+
+    Raises dynamorph.Error with advice when the skin cannot be filled or nothing holds it.
+    """
+    surface = (character.vertices @ character.to_bind.T)[character.coincident]
+    cages = _cages(character, surface)
+    with stages("Meshing", 0.30) as report:
+        defects = dynamorph.closed_surface(surface, character.triangles)[2]
+        if mesh is None or len(cages) > 1:
+            meshes = [_tetrahedra(cage, surface, turn) for cage, turn in _in_turn(cages.values(), report)]
+        else:
+            meshes = [_whole(mesh)]
+    with stages("Embedding", 0.05) as report:
+        filled = [
+            _filled(*each, surface, turn) for each, turn in _in_turn(zip(cages.values(), meshes, strict=True), report)
+        ]
+        mesh, embedding = _together(character.pieces, list(cages), filled)
+        embedding = _alike(embedding, character.coincident)
+        stiffness, weights, softness, rigidity, shares = _inherited(character, mesh, embedding)
+        fill = np.concatenate([cage.fill for cage in filled])
+        held, pinned, adrift = None, np.zeros(len(mesh.nodes), bool), []
+        if character.settings.hold == "BONES":
+            pinned = np.concatenate([cage.pinned for cage in filled]) | (softness < HELD)
+            adrift = _adrift(mesh, pinned)
+        else:
+            held = _held(character, mesh, surface, softness, rigidity, fill)
+            stiffness = stiffness * held.stiffness
+    if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
+        raise dynamorph.Error(
+            f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint "
+            "Soft 0 where it is attached"
+        )
+    for nodes in adrift:
+        pinned[nodes] = True
+    glued = {name: sum(cage.glued[name] for cage in filled) for name in filled[0].glued}
+    summary = {
+        "nodes": len(mesh.nodes),
+        "tets": len(mesh.tets),
+        "pinned": int(pinned.sum()),
+        "held": float(held.phi.mean()) if held else float(pinned.mean()),
+        "defects": defects,
+        "quality": dynamorph.tet_quality(mesh),
+        "glued": glued,
+        "held_parts": len(adrift),
+        "warnings": [text for cage in filled for text in cage.warnings]
+        + _glued_warnings(character, glued)
+        + [_adrift_warning(character, embedding, nodes) for nodes in adrift],
+    }
+    return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, held, summary)
+
+
+def _held(character: Character, mesh, surface: np.ndarray, softness, rigidity, fill: np.ndarray) -> Hold:
+    soft = (character.pieces[character.triangles] >= 0).all(axis=1)
+    thickness = dynamorph.Thickness(surface, character.triangles[soft])
+    return hold(mesh, thickness, surface, rigidity, softness if character.painted else None, fill)
+
+
+# Cages: of the body, and of pieces that have their own ---------------------------------------------------------------
+
+
+def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
+    """What each cage holds, by the number of its piece: the character with those triangles and its share of the nodes.
+
+    A triangle between pieces counts with the one of the largest number. Rigid pieces have no cage.
+    """
+    number = character.pieces[character.triangles].max(axis=1, initial=-1)
+    if not number.any():
+        return {0: character}
+    corners = surface[character.triangles].swapaxes(0, 1)
+    area = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
+    share = character.settings.cage_nodes / max(area[number >= 0].sum(), 1e-300)
+    cages = {}
+    for piece in np.unique(number[number >= 0]):
+        of_piece = number == piece
+        cage_nodes = max(FEWEST_NODES, round(share * area[of_piece].sum()))
+        cages[int(piece)] = replace(
+            character.with_settings(cage_nodes=cage_nodes),
+            triangles=character.triangles[of_piece],
+            cage=None if piece else character.cage,
+        )
+    if not cages:
+        raise dynamorph.Error(f"'{character.name}': every piece of it is rigid: let one be simulated with the body")
+    return cages
+
+
+def _in_turn(steps, report) -> list[tuple]:
+    """The steps, each with a progress of its own: they take about as long."""
+    steps = list(steps)
+    return [
+        (step, lambda fraction, turn=turn: report((turn + fraction) / len(steps))) for turn, step in enumerate(steps)
+    ]
+
+
+@dataclass(frozen=True)
+class _Filled:
+    """One cage of n nodes and m tets, as it is cut where skin merely touches.
+
+    embedding: of all V vertices; fill (m,); pinned (n,) bool: by bones; glued: counts, as in the summary.
+    """
+
+    mesh: dynamorph.TetMesh
+    embedding: dynamorph.Embedding
+    fill: np.ndarray
+    pinned: np.ndarray
+    glued: dict[str, int]
+    warnings: list[str]
+
+
+def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report) -> _Filled:
+    mesh, embedding, glued = _parted(cage, mesh, surface)
+    fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
+    by_bones = cage.settings.hold == "BONES"
+    pinned = _pinned(cage, mesh, surface) if by_bones else np.zeros(len(mesh.nodes), bool)
+    return _Filled(mesh, embedding, fill, pinned, glued, _outside(cage, embedding))
+
+
+def _together(pieces: np.ndarray, numbers: list[int], cages: list[_Filled]) -> tuple:
+    """One mesh of the cages, which nothing couples, and the embedding (V,) of each piece in its own.
+
+    A vertex of a piece without a cage has no weights: the flesh does not move it.
+    """
+    if len(cages) == 1 and (pieces == numbers[0]).all():
+        return cages[0].mesh, cages[0].embedding
+    first = np.cumsum([0] + [len(cage.mesh.nodes) for cage in cages])[:-1]
+    nodes, weights = np.zeros((len(pieces), 4), np.int32), np.zeros((len(pieces), 4))
+    for number, start, cage in zip(numbers, first, cages, strict=True):
+        own = pieces == number
+        nodes[own], weights[own] = cage.embedding.nodes[own] + start, cage.embedding.weights[own]
+    tets = np.concatenate([cage.mesh.tets + start for start, cage in zip(first, cages, strict=True)])
+    mesh = dynamorph.TetMesh(np.concatenate([cage.mesh.nodes for cage in cages]), tets)
+    return mesh, dynamorph.Embedding(nodes, weights)
+
+
+def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.Embedding:
+    """The embedding with that of the first vertex for all at the same place, which a cut would tear apart."""
+    if np.array_equal(coincident, np.arange(len(coincident))):
+        return embedding
+    return dynamorph.Embedding(embedding.nodes[coincident], embedding.weights[coincident])
+
+
+def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
+    settings, cage = character.settings, character.cage
+    extent = np.ptp(surface[np.unique(character.triangles)], axis=0)
+    grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(extent)))
+    bones = np.round(character.bone_segments / grid) * grid
+    try:
+        _, _, mesh = dynamorph.mesh_body(
+            np.round(surface / grid) * grid,
+            character.triangles,
+            settings.cage_nodes,
+            cage=cage and cage[1:],
+            thickness=settings.cage_thickness,
+            grading=settings.cage_grading,
+            moved=moved(character),
+            bones=bones if settings.hold == "BONES" else None,
+            held=settings.pin_radius,
+            progress=report,
+        )
+    except dynamorph.Error as error:
+        raise dynamorph.Error(f"Cage Object '{cage.name}': {error}") if cage else error from None
+    return mesh
+
+
+def moved(character: Character) -> np.ndarray:
+    """How far targets move each vertex (V,) at most, 1 where it is farthest: what Cage Grading goes by."""
+    shapes = np.array([target.shape for target in character.targets]) @ character.to_bind.T
+    farthest = np.linalg.norm(shapes, axis=2).max(axis=0)
+    return farthest / max(farthest.max(), 1e-300)
+
+
+def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
+    """Says which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when it is most of it."""
+    if character.cage is None:
+        return []
+    size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    left = float((embedding.distances > 1e-5 * size)[character.pieces == 0].mean())
+    if left > MOSTLY:
+        raise dynamorph.Error(
+            f"Cage Object '{character.cage.name}' leaves out {left:.0%} of '{character.name}': it must enclose the "
+            "skin as it is in rest pose when the scene starts. Move or enlarge it, or clear Cage Object"
+        )
+    warning = f"{left:.1%} of the skin lies outside Cage Object '{character.cage.name}' and follows its nearest part"
+    return [warning] if left else []
+
+
+# Parts that touch ----------------------------------------------------------------------------------------------------
+
+
+def _parted(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> tuple:
+    """The mesh, cut where it joins skin that merely touches, the skin's embedding in it, and the counts."""
+    mesh_cut = dynamorph.MeshCut(mesh, surface, cage.triangles)
+    tets = int(mesh_cut.glued.sum())
+    if not tets or not cage.settings.separate:
+        return mesh, dynamorph.embed(mesh, surface), {"tets": tets, "split_nodes": 0}
+    cut = mesh_cut.cut()
+    return cut, mesh_cut.embed(cut), {"tets": tets, "split_nodes": len(cut.nodes) - len(mesh.nodes)}
+
+
+def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
+    """A mesh as it was before it was cut: doubled nodes are one again."""
+    _, first, place = np.unique(mesh.nodes, axis=0, return_index=True, return_inverse=True)
+    kept = np.sort(first)
+    return dynamorph.TetMesh(mesh.nodes[kept], np.searchsorted(kept, first[place.ravel()])[mesh.tets])
+
+
+def _glued_warnings(character: Character, glued: dict) -> list[str]:
+    if not glued["tets"] or character.settings.separate:
+        return []
+    return [
+        f"{glued['tets']} tetrahedra join parts of the skin that merely touch: turn on Split Touching Parts, raise "
+        "Cage Nodes, or move the parts away from each other in the rest pose"
+    ]
+
+
+# What nothing holds --------------------------------------------------------------------------------------------------
+
+
+def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
+    """The nodes of each part of the mesh that fewer than three nodes hold: it could move or turn without resistance."""
+    part = connected_parts(mesh.tets, len(mesh.nodes))
+    held = np.bincount(part[pinned], minlength=len(part))
+    return [np.flatnonzero(part == root) for root in np.unique(part) if held[root] < 3]
+
+
+def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes: np.ndarray) -> str:
+    on_it = np.isin(embedding.nodes[:, 0], nodes) & embedding.weights.any(axis=1)
+    bone = [*character.skeleton.names, "the object"][character.weights[on_it].sum(axis=0).argmax()]
+    return (
+        f"A part of {int(on_it.sum())} vertices at '{bone}' is held by no bone, so it moves rigidly with its bones: "
+        "paint Soft 0 where it is attached"
+    )
+
+
+# What the flesh inherits ---------------------------------------------------------------------------------------------
+
+
+def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> tuple:
+    """What the skin passes on: stiffness (m,) of the tets, weights (n, B + 1), softness and rigidity (n,), and shares
+    (m, S) of the tets.
+    """
+    # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and no further than painted.
+    painted = np.log(character.stiffness)
+    shares = [target_set.share for target_set in character.target_sets]
+    values = np.column_stack([painted, character.weights, character.softness, character.rigidity, *shares])
+    at_nodes = dynamorph.extend_to_nodes(mesh, embedding, values)
+    stiffness = np.exp(at_nodes[:, 0].clip(painted.min(), painted.max()))[mesh.tets].mean(axis=1)
+    bones = character.weights.shape[1]
+    weights, softness, rigidity, shares = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1, 1]), axis=1)
+    shares = shares[mesh.tets].mean(axis=1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    shares /= shares.sum(axis=1, keepdims=True)
+    return stiffness, weights, softness[:, 0].clip(max=1.0), rigidity[:, 0].clip(max=1.0), shares
+
+
+def _pinned(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> np.ndarray:
+    """The nodes (n,) that the bones hold."""
+    heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
+    return dynamorph.pinned(mesh, surface, character.triangles, heads, tails, character.settings.pin_radius)
+
+
+class Stages:
+    """Times the stages of a build and maps each one's own 0..1 to a part of the whole, which their shares sum to."""
+
+    def __init__(self, progress: Progress | None, whole: float = 1.0):
+        self.progress = progress
+        self.whole = whole
+        self.done = 0.0
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, message: str, share: float):
+        began, start = time.perf_counter(), self.done
+
+        def report(fraction: float) -> bool:
+            done = (start + share * fraction) / self.whole
+            going_on = self.progress is None or self.progress(done, message)
+            if not going_on:
+                raise dynamorph.Cancelled("cancelled")
+            return True
+
+        report(0.0)
+        yield report
+        self.seconds[message.lower()] = time.perf_counter() - began
+        self.done += share

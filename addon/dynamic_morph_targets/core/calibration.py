@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The stiffness that swings at the frequency that the artist asks for. Never touches bpy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import pi, sqrt
+
+import numpy as np
+
+from .character import Character
+from .geometry import determinant
+from .material_fit import checked, natural_frequency, target_indices, unreduced
+from .oscillation import stiffness_for
+from .settings import Material
+
+
+def references(model, character: Character) -> Iterator[tuple[float, float]]:
+    """For each target: its undamped bounce in Hz per square root of stiffness over density, and its flesh in m^3.
+
+    At another stiffness or density it follows as `swing` says, exactly where the target has the flesh to itself.
+    Zeros for a target without flesh of its own, or whose modes cannot be found.
+    """
+    character = character.by_method()
+    if not len(model.tets):
+        yield from [(0.0, 0.0)] * len(character.targets)
+        return
+    engine = unreduced(model).engine(character)
+    corners = model.nodes[model.tets]
+    volumes = model.fill * determinant(corners[:, 1:] - corners[:, :1]) / 6.0
+    neutral_only = character.settings.method == "SHAPE"
+    for s, indices in enumerate(target_indices(character)):
+        for target in indices:
+            neutral = target == indices[0]
+            if neutral_only and not neutral:
+                yield 0.0, 0.0
+                continue
+            try:
+                omega = natural_frequency(model, engine, target, checked(model, character, target, None)[1])
+            except RuntimeError:  # the engine's, about a sculpt that no mode can be found of
+                omega = 0.0
+            material = character.targets[target].material
+            share = 1.0 if neutral else model.shares[:, s]
+            yield omega / (2 * pi) / sqrt(material.stiffness / material.density), float((volumes * share).sum())
+
+
+def calibrated(character: Character, found: list[tuple[float, float]]) -> Character:
+    """The character with the stiffness that its targets' frequencies ask for; found: its `references`.
+
+    Targets that the artist has not set by hand follow the neutral one, as much stiffer than it as they were.
+    """
+    neutral = character.targets[0]
+    before, after = neutral.material.stiffness, _stiffness_of(neutral, found[0][0])
+    neutrals = {indices[0] for indices in target_indices(character)}
+
+    def material(index: int, target) -> Material:
+        stiffness = target.material.stiffness
+        if index in neutrals:
+            stiffness = after
+        elif target.by_hand and len(found) == len(character.targets):
+            stiffness = _stiffness_of(target, found[index][0])
+        elif target.frequency:
+            stiffness *= after / before
+        return replace(target.material, stiffness=as_stored(stiffness))
+
+    return character.with_materials(material)
+
+
+def as_stored(value: float) -> float:
+    """A number as Blender keeps it, in single precision: what is simulated is what a file says."""
+    return float(np.float32(value))
+
+
+def stored(target) -> dict[str, float]:
+    """What a build or a rehearsal may change of a target, by the names of its properties."""
+    material = target.material
+    return {
+        "stiffness": material.stiffness,
+        "mass_damping": material.mass_damping,
+        "stiffness_damping": material.stiffness_damping,
+        "frequency": target.frequency,
+    }
+
+
+def _stiffness_of(target, reference: float) -> float:
+    if not (target.frequency and reference):
+        return target.material.stiffness
+    return stiffness_for(reference, target.material, target.frequency)
+
+
+def stiffened(character: Character, factor: float) -> Character:
+    """The character with its frequency `factor` times as high at all targets that are not set by hand; the damping
+    ratio stays."""
+
+    def material(_index: int, target) -> Material:
+        old = target.material
+        if target.by_hand or not target.frequency:
+            return old
+        return replace(
+            old,
+            stiffness=as_stored(old.stiffness * factor**2),
+            mass_damping=as_stored(old.mass_damping * factor),
+            stiffness_damping=as_stored(old.stiffness_damping / factor),
+        )
+
+    sets = tuple(
+        replace(
+            target_set,
+            targets=tuple(
+                target if target.by_hand else replace(target, frequency=as_stored(target.frequency * factor))
+                for target in target_set.targets
+            ),
+        )
+        for target_set in character.with_materials(material).target_sets
+    )
+    return replace(character, target_sets=sets)

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Plain data that the modules pass to each other. NumPy only, never bpy.
+
+`extract` fills these from a Blender scene, `build` and `simulate` consume them, `sinks` writes the result back.
+
+Spaces: *local* is the mesh object's own space (what shape keys store), *bind* is local space with the object's scale
+applied, so lengths are metres there, *world* is Blender's world space in metres (`extract.unit_scale`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from .geometry import inverse
+from .settings import Material, ModelSettings
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """The armature at rest: B bones, parents before children.
+
+    names (B,), parents (B,) index or -1, rest (B, 4, 4) = bone.matrix_local, armature space.
+    """
+
+    names: tuple[str, ...]
+    parents: np.ndarray
+    rest: np.ndarray
+
+    @cached_property
+    def rest_inverse(self) -> np.ndarray:
+        """(B, 4, 4)."""
+        return inverse(self.rest)
+
+    def local_transforms(self, pose: np.ndarray, bones: np.ndarray | None = None) -> np.ndarray:
+        """Each bone's transform relative to its evaluated parent, rest removed: identity in the rest pose.
+
+        pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. bones: indices of those that are asked for, all
+        by default; the others get the identity. Returns (..., B, 4, 4).
+        Uses the evaluated matrices, so constraints and IK count.
+        """
+        asked = np.arange(len(self.rest)) if bones is None else np.array(bones, int)
+        unposed = np.broadcast_to(self.rest[asked], (*pose.shape[:-3], len(asked), 4, 4)).copy()
+        child = self.parents[asked] >= 0
+        parent = self.parents[asked[child]]
+        unposed[..., child, :, :] = pose[..., parent, :, :] @ (self.rest_inverse[parent] @ self.rest[asked[child]])
+        local = np.broadcast_to(np.eye(4), pose.shape).copy()
+        local[..., asked, :, :] = inverse(unposed) @ pose[..., asked, :, :]
+        return local
+
+    def pose(self, local: np.ndarray) -> np.ndarray:
+        """The inverse of `local_transforms`: armature-space pose matrices (..., B, 4, 4) of local transforms."""
+        pose = np.empty_like(local)
+        for b, parent in enumerate(self.parents):
+            unposed = self.rest[b] if parent < 0 else pose[..., parent, :, :] @ self.rest_inverse[parent] @ self.rest[b]
+            pose[..., b, :, :] = unposed @ local[..., b, :, :]
+        return pose
+
+
+@dataclass(frozen=True)
+class Target:
+    """One dynamic morph target.
+
+    name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
+    neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
+    the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
+    angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the flesh's
+    motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where the material says it;
+    by_hand: whether the artist has set it, so that no rehearsal changes it and it does not follow the neutral target.
+    """
+
+    name: str
+    shape: np.ndarray
+    bones: tuple[str, ...]
+    local: np.ndarray
+    rig_world: np.ndarray
+    material: Material
+    radius: float = 0.0
+    influence: float = 1.0
+    frequency: float = 0.0
+    by_hand: bool = False
+
+
+@dataclass(frozen=True)
+class TargetSet:
+    """Targets whose weights sum to one; the first is the neutral. docs/theory.md, Targets.
+
+    share (V,): how much of the flesh at each vertex follows this set; the shares of all sets sum to one.
+    """
+
+    name: str
+    targets: tuple[Target, ...]
+    share: np.ndarray
+
+
+class OwnCage(NamedTuple):
+    """The artist's cage: points (C, 3) bind space, triangles (D, 3); name: of its object."""
+
+    name: str
+    points: np.ndarray
+    triangles: np.ndarray
+
+
+@dataclass(frozen=True)
+class Character:
+    """One soft skin, as authored.
+
+    vertices (V, 3) local space, triangles (T, 3); to_bind (3, 3): bind = to_bind @ local; weights (V, B + 1): skin
+    weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
+    the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
+    deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
+    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
+    with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
+    rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
+    with the hold by thickness the cage is held there. painted: whether the artist painted `softness`, which then says
+    alone what is held but for the core.
+
+    With one_cage the arrays cover the vertices of several meshes: first those of the soft skin's own mesh (`own`), then
+    those of `parts`. coincident (V,): the first vertex at the same place as each, which moves alike.
+    """
+
+    name: str
+    vertices: np.ndarray
+    triangles: np.ndarray
+    to_bind: np.ndarray
+    weights: np.ndarray
+    softness: np.ndarray
+    stiffness: np.ndarray
+    bone_segments: np.ndarray
+    skeleton: Skeleton
+    target_sets: tuple[TargetSet, ...]
+    settings: ModelSettings = field(default_factory=ModelSettings)
+    probed: bool = False
+    cage: OwnCage | None = None
+    pieces: np.ndarray = None
+    rigidity: np.ndarray = None
+    painted: bool = False
+    coincident: np.ndarray = None
+    parts: tuple[Follower, ...] = ()
+
+    def __post_init__(self):
+        if self.pieces is None:
+            object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
+        if self.rigidity is None:
+            object.__setattr__(self, "rigidity", np.zeros(len(self.vertices)))
+        if self.coincident is None:
+            object.__setattr__(self, "coincident", np.arange(len(self.vertices)))
+
+    @property
+    def own(self) -> slice:
+        """Which of the vertices are those of the soft skin's own mesh."""
+        return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
+
+    @property
+    def targets(self) -> list[Target]:
+        """All targets, set after set: the order of every (..., J) array."""
+        return [target for target_set in self.target_sets for target in target_set.targets]
+
+    def with_settings(self, **changes) -> Character:
+        """The same character, built otherwise."""
+        return replace(self, settings=replace(self.settings, **changes))
+
+    def with_materials(self, change) -> Character:
+        """The same character with materials change(index, target) -> Material, index into `targets`."""
+        sets, index = [], 0
+        for target_set in self.target_sets:
+            numbered = enumerate(target_set.targets, index)
+            sets.append(replace(target_set, targets=tuple(replace(t, material=change(i, t)) for i, t in numbered)))
+            index += len(target_set.targets)
+        return replace(self, target_sets=tuple(sets))
+
+    def by_method(self) -> Character:
+        """The character that its method simulates: with the neutral target alone, or with the neutral's material."""
+        neutral = self.target_sets[0].targets[0]
+        if self.settings.method == "SINGLE":
+            return replace(self, target_sets=(TargetSet(self.name, (neutral,), np.ones(len(self.vertices))),))
+        if self.settings.method == "SHAPE":
+            sets = tuple(
+                replace(s, targets=tuple(replace(target, material=neutral.material) for target in s.targets))
+                for s in self.target_sets
+            )
+            return replace(self, target_sets=sets)
+        return self
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """The nearest points of a triangle mesh to P points.
+
+    corners (P, 3): vertices of the triangle each lies on; weights (P, 3): its barycentric coordinates there;
+    distances (P,): to it.
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    distances: np.ndarray
+
+    def carry(self, values: np.ndarray) -> np.ndarray:
+        """The values (V, ...) of the mesh's vertices at the points: (P, ...)."""
+        return np.einsum("pc,pc...->p...", self.weights, values[self.corners])
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
+
+    session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
+    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own.
+    What moves it is either `skin`, the points of the character's surface nearest to the vertices, or the character's
+    cage, of whose vertices it is the `members`.
+    """
+
+    name: str
+    session_uid: int
+    points: np.ndarray
+    vertices: np.ndarray
+    from_body: np.ndarray
+    skin: SurfaceMap | None = None
+    members: slice | None = None

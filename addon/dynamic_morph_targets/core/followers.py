@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the soft tissue carries along: other meshes, moved by the body's modes. Never touches bpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import dynamorph
+import numpy as np
+
+from .baked import Bake
+from .character import Follower
+from .geometry import connected_parts
+from .model import Model
+from .simulate import part_of
+
+
+def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
+    """The same shot of what the flesh carries along, in the follower's own local space."""
+    if follower.members:
+        return part_of(bake, follower.members, follower.from_body)
+    modes, details = carried(model, bake.node_modes, follower)
+    return replace(bake, modes=modes, details=details)
+
+
+def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.ndarray, np.ndarray]:
+    """What modes (r, n, 3) of the nodes, bind space, and the model's details do to a follower of P vertices.
+
+    Returns (r, P, 3) and (J, P, 3) in its local space. Where it is outside the cage the nearest tetrahedron goes on
+    there, bounded; of the details it has those of the skin nearest to it.
+    """
+    details = np.moveaxis(follower.skin.carry(np.moveaxis(model.details, 0, 1)), 1, 0) @ follower.from_body.T
+    if not len(model.tets):
+        return np.zeros((0, *follower.vertices.shape)), details
+    part = connected_parts(model.tets, len(model.nodes))  # pieces may have a cage of their own in the same place
+    under = part[model.embedding_nodes[np.unique(follower.skin.corners), 0]]
+    used, tets = np.unique(model.tets[np.isin(part[model.tets[:, 0]], under)], return_inverse=True)
+    embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes[used], tets.reshape(-1, 4)), follower.vertices)
+    bind = np.einsum("pa,rpac->rpc", embedding.weights, modes[:, used[embedding.nodes]])
+    return bind @ np.linalg.inv(model.to_bind).T @ follower.from_body.T, details

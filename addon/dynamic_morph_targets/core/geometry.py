@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Small geometry on arrays: determinants, inverses, welded points, connected parts. NumPy only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def invertible(matrices: np.ndarray) -> np.ndarray:
+    return np.abs(determinant(matrices[..., :3, :3])) > 1e-12
+
+
+def determinant(matrices: np.ndarray) -> np.ndarray:
+    """Determinants (...) of 3 x 3 matrices (..., 3, 3).
+
+    Written out, like `inverse`, because LAPACK wakes its threads for each matrix of a stack: on a busy machine that
+    takes seconds for a shot.
+    """
+    return np.einsum("...i,...i", matrices[..., 0, :], np.cross(matrices[..., 1, :], matrices[..., 2, :]))
+
+
+def inverse(transforms: np.ndarray) -> np.ndarray:
+    """Inverses of linear (..., 3, 3) or affine (..., 4, 4) transforms, which must not be singular."""
+    linear = transforms[..., :3, :3]
+    next_rows, last_rows = linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :]
+    cofactors = next_rows[..., [1, 2, 0]] * last_rows[..., [2, 0, 1]]
+    cofactors -= next_rows[..., [2, 0, 1]] * last_rows[..., [1, 2, 0]]
+    determinants = np.einsum("...i,...i", linear[..., 0, :], cofactors[..., 0, :])
+    back = cofactors.swapaxes(-1, -2) / determinants[..., None, None]
+    if transforms.shape[-1] == 3:
+        return back
+    out = np.zeros_like(transforms)
+    out[..., :3, :3] = back
+    out[..., :3, 3] = -np.einsum("...ij,...j->...i", back, transforms[..., :3, 3])
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angle (B,), in radians, between the rotations of two arrays of transforms (B, 4, 4)."""
+
+    def rotation(transforms):
+        u, _, vt = np.linalg.svd(transforms[:, :3, :3])
+        return u @ vt
+
+    # From the chord, because the arc cosine of the trace loses small angles.
+    chord = np.linalg.norm(rotation(first) - rotation(second), axis=(1, 2)) / np.sqrt(8.0)
+    return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
+
+
+def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
+    """The part (count,) that each point of a mesh of edges, triangles or tetrahedra (m, k) belongs to: the smallest
+    number of its points.
+    """
+    part = np.arange(count)
+    while True:  # each round joins parts that share an element, by their smallest points
+        joined = part[elements]
+        lowest = np.broadcast_to(joined.min(axis=1, keepdims=True), joined.shape)
+        if np.array_equal(joined, lowest):
+            return part
+        np.minimum.at(part, joined, lowest)
+        while not np.array_equal(part, part[part]):
+            part = part[part]
+
+
+WELD = 1e-6  # of a mesh's diagonal: points nearer than this are one, as imported meshes are split at every seam
+
+
+def welded(points: np.ndarray) -> np.ndarray:
+    """Numbers (V,), from 0, of the places of points (V, 3), which those of a split seam share."""
+    size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
+    cells = np.nan_to_num(np.round(points / (WELD * size)))
+    cells = (cells - cells.min(axis=0, initial=np.inf)).astype(np.int64)
+    rows = cells.max(axis=0, initial=0) + 1
+    numbers = (cells[:, 0] * rows[1] + cells[:, 1]) * rows[2] + cells[:, 2]  # one each: rows take ten times as long
+    return np.unique(numbers, return_inverse=True)[1].ravel()
+
+
+def loose_parts(points: np.ndarray, elements: np.ndarray) -> np.ndarray:
+    """Numbers (V,), from 0, of the parts of points (V, 3) that edges or faces (m, k) and seams connect."""
+    place = welded(points)
+    part = connected_parts(place[elements], place.max() + 1)
+    return np.unique(part[place], return_inverse=True)[1].ravel()

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What holds the soft tissue against the skeleton: told from how thick the body is, not from bone lines.
+
+Importers guess where bones end; thickness is never wrong. With T the radius of the largest ball in the body that
+covers a point, and d its depth below the skin, held are the core (deep compared with T), thin parts (T small compared
+with the body's: fingers, ears, horns, feet, tails, blades), and what is rigid. How firmly is a smooth field phi, 0 to
+1. The hold is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the body, inside each target's own
+(docs/theory.md): it converges as the cage gets finer, where pins node by node do not. Never touches bpy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import dynamorph
+import numpy as np
+
+from .geometry import determinant
+
+FIRMNESS = 100.0  # of what is held entirely: it then moves like tissue of a tenth of its thickness
+CORE = 0.35, 0.65  # depth over thickness from which the core is held, and where it is entirely
+THIN = 0.3, 0.55  # thickness over the body's below which a part is held entirely, and above which it is not
+STIFFER = 0.9, 20.0  # of the body's thickness, below which tissue is stiffer; and by how much at most
+THICKEST = 0.98  # quantile of the thickness of the soft volume: that of the body
+# Points of a tetrahedron, as weights of its corners, that stand for a quarter of it each.
+A, B = 0.5854101966249685, 0.1381966011250105
+QUADRATURE = np.full((4, 4), B) + (A - B) * np.eye(4)
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Of a cage of n nodes and m tets, and the V vertices of the skin.
+
+    held (m,): FIRMNESS phi / T^2, 1/m^2; stiffness (m,): factor; phi (n,): how firmly nodes are held, to be shown;
+    thickness (V,): T at the skin, metres.
+    """
+
+    held: np.ndarray
+    stiffness: np.ndarray
+    phi: np.ndarray
+    thickness: np.ndarray
+
+
+def hold(
+    mesh: dynamorph.TetMesh,
+    thickness: dynamorph.Thickness,
+    surface: np.ndarray,
+    rigidity: np.ndarray,
+    softness: np.ndarray | None,
+    fill: np.ndarray,
+) -> Hold:
+    """The hold of a body. surface (V, 3): the skin, bind space; rigidity, softness (n,): at the nodes, from the skin;
+    softness None: nothing is painted, so thin parts are held. fill (m,).
+    """
+    corners = mesh.nodes[mesh.tets]
+    points = np.einsum("qa,eac->eqc", QUADRATURE, corners)
+    radius, depth = (part.reshape(-1, len(QUADRATURE)) for part in thickness.at(points.reshape(-1, 3)))
+    rigid = rigidity[mesh.tets] @ QUADRATURE.T
+    volume = fill * np.abs(determinant(corners[:, 1:] - corners[:, :1]))
+    body = _quantile(radius.ravel(), (volume[:, None] * (1.0 - rigid)).ravel(), THICKEST)
+    phi = _smooth(depth / radius, *CORE)
+    if softness is None:
+        phi = np.maximum(phi, np.maximum(rigid, 1.0 - _smooth(radius / body, *THIN)))
+    else:
+        phi = np.maximum(phi, 1.0 - softness[mesh.tets] @ QUADRATURE.T)
+    share, most = STIFFER
+    stiffness = np.clip((share * body / radius) ** 2, 1.0, most)
+    nodes = mesh.tets.ravel()
+    weights = np.repeat(volume, 4)
+    shown = np.bincount(nodes, weights * phi.ravel(), len(mesh.nodes)) / np.bincount(nodes, weights, len(mesh.nodes))
+    at_skin, _ = thickness.at(surface)
+    # The stiffness multiplies the hold too; its mean is taken once.
+    held = FIRMNESS * (phi / radius**2).mean(axis=1)
+    return Hold(held, stiffness.mean(axis=1), shown, at_skin)
+
+
+def _smooth(x: np.ndarray, low: float, high: float) -> np.ndarray:
+    """0 below `low`, 1 above `high`, with continuous slope."""
+    t = np.clip((x - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order])
+    return float(values[order][min(np.searchsorted(reached, share * reached[-1]), len(values) - 1)])

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A cycle whose last frame goes on with its first: how it begins so that it ends as it began. Never touches bpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .player import Frame, Player
+from .rig_samples import RigSamples
+
+CLOSED = 1e-6  # body sizes: a loop whose surface ends nearer to where it began is done
+SAME_POSE = 1e-3  # body sizes: poses whose skin, moved as a whole, is nearer are one
+PASSES = 400  # of a loop, at most
+ACCELERATED = 40  # of them, by Anderson's method
+REMEMBERED = 12  # passes that the next beginning is then made of
+PLAIN, KRYLOV = 5, 20  # passes of Newton's method: to come near, and at most to find a step
+
+
+def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
+    """The frames of a loop, and by how many metres it is off at most where it begins again and a frame later.
+
+    Passes over its range until one ends as it began: in place and, by the frame after, in velocity.
+    """
+    loop = _Loop(player, rig)
+    if not _accelerate(loop) and player.pose_gap(rig) <= SAME_POSE * player.size:  # else it cannot close
+        _newton(loop)
+    return loop.frames, loop.gap
+
+
+class _Loop:
+    """One pass over the range of a loop, as a map from how it begins to how it ends: coordinates (4, dofs) then and at
+    the last three steps before. What it came to is kept of the pass that closed best: frames and gap, as for `cycle`.
+    """
+
+    def __init__(self, player: Player, rig: RigSamples):
+        self._player, self._rig = player, rig
+        self._first = player.begin(rig)
+        self._start = player.state
+        self.began = player.past
+        self.off = np.zeros(0)  # how the last pass failed to close
+        self.frames: list[Frame] = []
+        self.gap = np.inf
+
+    @property
+    def is_closed(self) -> bool:
+        return self.gap <= CLOSED * self._player.size or self._player.engine is None
+
+    @property
+    def passes(self) -> int:
+        return self._player.passes
+
+    def __call__(self, began: np.ndarray) -> np.ndarray:
+        player, rig, settings = self._player, self._rig, self._player.settings
+        numbers = settings.simulated[1:]
+        player.state, player.number = self._start, settings.start
+        player.past = began
+        first = replace(self._first, coordinates=began[0]) if player.passes else self._first
+        frames = [first, *player.play(rig[1:], numbers)]
+        ended = player.past
+        self._first = player.begin_again(rig, frames[-1])
+        self._start = player.state
+        next_frame = rig[1 : 1 + settings.substeps], numbers[:1]  # none in a range of one frame
+        again = [frames[-1], *player.play(*next_frame)]
+        pairs = list(zip(frames[:: settings.samples], again[:: settings.samples], strict=False))
+        gap = max(player.gap(*pair) for pair in pairs)
+        self.off = np.concatenate([after.coordinates - before.coordinates for before, after in pairs])
+        if gap < self.gap or not self.frames:
+            self.frames, self.gap = frames, gap
+        return ended
+
+
+def _accelerate(loop: _Loop) -> bool:
+    """Anderson's acceleration of repeated passes: the next begins where the last ones, combined by weights that sum to
+    one, would have ended as they began, in the least squares sense. For a linear law that is exact once there are as
+    many passes as ways to be off (Walker and Ni 2011, Anderson acceleration for fixed-point iterations).
+    """
+    began, passes = loop.began, []
+    while loop.passes < ACCELERATED:
+        ended = loop(began)
+        if loop.is_closed:
+            return True
+        if not np.isfinite(loop.off).all():
+            return False
+        best = min((np.linalg.norm(off) for _, off in passes), default=np.inf)
+        if not np.linalg.norm(loop.off) < 10.0 * best:  # far from linear: what was learned does not help
+            passes.clear()
+        passes = [*passes[1 - REMEMBERED :], (ended, loop.off)]
+        ends, offs = (np.array(part) for part in zip(*passes, strict=True))
+        weights, *_ = np.linalg.lstsq((offs[:-1] - loop.off).T, -loop.off, rcond=1e-9)
+        began = ended + np.tensordot(weights, ends[:-1] - ended, 1)
+    return False
+
+
+def _newton(loop: _Loop):
+    """Newton's method for what a pass leaves as it was, whose tangent is only ever multiplied, by a pass that begins a
+    little otherwise (Knoll and Keyes 2004, Jacobian-free Newton-Krylov methods). Flesh so soft that one pass does not
+    foretell the next closes by it. Plain passes go before, and wherever a step does not help.
+    """
+    began, ended = loop.began, loop.began
+    plain = PLAIN
+    while loop.passes < PASSES - PLAIN - KRYLOV - 2:
+        for _ in range(plain):
+            began, ended = ended, loop(ended)
+            if not np.isfinite(loop.off).all():
+                return
+        off = np.linalg.norm(ended - began)
+        if loop.is_closed or not 0.0 < off < np.inf:
+            return
+        step, plain = _newton_step(loop, began, ended), PLAIN
+        for share in (1.0, 0.5):
+            trial = began + share * step
+            after = loop(trial)
+            if np.linalg.norm(after - trial) < (1.0 - 0.3 * share) * off:
+                began, ended, plain = trial, after, 0
+                break
+        if loop.is_closed:
+            return
+
+
+def _newton_step(loop: _Loop, began: np.ndarray, ended: np.ndarray) -> np.ndarray:
+    """What to add to `began`, by GMRES (Saad and Schultz 1986): the least squares solution, to a tenth, in the space
+    that passes from nearby span.
+    """
+    residual = (ended - began).ravel()
+    size = np.linalg.norm(residual)
+    nearby = 1e-4 * max(np.linalg.norm(began), size)
+    basis, hessenberg = [residual / size], np.zeros((KRYLOV + 1, KRYLOV))
+    for j in range(KRYLOV):
+        changed = (loop(began + nearby * basis[j].reshape(began.shape)) - ended).ravel() / nearby
+        image = basis[j] - changed
+        for i, vector in enumerate(basis):
+            hessenberg[i, j] = vector @ image
+            image = image - hessenberg[i, j] * vector
+        hessenberg[j + 1, j] = np.linalg.norm(image)
+        goal = size * np.eye(j + 2)[0]
+        weights, *_ = np.linalg.lstsq(hessenberg[: j + 2, : j + 1], goal, rcond=None)
+        if np.linalg.norm(hessenberg[: j + 2, : j + 1] @ weights - goal) < 0.1 * size:
+            break
+        basis.append(image / max(hessenberg[j + 1, j], 1e-300))
+    return (weights @ np.array(basis[: len(weights)])).reshape(began.shape)
+
+
+def loop_warnings(player: Player, rig: RigSamples, gap: float) -> list[str]:
+    first, last = player.settings.start, player.settings.end
+    off = player.pose_gap(rig)
+    if off > SAME_POSE * player.size:
+        return [
+            f"The rig at frame {last} is {1000 * off:.3g} mm off its pose at frame {first}: end the loop where that "
+            "pose comes back, or turn Loop off"
+        ]
+    if gap > CLOSED * player.size:
+        return [f"The loop is not closed after {player.passes} passes: raise the targets' damping, or make it longer"]
+    return []

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A built soft skin: geometry only, on arrays. Never touches bpy."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass, fields
+
+import dynamorph
+import numpy as np
+
+from .character import Character, Skeleton
+from .settings import ModelSettings
+
+
+@dataclass(frozen=True)
+class Model:
+    """A built soft skin: n nodes, m tets, V surface vertices, J targets, S sets, B bones, r modes. Bind space, metres.
+
+    nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', shares (m, S), pinned (n,). Of a hold
+    by thickness, else empty: held (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly from 0 to 1,
+    thickness (V,) of the body at the skin.
+    node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), details (J, V, 3)
+    local space; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and
+    table_mu (J, ...) of a reduced model (dynamorph.ReducedTables), empty of a full one. Static morph targets have no
+    nodes: their details are the shapes.
+    """
+
+    nodes: np.ndarray
+    tets: np.ndarray
+    fill: np.ndarray
+    stiffness: np.ndarray
+    shares: np.ndarray
+    pinned: np.ndarray
+    held: np.ndarray
+    hold: np.ndarray
+    thickness: np.ndarray
+    node_weights: np.ndarray
+    embedding_nodes: np.ndarray
+    embedding_weights: np.ndarray
+    displacements: np.ndarray
+    details: np.ndarray
+    to_bind: np.ndarray
+    parents: np.ndarray
+    rest: np.ndarray
+    basis: np.ndarray
+    table_lambda: np.ndarray
+    table_mu: np.ndarray
+    bone_names: tuple[str, ...]
+    settings: ModelSettings
+    dependencies: dict[str, str]
+    summary: dict
+
+    @classmethod
+    def array_names(cls) -> list[str]:
+        return [field.name for field in fields(cls) if field.type == "np.ndarray"]
+
+    def to_arrays(self) -> tuple[dict[str, np.ndarray], dict]:
+        """(arrays, metadata) for `model_file`, the same for each build of the same: how long it took is left out."""
+        meta = {
+            "settings": asdict(self.settings),
+            "bone_names": list(self.bone_names),
+            "dependencies": self.dependencies,
+            "summary": {name: value for name, value in self.summary.items() if name != "seconds"},
+        }
+        return {name: getattr(self, name) for name in self.array_names()}, meta
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
+        """The inverse of `to_arrays`. Raises ValueError when something is missing."""
+        arrays = dict.fromkeys(("held", "hold", "thickness"), np.zeros(0)) | arrays  # older ones have none
+        try:
+            return cls(
+                **{name: arrays[name] for name in cls.array_names()},
+                bone_names=tuple(meta["bone_names"]),
+                settings=ModelSettings(**meta["settings"]),
+                dependencies={"engine": engine_hash(1), **meta["dependencies"]},  # the first had no number
+                summary={"seconds": {}, **meta["summary"]},
+            )
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"The stored model is incomplete ({error}): build it again") from error
+
+    @property
+    def skeleton(self) -> Skeleton:
+        return Skeleton(self.bone_names, self.parents, self.rest)
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which nodes (n,) no bone holds."""
+        return ~self.pinned.astype(bool)
+
+    def soft_body(self, probed: bool = False) -> dynamorph.SoftBody:
+        """probed: every free node has a transform of its own."""
+        mesh, weights = dynamorph.TetMesh(self.nodes, self.tets), None if probed else self.node_weights
+        held = self.held if len(self.held) else None
+        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, weights, held)
+
+    def at_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; overshoots slightly."""
+        embedding = dynamorph.Embedding(self.embedding_nodes, self.embedding_weights)
+        return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), embedding, values)
+
+    def engine(self, character: Character, probed: bool = False) -> dynamorph.ReducedModel | dynamorph.FullModel:
+        """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another.
+
+        probed: as for `soft_body`.
+        """
+        character = character.by_method()
+        if len(character.targets) != len(self.displacements):
+            raise ValueError(f"'{character.name}' has other targets than its model: build it again")
+        targets = morph_targets(character, self.displacements)
+        blending = dynamorph.Blending.__members__[character.settings.blending]
+        law = dynamorph.Law.__members__[self.settings.law]
+        if self.settings.solver == "FULL":
+            return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
+        tables = dynamorph.ReducedTables(law, self.basis, list(self.table_lambda), list(self.table_mu))
+        return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
+
+    @property
+    def stepper(self) -> type:
+        """The engine's simulation of such a model."""
+        return dynamorph.FullSimulation if self.settings.solver == "FULL" else dynamorph.ReducedSimulation
+
+    def target_coordinates(self, engine) -> np.ndarray:
+        """Coordinates (J, dofs) of every target's shape."""
+        return np.array([engine.target(j) for j in range(len(self.displacements))])
+
+    def surface(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacement of the render surface (..., V, 3), local space, from that of the nodes (..., n, 3), bind."""
+        bind = np.einsum("va,...vac->...vc", self.embedding_weights, displacement[..., self.embedding_nodes, :])
+        return bind @ np.linalg.inv(self.to_bind).T
+
+    def on_nodes(self, force: np.ndarray) -> np.ndarray:
+        """Forces on the nodes (n, 3) that carry those on the surface's vertices (V, 3), world space."""
+        carried = (self.embedding_weights[:, :, None] * force[:, None]).reshape(-1, 3)
+        nodes = self.embedding_nodes.ravel()
+        return np.column_stack([np.bincount(nodes, axis, len(self.nodes)) for axis in carried.T])
+
+
+def engine_hash(number: int) -> str:
+    return array_hash((np.array([number]),))
+
+
+def morph_targets(character: Character, displacements: np.ndarray) -> list:
+    sets = [s for s, target_set in enumerate(character.target_sets) for _ in target_set.targets]
+    shifted = character.settings.method == "SHAPE"
+    out = []
+    for target, s, displacement in zip(character.targets, sets, displacements, strict=True):
+        material = target.material
+        lame_lambda, lame_mu = material.lame()
+        out.append(
+            dynamorph.MorphTarget(
+                target.name,
+                displacement,
+                lame_lambda=lame_lambda,
+                lame_mu=lame_mu,
+                density=material.density,
+                mass_damping=material.mass_damping,
+                stiffness_damping=material.stiffness_damping,
+                set=s,
+                shifted=shifted,
+            )
+        )
+    return out
+
+
+def array_hash(arrays: tuple[np.ndarray, ...]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(str((array.shape, array.dtype.str)).encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

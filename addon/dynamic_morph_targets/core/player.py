@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Model + moving rig -> frames, step by step: the bake and Live both run this. Never touches bpy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain, islice
+
+import dynamorph
+import numpy as np
+
+from .amounts import Amounts
+from .character import Character
+from .model import Model
+from .posing import Posing
+from .rig_samples import RigSamples
+from .settings import SimulationSettings
+
+CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
+CHUNK_NODES = 2**18  # transforms of nodes made at once, if those are known: 25 MB
+TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
+STEP = ("steps", "iterations", "converged", "residual", "energy", "teleported", "seconds")  # what a frame's steps say
+NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True}
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame, or a time between two: coordinates (dofs,), target weights (J,), and a report of the steps to it."""
+
+    number: float
+    coordinates: np.ndarray
+    weights: np.ndarray
+    steps: dict
+
+
+class Player:
+    """One character, stepped frame by frame: a bake and playback both run this.
+
+    keep_going() -> bool is asked at every frame, of an unreduced model at every iteration; False raises
+    dynamorph.Cancelled. number: the frame it is at; passes: how often it has begun again. amounts: what `shown`
+    applies. engine: model.engine(character), if it is at hand
+    already; afterwards None for static morph targets.
+    """
+
+    def __init__(
+        self, model: Model, character: Character, settings: SimulationSettings, *, keep_going=None, engine=None
+    ):
+        self.model = model
+        self.settings = settings
+        self.number, self.passes = settings.first, 0
+        self.engine = None
+        self._keep_going = keep_going
+        self.character = character.by_method()
+        self._first: RigSamples | None = None  # the sample that it began with
+        self._shapes = np.zeros((len(self.character.targets), 0))
+        self._simulation = _NothingMoves()
+        if model.settings.method != "STATIC":
+            self.engine = engine or model.engine(self.character, self.character.probed)
+            self._shapes = model.target_coordinates(self.engine)
+            self._simulation = self._stepper()
+        self.posing = Posing(model, self.character, self.probed)
+        self.amounts = Amounts(model, self.character, self._shapes, settings)
+
+    @property
+    def state(self):
+        """What it goes on from; to be kept, and set to go on from there again."""
+        return self._simulation.state
+
+    @state.setter
+    def state(self, state):
+        self._simulation.state = state
+
+    @property
+    def past(self) -> np.ndarray:
+        """Its coordinates now and at the last three steps: (4, dofs)."""
+        return np.array(self.state[0])
+
+    @past.setter
+    def past(self, coordinates: np.ndarray):
+        self.state = list(coordinates), self.state[1]
+
+    @property
+    def probed(self) -> bool:
+        """Whether it asks for `RigSamples.nodes`."""
+        return self.character.probed and self.engine is not None
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the body's bounding box, metres."""
+        return float(np.linalg.norm(np.ptp(self.character.vertices @ self.character.to_bind.T, axis=0)))
+
+    def run(self, rig: RigSamples) -> Iterator[Frame]:
+        """One of each of settings.frames, one pass; rig: 1 + (end - first) * substeps samples."""
+        settings = self.settings
+        frames = chain([self.begin(rig)], self.play(rig[1:], settings.simulated[1:]))
+        yield from islice(frames, settings.run_up * settings.samples, None)
+
+    def begin(self, rig: RigSamples) -> Frame:
+        """The frame settings.first. rig: its sample and those that follow it, of which the first counts."""
+        self._hold_targets(rig[:1])
+        bones, weights = self.posing.posed(rig[:2])  # or nodes, if those are known
+        if self.settings.begin == "REST":
+            self.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
+            begun = NO_STEPS
+        else:
+            held = self.settings.held > 0
+            begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
+        still = [np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights)]
+        for _ in range(self.settings.held):
+            self._ask()
+            self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
+        self.number = self.settings.first
+        return Frame(self.number, self._simulation.coordinates, weights[0], begun)
+
+    def resume(self, first: RigSamples, state):
+        """Go on from the `state` of another player that began with the sample `first`; its next frames are to come."""
+        self._hold_targets(first)
+        self.state = state
+
+    def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
+        """From `frame`, the last of a cycle, back to the first, where the soft skin goes on as it came.
+
+        What the rig has travelled meanwhile, its past travels back.
+        """
+        first, last = self._ends(rig)
+        turn, shift = _rigid_fit(last, first)
+        coordinates, bones = self.state
+        moved = [turn @ past.reshape(-1, 3, 4) for past in bones]
+        for past in moved:
+            past[:, :, 3] += shift
+        self.state = coordinates, [past.reshape(-1, 12) for past in moved]
+        self.number, self.passes = self.settings.start, self.passes + 1
+        return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
+
+    def pose_gap(self, rig: RigSamples) -> float:
+        """How far the skin of the last pose, moved as a whole, is off that of the first: metres, at most."""
+        first, last = self._ends(rig)
+        turn, shift = _rigid_fit(last, first)
+        return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
+
+    def gap(self, first: Frame, second: Frame) -> float:
+        """The largest distance, in metres, between the soft skins of two frames in one pose, as `shown` by targets of
+        full influence: what others hide at the seam of a loop is seen elsewhere.
+        """
+        displacement = np.tensordot(second.weights - first.weights, self.model.details, 1)
+        if self.engine is not None:
+            first, second = (self.amounts.with_gains(frame.coordinates, frame.weights) for frame in (first, second))
+            displacement += self.model.surface(self.engine.displacement(second - first))
+        return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
+
+    def advance(self, rig: RigSamples, number: int) -> Frame:
+        """The frame `number`, one frame after the last; rig: its settings.substeps samples."""
+        *_, frame = self.play(rig, [number])
+        return frame
+
+    def play(self, rig: RigSamples, numbers) -> Iterator[Frame]:
+        """The frames `numbers`, which follow the last, and what is kept between; rig: settings.substeps samples each.
+
+        Force fields change from frame to frame.
+        """
+        substeps, samples = self.settings.substeps, self.settings.samples
+        stride = substeps // samples
+        if len(rig) != len(numbers) * substeps:
+            raise ValueError(f"rig: expected {len(numbers) * substeps} samples, got {len(rig)}")
+        frames = max(1, CHUNK_NODES // (len(rig.nodes.rest) * substeps)) if rig.nodes else CHUNK
+        for first in range(0, len(numbers), frames):
+            chunk = numbers[first : first + frames]
+            moving = rig[first * substeps : (first + len(chunk)) * substeps]
+            bones, weights = self.posing.posed(moving)
+            for k, number in enumerate(chunk):
+                self.number = int(number)
+                self._ask()
+                last = (k + 1) * substeps - 1
+                push = self._push(moving.fields, last, bones[last])
+                for left in reversed(range(samples)):
+                    end = last + 1 - left * stride
+                    steps = slice(end - stride, end)
+                    report = self._simulation.advance(bones[steps], weights[steps], push)
+                    time = self.number - left / samples
+                    yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
+
+    def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
+        """A player that goes on from here with the materials, poses and blending of `character`.
+
+        settings: others with steps as long.
+        """
+        other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
+        other.amounts.gains, other.number, other.passes = self.amounts.gains, self.number, self.passes
+        if self._first is not None:
+            other._hold_targets(self._first)
+            other.state = self.state
+        return other
+
+    def dry(self, weights: np.ndarray) -> np.ndarray:
+        """Coordinates (..., dofs) of the targets' shapes blended by the weights (..., J): what does not move."""
+        return weights @ self._shapes
+
+    def shown(self, frame: Frame) -> np.ndarray:
+        """The frame's coordinates with `amounts`."""
+        return self.amounts.shown(frame.coordinates, frame.weights)
+
+    def _ask(self):
+        """Raises dynamorph.Cancelled when it is not to go on."""
+        if self._keep_going and not self._keep_going():
+            raise dynamorph.Cancelled("cancelled")
+
+    def _ends(self, rig: RigSamples) -> np.ndarray:
+        """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
+        return self.posing.skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
+
+    def _stepper(self):
+        settings, full = self.settings, self.model.settings.solver == "FULL"
+        return self.model.stepper(
+            self.engine,
+            settings.step,
+            scheme=dynamorph.Scheme.__members__[settings.scheme],
+            gravity=settings.gravity,
+            teleport=TELEPORT * self.engine.body.size * settings.step,
+            keep_going=self._keep_going if full else None,  # a reduced step takes less than the question
+        )
+
+    def _hold_targets(self, first: RigSamples):
+        """Sculpted shapes are what the artist saw under gravity, so each is held up in its own pose."""
+        self._first = first
+        if any(self.settings.gravity):
+            self._simulation.hold_targets(self.posing.target_frames(first))
+
+    def _push(self, fields, sample: int, bones: np.ndarray) -> np.ndarray | None:
+        """What the force fields do to the nodes, from where the flesh is now; None without any."""
+        if not fields or self.engine is None:
+            return None
+        return self.posing.skin.push(fields, sample, bones, self.engine.displacement(self._simulation.coordinates))
+
+
+class _NothingMoves:
+    """In the place of the engine's simulation for static morph targets: there are no coordinates."""
+
+    coordinates = np.zeros(0)
+    state = (), ()
+
+    def start(self, _now, _next, _weights) -> dict:
+        return NO_STEPS
+
+    def advance(self, _bones, _weights, _external=None) -> dict:
+        return NO_STEPS
+
+    def hold_targets(self, _bones):
+        pass
+
+
+def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation (3, 3) and shift (3,) that carry points (V, 3) nearest to others, as a whole."""
+    if not len(points):
+        return np.eye(3), np.zeros(3)
+    centre, goal = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - goal).T @ (points - centre))
+    turn = (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return turn, goal - turn @ centre

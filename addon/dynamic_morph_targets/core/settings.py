@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The settings of models, simulations and outputs as plain data. Never touches bpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Material:
+    """Elastic properties at one target, SI: stiffness is Young's modulus in Pa, damping is Rayleigh's."""
+
+    stiffness: float = 2.0e4
+    poisson: float = 0.4
+    density: float = 1000.0
+    mass_damping: float = 1.0  # alpha, 1/s
+    stiffness_damping: float = 0.005  # beta, s
+
+    def lame(self) -> tuple[float, float]:
+        """Lame's lambda and mu, Pa."""
+        e, nu = self.stiffness, self.poisson
+        return e * nu / ((1 + nu) * (1 - 2 * nu)), e / (2 * (1 + nu))
+
+
+# What targets do to the flesh: the same names in the interface and on the command line.
+METHODS = {
+    "DYNAMIC": ("Dynamic", "Shape, stiffness, damping and density follow the pose"),
+    "SHAPE": ("Shape", "The rest shape follows the pose, the flesh is the neutral one's everywhere"),
+    "SINGLE": ("Single", "The neutral target alone: an ordinary soft body"),
+    "STATIC": ("Static", "Geometric morph targets: the shape follows the pose, nothing moves by itself"),
+}
+POINT_CACHES = ("PC2", "MDD")  # sinks that are files of every vertex at every frame
+# What `dynamorph report` compares: changes of ModelSettings. What they do not name stays the object's own.
+VARIANTS: dict[str, dict[str, str]] = {
+    "static morphs": {"method": "STATIC"},
+    "pose-dependent shape": {"method": "SHAPE"},
+    **{
+        f"{material} {law} {solver}": {"method": method, "law": law.replace(" ", "_").upper(), "solver": solver.upper()}
+        for law in ("linear", "StVK", "stable StVK")
+        for solver in ("full", "reduced")
+        for material, method in (("single", "SINGLE"), ("DMT", "DYNAMIC"))
+    },
+}
+# Settings that a built model does not depend on: they are applied when it is simulated.
+FREE_SETTINGS = {"blending"}
+ENGINE = 1  # of what is computed: raised when the same scene gives another model or another motion than before
+# Settings that came later, at the value that builds what was built before: a model from then stays up to date.
+LATER_SETTINGS = {
+    "cage_thickness": 0.0,
+    "cage_grading": 0.0,
+    "separate": True,
+    "hold": "BONES",
+    "one_cage": False,
+    "hold_head": False,
+}
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """What a built model depends on, apart from the character itself. method: see METHODS."""
+
+    method: str = "DYNAMIC"
+    law: str = "STABLE_STVK"
+    solver: str = "REDUCED"
+    blending: str = "EVEN"
+    modes: int = 20
+    fit_to_shot: bool = False  # choose the modes from how the shot moves
+    cage_nodes: int = 2000
+    cage_thickness: float = 0.0  # metres that the cage stands off the skin at least
+    cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
+    pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
+    separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
+    hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
+    one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
+    hold_head: bool = False  # the skin of the head is held like something rigid; with one_cage
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
+
+    samples: states a frame that are kept, of which `substeps` is a multiple.
+    begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
+    preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
+    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them; amount: on all
+    of it.
+    """
+
+    start: int = 1
+    end: int = 250
+    fps: float = 24.0
+    substeps: int = 5
+    scheme: str = "BDF2"
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    samples: int = 1
+    preroll: int = 0
+    preroll_pose: str = "HELD"
+    begin: str = "SETTLE"
+    loop: bool = False
+    gains: tuple[float, ...] = ()
+    amount: float = 1.0
+
+    def __post_init__(self):
+        if self.substeps % self.samples:
+            raise ValueError(f"substeps: expected a multiple of samples ({self.samples}), got {self.substeps}")
+
+    @property
+    def frames(self) -> np.ndarray:
+        """Those of the result, with fractions for the samples between them."""
+        return self.times[self.run_up * self.samples :]
+
+    @property
+    def run_up(self) -> int:
+        """Frames that are simulated before `start` and dropped. A cycle needs none: it finds what came before."""
+        return self.preroll if self.preroll_pose == "ANIMATED" and not self.loop else 0
+
+    @property
+    def held(self) -> int:
+        """Frames in which the first pose is held."""
+        return self.preroll if self.preroll_pose == "HELD" else 0
+
+    @property
+    def first(self) -> int:
+        """The frame that the simulation begins with."""
+        return self.start - self.run_up
+
+    @property
+    def simulated(self) -> np.ndarray:
+        """The whole frames, with those that are dropped."""
+        return np.arange(self.first, self.end + 1)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Of all states, as `frames`, with those that are dropped."""
+        if self.samples == 1:
+            return self.simulated
+        return self.first + np.arange((self.end - self.first) * self.samples + 1) / self.samples
+
+    def reached(self, states: int) -> int:
+        """The frame that is done with so many states; the first without any."""
+        return self.first + max(states - 1, 0) // self.samples
+
+    @property
+    def step(self) -> float:
+        """Seconds a step."""
+        return 1.0 / (self.fps * self.substeps)
+
+
+@dataclass(frozen=True)
+class OutputSettings:
+    """What a bake becomes in Blender. sink: MODES, FRAMES, PC2 or MDD."""
+
+    sink: str = "MODES"
+    keys: int = 0  # of MODES, at most; 0: as many as there are
+    every: int = 1  # of FRAMES: a key at every n-th frame,
+    tolerance: float = 0.0  # or, if this is not 0, where the surface is off by more than so many metres without it

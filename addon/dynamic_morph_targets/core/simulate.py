@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Model + moving rig -> frames. Never touches bpy. The button, the command line and scripts all run this."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from .baked import Bake
+from .build import build
+from .cage import Progress
+from .character import Character
+from .geometry import determinant
+from .loops import cycle, loop_warnings
+from .model import Model
+from .player import STEP, Frame, Player
+from .rig_samples import RigSamples
+from .settings import SimulationSettings
+
+CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
+
+
+def simulate(
+    model: Model,
+    character: Character,
+    rig: RigSamples,
+    settings: SimulationSettings,
+    progress: Progress | None = None,
+) -> Iterator[Frame]:
+    """Yields one of each of settings.frames, in one pass.
+
+    rig: 1 + (end - first) * substeps samples, from settings.first on. progress(fraction, message) -> bool is asked at
+    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
+    """
+    return _player(model, character, settings, progress).run(rig)
+
+
+def _player(model: Model, character: Character, settings: SimulationSettings, progress: Progress | None) -> Player:
+    """A player that reports to `progress`."""
+
+    def keep_going() -> bool:
+        done = (player.number - settings.first) / len(settings.simulated)
+        message = f"Simulating frame {player.number}"
+        if settings.loop:  # nobody knows how many passes it takes
+            done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
+        return progress is None or progress(done, message)
+
+    player = Player(model, character, settings, keep_going=keep_going)
+    return player
+
+
+def build_for(
+    character: Character,
+    rig: RigSamples | None,
+    settings: SimulationSettings | None,
+    progress: Progress | None = None,
+    previous: Model | None = None,
+) -> Model:
+    """`build.build` for a character in a shot, to which its modes are fitted if it says so; else no shot is needed."""
+
+    def rehearse(model: Model, report) -> tuple[np.ndarray, np.ndarray]:
+        frames = list(simulate(model, character, rig, settings, lambda fraction, _message: report(fraction)))
+        return np.array([frame.coordinates for frame in frames]), np.array([frame.weights for frame in frames])
+
+    model = build(character, progress, previous, rehearse if rig is not None else None)
+    if "rehearsal" in model.summary["seconds"]:
+        model.summary["fitted"] = [settings.start, settings.end]
+    return model
+
+
+class Shot:
+    """A bake in the making: the moving rig comes in stretches, so that a long shot takes no more memory than a short
+    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch. The run-up is
+    part of the shot, but not of its bake.
+
+    progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
+    """
+
+    def __init__(
+        self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
+    ):
+        self.player = _player(model, character, settings, progress)
+        self.done = 0  # of settings.times
+        self._coordinates, self._weights, self._steps = [], [], []  # a stretch each
+        self._loop: dict = {}
+        self._warnings: list[str] = []
+        self._seconds = 0.0
+
+    @property
+    def is_complete(self) -> bool:
+        return self.done == len(self.player.settings.times)
+
+    def play(self, rig: RigSamples):
+        """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
+        if self.is_complete:
+            return
+        began, player = time.perf_counter(), self.player
+        settings = player.settings
+        if settings.loop:
+            frames, gap = cycle(player, rig)
+            self._loop, self._warnings = {"gap": gap}, loop_warnings(player, rig, gap)
+        else:
+            frames = [] if self.done else [player.begin(rig)]
+            rig, reached = rig[len(frames) :], settings.reached(self.done)
+            frames += player.play(rig, range(reached + 1, reached + 1 + len(rig) // settings.substeps))
+        self.done += len(frames)
+        self._coordinates.append(np.array([frame.coordinates for frame in frames]))
+        self._weights.append(np.array([frame.weights for frame in frames]))
+        self._steps.append(np.array([[frame.steps[name] for name in STEP] for frame in frames], float))
+        self._seconds += time.perf_counter() - began
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """All that `resume` asks for."""
+        coordinates, bones = self.player.state
+        return {
+            "coordinates": np.concatenate(self._coordinates),
+            "weights": np.concatenate(self._weights),
+            "steps": np.concatenate(self._steps),
+            "past": np.array(coordinates),
+            "bones": np.array(bones),
+        }
+
+    def resume(self, kept: dict[str, np.ndarray], first: RigSamples):
+        """Go on after the frames of another shot of the same; first: the sample of the first frame."""
+        self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
+        self.done = len(kept["coordinates"])
+        self.player.resume(first, (list(kept["past"]), list(kept["bones"])))
+
+    def bake(self) -> tuple[Bake, dict]:
+        """The bake and its report, when all is played."""
+        began, player = time.perf_counter(), self.player
+        model, character, settings = player.model, player.character, player.settings
+        kept = slice(settings.run_up * settings.samples, None)
+        coordinates, weights = (np.concatenate(rows)[kept] for rows in (self._coordinates, self._weights))
+        dry = player.dry(weights)
+        report = _report(settings.times, np.concatenate(self._steps)) | self._loop
+        report["warnings"] += self._warnings
+        report.update(_worst_elements(player, coordinates, dry))
+        coordinates, free = player.amounts.shown(coordinates, weights), model.basis.T
+        if model.settings.solver == "FULL" and player.engine is not None:
+            coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
+        modes = node_modes(model, free)
+        surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
+        report["seconds"] = self._seconds + time.perf_counter() - began
+        names = tuple(target.name for target in character.targets)
+        return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+
+
+def bake(
+    model: Model,
+    character: Character,
+    rig: RigSamples,
+    settings: SimulationSettings,
+    progress: Progress | None = None,
+) -> tuple[Bake, dict]:
+    """Simulates a shot at once: (Bake, report); as `Shot`."""
+    shot = Shot(model, character, settings, progress)
+    shot.play(rig)
+    return shot.bake()
+
+
+def part_of(bake: Bake, members: slice, from_body: np.ndarray | None = None) -> Bake:
+    """The same shot of some of its vertices; from_body (3, 3): of a displacement into the space that they are in."""
+    turn = np.eye(3) if from_body is None else from_body
+    return replace(bake, modes=bake.modes[:, members] @ turn.T, details=bake.details[:, members] @ turn.T)
+
+
+def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
+    """Of what the steps to each of `frames` (F,) did (F, STEP)."""
+    by_name = dict(zip(STEP, steps.T, strict=True))
+    moving = by_name["steps"] > 0
+    rates = by_name["steps"][moving] / by_name["seconds"][moving]
+    report = {
+        "steps": int(by_name["steps"].sum()),
+        "engine_seconds": float(by_name["seconds"].sum()),
+        "steps_per_second": float(np.median(rates)) if len(rates) else 0.0,  # the median: machines have other work
+        "iterations": int(by_name["iterations"].sum()),
+        "residual": float(by_name["residual"].max()),  # of the largest force
+        "energy": float(by_name["energy"].max()),  # elastic, J
+        "warnings": [],
+    }
+    unconverged = _whole(frames[by_name["converged"] == 0])
+    if unconverged:
+        report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
+    cuts = _whole(frames[by_name["teleported"] != 0])
+    if cuts:
+        report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
+    return report
+
+
+def _whole(frames: np.ndarray) -> list[int]:
+    """The frames that steps, named by where they ended, belong to."""
+    return np.unique(np.ceil(frames)).astype(int).tolist()
+
+
+def _some(numbers: list[int]) -> str:
+    listed = ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
+    return f"frame{'s' * (len(numbers) > 1)} {listed}"
+
+
+def _worst_elements(player: Player, coordinates: np.ndarray, dry: np.ndarray) -> dict:
+    """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames.
+
+    coordinates, dry (F, dofs): with and without motion.
+    """
+    if player.engine is None:
+        return {"smallest_det": 1.0, "inverted": 0}
+    model, displacement = player.model, player.engine.displacement
+    strength = np.abs(coordinates - dry).max(axis=1, initial=0.0)
+    rest = _volumes(model.nodes, model.tets)
+    smallest, inverted = np.inf, 0
+    for k in np.argsort(strength)[-CHECKED:]:
+        moved = _volumes(model.nodes + displacement(coordinates[k]), model.tets) / rest
+        smallest = min(smallest, moved.min())
+        inside_out = model.tets[moved <= 0]
+        sculpted = _volumes(model.nodes + displacement(dry[k]), inside_out)
+        inverted = max(inverted, int((sculpted > 0).sum()))  # not what the sculpt itself inverts
+    return {"smallest_det": float(smallest), "inverted": inverted}
+
+
+def _volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Six times the signed volume of each tetrahedron."""
+    corners = nodes[tets]
+    return determinant(corners[:, 1:] - corners[:, :1])
+
+
+def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
+    """Displacement of all nodes (r, n, 3), bind space, from rows over the free nodes (r, 3 free)."""
+    modes = np.zeros((len(free), len(model.nodes), 3))
+    if not modes.size:  # static morph targets
+        return modes
+    modes[:, model.free] = free.reshape(len(free), -1, 3)
+    return modes
+
+
+def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
+
+    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3 free),
+    and the largest error of `wet` in metres.
+    """
+    _, s, modes = np.linalg.svd(wet, full_matrices=False)
+    modes = modes[: min(model.settings.modes, len(s))]
+    _, s, others = np.linalg.svd(dry - dry @ modes.T @ modes, full_matrices=False)
+    modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(dry)]])
+    coordinates = wet @ modes.T
+    error = float(np.abs(wet - coordinates @ modes).max())
+    return coordinates, dry @ modes.T, modes, error

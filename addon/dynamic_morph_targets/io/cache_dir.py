@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A folder that processes share, on one machine or many: built models, and bakes that were not finished.
+
+Files are named by a hash of all that they depend on, written whole or not at all, and never changed: whoever finds one
+may use it. What a process was killed over, another goes on with.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from ..core import errors
+from . import model_file
+
+VERSION = 1  # of what an unfinished bake holds
+BLOCK = 2**20
+
+
+class Share:
+    """The folder; made when something is first kept there. Raises OSError where it cannot be used."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def built(self, character):
+        """A model that was built for such a character, or None."""
+        from ..core import build
+
+        found = self._read(self._model_path(build.dependencies(character)))
+        return found and build.Model.from_arrays(*found)
+
+    def keep_model(self, model):
+        model_file.save(self._model_path(model.dependencies), model_file.pack(*model.to_arrays()))
+
+    def bake_path(self, name: str, inputs: dict, character, files: list[Path], blender: tuple[int, int, int]) -> Path:
+        """Where the bake of the object `name` is kept while it is unfinished. All that it depends on but the model,
+        which may not be there yet, is what was authored (`inputs`), the `files` that hold what moves it, and the
+        version of Blender.
+        """
+        from ..core import build
+
+        depends_on = [name, inputs, build.dependencies(character), [_file_hash(file) for file in files]]
+        return self.folder / f"{_hash([VERSION, blender, *depends_on])}.unfinished"
+
+    def unfinished(self, path: Path, model) -> dict[str, np.ndarray]:
+        """What `simulate.Shot.resume` asks for, and the last `pose`, of a bake with this model; empty without one."""
+        arrays, meta = self._read(path) or ({}, {})
+        return arrays if meta.get("model") == _modes_hash(model) else {}
+
+    def keep(self, path: Path, shot, pose: np.ndarray):
+        """What is done of a `simulate.Shot` up to this pose (B, 4, 4), in place of what was kept before."""
+        meta = {"model": _modes_hash(shot.player.model)}
+        model_file.save(path, model_file.pack(shot.kept() | {"pose": pose}, meta))
+
+    def _model_path(self, dependencies: dict[str, str]) -> Path:
+        return self.folder / f"{_hash(dependencies)}.dynamorph"
+
+    @staticmethod
+    def _read(path: Path):
+        """(arrays, metadata) of a file, or None. A damaged one is as good as none: it is written again."""
+        with suppress(FileNotFoundError, errors.ModelFileError):
+            return model_file.unpack(path.read_bytes())
+        return None
+
+
+def _hash(what) -> str:
+    return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _modes_hash(model) -> str:
+    """Of what the coordinates of a bake mean: another machine's modes may have other signs."""
+    return hashlib.sha256(model.nodes.tobytes() + model.basis.tobytes()).hexdigest()
+
+
+def _file_hash(path: Path) -> str:
+    """Empty for a file that is not there: Blender shows nothing of it."""
+    digest = hashlib.sha256()
+    if not path.is_file():
+        return ""
+    with path.open("rb") as file:
+        while block := file.read(BLOCK):
+            digest.update(block)
+    return digest.hexdigest()

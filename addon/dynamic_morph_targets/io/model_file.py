@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A built model as bytes: named arrays and a JSON description, in the layout of safetensors. No bpy, no pickle.
+
+    8 bytes   length of the header, little-endian
+    header    JSON, padded with spaces to a multiple of 8:
+                {name: {dtype, shape, data_offsets: [begin, end]}, ...,
+                 "__metadata__": {format, version, meta, hashes, header_hash}}
+    data      the arrays, little-endian, C order, one after the other without gaps
+
+safetensors checks sizes but not contents, so each array carries its SHA-256, and the header its own. The header must be
+exactly what `pack` would write: then no byte of the file can change unnoticed. The engine reads it
+(cpp/dynamorph/file/model_file.hpp), so that programs in C++ can as well.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import os
+import secrets
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import ModelFileError
+
+FORMAT = "dynamorph model"
+VERSION = 4  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only; 4: stiffness
+ABANDONED = 3600.0  # seconds after which nobody writes to a part of a file any more
+TAGS = {
+    "<f8": "F64", "<f4": "F32", "<i8": "I64", "<i4": "I32", "<i2": "I16", "|i1": "I8",
+    "<u8": "U64", "<u4": "U32", "<u2": "U16", "|u1": "U8", "|b1": "BOOL",
+}  # fmt: skip
+
+
+def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
+    """The model as bytes. meta: anything JSON can hold. Raises ModelFileError for other content."""
+    tensors, hashes, chunks, offset = {}, {}, [], 0
+    for name, array in arrays.items():
+        array = np.asarray(array)
+        little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
+        if little.dtype.str not in TAGS:
+            raise ModelFileError(f"Array '{name}' has type {array.dtype}: only numbers can be stored")
+        chunk = little.tobytes()
+        tensors[name] = {
+            "dtype": TAGS[little.dtype.str],
+            "shape": list(array.shape),
+            "data_offsets": [offset, offset + len(chunk)],
+        }
+        hashes[name] = hashlib.sha256(chunk).hexdigest()
+        chunks.append(chunk)
+        offset += len(chunk)
+    try:
+        text = json.dumps(meta, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ModelFileError(f"The description cannot be stored: {error}") from error
+    return _header_bytes(tensors, text, json.dumps(hashes)) + b"".join(chunks)
+
+
+def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
+    """The inverse of `pack`: arrays of their own memory, and the description. Raises ModelFileError.
+
+    What an older version wrote comes out as this one would have written it.
+    """
+    import dynamorph  # not before: an add-on without its engine still writes reports
+
+    try:
+        arrays, meta = dynamorph.unpack_model(memoryview(buffer).cast("B"))
+    except dynamorph.Error as error:
+        raise ModelFileError(str(error)) from error
+    return arrays, _parse(meta)
+
+
+def save(path, content: bytes | Iterable[bytes]):
+    """Write whole or not at all: a crash leaves the old file or the new one."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for left in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # by a process that was killed
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > ABANDONED:
+                left.unlink()
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the rights of any new file
+    try:
+        with temporary.open("xb") as file:
+            file.writelines([content] if isinstance(content, bytes) else content)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def content_id(packed: bytes) -> str:
+    """A name for these bytes, fit for a file name."""
+    return hashlib.sha256(packed).hexdigest()[:32]
+
+
+def _header_bytes(tensors, meta_text, hashes_text, version: str = str(VERSION)) -> bytes:
+    metadata = {"format": FORMAT, "version": version, "meta": meta_text, "hashes": hashes_text, "header_hash": ""}
+    header = {**tensors, "__metadata__": metadata}
+    metadata["header_hash"] = hashlib.sha256(json.dumps(header).encode()).hexdigest()
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text
+
+
+def _parse(text) -> dict:
+    try:
+        value = json.loads(text)
+    except (TypeError, ValueError, RecursionError):
+        value = None
+    if not isinstance(value, dict):
+        raise ModelFileError("The model is damaged: its header is not readable. Build it again")
+    return value

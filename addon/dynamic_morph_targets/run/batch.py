@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Build and Bake as one path for the button, the command line and scripts; and where a built model is kept.
+
+A job has three phases: `prepare` reads Blender, `compute` runs in a thread and never touches bpy, `commit` writes
+Blender all at once, so that it is one undo step and an error before it changes nothing.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..core.errors import Cancelled, SceneError
+from .job import Job
+
+running: Batch | None = None  # the work whose progress the panels draw
+winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
+
+
+class Batch:
+    """Jobs one after the other, of which all are written when all are done: one undo step, or nothing.
+
+    goal: the button's, as in Job, or "BAKE_ALL".
+    """
+
+    def __init__(self, jobs: list[Job], goal: str):
+        self.jobs = jobs
+        self.goal = goal
+        self.undone = False  # by the user, since it began
+        self._at = jobs[0]
+
+    @property
+    def name(self) -> str:
+        return self._at.name
+
+    @property
+    def message(self) -> str:
+        return f"{self.name}: {self._at.message}" if len(self.jobs) > 1 else self._at.message
+
+    @property
+    def fraction(self) -> float:
+        return sum(job.fraction for job in self.jobs) / len(self.jobs)
+
+    def cancel(self):
+        for job in self.jobs:
+            job.cancelled = True
+
+    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        """The work, main thread. Yields when it has held that for about so many seconds, and every `pause` seconds
+        while a thread computes. Raises Cancelled, SceneError and what the threads raise.
+        """
+        for job in self.jobs:
+            self._at = job
+            job.read()
+            yield from self._turn(reading=True)
+        for job in filter(Job.needs_cage, self.jobs):
+            self._at = job
+            job.start_cage()
+            while not job.wait(pause):
+                yield from self._turn(reading=True)
+        for job in self.jobs:
+            self._at = job
+            while not job.sample(seconds):
+                yield from self._turn(reading=True)
+        for job in self.jobs:
+            self._at = job
+            yield from self._computed(job, pause)
+            while job.go_on():
+                yield from self._turn(reading=True)
+                while not job.sample(seconds):
+                    yield from self._turn(reading=True)
+                yield from self._computed(job, pause)
+        while waiting := next((job for job in self.jobs if job.must_wait()), None):
+            self._at = waiting
+            yield from self._turn()
+        for job in self.jobs:
+            job.target()
+        for job in self.jobs:
+            job.commit()
+
+    def _computed(self, job: Job, pause: float) -> Iterator[None]:
+        job.start()
+        while not job.wait(pause):
+            yield from self._turn()
+
+    def _turn(self, reading=False) -> Iterator[None]:
+        """The window's turn, and what came of it."""
+        yield
+        if self._at.cancelled:
+            raise Cancelled
+        if reading and self.undone:
+            raise SceneError(f"The scene was undone while '{self.name}' was read: nothing was written, start again")
+
+    def abandon(self):
+        """Cancel, and leave the thread to end when the engine notices; what it comes to is dropped."""
+        self.cancel()
+        winding_down[:] = [thread for thread in (*winding_down, *self._threads()) if thread.is_alive()]
+
+    def stop(self):
+        """Cancel, and wait until the thread has left the engine."""
+        self.cancel()
+        for thread in self._threads():
+            thread.join()
+
+    def _threads(self) -> list[threading.Thread]:
+        return [job.thread for job in self.jobs if job.thread.is_alive()]
+
+
+def run(job: Job, tick=None):
+    """The whole job at once. tick(job) is called in the main thread about ten times a second."""
+    run_all(Batch([job], job.goal), tick and (lambda _batch: tick(job)))
+
+
+def run_all(batch: Batch, tick=None):
+    """All jobs at once, or nothing. tick(batch): as in `run`."""
+    try:
+        for _ in batch.steps():
+            if tick:
+                tick(batch)
+    except BaseException:
+        batch.stop()
+        raise
+
+
+def stop():
+    """Cancel what runs, and wait until no thread is in the engine: Blender, its file or the add-on goes away."""
+    global running
+    if running:
+        running.stop()
+        running = None
+    while winding_down:
+        winding_down.pop().join()

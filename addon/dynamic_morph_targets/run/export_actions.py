@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every Action of a character baked and exported as a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..core import keys
+from ..core.baked import Bake
+from ..core.errors import ExportError, SceneError
+from ..scene import skin
+from ..scene.references import rig_of
+from ..scene.skin import find
+from ..write import actions, live_key
+from ..write.actions import Clip, laid_out
+from ..write.bake import write_keys
+from ..write.exports import FORMATS, as_it_was, check_bake, check_place, stand_ins, write_file
+from . import batch
+from .batch import run_all
+from .job import Job
+
+
+class ClipJob(Job):
+    """Simulates one of the clips with the model as it is built, and writes nothing: `result` and `carried` are it."""
+
+    def __init__(self, obj, clip: Clip, clips: Sequence[Clip]):
+        super().__init__(obj, "BAKE", frames=(clip.first, clip.last))
+        self.name = f"{obj.name}: {clip.name}"
+        self.clip, self._clips = clip, clips
+
+    def read(self, whole=False):
+        super().read(whole=True)  # it may be a loop
+        if self.reasons:
+            why = "; ".join(self.reasons)
+            raise SceneError(f"The model of '{self.character.name}' is out of date ({why}): press Build Model first")
+
+    def sample(self, seconds: float = np.inf) -> bool:
+        with laid_out(rig_of(skin.find(self.session_uid)), self._clips):
+            return super().sample(seconds)
+
+    def commit(self):
+        self._probe = None
+
+    def _next_stretch(self, obj):
+        """The clip alone: before its first frame there is nothing to run up on."""
+        chosen = {"loop": self.clip.cyclic, "preroll_pose": "HELD", "samples": 1}
+        self.settings = replace(self.settings, **chosen)
+        super()._next_stretch(obj)
+
+    def _read_kept(self, obj):
+        """It becomes no part of the bake that there is."""
+
+    def _read_output(self, obj):
+        """It becomes nothing in Blender."""
+
+    def _make_keys(self):
+        """It becomes keys together with the other clips: `joined`."""
+
+
+def joined(bakes: Sequence[Bake]) -> Bake:
+    """Bakes of one mesh by the same modes, one after the other in time. Raises SceneError."""
+    first = bakes[0]
+    if not all(np.array_equal(bake.modes, first.modes) for bake in bakes):
+        raise SceneError("Each clip has modes of its own, which the Full solver makes: choose the Reduced one")
+    together = {
+        name: np.concatenate([getattr(bake, name) for bake in bakes])
+        for name in ("frames", "coordinates", "weights", "dry")
+    }
+    return replace(first, **together)
+
+
+def export(obj, key: str, path: Path, frames: tuple[int, int], takes="SCENE", tick=None) -> list[str]:
+    """Write `obj`, with its armature and all meshes on that, to `path`, whole or not at all; returns warnings.
+
+    key: of FORMATS. takes: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
+    then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
+    ExportError, OSError, and with ACTIONS as `jobs.run`.
+    """
+    if takes == "ACTIONS":
+        batch = ActionsExport(obj, key, path)
+        run_all(batch, tick)
+        return batch.warnings
+    check_place(obj, key, path)
+    check_bake(obj, key)
+    write_file(obj, key, path, frames)
+    return []
+
+
+class ActionsExport(batch.Batch):
+    """Simulates a clip for each Action that moves the armature of `obj`, with the model as it is built, and writes all
+    to `path`, whole or not at all: an animation for each, by its name, of bones and of shape keys that all clips share.
+
+    It needs no bake, and leaves the one that there is as it is. key: of a format that skins. Raises ExportError, and as
+    `actions.clips_of` and `jobs.Batch`.
+    """
+
+    def __init__(self, obj, key: str, path: Path):
+        check_place(obj, key, path)
+        if not FORMATS[key].skins:
+            raise ExportError(
+                f"{FORMATS[key].label} has one animation only: choose glTF or FBX for one for each Action"
+            )
+        if obj.dynamorph.model.solver == "FULL" and obj.dynamorph.model.method != "STATIC":
+            raise ExportError(
+                f"'{obj.name}': clips share their shape keys, and the Full solver makes others for each: choose Reduced"
+            )
+        self.key, self.path = key, path
+        self.clips = actions.clips_of(obj)
+        super().__init__([ClipJob(obj, clip, self.clips) for clip in self.clips], "EXPORT_ACTIONS")
+
+    @property
+    def warnings(self) -> list[str]:
+        return [f"{job.clip.name}: {warning}" for job in self.jobs for warning in job.warnings]
+
+    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        yield from super().steps(seconds, pause)
+        self._write_clips()
+
+    def _write_clips(self):
+        obj, job = self.jobs[0].target(), self.jobs[0]
+        pieces = [find(follower.session_uid) for follower in job.followers]
+        wholes = [joined(each) for each in zip(*([job.result, *job.carried] for job in self.jobs), strict=True)]
+        budget = obj.dynamorph.output.keys
+        wholes = [keys.with_fewer_keys(bake, budget) if budget else bake for bake in wholes]
+        bakes = [bake for whole in wholes for bake in job.of_meshes(whole)]
+        with ExitStack() as stack:
+            stack.enter_context(as_it_was(obj))
+            stack.enter_context(actions.laid_out(rig_of(obj), self.clips))
+            copies = stack.enter_context(stand_ins((obj, *pieces)))
+            for copy, bake in zip(copies, bakes, strict=True):
+                skin = None if copy == copies[0] else copies[0]
+                live_key.remove(copy)
+                if copy.data.shape_keys:
+                    actions.lay_out(copy.data.shape_keys, self.clips)
+                write_keys(copy, bake, skin)
+            frames = self.clips[0].first, self.clips[-1].last
+            write_file(copies[0], self.key, self.path, frames, self.clips, without=(obj, *pieces))

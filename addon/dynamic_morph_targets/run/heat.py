@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the viewport colors the skin by: how far it moves away from the animation, and how firmly it is held.
+
+Values are one for each vertex of a mesh, 0 to 1; `overlays` draws them.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import bpy
+import numpy as np
+
+from ..core import engine
+from ..core.errors import SceneError
+from ..scene import extract, model_store, references, skin
+from ..write import bake
+from . import live
+
+LIMIT = 0.05  # of the body's size, where Max Displacement is 0
+# Colors from 0 to 1 that those who see red and green alike can tell apart too, and the one beyond.
+RAMP = np.array([[0.10, 0.14, 0.40], [0.13, 0.52, 0.62], [0.75, 0.83, 0.40], [0.99, 0.75, 0.22], [0.85, 0.20, 0.12]])
+BEYOND = np.array([1.0, 0.1, 0.9])
+
+
+def colors(values: np.ndarray) -> np.ndarray:
+    """RGB (V, 3) float32 of values (V,); those over 1 have a color of their own."""
+    at = values.clip(0.0, 1.0) * (len(RAMP) - 1)
+    between = np.column_stack([np.interp(at, np.arange(len(RAMP)), channel) for channel in RAMP.T])
+    return np.where((values > 1.0)[:, None], BEYOND, between).astype(np.float32)
+
+
+def limit_of(obj) -> float:
+    """How far the skin may move, of the body's size."""
+    return obj.dynamorph.simulation.max_displacement or LIMIT
+
+
+def displacements(obj) -> dict[int, np.ndarray]:
+    """How far the vertices (V,) of the soft skin `obj` and of the meshes that move with it are, at the present frame,
+    from where the targets' shapes alone would have them: of what they may be; by session_uid.
+
+    Raises SceneError when nothing moves them, or a point cache does.
+    """
+    if skin.cache_modifier(obj):
+        raise SceneError("The heat map shows bakes to shape keys and Live, not point caches")
+    if live.is_on(obj):
+        motions = _live_motions(obj)
+    elif obj.dynamorph.bake.exists:
+        motions = {each.session_uid: _baked_motion(each) for each in (obj, *skin.followers(obj))}
+    else:
+        raise SceneError("The heat map shows a bake or Live: turn Live on or press Bake")
+    rest = references.key_points(obj.data.shape_keys.reference_key)
+    size = float(np.linalg.norm(np.ptp(rest @ _linear(obj).T, axis=0)))
+    allowed = limit_of(obj) * max(size, 1e-30)
+    return {
+        uid: np.linalg.norm(motion @ _linear(skin.find(uid)).T, axis=1) / allowed for uid, motion in motions.items()
+    }
+
+
+def _linear(obj) -> np.ndarray:
+    return np.array(obj.matrix_world)[:3, :3]
+
+
+def _baked_motion(obj) -> np.ndarray:
+    """Of the vertices (V, 3), local space: what the bake's keys add now, without what they add for the shapes alone."""
+    keys = obj.data.shape_keys
+    render = bpy.context.scene.render
+    time = bpy.context.scene.frame_current_final * render.frame_map_old / render.frame_map_new
+    shapes = bake.shape_curves(obj)
+    basis = references.key_points(keys.reference_key)
+    motion = np.zeros_like(basis)
+    for reference in obj.dynamorph.bake.keys:
+        block = keys.key_blocks.get(reference.name)
+        if block is None:
+            continue
+        curve = shapes.get(f"{block.path_from_id()}.value")
+        value = block.value - (curve.evaluate(time) if curve else 0.0)
+        if value:
+            motion += np.float32(value) * (_points(obj.session_uid, reference.key_hash, block.name) - basis)
+    return motion
+
+
+@lru_cache(maxsize=64)
+def _points(session_uid: int, _key_hash: str, name: str) -> np.ndarray:
+    """Of a key of a bake, which is read once."""
+    return references.key_points(skin.find(session_uid).data.shape_keys.key_blocks[name])
+
+
+def _live_motions(obj) -> dict[int, np.ndarray]:
+    """Of the vertices (V, 3), local space, by session_uid. Raises SceneError when Live does not play."""
+    session = live.sessions.get(obj.session_uid)
+    motions = session.motions() if session else {}
+    if not motions:
+        raise SceneError(live.problem(obj) or "Live has not shown this frame yet")
+    return motions
+
+
+def holds(obj) -> dict[int, np.ndarray]:
+    """How firmly the vertices (V,) of the soft skin `obj`, and of the meshes in its cage, are held: 0 free to 1; by
+    session_uid, as the model was built. Raises SceneError when the model does not say, or the mesh has changed.
+    """
+    found = _holds(obj.session_uid, obj.dynamorph.model.content_id)
+    if isinstance(found, str):
+        raise SceneError(found)
+    if len(found[obj.session_uid]) != len(obj.data.vertices):
+        raise SceneError(f"'{obj.name}' has other vertices than its model: press Build Model")
+    return found
+
+
+@lru_cache(maxsize=4)
+def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
+    """As `holds`, or why there are none: it is asked whenever a viewport draws."""
+    obj = skin.find(session_uid)
+    try:
+        model = model_store.load_model(obj)
+        if model is None or not len(getattr(model, "hold", ())):
+            return f"'{obj.name}' has no model with a hold by thickness: set Hold to Thickness and build"
+        character = extract.character(obj)
+    except engine.expected_errors() as error:
+        return str(error)
+    on_skin = np.einsum("va,va->v", model.embedding_weights, model.hold[model.embedding_nodes]).clip(0.0, 1.0)
+    if len(on_skin) != len(character.vertices):
+        return f"'{obj.name}' has other vertices than its model: press Build Model"
+    return {session_uid: on_skin[character.own]} | {part.session_uid: on_skin[part.members] for part in character.parts}
+
+
+def forget():
+    """Free what is kept of bakes and models."""
+    _points.cache_clear()
+    _holds.cache_clear()

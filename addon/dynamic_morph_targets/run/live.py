@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Live: the soft skin is simulated while Blender plays, by the same Player as a bake, and shown by one shape key.
+
+A session is kept in this module by its object's session id. It never holds a reference into Blender, because undo and
+loading move everything there; what it needs to know it asks anew at each frame.
+"""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..core import engine
+from ..scene import events, references, staleness
+from ..scene.skin import followers, soft_skins
+from ..write import bake, live_key, muting, regions, storage
+from .session import Session, simulation_settings, way_to_skin
+
+SCRUBBED = 0.02  # seconds between two looks whether the artist still drags through the timeline
+AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
+sessions: dict[int, Session] = {}  # by Object.session_uid
+_problems: dict[int, tuple] = {}  # why an object does not play, and how its model stood then
+lent: set[int] = set()  # objects whose live key shows something else for a while
+_any_live: bool | None = None  # whether an object of this file is live; None: to be seen
+
+
+# On, off, and the present frame ------------------------------------------------------------------------------------
+
+
+def is_on(obj) -> bool:
+    return bool(obj.dynamorph.live.key.name) and obj.session_uid not in lent
+
+
+def obstacle(obj) -> str:
+    """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
+    if obj.dynamorph.bake.exists:
+        return "The bake shows the motion already: press Free Bake first"
+    age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
+    return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
+
+
+def turn_on(obj, scene):
+    """Add the live key and show the present frame. Raises what keeps it from playing, before anything is changed.
+
+    There must be no `obstacle`.
+    """
+    global _any_live
+    session = Session(obj, scene)
+    session.flesh.add_keys(obj)
+    sessions[obj.session_uid], _any_live = session, True
+    _problems.pop(obj.session_uid, None)
+    follow(obj, scene)
+
+
+def turn_off(obj):
+    """Raises SinkError."""
+    sessions.pop(obj.session_uid, None)
+    _problems.pop(obj.session_uid, None)
+    live_key.remove(obj)
+
+
+def refresh(obj):
+    """Show at once what was changed in the settings of an object, if it is live."""
+    if is_on(obj):
+        follow(obj, bpy.context.scene, arrives=False)
+
+
+def problem(obj) -> str:
+    """Why a live object does not play, or ''."""
+    text, model = _problems.get(obj.session_uid, ("", None))
+    return text if text and model == _stated(obj) else ""
+
+
+def _stated(obj) -> tuple:
+    return obj.dynamorph.model.content_id, *staleness.model_age(obj)
+
+
+def follow(obj, scene, arrives=True):
+    """Show what the flesh does at the scene's time. What is in the way is kept, see `problem`."""
+    uid, rig = obj.session_uid, references.rig_of(obj)
+    if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
+        return
+    try:
+        settings = simulation_settings(obj, scene)
+        session = sessions.get(uid)
+        if session is None or not session.fits(obj, settings):
+            session = sessions[uid] = Session(obj, scene)
+            muting.show_target(obj, "")  # a target that came with another build: now Live shows it
+        if live_key.find(obj, session.flesh.skin.written) is None:
+            turn_off(obj)
+            return
+        session.flesh.show(session.values(obj, settings, scene.frame_float, arrives))
+    except Exception as error:  # whatever it is: raised in a handler, it would be printed at every frame
+        sessions.pop(uid, None)
+        expected = isinstance(error, engine.expected_errors())
+        text = str(error) if expected else f"{type(error).__name__}: {error}"
+        _problems[uid] = text, _stated(obj)
+        events.redraw(events.PANELS)
+
+
+def holds_still(scene) -> bool:
+    """Whether a render in the window reads what we would write."""
+    rendering = not bpy.app.background and bpy.app.is_job_running("RENDER")
+    return rendering and not scene.render.use_lock_interface
+
+
+# Handlers ----------------------------------------------------------------------------------------------------------
+
+
+@persistent
+def _frame_changed(scene, _depsgraph=None):
+    """frame_change_pre: what is written before Blender evaluates the frame does not make it do so twice.
+
+    The rig is not read from there but by itself, which changes frames too, in a scene of its own.
+    """
+    global _any_live
+    if _any_live is None:
+        _any_live = any(is_on(obj) for obj in soft_skins(bpy.data.objects))
+    if not _any_live or scene != bpy.context.scene or holds_still(scene):
+        return
+    live = [obj for obj in soft_skins(scene.objects) if is_on(obj)]
+    for gone in sessions.keys() - {obj.session_uid for obj in live} - lent:
+        del sessions[gone]
+    scrubbing = is_scrubbing()
+    for obj in live:
+        session = sessions.get(obj.session_uid)
+        if scrubbing and not (session and session.knows(scene.frame_float)):
+            events.soon(_after_scrubbing, SCRUBBED)
+        else:
+            follow(obj, scene, arrives=not scrubbing)
+
+
+def is_scrubbing() -> bool:
+    """Whether the artist drags through the timeline of a window. Blender 5.2 crashes when a scene is removed from a
+    handler meanwhile, as reading the rig does.
+    """
+    return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
+
+
+def _after_scrubbing():
+    """By a timer: show the frame that was scrubbed to, when the mouse is up."""
+    if is_scrubbing():
+        return SCRUBBED  # seconds from now
+    for obj in soft_skins(bpy.context.scene.objects):
+        refresh(obj)
+    return None
+
+
+@persistent
+def _edited(scene, depsgraph):
+    """depsgraph_update_post, which changing the frame does not call."""
+    global _any_live
+    if depsgraph.id_type_updated("OBJECT"):
+        _any_live = None  # one may have been added
+    if not (sessions or _problems) or scene != bpy.context.scene:
+        return
+    updates = list(depsgraph.updates)
+    if updates:
+        _problems.clear()  # try again
+    moved = any(_moves(update) for update in updates)
+    reskinned = any(_may_reskin(update) for update in updates)
+    for obj in [obj for obj in soft_skins(scene.objects) if obj.session_uid in sessions]:
+        session = sessions[obj.session_uid]
+        if moved:
+            session.rig_changed()
+        if reskinned and way_to_skin(obj) != session.skinning:
+            del sessions[obj.session_uid]
+        if is_on(obj) and live_key.find(obj, session.flesh.skin.written) is None:
+            turn_off(obj)
+
+
+def _may_reskin(update) -> bool:
+    edited = update.id
+    is_mesh = isinstance(edited, bpy.types.Object) and edited.type == "MESH" and update.is_updated_geometry
+    return is_mesh or isinstance(edited, bpy.types.Armature)
+
+
+def _moves(update) -> bool:
+    """Whether an edit may have changed how rigs move. Posing is one, and so is any object: a rig may follow it."""
+    edited = update.id
+    if isinstance(edited, bpy.types.Object):
+        return update.is_updated_transform or (update.is_updated_geometry and edited.type != "MESH")
+    return isinstance(edited, bpy.types.Action)
+
+
+@persistent
+def _undone(*_args):
+    """undo_post, redo_post. What was simulated stays true; how the rig moves may not."""
+    global _any_live
+    _any_live = None
+    _problems.clear()
+    for session in sessions.values():
+        session.rig_changed()
+
+
+@persistent
+def _loaded(*_args):
+    """load_post: the ids may be those of other objects now."""
+    global _any_live
+    _any_live = None
+    sessions.clear()
+    _problems.clear()
+
+
+@persistent
+def _before_save(*_args):
+    """save_pre: note what the live keys look like, by which they are found after a rename."""
+    skins = soft_skins(bpy.data.objects)
+    for obj in [each for skin in skins for each in (skin, *followers(skin))]:
+        block = live_key.find(obj)
+        if block is not None and obj.library is None:
+            blocks = obj.data.shape_keys.key_blocks
+            obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
+
+
+HANDLERS = {
+    "frame_change_pre": _frame_changed,
+    "depsgraph_update_post": _edited,
+    "undo_post": _undone,
+    "redo_post": _undone,
+    "load_post": _loaded,
+    "save_pre": _before_save,
+}
+
+
+LISTENERS = {events.Event.SHOWN_CHANGED: refresh}
+
+
+def register():
+    events.add(HANDLERS)
+    events.subscribe(LISTENERS)
+    _loaded()
+
+
+def unregister():
+    events.unsubscribe(LISTENERS)
+    events.remove(HANDLERS)
+    events.forget(_after_scrubbing)
+    _loaded()
+
+
+def remove_soft_skin(obj):
+    """Its targets, model and bake; shape keys and settings stay. Raises SinkError."""
+    turn_off(obj)
+    bake.free(obj)
+    muting.show_target(obj, "")
+    left = {target.region for target in obj.dynamorph.targets if target.auto_region}
+    obj.dynamorph.targets.clear()
+    regions.update(obj, left)
+    storage.forget_model(obj)

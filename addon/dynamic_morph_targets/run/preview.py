@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shake tests and single modes: a motion of the armature that nobody keyed, played at once."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+
+import bpy
+import numpy as np
+from bpy.types import Operator
+from mathutils import Matrix
+
+from ..core.errors import SceneError, SinkError
+from ..core.rig_samples import RigSamples
+from ..scene import references, rig_motion, skin
+from ..write import live_key, muting
+from . import live, session
+
+SECONDS = 2.5  # a shake test
+REST = 0.1  # seconds of it before it moves
+STOMP, HOP, TWIST = 0.08, 0.12, math.radians(60)  # how far: body sizes, and an angle
+SWING = 0.05  # body sizes: a mode that plays
+DELTAS = ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion")
+
+
+class Preview:
+    """The live key lent to something that shows the flesh in motion for a while; the rig may be moved along.
+
+    Raises SceneError or SinkError.
+    """
+
+    def __init__(self, obj, operator: type[Operator]):
+        self.name, self.label = operator.bl_idname, operator.bl_label
+        self.session_uid = obj.session_uid
+        self.flesh = session.Flesh(obj, bpy.context.scene)
+        self._movers: list[_Mover] = []
+        self._was_live = live.is_on(obj)
+        self._sculpt = obj.dynamorph.sculpt.shown.name
+        if not self._was_live:
+            self.flesh.add_keys(obj)
+        live.lent.add(self.session_uid)
+
+    def show(self, values: np.ndarray, transform: Matrix | None = None):
+        """values: see Flesh.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
+        obj = skin.find(self.session_uid)
+        if not self.flesh.show(values):
+            raise SceneError("The live key was removed: the test stops")
+        if transform is not None:
+            self._movers = self._movers or [_Mover(moved) for moved in movers(obj)]
+            for mover in self._movers:
+                mover.move(transform)
+
+    def end(self):
+        """Put everything back."""
+        live.lent.discard(self.session_uid)
+        for mover in self._movers:
+            mover.restore()
+        with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
+            obj = skin.find(self.session_uid)
+            if self._was_live:
+                live.refresh(obj)
+            else:
+                live_key.remove(obj)
+                muting.show_target(obj, self._sculpt)
+
+
+class _Mover:
+    """Moves an object by its delta transform, which is neither keyed nor changed by changing the frame."""
+
+    def __init__(self, obj):
+        self.session_uid = obj.session_uid
+        self.before = [getattr(obj, name).copy() for name in DELTAS]
+        self.basis = obj.matrix_basis.copy()  # with the deltas
+        self.parent = obj.matrix_world @ self.basis.inverted()
+
+    def move(self, transform: Matrix):
+        """transform: in world space, of the object as it stood."""
+        obj = skin.find(self.session_uid)
+        moved = self.parent.inverted() @ transform @ self.parent @ self.basis
+        turn = moved.to_quaternion() @ self.basis.to_quaternion().inverted()
+        _, euler, quaternion = self.before
+        obj.delta_location = moved.to_translation() - obj.location
+        if obj.rotation_mode == "QUATERNION":
+            obj.delta_rotation_quaternion = turn @ quaternion
+        elif obj.rotation_mode != "AXIS_ANGLE":  # which has no deltas that Python can set
+            turned = turn.to_matrix() @ _matrix(euler, obj.rotation_mode)
+            obj.delta_rotation_euler = turned.to_euler(obj.rotation_mode, euler)
+
+    def restore(self):
+        with suppress(SceneError):  # it was deleted
+            obj = skin.find(self.session_uid)
+            for name, value in zip(DELTAS, self.before, strict=True):
+                setattr(obj, name, value)
+
+
+def _matrix(euler, order: str) -> Matrix:
+    """The rotation of an Euler property, which has the order of the object's own rotation whatever it says."""
+    euler = euler.copy()
+    euler.order = order
+    return euler.to_matrix()
+
+
+def movers(obj) -> list:
+    """The objects that a shake test moves: the rig, and the mesh if it does not follow the rig."""
+    rig = references.rig_of(obj)
+    parent = obj.parent
+    while parent not in (None, rig):
+        parent = parent.parent
+    return [rig] if parent else [rig, obj]
+
+
+preview: Preview | None = None  # the one that runs in a window
+
+
+def is_running(operator: str) -> bool:
+    return preview is not None and preview.name == operator
+
+
+def begin_preview(obj, operator: type[Operator]) -> Preview:
+    """Ends the one that runs."""
+    global preview
+    end_preview()
+    preview = Preview(obj, operator)
+    return preview
+
+
+def end_preview():
+    global preview
+    if preview:
+        preview.end()
+    preview = None
+
+
+def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Height, in body sizes, and angle (S,) at these times after the start."""
+
+    def smooth(t):
+        t = np.clip(t, 0.0, 1.0)
+        return t * t * (3.0 - 2.0 * t)
+
+    t, none = seconds - REST, np.zeros_like(seconds)
+    if kind == "STOMP":
+        fallen = np.clip((t - 0.4) / 0.2, 0.0, 1.0)
+        return STOMP * np.minimum(smooth(t / 0.4), 1.0 - fallen**2), none
+    if kind == "TWIST":
+        return none, TWIST * (smooth(t / 0.25) - smooth((t - 1.0) / 0.25))
+    airborne = np.where((t > 0.0) & (t < 1.0), t % 0.5 / 0.5, 0.0)
+    return HOP * 4.0 * airborne * (1.0 - airborne), none
+
+
+def shaken(obj, flesh, kind: str, seconds: float = SECONDS) -> tuple[RigSamples, np.ndarray]:
+    """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
+    world, Blender units."""
+    still = rig_motion.sample_present(obj, flesh.probe)
+    rig_world = still.rig_world[0]
+    settings = flesh.player.settings
+    count = 1 + round(seconds * settings.fps) * settings.substeps
+    heights, angles = shake(kind, np.arange(count) * settings.step)
+    transforms = np.array([Matrix.Rotation(angle, 4, "Z") for angle in angles])
+    origin = rig_world[:3, 3]
+    transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
+    transforms[:, 2, 3] += heights * flesh.player.size
+    samples = still.moved(transforms)
+    transforms[:, :3, 3] /= skin.unit_scale()
+    return samples, transforms

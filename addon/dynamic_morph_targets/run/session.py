@@ -1,0 +1,367 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One soft skin in Live: its model, its rig and its state over the frames."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ..core import engine, errors, rig_samples
+from ..core.character import Character, TargetSet
+from ..core.errors import SceneError
+from ..core.rig_samples import RigSamples
+from ..core.settings import Material, SimulationSettings
+from ..scene import extract, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
+from ..write import live_key
+from ..write.reconcile import reconcile
+
+BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
+CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
+RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
+KEPT = 250  # latest frames from which it can go on again, when settings are changed there
+STATE_BYTES = 2**28  # that those may take, where each has the transforms of nodes
+
+
+class Flesh:
+    """A built soft skin that can be stepped and shown. Raises SceneError when its model is not up to date."""
+
+    def __init__(self, obj, scene):
+        reconcile(obj)
+        self.model, self.character = model_store.current_model(obj)
+        if self.model.settings.solver == "FULL":
+            raise SceneError(f"'{obj.name}' has an unreduced model, too slow to play: choose Solver Reduced and build")
+        _, simulate = engine.engine()
+        from ..core import followers as carrying  # which needs it
+
+        self.player = simulate.Player(self.model, self.character, simulation_settings(obj, scene))
+        self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
+        nodes = simulate.node_modes(self.model, self.model.basis.T)
+        modes = self.model.surface(nodes) if nodes.size else np.zeros((0, *self.character.vertices.shape))
+        self.modes = len(modes)
+        self.target_names = [target.name for target in self.character.by_method().targets]
+        own, details = self.character.own, self.model.details
+        self.skin = Surface(obj, self.character.vertices[own], modes[:, own], details[:, own])
+        self.followers = []
+        for follower in extract.followers(obj, self.character):
+            if follower.members:
+                shapes = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
+            else:
+                shapes = carrying.carried(self.model, nodes, follower)
+            self.followers.append(Surface(skin.find(follower.session_uid), follower.points, *shapes))
+
+    @property
+    def vertices(self) -> dict[int, int]:
+        """How many the meshes have that share the cage, by session_uid."""
+        parts = {part.session_uid: len(part.points) for part in self.character.parts}
+        return {self.skin.session_uid: self.character.own.stop} | parts
+
+    def values(self, frame) -> np.ndarray:
+        """What `points` asks for: (r + J,) coordinates as shown, and target weights."""
+        return np.concatenate([self.player.shown(frame), frame.weights])
+
+    def points(self, values: np.ndarray) -> np.ndarray:
+        """Points (3 V,) of the skin, float32, local space."""
+        return self.skin.points(values)
+
+    def add_keys(self, obj):
+        """The live keys of the soft skin `obj` and of what follows it. Raises SinkError."""
+        live_key.add(obj, self.target_names, [skin.find(surface.session_uid) for surface in self.followers])
+
+    def show(self, values: np.ndarray) -> bool:
+        """Write the live keys; False when that of the skin is gone."""
+        shown = self.skin.show(values)
+        for surface in self.followers:
+            with suppress(SceneError):  # it was deleted
+                surface.show(values)
+        return shown
+
+    def moved(self, values: np.ndarray) -> float:
+        """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
+        to_bind, in_cage = self.character.to_bind, zip(self.followers, self.character.parts, strict=False)
+        others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in in_cage)
+        return max(
+            float(np.linalg.norm(self.motion(values, surface) @ to_metres.T, axis=1).max(initial=0.0))
+            for surface, to_metres in ((self.skin, to_bind), *others)
+        )
+
+    def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:
+        """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""
+        motion = values[: self.modes] - self.player.dry(values[self.modes :])
+        return _blended(motion, surface.shapes[: self.modes]).reshape(-1, 3)
+
+
+class Surface:
+    """A mesh whose live key shows the flesh: the soft skin's own, or one that follows it.
+
+    vertices (V, 3), modes (r, V, 3), details (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): what the key
+    shows.
+    """
+
+    def __init__(self, obj, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
+        self.session_uid = obj.session_uid
+        self.written = None
+        self._rest = vertices.astype(np.float32).ravel()
+        shapes = np.concatenate([modes, details])
+        self.shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
+
+    def points(self, values: np.ndarray) -> np.ndarray:
+        """Points (3 V,), float32, local space."""
+        return self._rest + _blended(values, self.shapes)
+
+    def show(self, values: np.ndarray) -> bool:
+        """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
+        block = live_key.find(skin.find(self.session_uid), self.written)
+        if block is None or 3 * len(block.points) != len(self._rest):
+            return False
+        self.written = self.points(values)
+        live_key.write(block, self.written)
+        return True
+
+
+def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """(k,) times (k, 3 V), float32. Not by @, which wakes threads: where they have to wait, a hundred times as long."""
+    return np.einsum("k,kv->v", values.astype(np.float32), shapes)
+
+
+class Rig:
+    """The rig at true sub-frames, as a bake reads it: blocks of frames, of which the latest are kept until an edit."""
+
+    def __init__(self, start: int, substeps: int, skeleton, probe):
+        self.start, self.substeps, self.skeleton, self.probe = start, substeps, skeleton, probe
+        self._blocks: dict[int, RigSamples] = {}
+
+    def after(self, obj, frame: int) -> RigSamples:
+        """1 + substeps samples, from `frame` to the next one. Raises SceneError."""
+        index, offset = divmod(frame - self.start, BLOCK)
+        if index not in self._blocks:
+            first = self.start + index * BLOCK
+            samples = rig_motion.sample_rig(obj, first, first + BLOCK, self.substeps, self.probe)
+            before = self._blocks.get(index - 1)
+            self._blocks[index], _ = rig_samples.hold_collapsed(samples, self.skeleton, before and before.pose[-1])
+            while len(self._blocks) > max(2, RIG_BYTES // samples.nbytes):
+                del self._blocks[next(iter(self._blocks))]
+        return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
+
+    def forget(self):
+        self._blocks.clear()
+
+
+class Session:
+    """One object that plays: what is simulated of it since it last began, and how to go on."""
+
+    def __init__(self, obj, scene):
+        self.flesh = Flesh(obj, scene)
+        self.content_id = obj.dynamorph.model.content_id
+        self.first = self.last = self.now = None  # frames: simulated from, to; the one that shows, or just before
+        self._frames: dict[int, object] = {}
+        self._states: dict[int, tuple] = {}
+        self.skinning = way_to_skin(obj)
+        self._placing, self._material = _placing(obj), _materials(obj)
+        self._sampled = _sampling(obj)
+        settings = self.flesh.player.settings
+        moving = len(self.flesh.probe.rest) if self.flesh.probe else 1
+        self._kept = min(KEPT, max(1, STATE_BYTES // (4 * 96 * moving)))
+        self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton, self.flesh.probe)
+
+    def fits(self, obj, settings: SimulationSettings) -> bool:
+        """Whether this is still a session of the object's model, with steps as long."""
+        mine = self.flesh.player.settings
+        same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
+        if self.flesh.probe and _placing(obj) != self._placing:
+            return False  # the nodes were posed as the targets were captured
+        return same and self.content_id == obj.dynamorph.model.content_id
+
+    def values(self, obj, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
+        """What `Flesh.show` asks for, at a frame or between two. arrives: the start of the range begins anew, else it
+        shows.
+
+        Raises SceneError.
+        """
+        self._heed(obj, settings)
+        before, share = math.floor(time), time % 1.0
+        if share and before + 1 == self.first:  # a shutter that opens before the first frame
+            before, share = self.first, 0.0
+        elif not share or before not in self._frames:
+            self._reach(obj, before, arrives)
+        self.now = before
+        values = self.flesh.values(self._frames[before])
+        if share:  # as Blender goes between the keyframes of a bake
+            if before == self.last:
+                self._advance(obj)
+            values += share * (self.flesh.values(self._frames[before + 1]) - values)
+        if not np.isfinite(values).all():  # Python and drivers can set a gain to anything
+            raise errors.SelfCheckError(
+                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' influence"
+            )
+        return values
+
+    def motions(self) -> dict[int, np.ndarray]:
+        """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone
+        would have them: local space, by session_uid. Empty before the first frame.
+        """
+        frame, flesh = self._frames.get(self.now), self.flesh
+        if frame is None:
+            return {}
+        values = flesh.values(frame)
+        return {surface.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
+
+    def knows(self, time: float) -> bool:
+        """Whether a frame, or a time between two, is simulated already."""
+        return {math.floor(time), math.ceil(time)} <= self._frames.keys()
+
+    def rig_changed(self):
+        """The rig moves otherwise from here on."""
+        self.rig.forget()
+        self._rewind()
+
+    def _heed(self, obj, settings: SimulationSettings):
+        """Take over what the artist has changed; what was simulated beyond the frame that shows is then forgotten."""
+        age = staleness.model_age(obj)
+        if age:
+            raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
+        for uid, count in self.flesh.vertices.items():
+            mesh = skin.find(uid).data
+            if len(mesh.vertices) != count:
+                raise SceneError(
+                    f"Mesh '{mesh.name}' has {len(mesh.vertices)} vertices, its model {count}: press Build Model"
+                )
+        placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
+        player = self.flesh.player
+        changed = (placing, materials) != (self._placing, self._material)
+        if changed or _physics(settings) != _physics(player.settings):
+            self._rewind()
+            if placing != self._placing:
+                _, self.flesh.character = model_store.current_model(obj)
+            else:
+                self.flesh.character = _with_materials(self.flesh.character, materials)
+            self._placing, self._material = placing, materials
+            player = player.exchange(self.flesh.character, settings)
+        if sampled != self._sampled:
+            self._sampled = sampled
+            self.rig_changed()
+        player.settings, player.amounts.amount = settings, settings.amount
+        player.amounts.gains = _gains(obj, self.flesh.modes)
+        player.amounts.influence = _influence(obj, player.character)
+        self.flesh.player = player
+
+    def _reach(self, obj, number: int, arrives: bool):
+        """Have a frame simulated: from the last one on, or where playback cannot have come from there, begin at it."""
+        settings = self.flesh.player.settings
+        starts = arrives and number == settings.start
+        if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
+            while self.last < settings.end:
+                self._advance(obj)
+            self._begin_again(obj)
+        elif starts or not self._frames or not self.first <= number <= self.last + CATCH_UP:
+            self._run_up(obj, number)
+        while self.last < number:
+            self._advance(obj)
+
+    def _run_up(self, obj, number: int):
+        """Begin at a frame as a bake that starts there does."""
+        player = self.flesh.player
+        first = number - player.settings.run_up
+        frame = player.begin(self.rig.after(obj, first))
+        for before in range(first, number):
+            frame = player.advance(self.rig.after(obj, before)[1:], before + 1)
+        self._start(number, frame)
+
+    def _begin_again(self, obj):
+        """From the end of a cycle to its start, without a jump."""
+        settings = self.flesh.player.settings
+        first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end))
+        cycle = first.and_then(last)
+        self._start(settings.start, self.flesh.player.begin_again(cycle, self._frames[settings.end]))
+
+    def _start(self, number: int, frame):
+        self._frames, self._states = {}, {}
+        self.first = number
+        self._keep(number, frame)
+
+    def _advance(self, obj):
+        number = self.last + 1
+        self._keep(number, self.flesh.player.advance(self.rig.after(obj, self.last)[1:], number))
+
+    def _keep(self, number: int, frame):
+        self._frames[number], self.last = frame, number
+        self._states[number % self._kept] = number, self.flesh.player.state
+
+    def _rewind(self):
+        """Forget the frames after the one that shows; if its state is no longer kept, all of them."""
+        if self.now == self.last:
+            return
+        number, state = self._states.get(self.now % self._kept, (None, None))
+        if number != self.now:
+            self.first, self._frames = None, {}
+            return
+        self.flesh.player.state = state
+        self._frames = {k: frame for k, frame in self._frames.items() if k <= self.now}
+        self.last = self.now
+
+
+def simulation_settings(obj, scene) -> SimulationSettings:
+    """As `extract.simulation_settings`, of which whole frames show."""
+    return replace(run_settings.simulation_settings(obj, scene), samples=1)
+
+
+def _sampling(obj) -> tuple:
+    """What the rig's samples depend on besides its animation."""
+    render = bpy.context.scene.render
+    return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale()
+
+
+def _physics(settings: SimulationSettings) -> SimulationSettings:
+    """What a step depends on."""
+    return replace(settings, start=0, end=0, gains=(), amount=1.0)
+
+
+def _gains(obj, count: int) -> np.ndarray:
+    """Factors (count,) on the modes' motion; of solo modes, if there are any, only theirs is not zero."""
+    modes = obj.dynamorph.modes[:count]
+    solo = any(mode.solo for mode in modes)
+    gains = np.ones(count)
+    gains[: len(modes)] = [mode.gain * (mode.solo or not solo) for mode in modes]
+    return gains
+
+
+def _influence(obj, character: Character) -> np.ndarray:
+    """Of the character's targets (J,), as authored now."""
+    by_name = {name: target.influence for name, target in skin.named_targets(obj)}
+    return np.array([by_name[name] for target_set in character.target_sets for name in _names(target_set)])
+
+
+def _names(target_set: TargetSet) -> tuple[str, ...]:
+    """Of its targets, as `properties.named_targets` has them."""
+    return "", *(target.name for target in target_set.targets[1:])
+
+
+def _materials(obj) -> dict[str, Material]:
+    """The materials of all targets by name."""
+    return {name: target.material() for name, target in skin.named_targets(obj)}
+
+
+def _placing(obj) -> tuple:
+    """All else that a running simulation takes from the targets: cheap to compare at each frame."""
+    targets = [
+        (target.name, target.mute, tuple(target.rig_world), target.placing()) for target in obj.dynamorph.targets
+    ]
+    return obj.dynamorph.model.blending, targets
+
+
+def _with_materials(character: Character, materials: dict[str, Material]) -> Character:
+    sets = []
+    for target_set in character.target_sets:
+        named = zip(_names(target_set), target_set.targets, strict=True)
+        targets = (replace(target, material=materials[name]) for name, target in named)
+        sets.append(replace(target_set, targets=tuple(targets)))
+    return replace(character, target_sets=tuple(sets))
+
+
+def way_to_skin(obj) -> tuple:
+    """What the way from the rig to the skin depends on besides weights."""
+    rig = references.rig_of(obj)
+    return rig and references.bones_key(rig.data), skinning.skinning_settings(obj)

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Handlers that notice what ages models and bakes, and what a running job must hear of."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..scene import events, rig_motion, skin, staleness
+from ..scene.references import rig_of
+from ..scene.skin import soft_skins
+from ..write import bake_influence, storage, targets
+from ..write.reconcile import reconcile
+from . import batch, live
+
+PATIENCE = 1.0  # seconds without an edit, after which it is looked at
+OWNER = object()  # of the subscriptions
+
+
+@persistent
+def _before_load(*_args):
+    """load_pre: the job's results would have nowhere to go."""
+    batch.stop()
+
+
+@persistent
+def _after_undo(*_args):
+    """undo_post, redo_post: what a job has read so far is of another scene, and curves are others again."""
+    if batch.running:
+        batch.running.undone = True
+    events.soon(_look_at_animations, PATIENCE)
+
+
+def _follow_changes(changed: list, depsgraph):
+    """Follow renames. A renamed bone updates the Armature, but so does posing."""
+    for obj in changed:
+        reconcile(obj)
+    if any(isinstance(update.id, bpy.types.Armature) for update in depsgraph.updates):
+        for obj in soft_skins(bpy.data.objects):
+            rig = rig_of(obj)
+            poses = [bone.name for target in obj.dynamorph.targets for bone in target.pose]
+            if rig and obj.library is None and not set(poses).issubset(rig.data.bones.keys()):
+                reconcile(obj)
+
+
+def changed_objects(depsgraph) -> list:
+    """Soft skins whose shape keys were edited: sculpted, renamed, moved, or a value was set.
+
+    Posing also updates the Key, but only its geometry: an edit of the Key itself has the shading flag too.
+    """
+    changed = {u.id.original for u in depsgraph.updates if isinstance(u.id, bpy.types.Key) and u.is_updated_shading}
+    if not changed:
+        return []
+    return [obj for obj in soft_skins(bpy.data.objects) if obj.library is None and obj.data.shape_keys in changed]
+
+
+@persistent
+def _changed(_scene, depsgraph):
+    """depsgraph_update_post."""
+    changed = changed_objects(depsgraph)
+    _follow_changes(changed, depsgraph)
+    if any(obj.dynamorph.model.content_id for obj in changed):
+        look_soon()
+    if any(isinstance(update.id, (bpy.types.Action, bpy.types.Key)) for update in depsgraph.updates):
+        events.soon(_look_at_animations, PATIENCE)
+
+
+def look_soon():
+    """Look a while later whether the models still fit their meshes and cages."""
+    events.soon(_look_at_meshes, PATIENCE)
+
+
+def _look_at_meshes():
+    if rig_motion.render_runs():
+        return PATIENCE  # seconds from now
+    for obj in skin.soft_skins(bpy.context.scene.objects):
+        if obj.dynamorph.model.content_id and obj.mode == "OBJECT" and not batch.running:
+            storage.show_stale(obj)
+    return None
+
+
+def _look_at_animations():
+    for obj in skin.soft_skins(bpy.context.scene.objects):
+        if obj.dynamorph.bake.exists and obj.is_editable:
+            staleness.look_at_animation(obj)
+            bake_influence.share_strip(obj)
+
+
+@persistent
+def _leave_pose(scene, depsgraph):
+    """frame_change_post: a sculpt belongs to one pose, and the frame may have brought another."""
+    if scene != bpy.context.scene or live.holds_still(scene):  # reading a rig changes frames too, elsewhere
+        return
+    for obj in skin.soft_skins(scene.objects):
+        if obj.dynamorph.sculpt.shown.name and obj.library is None:
+            targets.hide_out_of_pose(obj, depsgraph)
+
+
+@persistent
+def _watch_influence(*_args):
+    """load_post too: a file that is opened ends all subscriptions."""
+    bpy.msgbus.clear_by_owner(OWNER)
+    bpy.msgbus.subscribe_rna(key=(bpy.types.NlaStrip, "influence"), owner=OWNER, args=(), notify=_influence_changed)
+
+
+def _influence_changed():
+    for obj in skin.soft_skins(bpy.data.objects):
+        bake_influence.show_influence(obj)
+
+
+HANDLERS = {
+    "load_pre": _before_load,
+    "load_post": _watch_influence,
+    "undo_post": _after_undo,
+    "redo_post": _after_undo,
+    "depsgraph_update_post": _changed,
+    "frame_change_post": _leave_pose,
+}
+
+
+LISTENERS = {events.Event.CAGE_CHANGED: look_soon}
+
+
+def register():
+    events.add(HANDLERS)
+    events.subscribe(LISTENERS)
+    _watch_influence()
+
+
+def unregister():
+    batch.stop()
+    bpy.msgbus.clear_by_owner(OWNER)
+    events.unsubscribe(LISTENERS)
+    events.remove(HANDLERS)
+    for look in (_look_at_meshes, _look_at_animations):
+        events.forget(look)

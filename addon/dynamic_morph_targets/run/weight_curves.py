@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much each target counts: in the present pose, and over the frames of the scene. Reads poses, never the mesh.
+
+A pose is *outside* a set of targets when the nearest of them is further away than 1.1 times half the widest gap: the
+largest distance from one of the set's targets to its nearest neighbour. So halfway between two neighbours is inside.
+Distances are joint angles over all bones that place the set's targets (pose_space.hpp).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ..core import rig_samples
+from ..core.character import Target, TargetSet
+from ..core.errors import SceneError
+from ..core.settings import Material
+from ..core.target_weights import Influence, Space
+from ..scene import checks, events, references, rig_motion, skin
+from ..scene.references import bones_key
+from . import batch
+
+PATIENCE = 0.5  # seconds without an edit, after which the graph is brought up to date
+SLICE = 0.02  # seconds of reading frames, between which Blender does other things
+
+
+def space_of(obj) -> Space:
+    """The pose space of `obj` as it is authored now. Raises what tells the artist why there is none."""
+    rig = checks.armature_modifier(obj).object
+    targets = _placed_targets(obj)
+    placing = {rig.data.bones.get(name) for target in targets for name in target.bone_names()} - {None}
+    parents = tuple(bone.parent.name for bone in placing if bone.parent)
+    placed = tuple((target.name, target.placing()) for target in targets)
+    return _space(obj.session_uid, (bones_key(rig.data), parents, placed))
+
+
+def _placed_targets(obj) -> list:
+    """The neutral target and, if the method uses them, those that are not muted."""
+    neutral, *others = obj.dynamorph.targets
+    alone = obj.dynamorph.model.method == "SINGLE"
+    return [neutral, *(target for target in others if not (target.mute or alone))]
+
+
+@lru_cache(maxsize=8)
+def _space(session_uid: int, _authored: tuple) -> Space:
+    obj = skin.find(session_uid)
+    rig = checks.armature_modifier(obj).object
+    skeleton = references.rest_skeleton(rig.data)
+    neutral, *others = _placed_targets(obj)
+
+    def placed(target) -> Target:
+        local = target.local(skeleton)
+        return Target(target.name, np.zeros((0, 3)), target.bone_names(), local, np.eye(4), Material(), target.radius)
+
+    regions = dict.fromkeys(["", *(target.region for target in others)])
+    sets = tuple(
+        TargetSet(
+            region or obj.name,
+            (placed(neutral), *(placed(target) for target in others if target.region == region)),
+            np.zeros(0),
+        )
+        for region in regions
+    )
+    return Space(obj.name, skeleton, sets, rig_motion.pose_order(rig, skeleton))
+
+
+def weights_now(obj, depsgraph) -> Influence:
+    """At the evaluated pose, F = 1. Raises what `jobs.expected_errors` names."""
+    space = space_of(obj)
+    rig = checks.armature_modifier(obj).object.evaluated_get(depsgraph)
+    if len(rig.pose.bones) != len(space.order):
+        raise SceneError(f"The bones of '{rig.name}' are being edited")
+    return space.influence(rig_motion.pose_matrices(rig, space.order)[None])
+
+
+# Over the frames ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class Shot:
+    """An armature's evaluated poses (F, B, 4, 4) from frame `start` on, of a skeleton with these bones.
+
+    stale: an animation was edited since. problem: why there are no poses.
+    """
+
+    start: int
+    end: int
+    bones: tuple
+    pose: np.ndarray
+    stale: bool = False
+    problem: str = ""
+
+
+shots: dict[int, Shot] = {}  # by the armature object's session_uid
+
+
+class Reading:
+    """An armature that is read frame after frame, from start to end, until it is a shot."""
+
+    def __init__(self, obj, start: int, end: int):
+        rig = checks.armature_modifier(obj).object
+        self.of = (obj.session_uid, start, end)
+        self._rig = rig.session_uid
+        self._skeleton = references.rest_skeleton(rig.data)
+        self._shot = Shot(start, end, bones_key(rig.data), np.zeros((0, 0, 4, 4)))
+        self._sampling: rig_motion.RigSampling | None = None
+
+    def advance(self, obj, seconds: float = np.inf) -> bool:
+        """Read on for about so long; True when all is read. Raises SceneError, which the shot remembers."""
+        try:
+            if self._sampling is None:
+                self._sampling = rig_motion.RigSampling(obj, self._shot.start, self._shot.end, 1)
+            if not self._sampling.advance(obj, seconds):
+                return False
+            self._shot.pose = rig_samples.hold_collapsed(self._sampling.samples(), self._skeleton)[0].pose
+        except SceneError as error:
+            self._shot.problem = str(error)
+            shots[self._rig] = self._shot
+            raise
+        shots[self._rig] = self._shot
+        return True
+
+
+def curves(obj, start: int, end: int) -> Influence:
+    """At every frame from start to end, F = end - start + 1. Evaluates the rig there, and keeps its poses for `drawn`.
+
+    Raises what `jobs.expected_errors` names.
+    """
+    Reading(obj, start, end).advance(obj)
+    return drawn(obj)[1]
+
+
+def drawn(obj) -> tuple[Shot, Influence] | None:
+    """What is known of the frames, by the present targets; evaluates nothing. Raises as `weights_now` does."""
+    rig = checks.armature_modifier(obj).object
+    shot = shots.get(rig.session_uid)
+    if shot is None or not len(shot.pose) or shot.bones != bones_key(rig.data):
+        return None
+    return shot, _over(space_of(obj), shot)
+
+
+@lru_cache(maxsize=4)
+def _over(space: Space, shot: Shot) -> Influence:
+    return space.influence(shot.pose)
+
+
+def problem(obj) -> str:
+    """Why the frames of `obj` could not be evaluated, or ''."""
+    rig = references.rig_of(obj)
+    shot = rig and shots.get(rig.session_uid)
+    return shot.problem if shot else ""
+
+
+# Keeping up --------------------------------------------------------------------------------------------------------
+
+
+_reading: Reading | None = None  # for the graph
+
+
+def update_soon(wait: float = PATIENCE):
+    """Bring the graph up to date when nothing has asked for it in the meantime."""
+    events.soon(_update, wait)
+
+
+def _update():
+    """A timer: seconds until the next try, or None when all is up to date."""
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window):
+        obj = skin.mesh_in(bpy.context)
+    if obj is None or not obj.dynamorph.targets or not bpy.context.window_manager.dynamorph.influence:
+        return None
+    moving = any(operator.bl_idname.startswith("TRANSFORM_OT") for operator in window.modal_operators)
+    if moving or batch.running or bpy.app.is_job_running("RENDER"):
+        return PATIENCE
+    if not _is_old(obj, window.scene):
+        return None
+    return None if _read_on(obj, window.scene.frame_start, window.scene.frame_end) else SLICE
+
+
+def _read_on(obj, start: int, end: int) -> bool:
+    """Read the frames for a moment; True when there is no more to read."""
+    global _reading
+    try:
+        if _reading is None or _reading.of != (obj.session_uid, start, end):
+            _reading = Reading(obj, start, end)
+        if not _reading.advance(obj, SLICE):
+            return False
+    except SceneError:
+        pass  # the panel shows it: `problem`
+    _reading = None
+    events.redraw(events.PANELS | events.VIEWS)
+    return True
+
+
+def _is_old(obj, scene) -> bool:
+    rig = references.rig_of(obj)
+    shot = rig and shots.get(rig.session_uid)
+    if not shot:
+        return rig is not None
+    frames = (scene.frame_start, scene.frame_end)
+    return shot.stale or (shot.start, shot.end) != frames or shot.bones != bones_key(rig.data)
+
+
+@persistent
+def _note_changes(_scene, depsgraph):
+    """depsgraph_update_post: any Action may move the rig; armatures, ranges and the selection are looked at later."""
+    if not bpy.context.window_manager.dynamorph.influence:
+        return
+    global _reading
+    if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
+        _reading = None
+        for shot in shots.values():
+            shot.stale = True
+    if _reading is None:  # reading also updates the scene
+        update_soon()
+
+
+_bars_drawn = False  # since the last change of frame
+
+
+def follow_frames():
+    """Called where bars are drawn: draw them again at the next frame. Blender plays without redrawing the sidebar."""
+    global _bars_drawn
+    _bars_drawn = True
+
+
+@persistent
+def _next_frame(*_args):
+    """frame_change_post."""
+    global _bars_drawn
+    if _bars_drawn and not bpy.app.is_job_running("RENDER"):  # then another thread is here
+        _bars_drawn = False
+        events.redraw(events.PANELS)
+
+
+@persistent
+def _forget(*_args):
+    """load_pre."""
+    global _reading
+    _reading = None
+    shots.clear()
+
+
+HANDLERS = {
+    "load_pre": _forget,
+    "depsgraph_update_post": _note_changes,
+    "frame_change_post": _next_frame,
+}
+
+
+LISTENERS = {events.Event.WEIGHTS_ASKED: partial(update_soon, 0.0)}
+
+
+def register():
+    events.add(HANDLERS)
+    events.subscribe(LISTENERS)
+
+
+def unregister():
+    events.unsubscribe(LISTENERS)
+    events.remove(HANDLERS)
+    events.forget(_update)
+    shots.clear()

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The animation of an object and its shape keys: curves, keyed and driven values, and what of it has changed."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from . import skinning
+from .references import rig_of
+
+
+def curves(action, slot) -> list:
+    """The F-curves of one slot of an Action; either may be None."""
+    if not (action and slot):
+        return []
+    bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
+    return [curve for bag in bags if bag for curve in bag.fcurves]
+
+
+def keys_of(obj):
+    """The shape keys of `obj`, by name too; empty when the artist has removed all."""
+    return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
+
+
+def baked_keys(obj) -> set[str]:
+    return {key.name for key in obj.dynamorph.bake.keys}
+
+
+def moving_keys(obj) -> list[str]:
+    """The keys that count: not muted, and with a curve, a driver, or a value."""
+    animated = baked_keys(obj) | driven_keys(obj) | _played_keys(obj)
+    return [name for name, key in list(keys_of(obj).items())[1:] if not key.mute and (key.value or name in animated)]
+
+
+def driven_keys(obj) -> set[str]:
+    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
+    return _keys_at(obj, {driver.data_path for driver in animation.drivers} if animation else ())
+
+
+def _played_keys(obj) -> set[str]:
+    """The keys that Actions of the artist move, by the NLA too."""
+    animation = obj.data.shape_keys and obj.data.shape_keys.animation_data
+    if not animation:
+        return set()
+    strips = [strip for track in animation.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
+    found = [curve for player in (animation, *strips) for curve in curves(player.action, player.action_slot)]
+    return _keys_at(obj, {curve.data_path for curve in found})
+
+
+def _keys_at(obj, paths) -> set[str]:
+    return {name for name, key in keys_of(obj).items() if f"{key.path_from_id()}.value" in paths}
+
+
+def source_files() -> list[Path]:
+    """The files that hold what moves the scene: the .blend, its libraries and caches."""
+    outside = (*bpy.data.libraries, *bpy.data.cache_files)
+    files = [bpy.data.filepath, *(bpy.path.abspath(each.filepath, library=each.library) for each in outside)]
+    return [Path(file) for file in files]
+
+
+STRIP_FIELDS = (
+    "frame_start", "frame_end", "action_frame_start", "action_frame_end", "scale", "repeat", "use_reverse",
+    "blend_type", "extrapolation", "blend_in", "blend_out", "influence",
+)  # fmt: skip
+
+
+def animation(obj) -> list[tuple[str, str]]:
+    """(name, hash of the F-curves and NLA strips) of the objects that move the skin: all and their parents."""
+    moving = []
+    for mover in (rig_of(obj), obj, *(modifier.object for modifier in skinning.armature_modifiers(obj))):
+        while mover is not None and mover not in moving:
+            moving.append(mover)
+            mover = mover.parent
+    return [(mover.name, _animation_hash(mover.animation_data)) for mover in moving]
+
+
+def _animation_hash(data) -> str:
+    if data is None:
+        return ""
+    digest = hashlib.blake2b(digest_size=8)
+    strips = [strip for track in data.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
+    for strip in strips:
+        digest.update(repr([getattr(strip, name) for name in STRIP_FIELDS]).encode())
+    for player in (data, *strips):
+        for curve in curves(player.action, player.action_slot):
+            digest.update(f"{curve.data_path}[{curve.array_index}] {curve.extrapolation} {curve.mute}".encode())
+            for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2), ("interpolation", 1)):
+                values = np.empty(width * len(curve.keyframe_points), np.float32 if width == 2 else np.int32)
+                curve.keyframe_points.foreach_get(name, values)
+                digest.update(values.tobytes())
+    return digest.hexdigest()

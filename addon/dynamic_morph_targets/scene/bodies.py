@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Several meshes as one body: the soft skin's own, and those that are With Body or Held, in one cage.
+
+`extract.character` calls this for soft skins with One Cage. Reads only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from mathutils import Matrix
+
+from ..core import errors, rigid
+from ..core.character import Character, Follower, TargetSet
+from ..core.geometry import inverse
+from . import checks, mesh_data, rig_motion, skinning
+from .nearest import nearest
+from .skin import clothes_in, parts_in, parts_of
+
+NEAR, FAR = 0.03, 0.1  # body sizes: within the first, other meshes have all of the sculpt of the skin, beyond none
+
+
+@dataclass(frozen=True)
+class _Mesh:
+    """Another mesh of a body. to_body (4, 4): its local space to the body's; vertices (P, 3): in the body's."""
+
+    obj: object
+    groups: mesh_data.VertexGroups
+    to_body: np.ndarray
+    points: np.ndarray
+    vertices: np.ndarray
+    triangles: np.ndarray
+    weights: np.ndarray
+
+
+def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray) -> Character:
+    """The character `own` of the mesh of `obj` alone, with what belongs to its body. Raises SceneError.
+
+    groups: the vertex groups of `obj`; world, rig_world (4, 4): of it and its armature when the scene starts.
+    """
+    rig = checks.armature_modifier(obj).object
+    meshes = [_read(obj, piece, rig, world, own) for piece in clothes_in(obj)]
+    ends = np.cumsum([len(own.vertices), *(len(mesh.points) for mesh in meshes)]).tolist()
+    slices = [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
+    whole = _Whole(obj, own, groups, meshes, slices)
+    pieces, held = _attached(obj, own, groups, meshes)
+    beside = beside_body(obj, rig, [mesh.obj for mesh in meshes], world, rig_world)
+    bind = whole.vertices @ own.to_bind.T
+    others = [points @ own.to_bind.T for points, _ in beside]
+    first = _coincident(bind, others)
+    same = first[: len(bind)]
+    pieces, rigidity = _closed_seams(pieces, held, same, first[len(bind) :], whole.triangles)
+    _refuse_hard(obj, whole, pieces, rigidity, [(p, t) for p, (_, t) in zip(others, beside, strict=True)])
+    softness, painted = whole.painted("Soft", obj.dynamorph.soft_group, own.softness, 1.0)
+    stiffness, _ = whole.painted("Stiffness", obj.dynamorph.stiffness_group, own.stiffness, 1.0)
+    if own.settings.hold_head:
+        found = rigid.heads(own.skeleton, whole.weights, bind, whole.triangles)
+        head = rigid.head_rigidity(own.skeleton, whole.weights, bind, whole.triangles, found)
+        rigidity = np.maximum(rigidity, np.where(painted & (softness > 0.0), 0.0, head))
+    softness, rigidity = softness[same], _most(rigidity, same)
+    if own.settings.hold == "BONES" or own.painted:  # then nothing asks how rigid the skin is
+        softness = softness * (1.0 - rigidity)
+    joint_bones = dict.fromkeys(
+        bone for each in (obj, *(mesh.obj for mesh in meshes)) for bone in skinning.deforming_bones(each, rig)
+    )
+    parts = [
+        Follower(
+            mesh.obj.name, mesh.obj.session_uid, mesh.points, bind[members], inverse(mesh.to_body[:3, :3]),
+            members=members,
+        )
+        for mesh, members in zip(meshes, slices[1:], strict=True)
+    ]  # fmt: skip
+    return replace(
+        own,
+        vertices=whole.vertices,
+        triangles=whole.triangles,
+        weights=whole.weights,
+        softness=softness,
+        stiffness=stiffness[same],
+        bone_segments=mesh_data.bone_segments(list(joint_bones), inverse(world) @ rig_world, own.to_bind),
+        target_sets=whole.target_sets(same),
+        probed=own.probed or any(skinning.beyond_bones(mesh.obj) for mesh in meshes),
+        pieces=pieces,
+        rigidity=rigidity,
+        coincident=same,
+        parts=tuple(parts),
+    )
+
+
+def _read(obj, piece, rig, world: np.ndarray, own: Character) -> _Mesh:
+    for problem in checks.follower(obj, piece):
+        raise errors.SceneError(problem.text)
+    to_body = inverse(world) @ mesh_data.worlds_at_start(piece, rig)[0]
+    points, groups = mesh_data.rest_points(piece), mesh_data.VertexGroups(piece)
+    return _Mesh(
+        piece,
+        groups,
+        to_body,
+        points,
+        mesh_data.carried(points, to_body),
+        mesh_data.mesh_triangles(piece.data),
+        mesh_data.skin_weights(piece, rig, groups),
+    )
+
+
+class _Whole:
+    """All meshes of a body together, and what the others take over from its own mesh.
+
+    slices: of the vertices of each mesh, the own one first.
+    """
+
+    def __init__(self, obj, own: Character, groups, meshes: list[_Mesh], slices: list[slice]):
+        self.obj, self.own, self.groups, self.meshes, self.slices = obj, own, groups, meshes, slices
+        self.vertices = np.concatenate([own.vertices, *(mesh.vertices for mesh in meshes)])
+        shifted = (mesh.triangles + s.start for mesh, s in zip(meshes, slices[1:], strict=True))
+        self.triangles = np.concatenate([own.triangles, *shifted]).astype(np.int32)
+        self.weights = np.concatenate([own.weights, *(mesh.weights for mesh in meshes)])
+
+    @cached_property
+    def _near(self):
+        """The own mesh's skin nearest to the other meshes' vertices, and its distances in body sizes."""
+        own, bind = self.own, self.vertices @ self.own.to_bind.T
+        of_body = (own.pieces[own.triangles] == 0).all(axis=1)
+        count = len(own.vertices)
+        found = nearest(bind[count:], bind[:count], own.triangles[of_body] if of_body.any() else own.triangles)
+        return found, found.distances / np.linalg.norm(np.ptp(bind, axis=0))
+
+    def _carried(self, values: np.ndarray, beyond: float) -> np.ndarray:
+        """Values (V', ...) of the own mesh on all meshes: (V, ...); `beyond` far from its skin."""
+        if not self.meshes or not (values != beyond).any():
+            shape = (len(self.vertices) - len(values), *values.shape[1:])
+            return np.concatenate([values, np.full(shape, beyond)])
+        found, away = self._near
+        share = ((FAR - away) / (FAR - NEAR)).clip(0.0, 1.0).reshape(-1, *[1] * (values.ndim - 1))
+        return np.concatenate([values, beyond + share * (found.carry(values) - beyond)])
+
+    def painted(self, use: str, group: str, values: np.ndarray, neutral: float) -> tuple[np.ndarray, np.ndarray]:
+        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted. A mesh with
+        a group of that name has its own.
+        """
+        found = self._carried(values, neutral)
+        painted = np.zeros(len(found), bool)
+        if not group:
+            return found, painted
+        painted[self.slices[0]] = True
+        for mesh, members in zip(self.meshes, self.slices[1:], strict=True):
+            if group in mesh.obj.vertex_groups:
+                read = mesh_data.softness if use == "Soft" else mesh_data.stiffness
+                found[members], painted[members] = read(self.obj, mesh.groups), True
+            else:
+                start = self.slices[0].stop
+                painted[members] = self._near[1][members.start - start : members.stop - start] < FAR
+        return found, painted
+
+    def target_sets(self, same: np.ndarray) -> tuple[TargetSet, ...]:
+        """The target sets of all meshes; same (V,): see `Character.coincident`."""
+        body, *regions = self.own.target_sets
+        shares = [self._carried(target_set.share, 0.0)[same] for target_set in regions]
+        rest = (1.0 - sum(shares, np.zeros(len(same)))).clip(0.0)
+        rest[self.slices[0]] = body.share
+        return tuple(
+            replace(
+                target_set,
+                share=share[same],
+                targets=tuple(
+                    replace(target, shape=self._carried(target.shape, 0.0)[same]) for target in target_set.targets
+                ),
+            )
+            for target_set, share in zip(self.own.target_sets, [rest, *shares], strict=True)
+        )
+
+
+def _attached(obj, own: Character, groups, meshes: list[_Mesh]) -> tuple[np.ndarray, np.ndarray]:
+    """The pieces (V,) of all meshes, as `Character.pieces`, and what (V,) of them is held. Raises SceneError."""
+    pieces, held = [own.pieces.copy()], [_held(parts_in(obj), groups, len(own.vertices))]
+    wholly = {piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "HELD"}
+    for mesh in meshes:
+        parts = parts_of(obj, mesh.obj)
+        next_cage = 1 + max(int(each.max(initial=0)) for each in pieces)
+        pieces.append(mesh_data.pieces_of(parts, mesh.obj, mesh.groups, next_cage))
+        held.append(_held(parts, mesh.groups, len(mesh.points)) | (mesh.obj in wholly))
+    pieces, held = np.concatenate(pieces), np.concatenate(held)
+    pieces[held & (pieces < 0)] = 0
+    return pieces, held & (pieces == 0)
+
+
+def _held(parts, groups, count: int) -> np.ndarray:
+    found = np.zeros(count, bool)
+    for part, members in mesh_data.members_of(parts, groups):
+        if part.choice == "HELD":
+            found |= members
+    return found
+
+
+def _coincident(bind: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
+    size = np.linalg.norm(np.ptp(bind, axis=0))
+    return rigid.coincident(np.concatenate([bind, *others]), rigid.COINCIDE * size)
+
+
+def _closed_seams(pieces, held, same, beside, triangles) -> tuple[np.ndarray, np.ndarray]:
+    """Pieces and rigidity (V,), so that no seam opens: a point that is also one of something that the bones alone move
+    is moved by them too, and the skin around it is held.
+
+    beside (P,): the first vertex at each point of other rigid meshes.
+    """
+    still = np.isin(same, np.concatenate([same[pieces == -1], beside])) & (pieces >= 0)
+    pieces = np.where(still, -1, pieces).astype(np.int32)
+    rigidity = held.astype(float)
+    rigidity[triangles[still[triangles].any(axis=1)]] = 1.0
+    return pieces, rigidity
+
+
+def _most(values: np.ndarray, same: np.ndarray) -> np.ndarray:
+    """The largest of the values (V,) at each place."""
+    most = np.zeros(len(values))
+    np.maximum.at(most, same, values)
+    return most[same]
+
+
+def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
+    """Refuse a character that is rigid by what was found, unless the artist has said what is soft.
+
+    beside: bind-space points and triangles of what its bones alone move. Raises SceneError.
+    """
+    settings = obj.dynamorph
+    if settings.soft_group or any(not piece.reason for piece in settings.pieces):
+        return
+    bind, soft = whole.vertices @ whole.own.to_bind.T, (pieces >= 0) & (rigidity < 1.0)
+    labels, volumes = rigid.part_volumes(bind, whole.triangles)
+    areas = rigid.vertex_areas(bind, whole.triangles)
+    share = np.bincount(labels, areas * soft) / np.maximum(np.bincount(labels, areas), 1e-300)
+    other = sum(rigid.part_volumes(points, triangles)[1].sum() for points, triangles in beside)
+    if volumes @ share <= rigid.SOFT_SHARE * (volumes.sum() + other):
+        raise errors.SceneError(checks.nothing_soft(obj))
+
+
+# What the bones alone move -------------------------------------------------------------------------------------------
+
+
+def beside_body(obj, rig, meshes, world: np.ndarray, rig_world: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Points (P, 3), in the local space of `obj` at rest, and triangles of the meshes that its bones alone move.
+
+    meshes: the objects that belong to its body; world, rig_world: as for `joined`. Raises SceneError.
+    """
+    soft = {obj, *meshes, *(piece.object for piece in obj.dynamorph.pieces if piece.choice == "OWN_CAGE")}
+    found, to_body = [], inverse(world)
+    for other in checks.meshes_on(rig):
+        if other not in soft and not other.dynamorph.targets and len(other.data.vertices):
+            skinned = skinning.armature_modifiers(other)
+            placed = mesh_data.worlds_at_start(other, rig)[0] if skinned else _rest_world(other, rig, rig_world)
+            points = mesh_data.rest_points(other)
+            found.append((mesh_data.carried(points, to_body @ placed), mesh_data.mesh_triangles(other.data)))
+    return found
+
+
+def _rest_world(other, rig, rig_world: np.ndarray) -> np.ndarray:
+    """World transform (4, 4), metres, of an object parented to the armature or its bones while that is at rest."""
+    if other == rig:
+        return rig_world
+    basis = np.array(other.matrix_parent_inverse) @ np.array(other.matrix_basis)
+    if other.parent is None:
+        return rig_motion.world_now(other)
+    above = _rest_world(other.parent, rig, rig_world)
+    if other.parent == rig and other.parent_type == "BONE" and other.parent_bone in rig.data.bones:
+        bone = rig.data.bones[other.parent_bone]
+        above = above @ np.array(bone.matrix_local @ Matrix.Translation((0.0, bone.length, 0.0)))
+    return above @ basis

@@ -1,0 +1,377 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What keeps a mesh from being simulated, and what is not likely to be meant, as data. Reads only.
+
+`problems`, `next_steps` and `notes` take a fraction of a millisecond, so that a panel asks them whenever it draws. What
+reads points, weights or poses is asked when a soft skin is added or built. What a fix does is in `setup_operators`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..core.character import Skeleton, Target
+from ..core.errors import SceneError
+from ..core.geometry import turned
+from .references import key_points, rig_of
+from .skin import cache_modifier
+from .skinning import armature_for, armature_modifiers, beyond_bones, deforming_bones, main_modifier
+
+SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
+PLAUSIBLE = (0.02, 20.0)  # metres from corner to corner; a body of another size is probably not meant
+# Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
+GENERATING = {
+    "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
+    "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
+    "WIREFRAME",
+}  # fmt: skip
+DEFORMING = {
+    "CAST", "CLOTH", "CORRECTIVE_SMOOTH", "CURVE", "DISPLACE", "HOOK", "LAPLACIANDEFORM", "LAPLACIANSMOOTH", "LATTICE",
+    "MESH_CACHE", "MESH_DEFORM", "MESH_SEQUENCE_CACHE", "SHRINKWRAP", "SIMPLE_DEFORM", "SMOOTH", "SOFT_BODY",
+    "SURFACE_DEFORM", "VOLUME_DISPLACE", "WARP", "WAVE",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Problem:
+    """text: what is wrong, with the object's name, and the remedy; fix: the key of `setup_operators.FIXES`, or ''."""
+
+    text: str
+    fix: str = ""
+
+
+# At every draw -----------------------------------------------------------------------------------------------------
+
+
+def problems(obj) -> Iterator[Problem]:
+    """What keeps the mesh object `obj` from being simulated, in the order in which an artist would put it right."""
+    yield from mesh(obj)
+    missing = list(skinning_problems(obj))
+    yield from missing
+    if not missing:
+        modifiers = armature_modifiers(obj)
+        yield from order(obj)
+        for modifier in modifiers:
+            yield from _modifier(obj, modifier)
+        main = main_modifier(obj).object
+        for armature in dict.fromkeys((main, *(modifier.object for modifier in modifiers))):
+            yield from _armature(armature)
+            if armature == main or deforming_bones(obj, armature):
+                yield from _bones(obj, armature)
+    yield from _keys(obj)
+
+
+def next_steps(obj) -> Iterator[Problem]:
+    """What a soft skin needs besides before it can be built. The neutral target alone is enough, but not for Static."""
+    if len(active_targets(obj)) >= 2 or obj.dynamorph.model.method != "STATIC":
+        return
+    if len(obj.dynamorph.targets) > 1:
+        yield Problem(
+            f"'{obj.name}': all targets are muted, so nothing moves with the Method Static: unmute one, or choose the "
+            "Method Dynamic"
+        )
+    else:
+        yield Problem(
+            f"'{obj.name}' has no targets, so nothing moves with the Method Static: add a target, or choose the Method "
+            "Dynamic"
+        )
+
+
+def hints(obj) -> Iterator[str]:
+    """What a soft skin could have besides, for who looks at its targets."""
+    if len(obj.dynamorph.targets) == 1:
+        yield (
+            "The body is soft without targets. A target changes its shape and stiffness in a pose: pose the armature, "
+            "and press New from Pose"
+        )
+
+
+def notes(obj) -> Iterator[Problem]:
+    """What does not hinder a simulation, but will be ignored or will hide its result."""
+    for modifier in armature_modifiers(obj)[-1:]:
+        for before in _modifiers_before(obj, modifier):
+            if before.type in DEFORMING and before != cache_modifier(obj):
+                yield Problem(f"'{obj.name}': modifier '{before.name}' before the Armature is not simulated")
+        yield from _scene_drivers(modifier.object)
+    reason = beyond_bones(obj)
+    if reason:
+        yield Problem(f"'{obj.name}' is skinned with {reason}, which takes longer to bake and to play than plain bones")
+    yield from shared_mesh(obj)
+    sculpting = obj.dynamorph.sculpt.active and obj.mode != "OBJECT"  # which shows that key alone on purpose
+    if obj.show_only_shape_key and not sculpting:
+        yield Problem(
+            f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake", "UNPIN"
+        )
+
+
+def _scene_drivers(armature) -> Iterator[Problem]:
+    """Drivers of the rig that read a scene: it is sampled in a scene of its own, where they stand still."""
+    owners = (owner.animation_data for owner in (armature, armature.data) if owner.animation_data)
+    for variable in (each for owner in owners for curve in owner.drivers for each in curve.driver.variables):
+        if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
+            yield Problem(
+                f"A driver of '{armature.name}' reads '{variable.targets[0].data_path}' of the scene, which stands "
+                "still in a bake: write 'frame' in its expression, or keep the property on the armature"
+            )
+            return
+
+
+def outgrown(obj) -> str:
+    """Says that the mesh was edited since its model was built, as far as the number of vertices tells; or ''."""
+    model, count = obj.dynamorph.model, len(obj.data.vertices)
+    if not model.content_id or model.vertices in (0, count):
+        return ""
+    return (
+        f"'{obj.name}' has {count} vertices now, its model was built for {model.vertices}. Targets and settings are "
+        "kept: build the model again"
+    )
+
+
+def shared_mesh(obj) -> Iterator[Problem]:
+    """Yields nothing when `obj` has its mesh for itself."""
+    users = obj.data.users - obj.data.use_fake_user
+    if users > 1:
+        yield Problem(
+            f"Mesh '{obj.data.name}' is shared by {users} objects, which would all move alike: "
+            "make it single-user (Object > Relations > Make Single User > Object & Data)",
+            "SINGLE_USER",
+        )
+
+
+def nothing_soft(obj) -> str:
+    """Says that a character is rigid everywhere."""
+    return f"'{obj.name}': nothing soft found: paint Softness"
+
+
+def meshes_on(rig) -> list:
+    """The mesh objects of the scene that an armature moves: those it skins, and those that hang on it or its bones."""
+    hanging = set(rig.children_recursive)
+    return [
+        other
+        for other in bpy.context.scene.objects
+        if other.type == "MESH" and (other in hanging or any(m.object == rig for m in armature_modifiers(other)))
+    ]
+
+
+def follower(obj, piece) -> Iterator[Problem]:
+    """What keeps the mesh object `piece` from moving with the flesh of the soft skin `obj`."""
+    body, armature = obj.name, rig_of(obj)
+    modifiers = armature_modifiers(piece)
+    if piece == obj:
+        yield Problem(f"'{body}' cannot be attached to itself: remove it from the Attachments")
+    elif not modifiers:
+        yield Problem(
+            f"'{piece.name}' has no Armature modifier with an armature: skin it to '{armature.name}', or choose Rigid"
+        )
+    elif all(modifier.object != armature for modifier in modifiers):
+        yield Problem(
+            f"'{piece.name}' is moved by another armature: choose '{armature.name}' in its Armature modifier, or Rigid"
+        )
+    if piece.dynamorph.targets:
+        yield Problem(f"'{piece.name}' is a soft skin of its own: choose Own Cage")
+    elif piece.dynamorph.follows not in (None, obj):
+        other = piece.dynamorph.follows.name
+        yield Problem(f"'{piece.name}' follows '{other}': free the bake of that first, or turn its Live off")
+    if piece.mode == "EDIT":
+        yield Problem(f"'{piece.name}' is in Edit Mode: leave it first")
+    if not piece.data.vertices:
+        yield Problem(f"Mesh '{piece.data.name}' has no vertices: remove '{piece.name}' from the Attachments")
+    keys = piece.data.shape_keys
+    if keys and not keys.use_relative:
+        yield Problem(f"'{piece.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
+    bound = next((m for m in piece.modifiers if obj in (getattr(m, "target", None), getattr(m, "object", None))), None)
+    if bound:
+        yield Problem(f"'{piece.name}' follows '{body}' by its modifier '{bound.name}' already: choose Rigid")
+
+
+def active_targets(obj) -> list:
+    """The neutral target and those that are not muted."""
+    return [target for i, target in enumerate(obj.dynamorph.targets) if i == 0 or not target.mute]
+
+
+def generating_before(obj, modifier) -> list:
+    """The modifiers before the Armature that may change the number of vertices."""
+    return [before for before in _modifiers_before(obj, modifier) if before.type in GENERATING]
+
+
+def mesh(obj) -> Iterator[Problem]:
+    """Yields nothing when `obj` has a surface, and is not being edited."""
+    if obj.mode == "EDIT":
+        yield Problem(f"'{obj.name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE")
+    elif not obj.data.polygons:
+        yield Problem(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
+
+
+def order(obj) -> Iterator[Problem]:
+    """Yields nothing when no modifier before the Armature changes the number of vertices."""
+    for before in generating_before(obj, armature_modifiers(obj)[-1]):
+        yield Problem(f"'{obj.name}': modifier '{before.name}' comes before the Armature: move it below", "MOVE_BELOW")
+
+
+def _modifiers_before(obj, modifier) -> list:
+    """The modifiers that change the mesh before the Armature modifier does."""
+    before = obj.modifiers[: obj.modifiers.find(modifier.name)]
+    return [modifier for modifier in before if modifier.show_viewport or modifier.show_render]
+
+
+def _modifier(obj, modifier):
+    if not modifier.show_viewport:
+        yield Problem(
+            f"'{obj.name}': Armature modifier '{modifier.name}' is disabled in viewports: enable it", "ENABLE_MODIFIER"
+        )
+    if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
+        yield Problem(
+            f"'{obj.name}' is skinned by bone envelopes: in Armature modifier '{modifier.name}' turn Bone Envelopes "
+            "off and Vertex Groups on",
+            "ENVELOPES",
+        )
+
+
+def _armature(armature):
+    name = armature.name
+    if armature.mode == "EDIT":
+        yield Problem(f"Armature '{name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE")
+    if armature.data.pose_position == "REST":
+        yield Problem(
+            f"Armature '{name}' is shown in rest position: choose Pose Position in its Data tab", "POSE_POSITION"
+        )
+    if armature.hide_viewport:
+        yield Problem(
+            f"Armature '{name}' is disabled in viewports, so Blender does not move it: enable it", "ENABLE_ARMATURE"
+        )
+
+
+def _bones(obj, armature):
+    """Of each kind of problem only the first bone: its fix repairs all."""
+    bones = deforming_bones(obj, armature)
+    if not bones:
+        yield Problem(
+            f"'{obj.name}' has no vertex group named after a deforming bone of '{armature.name}': weight it first"
+        )
+        return
+    multiplied = next((bone for bone in bones if bone.use_envelope_multiply), None)
+    if multiplied:
+        yield Problem(
+            f"Bone '{multiplied.name}' of '{armature.name}': turn off Envelope Multiply in its Deform panel",
+            "ENVELOPE_MULTIPLY",
+        )
+    lengths = [bone.length for bone in bones]
+    if min(lengths) <= 1e-5 * max(lengths):
+        point = bones[lengths.index(min(lengths))]
+        yield Problem(f"Bone '{point.name}' of '{armature.name}' has no length: move its tail, or turn off its Deform")
+
+
+def _keys(obj):
+    keys = obj.data.shape_keys
+    targets = active_targets(obj)
+    if keys is None:
+        if len(targets) > 1:  # a bake, like Add Soft Skin, makes the Basis that it needs
+            yield Problem(f"'{obj.name}' has no shape keys: add a Basis and one key a target", "ADD_BASIS")
+        return
+    if not keys.use_relative:
+        yield Problem(
+            f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel", "RELATIVE_KEYS"
+        )
+    for target in targets[1:]:
+        if target.name not in keys.key_blocks:
+            yield Problem(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
+        elif keys.key_blocks[target.name] == keys.reference_key:
+            yield Problem(
+                f"'{obj.name}': target '{target.name}' has become the Basis, which moves nothing: put a Basis above it "
+                "in the Shape Keys panel, or remove the target"
+            )
+
+
+# Once: these read points, weights and poses ------------------------------------------------------------------------
+
+
+def shapes(obj) -> Iterator[Problem]:
+    """Coordinates that are not numbers, in the Basis and the targets' keys."""
+    keys = obj.data.shape_keys
+    if keys is None:  # there is only the mesh
+        return
+    for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in active_targets(obj)[1:])):
+        bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
+        if len(bad):
+            yield Problem(
+                f"'{obj.name}': shape key '{block.name}' has coordinates that are not numbers at vertices "
+                f"{', '.join(map(str, bad[:5]))}: delete or repair them"
+            )
+
+
+def poses(name: str, targets: tuple[Target, ...], skeleton: Skeleton) -> Iterator[Problem]:
+    """Targets of one set that the rotations of the targets' bones, and of no others, cannot tell apart."""
+    for target in targets[1:]:
+        if not target.bones:
+            yield Problem(
+                f"'{name}': target '{target.name}' has no bones: pose the armature away from the neutral target "
+                "and press Capture Pose"
+            )
+    named = {bone for target in targets for bone in target.bones}
+    used = [bone in named for bone in skeleton.names]
+    for i, first in enumerate(targets):
+        for second in targets[i + 1 :]:
+            if same_pose(first.local[used], second.local[used]):
+                yield Problem(
+                    f"'{name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
+                    "place targets: capture one of them in another pose, choose its bones, or remove it"
+                )
+
+
+def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
+    """Whether targets with these transforms (B, 4, 4) of the bones that place them cannot be told apart."""
+    return bool(np.linalg.norm(turned(first, second)) < SAME_POSE)
+
+
+def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray) -> Iterator[Problem]:
+    """Whether a body is likely to be meant as it is.
+
+    vertices, to_bind: as of `Character`; left (V,): which of them no bone moves.
+    """
+    size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
+    if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
+        yield Problem(f"'{name}' is {size:.3g} m long: check the scale, it will move like something of that size")
+    count = int(left.sum())
+    if count:
+        yield Problem(
+            f"{count} of the {len(vertices)} vertices of '{name}' have no bone weight: they stay behind when the "
+            "armature moves; weight them"
+        )
+
+
+def armature_modifier(obj):
+    """The Armature modifier whose armature places the targets of `obj`. Raises SceneError."""
+    if obj is None or obj.type != "MESH":
+        raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
+    refuse(skinning_problems(obj))
+    return main_modifier(obj)
+
+
+def check_mesh(obj):
+    """Raises SceneError about a mesh that has no surface, or is being edited."""
+    refuse(mesh(obj))
+
+
+def refuse(problems):
+    """Raises SceneError about the first of `problems`."""
+    for problem in problems:
+        raise SceneError(problem.text)
+
+
+def skinning_problems(obj) -> Iterator[Problem]:
+    """Yields nothing when there is an Armature modifier with an armature."""
+    if not armature_modifiers(obj):
+        yield Problem(
+            f"'{obj.name}' has no Armature modifier with an armature: add one, or parent the mesh to it",
+            "ADD_ARMATURE" if armature_for(obj) else "",
+        )
+
+
+def rig(obj, modifier) -> Iterator[Problem]:
+    """Whether Blender skins `obj` as it will be simulated: the Armature modifier, its armature and its bones."""
+    yield from _modifier(obj, modifier)
+    yield from _armature(modifier.object)
+    yield from _bones(obj, modifier.object)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the add-on asks of Blender's events and windows, and how properties tell those who run that they were set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+
+import bpy
+
+PANELS = {("VIEW_3D", "UI"), ("PROPERTIES", "WINDOW")}  # types of area and region
+VIEWS = {("VIEW_3D", "WINDOW")}
+
+
+class Event(Enum):
+    """What properties tell, and what is passed along."""
+
+    SHOWN_CHANGED = "what is shown of an object's motion"  # (object)
+    CAGE_CHANGED = "what the cage of a built model depends on"  # ()
+    WEIGHTS_ASKED = "the weights over the frames are to be drawn"  # ()
+
+
+_listeners: dict[Event, list[Callable]] = {event: [] for event in Event}
+
+
+def subscribe(listeners: dict[Event, Callable]):
+    for event, listener in listeners.items():
+        _listeners[event].append(listener)
+
+
+def unsubscribe(listeners: dict[Event, Callable]):
+    for event, listener in listeners.items():
+        _listeners[event].remove(listener)
+
+
+def emit(event: Event, *args):
+    for listener in _listeners[event]:
+        listener(*args)
+
+
+def add(handlers: dict[str, Callable]):
+    """handlers: functions by the name of their list in bpy.app.handlers."""
+    for name, handler in handlers.items():
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def remove(handlers: dict[str, Callable]):
+    for name, handler in handlers.items():
+        getattr(bpy.app.handlers, name).remove(handler)
+
+
+def soon(look: Callable, seconds: float):
+    """Call `look` by a timer when nobody has asked for it for so long."""
+    forget(look)
+    bpy.app.timers.register(look, first_interval=seconds)
+
+
+def forget(look: Callable):
+    if bpy.app.timers.is_registered(look):
+        bpy.app.timers.unregister(look)
+
+
+def redraw(regions: set[tuple[str, str]]):
+    """Let these kinds of regions draw again, and no others: a 3D view may take longer than what the panels show."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            for region in area.regions:
+                if (area.type, region.type) in regions:
+                    region.tag_redraw()
+
+
+def redraw_status(context):
+    """Let the status bar of a window draw again, where `panels.draw_status` says what runs."""
+    context.workspace.status_text_set(None)
+
+
+def shown_changed(group, _context):
+    """update: of a property that changes what Live shows."""
+    emit(Event.SHOWN_CHANGED, group.id_data)

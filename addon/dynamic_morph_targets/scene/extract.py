@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender scene -> scene_data. Reads only; what cannot be simulated is refused here, with the remedy.
+
+Skinning is Blender's: shape keys first, then the Armature modifier, weights normalised over the deforming bones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ..core.character import Character, Follower, OwnCage, Skeleton, Target, TargetSet
+from ..core.errors import SceneError
+from ..core.geometry import inverse
+from ..core.settings import ModelSettings
+from . import checks, skinning
+from .checks import armature_modifier, refuse
+from .mesh_data import (
+    VertexGroups,
+    bone_segments,
+    carried,
+    mesh_triangles,
+    modifier_weights,
+    pieces_of,
+    rest_points,
+    softness,
+    stiffness,
+    stretch,
+    target_shape,
+    worlds_at_start,
+)
+from .nearest import nearest
+from .references import rest_skeleton, rig_of
+from .rig_motion import at_rest, rig_scene
+from .skin import clothes_in, parts_in, unit_scale
+
+FAR = 0.1  # body sizes: what follows the flesh from further away does not move like it
+
+
+# The character -----------------------------------------------------------------------------------------------------
+
+
+def character(obj, without_targets=False) -> Character:
+    """The soft skin authored on `obj`, whose references `write.reconcile` has brought up to date. without_targets: the
+    neutral one is enough. Raises SceneError.
+    """
+    modifier = armature_modifier(obj)
+    if not obj.dynamorph.targets:
+        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
+    refuse(checks.problems(obj))
+    if not without_targets:
+        refuse(checks.next_steps(obj))
+    refuse(checks.shapes(obj))
+    skeleton = rest_skeleton(modifier.object.data)
+    groups = VertexGroups(obj)
+    target_sets = _target_sets(obj, skeleton, groups)
+    for target_set in target_sets:
+        refuse(checks.poses(obj.name, target_set.targets, skeleton))
+    world, rig_world = worlds_at_start(obj, modifier.object)
+    to_bind, bones = stretch(world), skinning.deforming_bones(obj, modifier.object)
+    own = Character(
+        name=obj.name,
+        vertices=rest_points(obj),
+        triangles=mesh_triangles(obj.data),
+        to_bind=to_bind,
+        weights=modifier_weights(obj, modifier, skeleton, groups),
+        softness=softness(obj, groups),
+        stiffness=stiffness(obj, groups),
+        bone_segments=bone_segments(bones, inverse(world) @ rig_world, to_bind),
+        skeleton=skeleton,
+        target_sets=target_sets,
+        settings=model_settings(obj),
+        probed=bool(skinning.beyond_bones(obj)),
+        pieces=pieces_of(parts_in(obj), obj, groups),
+        cage=_own_cage(obj, modifier.object, to_bind),
+        painted=bool(obj.dynamorph.soft_group),
+    )
+    if not own.settings.one_cage:
+        return own
+    from . import bodies  # which reads the other meshes by what is here
+
+    return bodies.joined(obj, own, groups, world, rig_world)
+
+
+def model_settings(obj) -> ModelSettings:
+    """How the model of `obj` is to be built; lengths in metres, the panels' are in Blender units."""
+    chosen = obj.dynamorph.model.settings()
+    return replace(chosen, cage_thickness=unit_scale() * chosen.cage_thickness)
+
+
+def followers(obj, character: Character) -> list[Follower]:
+    """The other meshes that the flesh of `obj` carries along; character: what was read of it. Raises SceneError."""
+    if character.settings.one_cage:
+        return list(character.parts)
+    pieces = clothes_in(obj)
+    if not pieces:
+        return []
+    rig = armature_modifier(obj).object
+    body_world, _ = worlds_at_start(obj, rig)
+    skin = character.vertices @ character.to_bind.T
+    of_body = (character.pieces[character.triangles] == 0).all(axis=1)
+    if not of_body.any():
+        raise SceneError(f"'{obj.name}' has no body to carry its attachments: choose With Body for a part of it")
+    found = []
+    for piece in pieces:
+        refuse(checks.follower(obj, piece))
+        to_body = inverse(body_world) @ worlds_at_start(piece, rig)[0]
+        points = rest_points(piece)
+        vertices = (points @ to_body[:3, :3].T + to_body[:3, 3]) @ character.to_bind.T
+        found.append(
+            Follower(
+                piece.name,
+                piece.session_uid,
+                points,
+                vertices,
+                inverse(to_body[:3, :3]),
+                nearest(vertices, skin, character.triangles[of_body]),
+            )
+        )
+    return found
+
+
+def far_followers(character: Character, found: list[Follower]) -> list[str]:
+    """Warnings about what is too far from the skin to move as if it were flesh."""
+    far = FAR * np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
+    return [
+        f"'{follower.name}' is up to {follower.skin.distances.max():.2g} m from the skin of '{character.name}': if it "
+        "moves oddly, choose Own Cage or Rigid for it"
+        for follower in found
+        if follower.skin and follower.skin.distances.max() > far
+    ]
+
+
+def warnings(obj, character: Character) -> list[str]:
+    """What will be ignored, or is not likely to be meant."""
+    left = _left_behind(obj, VertexGroups(obj))
+    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, left))
+    return [problem.text for problem in found]
+
+
+def first_look(obj) -> list[str]:
+    """All that is in the way of simulating `obj`, or not likely to be meant, before it is a soft skin."""
+    found = [*checks.problems(obj), *checks.notes(obj)]
+    try:
+        to_bind = stretch(worlds_at_start(obj, rig_of(obj))[0])
+        left = _left_behind(obj, VertexGroups(obj))
+    except SceneError as error:
+        return [*(problem.text for problem in found), str(error)]
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    obj.data.vertices.foreach_get("co", points.ravel())  # Edit Mode hides the attribute
+    if len(points):
+        found += checks.body(obj.name, points, to_bind, left)
+    return [problem.text for problem in found]
+
+
+def _left_behind(obj, groups: VertexGroups) -> np.ndarray:
+    """Which vertices (V,) no bone moves."""
+    unmoved = [
+        modifier_weights(obj, modifier, rest_skeleton(modifier.object.data), groups)[:, -1] >= 1.0
+        for modifier in skinning.armature_modifiers(obj)
+    ]
+    return np.all(unmoved, axis=0)
+
+
+def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
+    """The targets of the whole body, then those of each region, each set with the neutral target first.
+
+    Regions share out the flesh: where their groups add up to less than one the body has the rest.
+    """
+    neutral, *others = checks.active_targets(obj)
+    groups = list(dict.fromkeys(target.region for target in others if target.region))
+    gone = [group for group in groups if group not in obj.vertex_groups]
+    if gone:
+        name = next(target.name for target in others if target.region == gone[0])
+        raise SceneError(
+            f"'{obj.name}': the vertex group '{gone[0]}' of target '{name}' is gone: choose another Region"
+        )
+    shares = vertex_groups.weights(groups).clip(0.0, 1.0)
+    empty = [group for group, share in zip(groups, shares.T, strict=True) if not share.any()]
+    if empty:
+        raise SceneError(f"'{obj.name}': the vertex group '{empty[0]}' of a target's Region is empty: paint it")
+    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1.0)
+    sets = []
+    for group, share in zip(["", *groups], [(1.0 - shares.sum(axis=1)).clip(0.0), *shares.T], strict=True):
+        targets = [_target(obj, target, skeleton, vertex_groups) for target in others if target.region == group]
+        at_rest = _target(obj, neutral, skeleton, vertex_groups)
+        if group:
+            at_rest = replace(at_rest, name=f"{at_rest.name} {group}")
+        sets.append(TargetSet(group or obj.name, (at_rest, *targets), share))
+    return tuple(sets)
+
+
+def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
+    missing = [name for name in target.bone_names() if name not in skeleton.names]
+    if missing:
+        raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
+    material = target.material()
+    for field, value in (*vars(material).items(), ("influence", target.influence)):
+        if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
+            raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
+    neutral = target == obj.dynamorph.targets[0]
+    shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, groups)
+    local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
+    if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
+        raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
+    return Target(
+        target.name, shape, target.bone_names(), local, rig_world, material, target.radius, target.influence,
+        target.frequency, target.by_hand,
+    )  # fmt: skip
+
+
+def _own_cage(obj, rig, to_bind) -> OwnCage | None:
+    """The artist's cage as it is when the scene starts and the armature is at rest, bind space. Raises SceneError."""
+    cage = obj.dynamorph.model.cage_object
+    if cage is None:
+        return None
+    if cage.name not in bpy.context.scene.objects:
+        raise SceneError(f"Cage Object '{cage.name}' of '{obj.name}' is not in the scene any more: choose another")
+    if cage.mode == "EDIT":
+        raise SceneError(f"Cage Object '{cage.name}' is in Edit Mode: leave it first")
+    if cage.hide_viewport:
+        raise SceneError(f"Cage Object '{cage.name}' is disabled in viewports: enable it, and hide it by its eye")
+    with at_rest(rig), rig_scene(obj, rig) as (scene, _follower):
+        scene.collection.objects.link(cage)
+        scene.frame_set(bpy.context.scene.frame_start)
+        depsgraph = scene.view_layers[0].depsgraph
+        evaluated = cage.evaluated_get(depsgraph)
+        to_local = inverse(np.array(obj.evaluated_get(depsgraph).matrix_world)) @ np.array(evaluated.matrix_world)
+        mesh = evaluated.to_mesh()
+        points = np.empty((len(mesh.vertices), 3), np.float32)
+        mesh.vertices.foreach_get("co", points.ravel())
+        triangles = mesh_triangles(mesh)
+        evaluated.to_mesh_clear()
+    if not len(triangles):
+        raise SceneError(f"Cage Object '{cage.name}' has no faces: choose a closed mesh")
+    return OwnCage(cage.name, carried(points.astype(np.float64), to_local) @ to_bind.T, triangles)

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The mesh of an object as arrays: points, triangles, vertex groups, skin weights, and where it stands.
+
+Skinning is Blender's: shape keys first, then the Armature modifier, weights normalised over the deforming bones.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import bpy
+import numpy as np
+
+from ..core.character import Skeleton
+from ..core.errors import SceneError
+from ..core.geometry import determinant
+from . import skinning
+from .checks import armature_modifier
+from .references import key_points, rest_skeleton
+from .rig_motion import in_metres, not_a_number, rig_scene
+from .skin import unit_scale
+
+MEMBER = 0.5  # weight from which a vertex belongs to a piece
+NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
+
+
+def rest_points(obj) -> np.ndarray:
+    """Points (V, 3) of the mesh without its shape keys, local space. Raises SceneError."""
+    points = np.empty((len(obj.data.vertices), 3), np.float32)
+    if obj.data.shape_keys:
+        points = key_points(obj.data.shape_keys.reference_key)
+    else:
+        obj.data.attributes["position"].data.foreach_get("vector", points.ravel())
+    if not np.isfinite(points).all():
+        raise SceneError(f"'{obj.name}' has vertices whose coordinates are not numbers: delete or repair them")
+    return points.astype(np.float64)
+
+
+def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:
+    """What the shape key adds at value 1: (V, 3), local space. groups: those of `obj`, for who has read them."""
+    block = obj.data.shape_keys.key_blocks[key_name]
+    shape = key_points(block).astype(np.float64) - key_points(block.relative_key)
+    if block.vertex_group in obj.vertex_groups:  # Blender ignores the name of a group that is gone
+        shape *= (groups or VertexGroups(obj)).weights([block.vertex_group])
+    return shape
+
+
+def group_weights(obj, names) -> np.ndarray:
+    """Weights (V, len(names)) of the vertex groups; 0 for vertices and groups that are not there."""
+    return VertexGroups(obj).weights(names)
+
+
+class VertexGroups:
+    """The vertex groups of an object, read once: Blender hands them out vertex by vertex."""
+
+    def __init__(self, obj):
+        self._obj = obj
+        flat = [
+            part
+            for vertex, of_vertex in enumerate(obj.data.vertices)
+            for element in of_vertex.groups
+            for part in (vertex, element.group, element.weight)
+        ]
+        self._vertices, self._groups, self._weights = np.array(flat, np.float64).reshape(-1, 3).T
+
+    def weights(self, names) -> np.ndarray:
+        """As `group_weights`. Raises SceneError."""
+        obj = self._obj
+        weights = np.zeros((len(obj.data.vertices), len(names)))
+        for column, name in enumerate(names):
+            if name in obj.vertex_groups:
+                members = self._groups == obj.vertex_groups[name].index
+                weights[self._vertices[members].astype(np.int64), column] = self._weights[members]
+        bad = np.flatnonzero(~np.isfinite(weights).all(axis=0))
+        if len(bad):
+            raise SceneError(f"'{obj.name}': vertex group '{names[bad[0]]}' has weights that are not numbers")
+        return weights
+
+
+def skin_weights(obj, rig=None, groups: VertexGroups | None = None) -> np.ndarray:
+    """Skin weights (V, B + 1) of any mesh with an Armature modifier, as `Character.weights`. Raises SceneError.
+
+    rig: the armature object that is meant, if `obj` may have several; groups: those of `obj`, for who has read them.
+    """
+    modifier = armature_modifier(obj)
+    modifier = next((each for each in skinning.armature_modifiers(obj) if each.object == rig), modifier)
+    return modifier_weights(obj, modifier, rest_skeleton(modifier.object.data), groups or VertexGroups(obj))
+
+
+def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) -> np.ndarray:
+    bones = modifier.object.data.bones
+    weights = groups.weights(skeleton.names)
+    weights[:, [not bones[name].use_deform for name in skeleton.names]] = 0.0
+    total = weights.sum(axis=1, keepdims=True)
+    moved = total > NO_WEIGHT
+    weights = np.where(moved, weights / np.where(moved, total, 1.0), 0.0)
+    if modifier.vertex_group in obj.vertex_groups:  # the modifier's own mask blends with the unskinned position
+        mask = groups.weights([modifier.vertex_group])
+        weights *= 1.0 - mask if modifier.invert_vertex_group else mask
+    return np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
+
+
+def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
+    """Weights (V,) of the vertex group that the artist chose for Soft or Stiffness. Raises SceneError."""
+    if group not in obj.vertex_groups:
+        raise SceneError(f"'{obj.name}': the vertex group '{group}' for {use} is gone: choose another")
+    return groups.weights([group])[:, 0].clip(0.0, 1.0)
+
+
+def softness(obj, groups: VertexGroups) -> np.ndarray:
+    group = obj.dynamorph.soft_group
+    return _painted(obj, groups, "Soft", group) if group else np.ones(len(obj.data.vertices))
+
+
+def stiffness(obj, groups: VertexGroups) -> np.ndarray:
+    settings = obj.dynamorph
+    if not settings.stiffness_group:
+        return np.ones(len(obj.data.vertices))
+    if not np.isfinite(settings.stiffness_factor):
+        raise SceneError(f"'{obj.name}': the Factor of the Stiffness group is not a number: set it again")
+    return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
+
+
+def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
+    """Which piece each vertex belongs to, as `Character.pieces` says. Where groups overlap the first one counts.
+
+    parts: the pieces that are parts of the object `mesh`, of which `groups` are; first: number of the first cage of
+    its own. Raises SceneError.
+    """
+    gone = next((part for part in parts if part.group not in mesh.vertex_groups), None)
+    if gone:
+        raise SceneError(
+            f"'{mesh.name}': the vertex group '{gone.group}' of an attachment is gone: remove the attachment"
+        )
+    pieces, cages = np.zeros(len(mesh.data.vertices), np.int32), itertools.count(first)
+    for part, members in members_of(parts, groups):
+        if part.choice != "WITH_BODY" and members.any():
+            pieces[members] = next(cages) if part.choice == "OWN_CAGE" else -1
+    return pieces
+
+
+def members_of(parts, groups: VertexGroups):
+    """Each of the parts of a mesh with its vertices (V,) bool, without those of the parts before it."""
+    taken = None
+    for part, weights in zip(parts, groups.weights([part.group for part in parts]).T, strict=True):
+        members = weights >= MEMBER
+        members = members if taken is None else members & ~taken
+        yield part, members
+        taken = members if taken is None else taken | members
+
+
+def bone_segments(bones, to_local, to_bind) -> np.ndarray:
+    """Heads and tails (D, 2, 3) of bones at rest, bind space."""
+    ends = np.array([(*bone.head_local, *bone.tail_local) for bone in bones]).reshape(-1, 2, 3)
+    return carried(ends, to_local) @ to_bind.T + 0.0
+
+
+def carried(points: np.ndarray, to_local: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of another object in local space. Rounded like the stretch: the last digits of this transform
+    (4, 4) change when both objects are moved.
+    """
+    size = np.cbrt(abs(determinant(to_local[:3, :3])))
+    units = 10.0 ** np.round(np.log10(np.maximum([size, size * np.abs(points).max()], 1e-300)))
+    turn, shift = _rounded(to_local[:3, :3], units[0]), _rounded(to_local[:3, 3], units[1])
+    return points @ turn.T + shift
+
+
+def mesh_triangles(mesh) -> np.ndarray:
+    """The faces (T, 3), cut into triangles as Blender draws them."""
+    mesh.calc_loop_triangles()
+    triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
+    mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
+    return triangles
+
+
+def worlds_at_start(obj, rig) -> list[np.ndarray]:
+    """World transforms of both, metres, when the scene starts: a model that depended on the current frame would age by
+    playing. Raises SceneError.
+    """
+    with rig_scene(obj, rig) as (scene, _follower):
+        scene.frame_set(bpy.context.scene.frame_start)
+        depsgraph = scene.view_layers[0].depsgraph
+        worlds = [np.array(moving.evaluated_get(depsgraph).matrix_world) for moving in (obj, rig)]
+    for moving, world in zip((obj, rig), worlds, strict=True):
+        if not np.isfinite(world).all():
+            raise SceneError(not_a_number(moving.name, bpy.context.scene.frame_start))
+        sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
+        if sizes[-1] <= 1e-6 * sizes[0]:
+            raise SceneError(f"'{moving.name}' is scaled to zero: give it a size")
+    return [in_metres(world, unit_scale()) for world in worlds]
+
+
+def stretch(world) -> np.ndarray:
+    """An object's scale without its rotation: the symmetric factor of the world transform's polar decomposition."""
+    values, vectors = np.linalg.eigh(world[:3, :3].T @ world[:3, :3])
+    stretch = (vectors * np.sqrt(values)) @ vectors.T
+    # Rounded, or the object's rotation would show in the last digits and make the model out of date.
+    return _rounded(stretch, 10.0 ** np.floor(np.log10(stretch.max())))
+
+
+def _rounded(values: np.ndarray, unit: float) -> np.ndarray:
+    """To five digits after the unit, which has the values' size: Blender's transforms have about seven."""
+    return np.round(values / unit, 5) * unit + 0.0  # no negative zeros

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where a built model is kept: in the .blend, or in a file beside it."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .. import preferences
+from ..core import engine, errors
+from ..core.errors import SceneError
+from ..io import model_file
+from . import extract
+from .skin import find
+
+PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, as whole numbers after their count
+
+
+def stored_model(obj) -> bytes | None:
+    """The packed model of `obj`, or None. Raises ModelFileError when there should be one."""
+    packed = obj.get(PACKED)
+    if isinstance(packed, bytes):  # of version 0.1's first files
+        return packed
+    if packed is not None:
+        return _as_bytes(obj.name, packed)
+    content_id = obj.dynamorph.model.content_id
+    if not content_id:
+        return None
+    folders = preferences.model_folders(blend_folder())
+    paths = [folder / f"{content_id}.dynamorph" for folder in folders]
+    # The id comes from the .blend, which may be anybody's: it must not lead out of the folder.
+    path = next(filter(Path.is_file, paths), None) if re.fullmatch("[0-9a-f]{32}", content_id) else None
+    if path is None:
+        places = " and ".join(f"'{folder}'" for folder in folders) or "beside the .blend"
+        raise errors.ModelFileError(
+            f"The model of '{obj.name}' is missing (looked for in {places}): put it back or build again"
+        )
+    return path.read_bytes()
+
+
+def _as_bytes(name: str, numbers) -> bytes:
+    """The inverse of `_as_numbers`; name: of the object. Raises ModelFileError."""
+    try:
+        numbers = np.asarray(numbers, "<i4")
+        count, packed = int(numbers[0]), numbers[1:].tobytes()
+        if not 0 <= len(packed) - count < 4:
+            raise ValueError
+    except (TypeError, ValueError, IndexError):
+        raise errors.ModelFileError(f"The model of '{name}' is damaged: build it again") from None
+    return packed[:count]
+
+
+def load_model(obj):
+    """The built model of `obj`, or None. Raises ModelFileError."""
+    content_id = obj.dynamorph.model.content_id
+    return _load(obj.session_uid, content_id) if content_id else None
+
+
+@lru_cache(maxsize=4)
+def _load(session_uid: int, _content_id: str):
+    build, _ = engine.engine()
+    try:
+        return build.Model.from_arrays(*model_file.unpack(stored_model(find(session_uid))))
+    except errors.ModelFileError:
+        raise
+    except ValueError as error:  # it lacks something, or has what this version does not know
+        raise errors.ModelFileError(str(error)) from error
+
+
+def stale_reasons(obj, character) -> list[str]:
+    """Why the model of `obj` must be built (again); empty when it is up to date."""
+    build, _ = engine.engine()
+    try:
+        model = load_model(obj)
+    except errors.ModelFileError as error:
+        return [str(error)]
+    return ["not built yet"] if model is None else build.stale_reasons(model, character)
+
+
+def current_model(obj):
+    """(model, character) of an object whose model is up to date. Raises SceneError."""
+    character = extract.character(obj)
+    reasons = stale_reasons(obj, character)
+    if reasons:
+        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+    return load_model(obj), character
+
+
+def fit_input(obj, target):
+    """What the fits of `materials` ask for: (model, character, index there) of one of the object's targets.
+
+    Raises SceneError unless the model is up to date.
+    """
+    model, character = current_model(obj)
+    index = index_in(character, obj, target)
+    if index is None:
+        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
+    return model, character, index
+
+
+def index_in(character, obj, target) -> int | None:
+    """Where one of the object's targets is among those of the character that is simulated; None if it is not."""
+    names = [each.name for each in character.by_method().targets]
+    first = 0 if target == obj.dynamorph.targets[0] else 1  # a shape key may be called like the neutral target
+    return names.index(target.name, first) if target.name in names[first:] else None
+
+
+def blend_folder() -> Path | None:
+    return Path(bpy.data.filepath).parent if bpy.data.filepath else None

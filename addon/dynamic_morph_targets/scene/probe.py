@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The nodes of the flesh as a mesh that Blender poses as it poses the skin, where that is not linear in the bones.
+
+With Preserve Volume, bendy bones or several Armature modifiers a node's transform is no sum of bone matrices. It is
+read from Blender instead: a mesh of the nodes, and of the nodes moved a little along each axis, with the body's own
+Armature modifiers and its vertex groups carried into the flesh.
+"""
+
+from __future__ import annotations
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..core.character import Character
+from ..core.rig_samples import PosedNodes
+from . import skinning
+from .mesh_data import NO_WEIGHT, VertexGroups
+
+REACH = 0.01  # body sizes: the nodes' shifts. Bendy bones bend within a long one, float32 rounds off a short one
+NEGLIGIBLE = 0.01  # part of a node's weights, below which the engine too forgets a bone (`SoftBody`)
+MASK = "Dynamorph Mask "  # vertex groups, one for each modifier
+
+
+class Probe:
+    """The n nodes of a model that are not pinned, to be posed by `extract`. model: a `model.Model` of `obj`.
+
+    poses (J, B, 4, 4): the targets' captured poses, armature space.
+    """
+
+    def __init__(self, obj, model, character: Character):
+        self.rest = model.nodes[model.free]
+        self.reach = REACH * float(np.linalg.norm(np.ptp(model.nodes, axis=0)))
+        meshes = [next(o for o in bpy.data.objects if o.session_uid == part.session_uid) for part in character.parts]
+        self._names, weights, masks, of_modifiers = _skin_groups(obj, meshes)
+        at_nodes = model.at_nodes(np.hstack([weights, masks]))[model.free].clip(0.0, 1.0)
+        weights, masks = np.split(at_nodes, [weights.shape[1]], axis=1)
+        totals = weights @ of_modifiers.T
+        kept = ((weights[:, None] >= NEGLIGIBLE * totals[..., None]) & of_modifiers).any(axis=1)
+        shifts = self.reach * np.vstack([np.zeros(3), np.eye(3)])
+        points = (self.rest + shifts[:, None]) @ np.linalg.inv(model.to_bind).T
+        self._mesh = _weighted(points.reshape(-1, 3), np.tile(np.hstack([weights * kept, masks]), (4, 1)))
+        self._skeleton = character.skeleton
+        self.poses = character.skeleton.pose(np.array([target.local for target in character.by_method().targets]))
+
+    def mesh(self):
+        """A new mesh of the nodes, for an object that `dress` makes look like the body."""
+        mesh = bpy.data.meshes.new("Dynamorph Sampling")
+        self._mesh.to_mesh(mesh)
+        return mesh
+
+    def dress(self, probe, obj):
+        """Give the object of `mesh` what skins `obj`."""
+        for name in self._names:
+            probe.vertex_groups.new(name=name)
+        for k, modifier in enumerate(skinning.armature_modifiers(obj)):
+            probe.vertex_groups.new(name=f"{MASK}{k}")
+            copy = probe.modifiers.new(modifier.name, "ARMATURE")
+            for field in ("object", "use_deform_preserve_volume", "use_multi_modifier", "show_viewport"):
+                setattr(copy, field, getattr(modifier, field))
+            copy.vertex_group = f"{MASK}{k}"
+
+    def empty_samples(self, count: int) -> PosedNodes:
+        return PosedNodes(self.rest, self.reach, np.empty((count, 4, len(self.rest), 3), np.float32))
+
+    def in_poses(self, scene, probe, rig, poses: np.ndarray) -> PosedNodes:
+        """The nodes in poses (S, B, 4, 4) of the armature, the objects being where they are at the scene's frame.
+
+        A copy of the armature takes the poses, without constraints, drivers and animation; other armatures stay as
+        they are.
+        """
+        samples = self.empty_samples(len(poses))
+        stand_in = rig.copy()
+        dressed = [modifier for modifier in probe.modifiers if modifier.object == rig]
+        try:
+            stand_in.animation_data_clear()
+            stand_in.parent = None
+            for posed in (stand_in, *stand_in.pose.bones):
+                while posed.constraints:
+                    posed.constraints.remove(posed.constraints[0])
+            stand_in.constraints.new("COPY_TRANSFORMS").target = rig
+            scene.collection.objects.link(stand_in)
+            for modifier in dressed:
+                modifier.object = stand_in
+            for pose, points in zip(poses, samples.points, strict=True):
+                self._take(stand_in, pose)
+                # An update of the view layer would not evaluate the animation of what moves the objects.
+                scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+                self.read(scene, probe, points)
+        finally:
+            for modifier in dressed:
+                modifier.object = rig
+            bpy.data.objects.remove(stand_in)
+        return samples
+
+    def read(self, scene, probe, points: np.ndarray):
+        """What Blender has made of the object's mesh, in its own space: (4, n, 3), contiguous float32."""
+        evaluated = probe.evaluated_get(scene.view_layers[0].depsgraph)
+        evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
+
+    def _take(self, rig, pose: np.ndarray):
+        """Pose an armature object without constraints: pose (B, 4, 4), armature space."""
+        placed = {name: Matrix(matrix) for name, matrix in zip(self._skeleton.names, pose, strict=True)}
+        for name, matrix in placed.items():
+            bone = rig.data.bones[name]
+            above = {}
+            if bone.parent:
+                above = {"parent_matrix": placed[bone.parent.name], "parent_matrix_local": bone.parent.matrix_local}
+            rig.pose.bones[name].matrix_basis = bone.convert_local_to_pose(
+                matrix, bone.matrix_local, invert=True, **above
+            )
+
+
+def _skin_groups(obj, others) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
+    """What the K Armature modifiers of `obj` read: names of G vertex groups, their weights (V, G), of which Blender
+    sees the ratios, the part (V, K) that each modifier has in the result, and which groups are its bones' (K, G).
+
+    others: objects of which the character has the vertices besides; what skins those counts as what skins `obj`.
+    """
+    meshes, modifiers = (obj, *others), skinning.armature_modifiers(obj)
+    bones = [
+        [bone.name for mesh in meshes for bone in skinning.deforming_bones(mesh, modifier.object)]
+        for modifier in modifiers
+    ]
+    names = list(dict.fromkeys(name for of_modifier in bones for name in of_modifier))
+    of_modifiers = np.array([[name in of_modifier for name in names] for of_modifier in bones])
+    found = [_weights_and_masks(mesh, names, of_modifiers) for mesh in meshes]
+    weights, masks = (np.concatenate(each) for each in zip(*found, strict=True))
+    return names, weights, masks, of_modifiers
+
+
+def _weights_and_masks(obj, names: list[str], of_modifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of one mesh, as `_skin_groups`. A modifier that it lacks has no part in it."""
+    groups = VertexGroups(obj)
+    weights = groups.weights(names)
+    masks = np.zeros((len(weights), len(of_modifiers)))
+    for mask, modifier, own in zip(masks.T, skinning.armature_modifiers(obj), of_modifiers, strict=False):
+        mask[:] = 1.0
+        if modifier.vertex_group in obj.vertex_groups:
+            painted = groups.weights([modifier.vertex_group])[:, 0]
+            mask[:] = 1.0 - painted if modifier.invert_vertex_group else painted
+        if not modifier.use_multi_modifier:  # one that is goes back to before the first, also where it has no weights
+            mask *= weights @ own > NO_WEIGHT
+    totals = weights.sum(axis=1, keepdims=True)
+    return weights / np.where(totals > NO_WEIGHT, totals, np.inf), masks
+
+
+def _weighted(points: np.ndarray, weights: np.ndarray) -> bmesh.types.BMesh:
+    """Vertices with weights in vertex groups. Blender keeps nothing of it, so that no undo brings it back."""
+    out = bmesh.new()
+    layer = out.verts.layers.deform.verify()
+    for point, of_point in zip(points.tolist(), weights, strict=True):
+        groups = out.verts.new(point)[layer]
+        for group in np.flatnonzero(of_point).tolist():
+            groups[group] = of_point[group]
+    return out

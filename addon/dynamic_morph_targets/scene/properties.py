@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the artist authored, stored on the Object as `Object.dynamorph`, and how it follows renames.
+
+Blender gives shape keys no lasting identity and bones only their names, so each reference keeps a second clue: a hash
+of the key's shape, the bone's rest matrix. `reconcile` uses it when a name is gone. The settings live on the Object
+(not the Key, which vanishes with its last shape key, and not the ShapeKey, which takes no properties).
+"""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.types import PropertyGroup
+
+from . import events
+from .bake_properties import DynamorphBake, DynamorphLive, DynamorphOutput, DynamorphSculpt, DynamorphSimulation
+from .model_properties import DynamorphMode, DynamorphModel, DynamorphPiece
+from .references import OVERRIDE, OVERRIDE_LIST
+from .target_properties import DynamorphBone, DynamorphBonePose, DynamorphKey, DynamorphTarget
+
+
+class DynamorphSettings(PropertyGroup):
+    """Everything about the soft skin of one object."""
+
+    targets: CollectionProperty(
+        name="Targets", description="Dynamic morph targets; the first is the neutral one", type=DynamorphTarget,
+        override=OVERRIDE_LIST,
+    )  # fmt: skip
+    active_target_index: IntProperty(
+        name="Active Target", description="Index of the target selected in the list", override=OVERRIDE
+    )
+    soft_group: StringProperty(
+        name="Soft",
+        description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
+        override=OVERRIDE,
+    )
+    groups: StringProperty(name="Groups", description="Names of the vertex groups, a line each, to follow renames")
+    stiffness_group: StringProperty(
+        name="Stiffness",
+        description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
+        override=OVERRIDE,
+    )
+    stiffness_factor: FloatProperty(
+        name="Factor",
+        description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
+        default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
+    )  # fmt: skip
+    pieces: CollectionProperty(
+        name="Attachments", description="Parts of the mesh, and other meshes, that do not simply belong to the body",
+        type=DynamorphPiece, override=OVERRIDE_LIST,
+    )  # fmt: skip
+    active_piece_index: IntProperty(
+        name="Active Attachment", description="Index of the attachment selected in the list", min=0, override=OVERRIDE
+    )
+    follows: PointerProperty(
+        name="Follows", description="The soft skin whose motion the bake or Live shows on this mesh",
+        type=bpy.types.Object,
+    )  # fmt: skip
+    had_keys: BoolProperty(name="Had Shape Keys", description="Whether the mesh had a Basis before it followed")
+    model: PointerProperty(
+        name="Model", description="How the model is built, and what came of it", type=DynamorphModel, override=OVERRIDE
+    )
+    modes: CollectionProperty(
+        name="Modes", description="Displacement modes of the built model", type=DynamorphMode, override=OVERRIDE_LIST
+    )
+    active_mode_index: IntProperty(
+        name="Active Mode", description="Index of the mode selected in the list", min=0, override=OVERRIDE
+    )
+    simulation: PointerProperty(
+        name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
+    )
+    live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
+    output: PointerProperty(name="Output", description="What a bake becomes", type=DynamorphOutput, override=OVERRIDE)
+    bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
+    sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
+
+    @property
+    def active_target(self):
+        """The target selected in the list, or None."""
+        inside = 0 <= self.active_target_index < len(self.targets)
+        return self.targets[self.active_target_index] if inside else None
+
+    @property
+    def active_piece(self):
+        """The piece selected in the list, or None."""
+        return self.pieces[self.active_piece_index] if self.active_piece_index < len(self.pieces) else None
+
+
+def _paint_surface(which: str, other: str):
+    """The update of a toggle that colors the surface: only one of the two does, and viewports draw anew."""
+
+    def update(display, _context):
+        if getattr(display, which) and getattr(display, other):
+            setattr(display, other, False)
+        events.redraw(events.VIEWS)
+
+    return update
+
+
+def _show_influence(display, _context):
+    if display.influence and not bpy.app.background:
+        events.emit(events.Event.WEIGHTS_ASKED)
+
+
+class DynamorphDisplay(PropertyGroup):
+    """What the 3D viewport shows besides; for the session, like Blender's own overlays of a window."""
+
+    cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra, with the nodes that the bones hold")
+    influence: BoolProperty(
+        name="Influence", description="Draw each target's weight over the frames, shading those far from every target",
+        update=_show_influence,
+    )  # fmt: skip
+    heat: BoolProperty(
+        name="Heat Map",
+        description="Color the skin by how far it moves away from the animation, as a part of Max Displacement",
+        update=_paint_surface("heat", "hold"),
+    )  # fmt: skip
+    hold: BoolProperty(
+        name="Show Hold", description="Color the skin by how firmly the skeleton holds it, as the model was built",
+        update=_paint_surface("hold", "heat"),
+    )  # fmt: skip
+    posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
+
+
+CLASSES = (
+    DynamorphKey,
+    DynamorphBone,
+    DynamorphBonePose,
+    DynamorphTarget,
+    DynamorphPiece,
+    DynamorphModel,
+    DynamorphMode,
+    DynamorphLive,
+    DynamorphSimulation,
+    DynamorphOutput,
+    DynamorphBake,
+    DynamorphSculpt,
+    DynamorphSettings,
+    DynamorphDisplay,
+)
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register():
+    _register_classes()
+    bpy.types.Object.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphSettings, override=OVERRIDE)
+    bpy.types.WindowManager.dynamorph = PointerProperty(name="Dynamorph", type=DynamorphDisplay)
+
+
+def unregister():
+    del bpy.types.WindowManager.dynamorph
+    del bpy.types.Object.dynamorph
+    _unregister_classes()

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the settings refer to by name: shape keys, bones and the rig, and how each is told from others."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from bpy.props import IntProperty, StringProperty
+
+from ..core.character import Skeleton
+
+OVERRIDE = {"LIBRARY_OVERRIDABLE"}
+OVERRIDE_LIST = {"LIBRARY_OVERRIDABLE", "USE_INSERTION"}
+
+
+def rig_of(obj):
+    """The armature object that places the targets of `obj`, or None: of the first Armature modifier that skins it.
+
+    That has a deforming bone with a vertex group; if none has, the first that has an armature.
+    """
+    rigs = [m.object for m in obj.modifiers if m.type == "ARMATURE" and m.object]
+    if len(rigs) < 2:
+        return rigs[0] if rigs else None
+    groups = set(obj.vertex_groups.keys())
+    skins = (rig for rig in rigs if any(bone.use_deform and bone.name in groups for bone in rig.data.bones))
+    return next(skins, rigs[0])
+
+
+def rest_skeleton(armature) -> Skeleton:
+    """The armature's bones at rest, parents before children."""
+    bones = sorted(armature.bones, key=lambda bone: len(bone.parent_recursive))  # stable: siblings keep their order
+    names = tuple(bone.name for bone in bones)
+    parents = np.array([names.index(bone.parent.name) if bone.parent else -1 for bone in bones], dtype=np.int64)
+    rest = np.array([bone.matrix_local for bone in bones], dtype=np.float64).reshape(-1, 4, 4)
+    return Skeleton(names, parents, rest)
+
+
+def bones_key(armature) -> tuple:
+    """The bones' names and where they rest, to be compared."""
+    rest = np.empty(16 * len(armature.bones), np.float32)
+    armature.bones.foreach_get("matrix_local", rest)
+    return tuple(armature.bones.keys()), rest.tobytes()
+
+
+def key_points(block) -> np.ndarray:
+    """The points of a shape key, (V, 3) float32, local space. float32 because Blender then copies in one piece."""
+    points = np.empty((len(block.points), 3), np.float32)
+    block.points.foreach_get("co", points.ravel())
+    return points
+
+
+def key_hash(block) -> str:
+    """Identifies a shape key by what it sculpts, whatever its name or place in the list."""
+    return _hash(_key_shape(block))
+
+
+def basis_hash(blocks) -> str:
+    """Tells when the mesh itself was edited, which changes all its shape keys."""
+    return _hash(key_points(blocks[0]))
+
+
+def _hash(points: np.ndarray) -> str:
+    return hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
+
+
+def key_reach(block) -> float:
+    """How far a shape key moves a point, at most. Unlike the hash it survives an edit of the Basis."""
+    return float(np.abs(_key_shape(block)).max(initial=0.0))
+
+
+def _key_shape(block) -> np.ndarray:
+    return key_points(block) - key_points(block.relative_key)
+
+
+class KeyReference:
+    """Mixin: a shape key, found again after a rename. The group's own `name` is the key's name."""
+
+    key_index: IntProperty(name="Key Index", description="Place of the shape key in the list", override=OVERRIDE)
+    key_hash: StringProperty(name="Key Hash", description="Identifies the sculpted shape", override=OVERRIDE)
+
+    def refer_to(self, blocks, index: int):
+        """Point at `blocks[index]`. Writes only what changed: a write tags the object for evaluation."""
+        block = blocks[index]
+        for field, value in (("name", block.name), ("key_index", index), ("key_hash", key_hash(block))):
+            if getattr(self, field) != value:
+                setattr(self, field, value)
+
+
+KEY_REFERENCE = ("name", *KeyReference.__annotations__)

@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A rig over the frames of a shot: poses, worlds and force fields, sampled as Blender evaluates them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ..core.character import Skeleton
+from ..core.errors import SceneError
+from ..core.geometry import determinant, invertible, turned
+from ..core.rig_samples import ForceField, RigSamples
+from . import checks, skinning
+from .checks import armature_modifier, refuse
+from .references import rest_skeleton
+from .skin import unit_scale
+
+MOVED = np.radians(5.0)  # a bone turned further than this from the neutral pose places a target by default
+
+
+@contextmanager
+def at_rest(rig):
+    position = rig.data.pose_position
+    rig.data.pose_position = "REST"
+    try:
+        yield
+    finally:
+        rig.data.pose_position = position
+
+
+def in_metres(worlds: np.ndarray, unit: float) -> np.ndarray:
+    """World transforms (..., 4, 4) for the world in metres instead of Blender units of `unit` metres."""
+    return worlds * np.array([unit, unit, unit, 1.0])[:, None]
+
+
+def not_a_number(name: str, frame: int) -> str:
+    return f"'{name}' has a transform that is not a number at frame {frame}: check its drivers and constraints"
+
+
+def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4), metres.
+
+    depsgraph: where it is evaluated, if not where the artist sees it.
+    """
+    modifier = armature_modifier(obj)
+    refuse(checks.rig(obj, modifier))
+    rig = modifier.object
+    skeleton = rest_skeleton(rig.data)
+    evaluated = rig.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get())
+    pose = pose_matrices(evaluated, pose_order(rig, skeleton))
+    rig_world = world_now(rig, depsgraph)
+    for name, matrix in zip(skeleton.names, pose, strict=True):
+        if not np.isfinite(matrix).all():
+            raise SceneError(not_a_number(name, bpy.context.scene.frame_current))
+    flat = [name for name, matrix in zip(skeleton.names, pose, strict=True) if not invertible(matrix)]
+    if flat:
+        raise SceneError(f"Bone '{flat[0]}' of '{rig.name}' is scaled to zero: give it a size to capture the pose")
+    return skeleton, skeleton.local_transforms(pose), rig_world
+
+
+def world_now(obj, depsgraph=None) -> np.ndarray:
+    """The evaluated world transform (4, 4) of an object, metres; depsgraph: as `current_pose`. Raises SceneError."""
+    world = np.array(obj.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()).matrix_world)
+    if not np.isfinite(world).all():
+        raise SceneError(not_a_number(obj.name, bpy.context.scene.frame_current))
+    return in_metres(world, unit_scale())
+
+
+def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray) -> list[str]:
+    """Names of the deforming bones whose local rotation differs by more than MOVED."""
+    bones = armature_modifier(obj).object.data.bones
+    angles = turned(first, second)
+    return [
+        name for name, angle in zip(skeleton.names, angles, strict=True) if angle > MOVED and bones[name].use_deform
+    ]
+
+
+def pose_order(rig, skeleton: Skeleton) -> list[int]:
+    """Where the skeleton's bones are among those of the armature object's pose."""
+    return [rig.pose.bones.find(name) for name in skeleton.names]
+
+
+def pose_matrices(evaluated_rig, order) -> np.ndarray:
+    """Pose matrices (B, 4, 4), armature space."""
+    columns = np.empty((len(order), 4, 4), np.float32)
+    _read_pose(evaluated_rig, columns)
+    return _ordered(columns, order)
+
+
+def _read_pose(evaluated_rig, columns: np.ndarray):
+    """Pose matrices as Blender has them: (B, 4, 4) float32, column after column, bones in the armature's order."""
+    evaluated_rig.pose.bones.foreach_get("matrix", columns.ravel())
+
+
+def _ordered(columns: np.ndarray, order) -> np.ndarray:
+    """Pose matrices (..., B, 4, 4), row after row, bones in the skeleton's order, from what `_read_pose` reads."""
+    return columns.swapaxes(-1, -2)[..., order, :, :].astype(np.float64)
+
+
+def _rows(matrix) -> tuple[tuple[float, ...], ...]:
+    """A Blender matrix for NumPy, which asks Blender for each number when it gets the matrix itself."""
+    return tuple(map(tuple, matrix))
+
+
+def sample_rig(obj, start: int, end: int, substeps: int, probe=None) -> RigSamples:
+    """The rig at 1 + (end - start) * substeps times, at once; probe: as in `RigSampling`. Raises SceneError."""
+    sampling = RigSampling(obj, start, end, substeps)
+    sampling.probe = probe
+    sampling.advance(obj)
+    return sampling.samples()
+
+
+def sample_present(obj, probe=None) -> RigSamples:
+    """One sample of the rig as the artist sees it posed now; probe: as in `RigSampling`. Raises SceneError."""
+    skeleton, local, rig_world = current_pose(obj)
+    pose, world = skeleton.pose(local)[None], world_now(obj)[None]
+    if probe is None:
+        return RigSamples(pose, rig_world[None], world)
+    rig, frame = armature_modifier(obj).object, bpy.context.scene.frame_float
+    with rig_scene(obj, rig, probe) as (scene, follower):
+        scene.frame_set(int(frame), subframe=frame % 1.0)
+        nodes, held = (probe.in_poses(scene, follower, rig, poses) for poses in (pose, probe.poses))
+    return RigSamples(pose, rig_world[None], world, nodes=nodes, held=held)
+
+
+class RigSampling:
+    """Reads the rig at 1 + (end - start) * substeps times, true sub-frames, without evaluating the mesh.
+
+    It does so in slices, between which Blender does other things. Each makes a scene of its own, in a few milliseconds:
+    one that stayed in between would be seen, saved, and brought back by undo. The user's frame and pose stay as they
+    are.
+
+    probe: the nodes that Blender is to pose too (`probe.Probe`), to be set before the first slice.
+    """
+
+    def __init__(self, obj, start: int, end: int, substeps: int):
+        rig = armature_modifier(obj).object
+        self.start, self.substeps = start, substeps
+        self.probe = self._nodes = self._held = None
+        self.done, self.count = 0, 1 + (end - start) * substeps
+        self._unit = unit_scale()
+        self._skeleton = rest_skeleton(rig.data)
+        self._order = pose_order(rig, self._skeleton)
+        self._moving = _moving(obj, rig)
+        sources = _force_fields(bpy.context.view_layer) if obj.dynamorph.simulation.fields else []
+        self._sources = [source.name for source in sources]
+        self._columns = np.empty((self.count, len(self._order), 4, 4), np.float32)
+        self._rig_world, self._object_world = np.empty((2, self.count, 4, 4))
+        self._fields = tuple(_empty_samples(source.field, self.count, self._unit) for source in sources)
+
+    @property
+    def frame(self) -> int:
+        """The frame that comes next."""
+        return self.start + self.done // self.substeps
+
+    def advance(self, obj, seconds: float = np.inf) -> bool:
+        """Read on for about so long; True when all is read. obj: the same object, which may have moved in memory.
+
+        Raises SceneError.
+        """
+        ends = time.perf_counter() + seconds
+        rig = armature_modifier(obj).object
+        sources = [bpy.context.scene.objects.get(name) for name in self._sources]
+        if _moving(obj, rig) != self._moving or None in sources:
+            raise SceneError(f"'{obj.name}' or what moves it changed while it was read: start again")
+        with rig_scene(obj, rig, self.probe) as (scene, follower):
+            for source in sources:
+                if source.name not in scene.collection.objects:  # the rig may be one
+                    scene.collection.objects.link(source)
+            if self.probe and self._nodes is None:
+                scene.frame_set(self.start)
+                self._held = self.probe.in_poses(scene, follower, rig, self.probe.poses)
+                self._nodes = self.probe.empty_samples(self.count)
+            while self.done < self.count:
+                self._read(scene, obj, rig, sources)
+                if self.probe:
+                    self.probe.read(scene, follower, self._nodes.points[self.done])
+                self.done += 1
+                if time.perf_counter() > ends:
+                    break
+        return self.done == self.count
+
+    def _read(self, scene, obj, rig, sources):
+        s = self.done
+        scene.frame_set(self.frame, subframe=s % self.substeps / self.substeps)
+        depsgraph = scene.view_layers[0].depsgraph  # None before the first frame_set
+        evaluated = rig.evaluated_get(depsgraph)
+        _read_pose(evaluated, self._columns[s])
+        self._rig_world[s] = _rows(evaluated.matrix_world)
+        self._object_world[s] = _rows(obj.evaluated_get(depsgraph).matrix_world)
+        for source, field in zip(sources, self._fields, strict=True):
+            moved = source.evaluated_get(depsgraph)
+            field.world[s] = _rows(moved.matrix_world)
+            field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
+
+    def samples(self) -> RigSamples:
+        """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
+        worlds = in_metres(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
+        fields = tuple(replace(field, world=in_metres(field.world, self._unit)) for field in self._fields)
+        pose = _ordered(self._columns, self._order)
+        samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], fields, self._nodes, self._held)
+        bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
+        if len(bad):
+            raise SceneError(not_a_number(self._moving[bad[0, 1]], self._frame(bad[0, 0])))
+        flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
+        if len(flat):
+            name, frame = self._moving[flat[0, 1]], self._frame(flat[0, 0])
+            raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
+        for nodes in filter(None, (self._nodes, self._held)):
+            if not np.isfinite(nodes.points).all():
+                raise SceneError(not_a_number(self._moving[1], self.start))
+        for name, field in zip(self._sources, self._fields, strict=True):
+            if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
+                raise SceneError(f"Force field '{name}' is not a number at some frame: check its drivers")
+        return samples
+
+    def _frame(self, sample) -> int:
+        return self.start + int(sample) // self.substeps
+
+
+def _moving(obj, rig) -> tuple[str, ...]:
+    """Names of what moves `obj`: the armature, the object, the bones, and other armatures that skin it."""
+    others = (modifier.object.name for modifier in skinning.armature_modifiers(obj))
+    return (rig.name, obj.name, *rest_skeleton(rig.data).names, *others)
+
+
+def _force_fields(view_layer) -> list:
+    """The objects whose force field pushes skin. Raises SceneError for kinds that would act otherwise than shown."""
+    found = []
+    for obj in view_layer.objects:
+        field = obj.field
+        if not field or field.type not in {"WIND", "FORCE"} or not field.apply_to_location or obj.hide_viewport:
+            continue
+        if field.shape not in {"POINT", "PLANE"} or field.falloff_type != "SPHERE" or field.z_direction != "BOTH":
+            raise SceneError(
+                f"Force field '{obj.name}' cannot push skin as it is: choose Shape Point or Plane, Falloff Sphere "
+                "and Z Direction Both, or set Force Fields to 0"
+            )
+        found.append(obj)
+    return found
+
+
+def _empty_samples(field, count: int, unit: float) -> ForceField:
+    nearest = unit * field.distance_min if field.use_min_distance else 0.0
+    farthest = unit * field.distance_max if field.use_max_distance else np.inf
+    plane = field.shape == "PLANE"
+    return ForceField(
+        field.type, plane, field.falloff_power, nearest, farthest, np.empty((count, 4, 4)), np.empty(count)
+    )
+
+
+@contextmanager
+def rig_scene(obj, rig, probe=None):
+    """A scene with the rig, so that a frame costs what the rig costs; and an object that follows the mesh object.
+
+    That copies the mesh object's transform, which makes the dependency graph evaluate it, with its parents, constraints
+    and drivers, but not the mesh. It is empty, or a probe's mesh that is skinned like the body.
+    """
+    if render_runs():
+        raise SceneError("Blender is rendering: wait until it is done")
+    user = bpy.context.scene.render
+    scene = bpy.data.scenes.new("Dynamorph Sampling")
+    mesh = probe and probe.mesh()
+    follower = bpy.data.objects.new("Dynamorph Sampling", mesh)
+    try:
+        for field in ("fps", "fps_base", "frame_map_old", "frame_map_new"):
+            setattr(scene.render, field, getattr(user, field))
+        follower.constraints.new("COPY_TRANSFORMS").target = obj
+        if probe:
+            probe.dress(follower, obj)
+        scene.collection.objects.link(rig)
+        scene.collection.objects.link(follower)
+        yield scene, follower
+    finally:
+        bpy.data.scenes.remove(scene)
+        bpy.data.objects.remove(follower)
+        if mesh:
+            bpy.data.meshes.remove(mesh)
+
+
+def render_runs() -> bool:
+    """Whether Blender renders beside this thread. Data that is added or removed then makes it crash."""
+    return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The settings of a simulation and its output as the scene and the object have them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..core.errors import SceneError
+from ..core.settings import OutputSettings, SimulationSettings
+from .skin import unit_scale
+
+
+def output_settings(obj) -> OutputSettings:
+    """What the bakes of `obj` become, lengths in metres."""
+    chosen = obj.dynamorph.output.settings()
+    return replace(chosen, tolerance=unit_scale() * chosen.tolerance)
+
+
+def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
+    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it, which are rounded up to a
+    multiple of the samples a frame. Raises SceneError.
+
+    The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
+    per s^2.
+    """
+    chosen = obj.dynamorph.simulation
+    fps = scene.render.fps / scene.render.fps_base
+    own = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)
+    start, end = frames or own
+    if end < start:
+        raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
+    substeps = substeps or chosen.steps_per_frame(fps)
+    gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
+    gains = tuple(mode.gain for mode in obj.dynamorph.modes)
+    return SimulationSettings(
+        start,
+        end,
+        fps,
+        -(-substeps // chosen.samples) * chosen.samples,
+        chosen.scheme,
+        tuple(gravity.tolist()),
+        chosen.samples,
+        chosen.preroll,
+        chosen.preroll_pose,
+        chosen.begin,
+        chosen.loop,
+        gains if set(gains) != {1.0} else (),
+        chosen.amount,
+    )

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Soft skins of the file: which objects they are, and what belongs to them."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core.errors import SceneError
+from .references import rig_of
+
+
+def unit_scale() -> float:
+    """Metres in a Blender unit, as the scene's unit settings say. All that is read of the world is in metres."""
+    units = bpy.context.scene.unit_settings
+    return 1.0 if units.system == "NONE" else units.scale_length
+
+
+def find(session_uid: int):
+    """The object with this id, which outlives undo and renames; Python references do not. Raises SceneError."""
+    obj = next((obj for obj in bpy.data.objects if obj.session_uid == session_uid), None)
+    if obj is None:
+        raise SceneError("The object was deleted while the job ran: nothing was written")
+    return obj
+
+
+def named_targets(obj) -> list[tuple]:
+    """(name, target) of all targets; the neutral's name is empty, because a shape key may be called like it."""
+    return [(target.name if i else "", target) for i, target in enumerate(obj.dynamorph.targets)]
+
+
+def soft_skins(objects):
+    """Those of `objects` that carry a soft skin."""
+    return [obj for obj in objects if obj.type == "MESH" and obj.dynamorph.targets]
+
+
+def parts_in(obj) -> list:
+    """The pieces of a soft skin that are parts of its own mesh."""
+    return parts_of(obj, None)
+
+
+def parts_of(obj, mesh) -> list:
+    """The pieces of a soft skin that are parts of another mesh object; None: of its own."""
+    return [piece for piece in obj.dynamorph.pieces if piece.group and piece.object == mesh]
+
+
+def clothes_in(obj) -> list:
+    """The other meshes that the flesh of a soft skin is to carry along, without those that are deleted."""
+    choices = {"WITH_BODY", "HELD"} if obj.dynamorph.model.one_cage else {"WITH_BODY"}
+    pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice in choices]
+    return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
+
+
+def is_shown_on(obj) -> bool:
+    """Whether there are keys of a bake or of Live on a mesh."""
+    return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
+
+
+def cache_modifier(obj):
+    """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
+    file = obj.dynamorph.bake.cache
+    caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
+    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
+
+
+def followers(obj) -> list:
+    """The meshes that show the motion of the soft skin `obj` now, by its bake or by Live."""
+    return [other for other in bpy.data.objects if other.dynamorph.follows == obj]
+
+
+def mesh_in(context):
+    """The mesh object that buttons and panels are about, or None: the active one, of an armature the soft skin on it.
+
+    Of several soft skins on one armature, a selected one; without any, the largest mesh.
+    """
+    obj = context.object
+    if obj is not None and obj.type == "ARMATURE":
+        skins = [skin for skin in soft_skins(context.view_layer.objects) if rig_of(skin) == obj]
+        return min(skins, key=lambda skin: not skin.select_get(), default=None) or _largest_on(obj, context)
+    return obj if obj is not None and obj.type == "MESH" else None
+
+
+def _largest_on(rig, context):
+    """The mesh with the most vertices that an armature object skins, or None."""
+    skinned = [obj for obj in context.view_layer.objects if obj.type == "MESH" and rig_of(obj) == rig]
+    return max(skinned, key=lambda obj: len(obj.data.vertices), default=None)

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a model and a bake were made from, and what has changed since, as sentences for the panels.
+
+Compared are settings, which the panels may do whenever they draw; the mesh is looked at by `jobs.show_stale`, and the
+animation by `look_at_animation`, a while after an edit.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from functools import lru_cache
+from zlib import crc32
+
+import bpy
+import numpy as np
+
+from ..core.errors import SceneError
+from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
+from . import animation, run_settings, skin, skinning
+from .plain import plain
+from .references import KEY_REFERENCE
+from .skin import clothes_in, followers, named_targets, parts_in
+
+SCULPT = "sculpt"  # in the records of targets: what tells a renamed one from another
+# Of targets: what no result depends on, as the stiffness and the region say it, or how the add-on goes on with them.
+UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
+
+
+def look_at_animation(obj):
+    """Look at the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
+    record = obj.dynamorph.bake
+    seen = json.dumps(animation.animation(obj)) if record.exists else ""
+    if record.animation != seen:
+        record.animation = seen
+
+
+def model_changes(obj) -> list[str]:
+    """The settings that have changed since the model of `obj` was built. Reads no mesh: fit for drawing."""
+    built = obj.dynamorph.model.built
+    return _changes(obj, _parsed(built), model_inputs(obj)) if built else []
+
+
+def model_age(obj) -> list[str]:
+    """Why the model of `obj` must be built again: its settings, else what its mesh was last seen to say."""
+    return model_changes(obj) or [text for text in [obj.dynamorph.model.stale] if text]
+
+
+def outdated(obj) -> list[str]:
+    """What has changed since the bake of `obj`, as sentences. Reads no mesh and no animation: fit for drawing."""
+    settings = obj.dynamorph
+    record = settings.bake
+    if not (record.exists and record.inputs):
+        return []
+    try:
+        now = bake_inputs(obj, run_settings.simulation_settings(obj, bpy.context.scene))
+    except SceneError as error:
+        return [str(error)]
+    then = _parsed(record.inputs)
+    if settings.simulation.is_patch:  # the range is that of the next patch
+        now["simulation"] |= {name: then["simulation"][name] for name in ("start", "end")}
+    found = _changes(obj, then, now)
+    if obj.dynamorph.model.content_id != then["content_id"]:
+        found.append("the model was built again")
+    if obj.dynamorph.model.stale:
+        found.append(obj.dynamorph.model.stale)
+    seen = _parsed(record.animation or "[]")
+    found += _piece_changes(obj)
+    found += [
+        f'animation of "{name}" changed'
+        for (name, digest), (_, before) in zip(seen, then["animation"], strict=False)
+        if digest != before
+    ]
+    if seen and len(seen) != len(then["animation"]):
+        found.append("parents changed")
+    return found
+
+
+@lru_cache(maxsize=64)
+def _parsed(text: str):
+    return json.loads(text)
+
+
+def model_inputs(obj) -> dict:
+    """The settings that a model depends on, by where they are."""
+    settings = obj.dynamorph
+    groups = {"soft_group": settings.soft_group, "stiffness_group": settings.stiffness_group}
+    if settings.stiffness_group:
+        groups["stiffness_factor"] = settings.stiffness_factor
+    groups["pieces"] = [[part.group, part.choice] for part in parts_in(obj) if part.choice != "WITH_BODY"]
+    if settings.model.one_cage:
+        groups["attachments"] = [
+            [piece.choice, piece.group] for piece in settings.pieces if piece.object and piece.object.users_scene
+        ]
+    model = {name: value for name, value in asdict(settings.model.settings()).items() if name not in FREE_SETTINGS}
+    targets = {
+        name: {"mute": target.mute, "region": target.region, SCULPT: target.key_hash if name else ""}
+        for name, target in named_targets(obj)
+    }
+    scene = {"unit_scale": skin.unit_scale(), "engine": ENGINE}
+    return {"targets": targets, "model": model, "groups": groups, "scene": scene}
+
+
+def bake_inputs(obj, simulation: SimulationSettings) -> dict:
+    """The settings that a bake depends on, by where they are."""
+    settings = obj.dynamorph
+    inputs = model_inputs(obj)
+    inputs["model"] = asdict(settings.model.settings())
+    inputs["groups"]["armature_modifiers"] = skinning.skinning_settings(obj)
+    inputs["simulation"] = asdict(simulation) | {"fields": settings.simulation.fields}
+    inputs["output"] = asdict(settings.output.settings())
+    for name, target in named_targets(obj):
+        own = plain(target, skip=(*KEY_REFERENCE, *UNUSED))
+        seen = crc32(target.pose_bytes() + np.array(target.rig_world).tobytes())
+        inputs["targets"][name] |= own | {"bones": target.bone_names(), "pose": seen}
+    return json.loads(json.dumps(inputs))
+
+
+def _changes(obj, then: dict, now: dict) -> list[str]:
+    """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
+    settings = obj.dynamorph
+    found = _target_changes(obj, then["targets"], now["targets"])
+    known = {"model": settings.model, "simulation": settings.simulation, "output": settings.output}
+    known |= {"groups": None, "scene": None}
+    for part, group in known.items():
+        before, after = then.get(part, {}), now.get(part, {})
+        found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]
+    return found
+
+
+def _target_changes(obj, then: dict, now: dict) -> list[str]:
+    lost, new = [name for name in then if name not in now], [name for name in now if name not in then]
+    for name in list(new):  # renamed, if it is sculpted alike; older records do not say how it was
+        old = next((old for old in lost if then[old].get(SCULPT) in (None, now[name][SCULPT])), None)
+        if old is not None:
+            then = {**then, name: then[old]}
+            new.remove(name)
+            lost.remove(old)
+    found = [f'target "{name}" is new' for name in new] + [f'target "{name}" is gone' for name in lost]
+    for name, target in named_targets(obj):
+        before, after = then.get(name, {}), now[name]
+        if not (before.get("mute") and after["mute"]):
+            told = [field for field in after if field != SCULPT]  # of the mesh `jobs.show_stale` tells
+            changed = [_title(target, field) for field in told if before.get(field, after[field]) != after[field]]
+            found += [f'{title.lower()} of "{target.name}" changed' for title in changed]
+    return found
+
+
+def _piece_changes(obj) -> list[str]:
+    """Which other meshes do not show what the bake of `obj` should show."""
+    wanted, shown = clothes_in(obj), followers(obj)
+    found = [f'attachment "{piece.name}" is new' for piece in wanted if piece not in shown]
+    return found + [
+        f'attachment "{piece.name}" is not with the body any more' for piece in shown if piece not in wanted
+    ]
+
+
+def _title(group, name: str) -> str:
+    """The name that the panels show for a setting."""
+    own = group and group.bl_rna.properties.get(name)
+    return own.name if own else {"fps": "Frame rate"}.get(name, name.replace("_", " ").capitalize())

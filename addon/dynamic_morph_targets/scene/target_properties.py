@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the artist authored about one target, stored on the Object."""
+
+from __future__ import annotations
+
+import math
+from contextlib import contextmanager
+from dataclasses import asdict
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, CollectionProperty, FloatProperty, FloatVectorProperty, StringProperty
+from bpy.types import PropertyGroup
+
+from ..core import material_fit, oscillation
+from ..core.character import Skeleton
+from ..core.settings import Material
+from .events import shown_changed
+from .references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_hash, key_reach
+
+NEUTRAL = "Neutral"
+IDENTITY = tuple(np.eye(4).ravel())
+NEVER = 1e5  # frames: of a swing that nothing damps
+
+
+class DynamorphKey(KeyReference, PropertyGroup):
+    """A shape key that a bake added or muted. A key of the bake that is gone leaves a reference without a name."""
+
+    reach: FloatProperty(name="Reach", description="Largest displacement of a key that the bake added")
+    was_muted: BoolProperty(name="Was Muted", description="Whether the artist had muted the key before the bake")
+
+    def looks_like(self, block) -> bool:
+        return key_hash(block) == self.key_hash or math.isclose(key_reach(block), self.reach, rel_tol=0.01)
+
+
+class DynamorphBone(PropertyGroup):
+    """The name of a bone that places a target in pose space."""
+
+
+class DynamorphBonePose(PropertyGroup):
+    """One bone of a captured pose. Matrices are row after row."""
+
+    rest: FloatVectorProperty(
+        name="Rest", description="Rest matrix, to find a renamed bone", size=16, override=OVERRIDE
+    )
+    local: FloatVectorProperty(
+        name="Local", description="Transform relative to the evaluated parent", size=16, override=OVERRIDE
+    )
+
+
+def _seconds_a_frame() -> float:
+    render = bpy.context.scene.render
+    return render.fps_base / render.fps
+
+
+def _get_bounce(target) -> float:
+    return oscillation.swing(target.bounce_reference, target.material()).frequency if target.is_measured else 0.0
+
+
+def _set_bounce(target, frequency: float):
+    if target.is_measured:
+        target.set_material(material_fit.with_bounce(target.bounce_reference, target.material(), frequency))
+        target.frequency, target.by_hand = frequency, True
+
+
+def _get_settle(target) -> float:
+    if not target.is_measured:
+        return 0.0
+    return min(oscillation.swing(target.bounce_reference, target.material()).settle / _seconds_a_frame(), NEVER)
+
+
+def _set_settle(target, frames: float):
+    if target.is_measured:
+        target.mass_damping, target.stiffness_damping = oscillation.damping_for(
+            target.bounce_reference, target.material(), frames * _seconds_a_frame()
+        )
+
+
+def _get_weight(target) -> float:
+    return target.density * target.volume if target.is_measured else 0.0
+
+
+def _set_weight(target, weight: float):
+    if target.is_measured:
+        target.density = weight / target.volume
+
+
+_computed = False  # whether a stiffness that is written now follows from something else
+
+
+@contextmanager
+def as_computed():
+    """What is written to a stiffness meanwhile does not count as set by hand."""
+    global _computed
+    before, _computed = _computed, True
+    try:
+        yield
+    finally:
+        _computed = before
+
+
+def _stiffness_set(target, _context):
+    """update: the artist, or a script, wants the stiffness in pascals as it is."""
+    if not _computed:
+        target.frequency, target.by_hand = 0.0, True
+
+
+def _region_chosen(target, _context):
+    target.auto_region = False  # `regions.update` sets it again for those that it chooses itself
+
+
+class DynamorphTarget(KeyReference, PropertyGroup):
+    """A dynamic morph target: a shape key, the pose at which the skin takes it, and the elastic properties there.
+
+    The first target of an object is the neutral one; its shape is the Basis.
+    """
+
+    mute: BoolProperty(name="Mute", description="Leave this target out of the model", override=OVERRIDE)
+    stiffness: FloatProperty(
+        name="Stiffness",
+        description="Young's modulus at this target, in pascal: fat about 3e3, relaxed muscle 2e4, flexed muscle 2e5",
+        default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
+        override=OVERRIDE, update=_stiffness_set,
+    )  # fmt: skip
+    poisson: FloatProperty(
+        name="Poisson's Ratio",
+        description="How much the flesh keeps its volume: 0 not at all, near 0.5 entirely. Values over 0.4 make "
+        "coarse cages too stiff",
+        default=Material.poisson, min=0.0, max=0.49, soft_max=0.45, override=OVERRIDE,
+    )  # fmt: skip
+    density: FloatProperty(
+        name="Density",
+        description="Mass per volume at this target, in kg/m³: water 1000",
+        default=Material.density, min=1.0, max=1e5, soft_min=500.0, soft_max=2000.0, step=1000, precision=0,
+        override=OVERRIDE,
+    )  # fmt: skip
+    mass_damping: FloatProperty(
+        name="Mass Damping",
+        description="Rayleigh damping in proportion to mass, in 1/s: calms slow, large motion",
+        default=Material.mass_damping, min=0.0, max=1e4, soft_max=20.0, override=OVERRIDE,
+    )  # fmt: skip
+    stiffness_damping: FloatProperty(
+        name="Stiffness Damping",
+        description="Rayleigh damping in proportion to stiffness, in seconds: calms fast ripples",
+        default=Material.stiffness_damping, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
+    )  # fmt: skip
+    radius: FloatProperty(
+        name="Radius",
+        description="How far from its pose, over all its bones, the target reaches: it has faded out there. 0: as far "
+        "as there is no nearer target",
+        default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
+    )  # fmt: skip
+    influence: FloatProperty(
+        name="Influence",
+        description="How much of the motion shows in this target's pose, within its region: at 0 there is the sculpted "
+        "shape alone",
+        default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
+    )  # fmt: skip
+    region: StringProperty(
+        name="Region",
+        description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
+        "the neutral target at rest: they do not compete with those of the rest of the body",
+        override=OVERRIDE, update=_region_chosen,
+    )  # fmt: skip
+    auto_region: BoolProperty(
+        name="Automatic Region",
+        description="Whether the region is made from what is sculpted, together with the targets that share a bone "
+        "with this one. A region that you choose or paint stays as it is",
+        override=OVERRIDE,
+    )  # fmt: skip
+    made_region: StringProperty(
+        name="Region As Made", description="Hash of the automatic region's weights, to tell whether they were painted",
+        options={"SKIP_SAVE"}, override=OVERRIDE,
+    )  # fmt: skip
+    bones: CollectionProperty(
+        name="Bones", description="Bones whose rotations decide when the target applies", type=DynamorphBone,
+        override=OVERRIDE_LIST,
+    )  # fmt: skip
+    auto_bones: BoolProperty(
+        name="Automatic Bones",
+        description="Whether Finish Sculpting chooses the bones, by what is sculpted. Bones that you choose stay",
+        override=OVERRIDE,
+    )  # fmt: skip
+    pose: CollectionProperty(
+        name="Pose", description="The captured pose of every bone", type=DynamorphBonePose, override=OVERRIDE_LIST
+    )
+    rig_world: FloatVectorProperty(
+        name="Armature Transform", description="World transform of the armature when the pose was captured",
+        size=16, default=IDENTITY, override=OVERRIDE,
+    )  # fmt: skip
+
+    frequency: FloatProperty(
+        name="Frequency",
+        description="Natural frequency in hertz that the next build gives the stiffness of this target. 0: the "
+        "stiffness in pascals counts as it is",
+        default=0.0, min=0.0, max=1000.0, override=OVERRIDE,
+    )  # fmt: skip
+    by_hand: BoolProperty(
+        name="Set by Hand",
+        description="Whether the artist has set the bounce or the stiffness, which no build or rehearsal then changes",
+        override=OVERRIDE,
+    )  # fmt: skip
+
+    # What artists call it. Computed from the properties above and from what the last build measured.
+    bounce: FloatProperty(
+        name="Bounce (Hz)",
+        description="Natural frequency: how often a second the soft tissue swings after a push, in this pose. Sets the "
+        "stiffness, and both dampings so that it settles as soon as before",
+        min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, options={"SKIP_SAVE"},
+        get=_get_bounce, set=_set_bounce,
+    )  # fmt: skip
+    settle: FloatProperty(
+        name="Settle (Frames)",
+        description="Frames until a twentieth of a swing is left, in this pose. Sets both dampings, in the proportion "
+        "they have",
+        min=0.1, max=NEVER, soft_min=1.0, soft_max=100.0, step=100, precision=1, options={"SKIP_SAVE"},
+        get=_get_settle, set=_set_settle,
+    )  # fmt: skip
+    weight: FloatProperty(
+        name="Weight (kg)",
+        description="Of the flesh in the target's region, with what the bones hold. Sets the density and nothing else: "
+        "heavier flesh bounces slower",
+        min=1e-6, max=1e6, soft_max=100.0, step=10, precision=3, options={"SKIP_SAVE"},
+        get=_get_weight, set=_set_weight,
+    )  # fmt: skip
+    bounce_reference: FloatProperty(
+        name="Bounce Reference", description="Undamped, in Hz, where stiffness over density is 1; by the last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+    poisson_reference: FloatProperty(
+        name="Poisson Reference", description="Poisson's ratio that it was measured at", options={"SKIP_SAVE"}
+    )
+    volume: FloatProperty(
+        name="Volume", description="Of the flesh in the target's region, in m³, by the last build",
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the last build knows how the flesh swings at this target; else bounce, settle and weight are 0."""
+        measured = self.bounce_reference > 0.0 and self.volume > 0.0
+        return measured and math.isclose(self.poisson, self.poisson_reference, rel_tol=1e-5)
+
+    def set_references(self, bounce: float, volume: float, poisson: float):
+        """As `materials.references` gives them, measured at this Poisson's ratio."""
+        self.bounce_reference, self.volume, self.poisson_reference = bounce, volume, poisson
+
+    def material(self) -> Material:
+        return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
+
+    def set_material(self, material: Material, by_hand=False):
+        """Its stiffness then counts as it is. by_hand: no rehearsal changes it either."""
+        with as_computed():
+            for name, value in asdict(material).items():
+                setattr(self, name, value)
+        self.frequency, self.by_hand = 0.0, by_hand
+
+    def set_computed_stiffness(self, stiffness: float):
+        """Young's modulus in pascals that follows from the frequency: it does not count as set by hand."""
+        with as_computed():
+            self.stiffness = stiffness
+
+    def set_frequency(self, frequency: float, damping: tuple[float, float]):
+        """Let it swing so often a second, with this mass and stiffness damping: at once if it is measured, else from
+        the next build on. It does not count as set by hand.
+        """
+        self.mass_damping, self.stiffness_damping = damping
+        self.frequency, self.by_hand = frequency, False
+        if self.is_measured:
+            self.set_computed_stiffness(oscillation.stiffness_for(self.bounce_reference, self.material(), frequency))
+
+    def bone_names(self) -> tuple[str, ...]:
+        return tuple(bone.name for bone in self.bones)
+
+    def set_bones(self, names, automatic=False):
+        """automatic: nobody chose them by hand."""
+        self.auto_bones = automatic
+        self.bones.clear()
+        for name in names:
+            self.bones.add().name = name
+
+    def set_region(self, group: str, automatic: bool):
+        """automatic: `regions.update` keeps the vertex group up to date."""
+        if self.region != group:
+            self.region = group
+        self.auto_region = automatic
+
+    def set_pose(self, skeleton: Skeleton, local: np.ndarray, rig_world: np.ndarray):
+        """Store a pose: local (B, 4, 4) as `Skeleton.local_transforms` gives it, rig_world (4, 4)."""
+        self.pose.clear()
+        for name, rest, transform in zip(skeleton.names, skeleton.rest, local, strict=True):
+            bone = self.pose.add()
+            bone.name, bone.rest, bone.local = name, rest.ravel(), transform.ravel()
+        self.rig_world = rig_world.ravel()
+
+    def placing(self) -> tuple:
+        """All that places the target among others, to be compared: cheap enough for every frame."""
+        return self.region, self.radius, self.bone_names(), self.pose_bytes()
+
+    def pose_bytes(self) -> bytes:
+        """The captured transforms, float32."""
+        stored = np.empty(16 * len(self.pose), np.float32)
+        self.pose.foreach_get("local", stored)
+        return stored.tobytes()
+
+    def local(self, skeleton: Skeleton) -> np.ndarray:
+        """The captured pose (B, 4, 4) in the skeleton's order; bones added since then are at rest."""
+        stored = np.frombuffer(self.pose_bytes(), np.float32).reshape(-1, 4, 4).astype(np.float64)
+        by_name = dict(zip((bone.name for bone in self.pose), stored, strict=True))
+        return np.array([by_name.get(name, np.eye(4)) for name in skeleton.names]).reshape(-1, 4, 4)

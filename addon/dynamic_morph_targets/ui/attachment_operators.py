@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons of the list of attachments: eyes, teeth, clothes."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.types import Operator
+
+from ..core.errors import SceneError
+from ..run import live
+from ..scene import skin
+from ..write import attachments, bake
+from .base import SoftSkinOperator, listed
+
+
+class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
+    """List the other meshes on the armature and the loose parts of this mesh, to choose what moves each"""
+
+    bl_idname = "dynamorph.find_pieces"
+    bl_label = "Find Attachments"
+
+    def apply(self, obj):
+        found = attachments.find(obj)
+        if not found:
+            self.report({"INFO"}, rpt_("'{name}' has no other attachments").format(name=obj.name))
+            return {"CANCELLED"}
+        names = listed([name.removeprefix(attachments.PREFIX) for name in found])
+        self.report({"INFO"}, rpt_("Found: {names}").format(names=names))
+        return {"FINISHED"}
+
+
+class DYNAMORPH_OT_add_piece(SoftSkinOperator, Operator):
+    """Add the other selected meshes to the list; without any, an attachment whose object or group is then chosen"""
+
+    bl_idname = "dynamorph.add_piece"
+    bl_label = "Add Attachment"
+
+    def apply(self, obj):
+        settings = obj.dynamorph
+        known = [piece.object for piece in settings.pieces]
+        selected = [other for other in bpy.context.selected_objects if other.type == "MESH" and other != obj]
+        for other in [other for other in selected if other not in known] or [None]:
+            piece = settings.pieces.add()
+            piece.object, piece.name = other, other.name if other else ""
+        settings.active_piece_index = len(settings.pieces) - 1
+
+
+class PieceOperator(SoftSkinOperator):
+    """Mixin: works on the piece selected in the list."""
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and skin.mesh_in(context).dynamorph.active_piece is None:
+            return "Select an attachment in the list first"
+        return obstacle
+
+
+class DYNAMORPH_OT_remove_piece(PieceOperator, Operator):
+    """Remove the selected attachment from the list, and its baked keys; the mesh itself stays"""
+
+    bl_idname = "dynamorph.remove_piece"
+    bl_label = "Remove Attachment"
+
+    def apply(self, obj):
+        active = obj.dynamorph.active_piece
+        mesh = None if active.group else active.object
+        if mesh and mesh.dynamorph.follows == obj:
+            live.turn_off(mesh)
+            bake.free(mesh)
+        attachments.remove(obj, obj.dynamorph.active_piece_index)
+
+
+class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
+    """Select the attachment in the viewport: its object, or the vertices of the part in Edit Mode"""
+
+    bl_idname = "dynamorph.select_piece"
+    bl_label = "Select Attachment"
+
+    def apply(self, obj):
+        piece = obj.dynamorph.active_piece
+        problem = attachments.problem(obj, piece)
+        shown = piece.object or (obj if piece.group else None)
+        if shown is None or (piece.group and problem):
+            raise SceneError(problem)
+        if not shown.visible_get():
+            raise SceneError(f"'{shown.name}' is hidden: show it to select it")
+        if bpy.context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        for other in bpy.context.selected_objects:
+            other.select_set(False)
+        shown.select_set(True)
+        bpy.context.view_layer.objects.active = shown
+        if piece.group:
+            _select_vertices(shown, attachments.members(shown, piece.group))
+
+
+def _select_vertices(obj, members: np.ndarray):
+    """Show the vertices (V,) bool selected in Edit Mode."""
+    mesh = obj.data
+    for elements in (mesh.polygons, mesh.edges):
+        elements.foreach_set("select", np.zeros(len(elements), bool))
+    mesh.vertices.foreach_set("select", members)
+    bpy.context.tool_settings.mesh_select_mode = True, False, False
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
+CLASSES = (
+    DYNAMORPH_OT_find_pieces,
+    DYNAMORPH_OT_add_piece,
+    DYNAMORPH_OT_remove_piece,
+    DYNAMORPH_OT_select_piece,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What all buttons have in common: when they are grey, and how errors are told."""
+
+from __future__ import annotations
+
+from bpy.app.translations import pgettext_iface as iface_
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from ..core import engine, errors
+from ..run import batch
+from ..scene import skin
+from ..write.reconcile import reconcile
+
+LISTED = 5  # names in a report
+
+
+def guarded(operator, action, *args) -> set[str]:
+    """Call `action`; what the artist can do something about becomes a report, and the operator is cancelled."""
+    try:
+        return action(*args) or {"FINISHED"}
+    except errors.Cancelled:
+        operator.report({"WARNING"}, "Cancelled: nothing was changed")
+    except engine.expected_errors() as error:
+        operator.report({"ERROR"}, str(error))
+    return {"CANCELLED"}
+
+
+class SoftSkinOperator:
+    """Mixin: works on the mesh of the context, which must carry a soft skin, while no job runs."""
+
+    bl_options = {"REGISTER", "UNDO"}
+
+    needs_soft_skin = True
+    on_override = False  # whether a library override keeps what the button changes
+
+    @classmethod
+    def poll(cls, context):
+        obstacle = cls.obstacle(context)
+        if obstacle:
+            cls.poll_message_set(iface_(obstacle))
+        return not obstacle
+
+    @classmethod
+    def obstacle(cls, context) -> str:
+        """Why the button is grey, or ''."""
+        obj = skin.mesh_in(context)
+        if obj is None:
+            return "Select the character's mesh object"
+        if obj.library:
+            text = iface_("'{name}' is linked: make a library override to change its materials, else make it local")
+            return text.format(name=obj.name)
+        if obj.override_library and not cls.on_override:
+            text = iface_("'{name}' is a library override, which would lose this when saved: make it local")
+            return text.format(name=obj.name)
+        if cls.needs_soft_skin and not obj.dynamorph.targets:
+            return "Press Add Soft Skin first"
+        return at_work()
+
+    def execute(self, context):
+        obj = skin.mesh_in(context)
+        if obj and obj.dynamorph.targets:
+            reconcile(obj)  # a script may have renamed a key just now
+        return guarded(self, self.apply, obj)
+
+
+def at_work() -> str:
+    """Which job is to be waited for, or ''."""
+    if not batch.running:
+        return ""
+    return iface_("Wait until '{name}' is done, or cancel it").format(name=batch.running.name)
+
+
+def listed(names: list[str]) -> str:
+    """As many as a report has room for."""
+    first, more = ", ".join(names[:LISTED]), len(names) - LISTED
+    return rpt_("{names} and {count} more").format(names=first, count=more) if more > 0 else first
+
+
+class TargetOperator(SoftSkinOperator):
+    """Mixin: works on the target that is selected in the list."""
+
+    neutral_too = False
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        settings = not obstacle and skin.mesh_in(context).dynamorph
+        if settings and settings.active_target is None:
+            return "Select a target in the list"
+        if settings and settings.active_target_index == 0 and not cls.neutral_too:
+            return "Select a target other than the neutral one"
+        return obstacle

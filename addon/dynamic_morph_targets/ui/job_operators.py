@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons: check, call, report. What all have in common, and those of the jobs: build, bake, free, cancel."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.types import Operator
+
+from ..run import batch
+from ..run.batch import run_all
+from ..run.job import Job
+from ..scene import events
+from ..scene.skin import is_shown_on, mesh_in, soft_skins
+from ..write import bake, live_key
+from .base import SoftSkinOperator, at_work, guarded
+
+TICK = 0.05  # seconds between two turns of a job
+SLICE = 0.035  # of which it may hold the window, about
+SHOWN = 0.1  # seconds between two looks of its progress
+
+
+class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
+    """Remove the baked shape keys, curves and modifier, and restore the target keys"""
+
+    bl_idname = "dynamorph.free_bake"
+    bl_label = "Free Bake"
+    needs_soft_skin = False
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if obstacle:
+            return obstacle
+        obj = mesh_in(context)
+        return "" if obj.dynamorph.targets or is_shown_on(obj) else "Press Add Soft Skin first"
+
+    def apply(self, obj):
+        if not obj.dynamorph.targets:  # a piece, which may show Live
+            live_key.remove(obj)
+        bake.free(obj)
+
+
+class JobOperator(SoftSkinOperator):
+    """Mixin: runs a job, in a window with a progress bar while Blender stays usable, else at once."""
+
+    goal = "BUILD"
+
+    def _jobs(self, obj) -> list[Job]:
+        """The jobs to be done one after the other; obj: the mesh of the context."""
+        return [Job(obj, self.goal, rebuild=self.goal == "BUILD")]
+
+    def _batch(self, obj) -> batch.Batch:
+        return batch.Batch(self._jobs(obj), self.goal)
+
+    def apply(self, obj):
+        batch = self._batch(obj)
+        run_all(batch)
+        self._done(batch)
+
+    def invoke(self, context, _event):
+        if bpy.app.background:
+            return self.execute(context)
+        return guarded(self, self._begin, context)
+
+    def modal(self, context, event):
+        if event.type == "ESC" and event.value == "PRESS":  # used up: it must not also stop the playback
+            self.batch.cancel()
+        elif event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        result = {"CANCELLED"}
+        try:
+            result = guarded(self, self._tick, context)
+        finally:
+            if result != {"RUNNING_MODAL"}:
+                self._end(context)
+        return result
+
+    def cancel(self, _context):
+        """Blender ends the operator itself, because the window closes or another file is opened."""
+        batch.stop()
+
+    def _begin(self, context):
+        self.batch = batch.running = self._batch(mesh_in(context))
+        self.steps = self.batch.steps(SLICE, 0.0)
+        self.shown = 0.0  # when
+        self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def _tick(self, context):
+        batch = self.batch
+        try:
+            next(self.steps)
+        except StopIteration:
+            return self._done(batch)
+        if time.monotonic() - self.shown > SHOWN:
+            self.shown = time.monotonic()
+            events.redraw(events.PANELS)
+            events.redraw_status(context)
+        return {"RUNNING_MODAL"}
+
+    def _end(self, context):
+        self.batch.abandon()
+        batch.running = None
+        context.window_manager.event_timer_remove(self.timer)
+        events.redraw(events.PANELS)
+        events.redraw_status(context)
+
+    def _done(self, batch):
+        for job in batch.jobs:
+            built_first = job.bake and job.reasons
+            text = rpt_("{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}")
+            self.report({"INFO"}, text.format(name=job.name, result=job.summary(), reasons="; ".join(job.reasons)))
+            if job.rehearsed:
+                self.report({"INFO"}, f"{job.name}: {job.rehearsed}")
+        for job in batch.jobs:
+            for warning in job.warnings:  # after the rest, because the status bar shows the last report
+                self.report({"WARNING"}, warning)
+        return {"FINISHED"}
+
+
+class StartsJob(SoftSkinOperator):
+    """Mixin: what `apply` does is a step of its own; in a window the operator `job` goes on from there."""
+
+    job = ""
+
+    def invoke(self, context, _event):
+        result = self.execute(context)
+        if result == {"FINISHED"} and not bpy.app.background:
+            press(self, self.job)
+        return result
+
+
+def press(operator, name: str, **settings):
+    """Let another button go on where `operator` ends; what keeps that one from it is reported."""
+    module, function = name.split(".")
+    button = getattr(getattr(bpy.ops, module), function)
+    try:
+        if button.poll():
+            button("INVOKE_DEFAULT", **settings)
+    except RuntimeError as error:  # what it reported as an error
+        operator.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+
+
+class DYNAMORPH_OT_build(JobOperator, Operator):
+    """Compute the model of the soft skin: its cage, modes and forces"""
+
+    bl_idname = "dynamorph.build"
+    bl_label = "Build Model"
+
+
+class DYNAMORPH_OT_bake(JobOperator, Operator):
+    """Simulate the frame range and write the motion as Bake To says; builds the model first if it is out of date"""
+
+    bl_idname = "dynamorph.bake"
+    bl_label = "Bake Soft Skin"
+    goal = "BAKE"
+
+
+class DYNAMORPH_OT_bake_all(JobOperator, Operator):
+    """Bake every soft skin of the scene, one after the other; none of them changes before all are done"""
+
+    bl_idname = "dynamorph.bake_all"
+    bl_label = "Bake All"
+    goal = "BAKE_ALL"
+
+    @classmethod
+    def obstacle(cls, context):
+        if not _own_skins(context.scene):
+            return "The scene has no soft skin of its own: press Add Soft Skin first, or make a linked one local"
+        return at_work()
+
+    def _jobs(self, _obj):
+        return [Job(skin, "BAKE") for skin in _own_skins(bpy.context.scene)]
+
+
+def _own_skins(scene) -> list:
+    """The soft skins whose bake would be saved."""
+    return [skin for skin in soft_skins(scene.objects) if not (skin.library or skin.override_library)]
+
+
+class DYNAMORPH_OT_cancel(Operator):
+    """Stop the running build or bake; what was there before stays"""
+
+    bl_idname = "dynamorph.cancel"
+    bl_label = "Cancel Soft Skin Job"
+
+    def execute(self, _context):
+        if batch.running:
+            batch.running.cancel()
+        return {"FINISHED"}
+
+
+CLASSES = (
+    DYNAMORPH_OT_build,
+    DYNAMORPH_OT_bake,
+    DYNAMORPH_OT_bake_all,
+    DYNAMORPH_OT_free_bake,
+    DYNAMORPH_OT_cancel,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,362 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that show the flesh without a bake: Live, shake tests, single modes; and those that compare settings."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import islice
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.props import EnumProperty, FloatProperty
+from bpy.types import Operator
+from mathutils import Matrix
+
+from ..core.errors import SceneError, SinkError
+from ..run import live, preview
+from ..run.preview import SECONDS, SWING, Preview, end_preview, is_running, movers, shaken
+from ..scene import events, model_store, rig_motion, skin
+from ..write import comparison
+from ..write.slots import put_slot, slot_settings
+from .base import SoftSkinOperator, guarded
+from .job_operators import JobOperator, press
+
+FIRST_LOOK = 2.0  # seconds of the hop in which a new soft skin shows itself
+NAVIGATION = {
+    "MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM",
+    "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION",
+}  # fmt: skip
+
+
+class FleshOperator(SoftSkinOperator):
+    """Mixin: shows the flesh of the built model, which nothing else may show meanwhile."""
+
+    @classmethod
+    def obstacle(cls, context):
+        return super().obstacle(context) or live.obstacle(skin.mesh_in(context))
+
+
+class DYNAMORPH_OT_live(FleshOperator, Operator):
+    """Simulate while Blender plays, without a bake; again: stop that"""
+
+    bl_idname = "dynamorph.live"
+    bl_label = "Live Soft Skin"
+
+    @classmethod
+    def obstacle(cls, context):
+        obj = skin.mesh_in(context)
+        playing = obj is not None and live.is_on(obj)
+        return super(FleshOperator, cls).obstacle(context) if playing else super().obstacle(context)
+
+    def apply(self, obj):
+        end_preview()
+        if live.is_on(obj):
+            live.turn_off(obj)
+        else:
+            live.turn_on(obj, bpy.context.scene)
+
+
+class EndsLive(JobOperator):
+    """Mixin: builds a model, and in a window turns Live on then and lets the armature hop."""
+
+    def modal(self, context, event):
+        result = super().modal(context, event)
+        if result == {"FINISHED"}:
+            guarded(self, self._look, context)
+        return result
+
+    def _look(self, context):
+        obj = skin.find(self.batch.jobs[0].session_uid)
+        obstacle = live.obstacle(obj)
+        if obstacle:
+            raise SceneError(obstacle)
+        live.turn_on(obj, context.scene)
+        if skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
+            press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK)
+
+
+class DYNAMORPH_OT_first_look(EndsLive, Operator):
+    """Build a new soft skin, turn Live on and let it hop, so that it shows how it moves; Esc stops"""
+
+    bl_idname = "dynamorph.first_look"
+    bl_label = "Build Soft Skin"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+
+class PreviewOperator(FleshOperator):
+    """Mixin: shows a Preview, in a window by and by until it ends or is stopped with Esc, else all frames at once."""
+
+    bl_options = {"REGISTER"}  # nothing stays that could be undone
+
+    def apply(self, obj):
+        running = Preview(obj, type(self))
+        try:
+            moved = []
+            for values, transform in self.frames(obj, running.flesh):
+                running.show(values, transform)
+                moved.append(running.flesh.moved(values))
+        finally:
+            running.end()
+        self._report(max(moved))
+
+    def invoke(self, context, _event):
+        if bpy.app.background:
+            return self.execute(context)
+        return guarded(self, self._begin, context)
+
+    def modal(self, context, event):
+        if self.running is not preview.preview:  # stopped by its button, by undo, or by what else ends previews
+            return self._end(context)
+        if event.type == "ESC" and event.value == "PRESS":
+            return self._end(context)
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"} if self.passes(event) else {"RUNNING_MODAL"}
+        result = {"CANCELLED"}
+        try:
+            result = guarded(self, self._tick)
+        finally:
+            if result != {"RUNNING_MODAL"}:
+                self._end(context)
+        return result
+
+    def cancel(self, context):
+        self._end(context)
+
+    def _begin(self, context):
+        stopped = is_running(type(self).bl_idname)
+        end_preview()
+        if stopped:
+            return {"CANCELLED"}
+        if context.screen.is_animation_playing:
+            raise SceneError("Stop the playback first")
+        obj = skin.mesh_in(context)
+        self.running = preview.begin_preview(obj, type(self))
+        self.largest = 0.0
+        try:
+            self.left = self.frames(obj, self.running.flesh)
+        except BaseException:
+            end_preview()
+            raise
+        self.fps = self.running.flesh.player.settings.fps
+        self.began, self.done = time.monotonic(), 0
+        self.timer = context.window_manager.event_timer_add(1.0 / self.fps, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        events.redraw_status(context)
+        return {"RUNNING_MODAL"}
+
+    def _tick(self):
+        """Show the frame of this moment: a slow window drops some, as playback does."""
+        due = 1 + int((time.monotonic() - self.began) * self.fps) - self.done
+        frames = list(islice(self.left, due))
+        self.done += len(frames)
+        for values, _ in frames:
+            self.largest = max(self.largest, self.running.flesh.moved(values))
+        if frames:
+            self.running.show(*frames[-1])
+        if len(frames) == due:
+            return {"RUNNING_MODAL"}
+        self._report(self.largest)
+        return {"FINISHED"}
+
+    def _end(self, context):
+        if self.running is preview.preview:
+            end_preview()
+        context.window_manager.event_timer_remove(self.timer)
+        events.redraw_status(context)
+        return {"CANCELLED"}
+
+    def _report(self, largest: float):
+        text = rpt_("The flesh moves by up to {distance:.1f} mm")
+        self.report({"INFO"}, text.format(distance=1000 * largest))
+
+
+class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
+    """Shake the armature in place, without keyframes, to see how the flesh swings; Esc stops"""
+
+    bl_idname = "dynamorph.shake_test"
+    bl_label = "Shake Test"
+
+    kind: EnumProperty(
+        name="Kind",
+        description="How the armature is moved",
+        items=(
+            ("STOMP", "Stomp", "Rise, drop and stop dead"),
+            ("TWIST", "Twist", "Turn about the vertical, quickly, and back"),
+            ("HOP", "Hop", "Up and down, twice"),
+        ),
+        options={"SKIP_SAVE"},
+    )  # fmt: skip
+    seconds: FloatProperty(
+        name="Seconds", description="How long the test takes", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
+    )
+
+    def passes(self, event) -> bool:
+        """Not what may be undone: it would remember the rig where it is shaken to."""
+        return event.type in NAVIGATION
+
+    def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, Matrix]]:
+        for moved in movers(obj):
+            if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
+                raise SceneError(f"'{moved.name}' rotates by Axis Angle: choose another rotation mode to twist it")
+        return self._played(flesh, *shaken(obj, flesh, self.kind, self.seconds))
+
+    @staticmethod
+    def _played(flesh, samples, transforms):
+        player, substeps = flesh.player, flesh.player.settings.substeps
+        count = len(samples) // substeps
+        yield flesh.values(player.begin(samples[:2])), Matrix(transforms[0])
+        for k, frame in enumerate(player.play(samples[1:], range(1, count + 1)), 1):
+            yield flesh.values(frame), Matrix(transforms[k * substeps])
+
+
+class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
+    """Swing the selected mode alone, about the targets' shape in the present pose; again, or Esc: stop"""
+
+    bl_idname = "dynamorph.play_mode"
+    bl_label = "Play Mode"
+
+    def passes(self, _event) -> bool:
+        return True  # to select other modes meanwhile
+
+    def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, None]]:
+        """A swing a second; in the background, one."""
+        if not flesh.modes:
+            raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
+        weights = flesh.player.begin(rig_motion.sample_present(obj, flesh.probe)).weights
+        return self._swinging(obj.session_uid, flesh, weights)
+
+    @staticmethod
+    def _swinging(session_uid: int, flesh, weights):
+        fps = flesh.player.settings.fps
+        dry = np.concatenate([flesh.player.dry(weights), weights])
+        k = 0
+        while k < fps or not bpy.app.background:
+            settings = skin.find(session_uid).dynamorph
+            index = min(settings.active_mode_index, flesh.modes - 1)
+            mode = np.zeros_like(dry)
+            mode[index] = 1.0
+            amplitude = SWING * flesh.player.size / flesh.moved(dry + mode)
+            if index < len(settings.modes):
+                amplitude *= settings.modes[index].gain
+            yield dry + amplitude * math.sin(2.0 * math.pi * k / fps) * mode, None
+            k += 1
+
+
+# Comparing ---------------------------------------------------------------------------------------------------------
+
+
+class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
+    """Show the mesh as its rig alone moves it, to compare; again, or when the file is saved: show the soft skin"""
+
+    bl_idname = "dynamorph.show_plain"
+    bl_label = "Show Plain Skinning"
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not comparison.can_show(skin.mesh_in(context)):
+            return "Turn Live on or bake first: there is only plain skinning to be seen"
+        return obstacle
+
+    def apply(self, obj):
+        end_preview()
+        comparison.show(obj, not comparison.is_plain(obj))
+
+
+class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
+    """Set the gain of all modes to 1, and none solo"""
+
+    bl_idname = "dynamorph.reset_gains"
+    bl_label = "Reset Gains"
+
+    def apply(self, obj):
+        for mode in obj.dynamorph.modes:
+            mode.gain, mode.solo = 1.0, False
+
+
+class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
+    """Measure how far the soft skin at rest, in each target's pose, is from what was sculpted for it"""
+
+    bl_idname = "dynamorph.check_targets"
+    bl_label = "Check Targets"
+
+    def apply(self, obj):
+        model, character = model_store.current_model(obj)
+        from ..core import compare  # needs the engine, which is there now
+
+        lines = [f"{name}: {1000 * miss:.3f} mm" for name, miss in compare.residuals(model, character).items()]
+        obj.dynamorph.live.checks = "\n".join(lines)
+        self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
+
+
+class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
+    """Go to the other of two sets of settings, to compare them: materials, simulation, gains of modes"""
+
+    bl_idname = "dynamorph.swap_slot"
+    bl_label = "Swap A and B"
+
+    def apply(self, obj):
+        record = obj.dynamorph.live
+        left = slot_settings(obj)
+        put_slot(obj, json.loads(record.other) if record.other else left)
+        record.other = json.dumps(left)
+        record.slot = "B" if record.slot == "A" else "A"
+        live.refresh(obj)
+
+
+class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
+    """Make the other set of settings the same as this one"""
+
+    bl_idname = "dynamorph.copy_slot"
+    bl_label = "Copy to Other Slot"
+
+    def apply(self, obj):
+        obj.dynamorph.live.other = json.dumps(slot_settings(obj))
+
+
+@persistent
+def _before_change(*_args):
+    """What a preview moves must not be saved, nor stay where undo passes by."""
+    end_preview()
+
+
+@persistent
+def _before_save(*_args):
+    """save_pre: a file that is opened or rendered elsewhere shows the soft skin."""
+    _before_change()
+    for obj in skin.soft_skins(bpy.data.objects):
+        if obj.library is None and comparison.is_plain(obj):
+            with suppress(SinkError):  # in Edit Mode the panel goes on saying it
+                comparison.show(obj, False)
+
+
+HANDLERS = dict.fromkeys(("undo_pre", "redo_pre", "load_pre"), _before_change) | {"save_pre": _before_save}
+CLASSES = (
+    DYNAMORPH_OT_live,
+    DYNAMORPH_OT_first_look,
+    DYNAMORPH_OT_shake_test,
+    DYNAMORPH_OT_play_mode,
+    DYNAMORPH_OT_show_plain,
+    DYNAMORPH_OT_reset_gains,
+    DYNAMORPH_OT_check_targets,
+    DYNAMORPH_OT_swap_slot,
+    DYNAMORPH_OT_copy_slot,
+)
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
+def register():
+    _register_classes()
+    events.add(HANDLERS)
+
+
+def unregister():
+    end_preview()
+    events.remove(HANDLERS)
+    _unregister_classes()

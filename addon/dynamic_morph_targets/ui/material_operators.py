@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons of a target's material: presets and fits to what was seen."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import EnumProperty, FloatProperty
+from bpy.types import Operator
+
+from ..core import material_fit, material_presets, oscillation
+from ..scene import model_store, skin
+from .base import TargetOperator, guarded
+
+
+class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
+    """Give the selected target the properties of a measured material"""
+
+    bl_idname = "dynamorph.apply_material"
+    bl_label = "Apply Material"
+    neutral_too = True
+    on_override = True
+
+    preset: EnumProperty(
+        name="Material",
+        description="What the flesh is made of at this target",
+        items=[(key, preset.label, preset.source) for key, preset in material_presets.PRESETS.items()],
+    )
+
+    @classmethod
+    def description(cls, _context, given):
+        """The tooltip: Blender does not show the descriptions of items of an operator's menu."""
+        return material_presets.PRESETS[given.preset].source if given.is_property_set("preset") else ""
+
+    def apply(self, obj):
+        obj.dynamorph.active_target.set_material(material_presets.PRESETS[self.preset].material, by_hand=True)
+
+
+class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
+    """Set stiffness and damping of the selected target so that the flesh swings as observed, on the cage as built"""
+
+    bl_idname = "dynamorph.fit_material"
+    bl_label = "Fit Bounce"
+    neutral_too = True
+    on_override = True
+
+    frequency: FloatProperty(
+        name="Bounce (Hz)", description="Swings a second after a push", default=3.0, min=0.01, max=1000.0
+    )
+    settle: FloatProperty(
+        name="Settle (s)",
+        description="Seconds until a twentieth of the swing is left",
+        default=1.0,
+        min=0.001,
+        max=1000.0,
+    )
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not skin.mesh_in(context).dynamorph.model.content_id:
+            return "Press Build Model first: the bounce is measured on its cage"
+        return obstacle
+
+    def invoke(self, context, _event):
+        return guarded(self, self._ask, context)
+
+    def _ask(self, context):
+        obj = skin.mesh_in(context)
+        now = material_fit.bounce(*model_store.fit_input(obj, obj.dynamorph.active_target))
+        self.frequency, self.settle = now.frequency or self.frequency, now.settle
+        return context.window_manager.invoke_props_dialog(self)
+
+    def apply(self, obj):
+        target, decay = obj.dynamorph.active_target, oscillation.decay_of(self.settle)
+        fitted = material_fit.fit_oscillation(*model_store.fit_input(obj, target), self.frequency, decay)
+        target.set_material(fitted, by_hand=True)
+
+
+CLASSES = (
+    DYNAMORPH_OT_apply_material,
+    DYNAMORPH_OT_fit_material,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

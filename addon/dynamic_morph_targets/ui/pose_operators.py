@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons of a target's pose: capture it, go to it, choose its bones."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.props import BoolProperty, StringProperty
+from bpy.types import Operator
+
+from ..core.errors import SceneError
+from ..scene import checks, rig_motion
+from ..write import muting, regions, targets
+from ..write.targets import capture
+from .base import TargetOperator, listed
+
+
+class DYNAMORPH_OT_capture_pose(TargetOperator, Operator):
+    """Let the selected target apply at the current pose of the armature, and choose its bones from that pose"""
+
+    bl_idname = "dynamorph.capture_pose"
+    bl_label = "Capture Pose"
+    neutral_too = True
+
+    def apply(self, obj):
+        capture(self, obj, obj.dynamorph.active_target, rig_motion.current_pose(obj))
+        regions.update(obj)
+
+
+class DYNAMORPH_OT_go_to_pose(TargetOperator, Operator):
+    """Pose the armature as it was captured for the selected target"""
+
+    bl_idname = "dynamorph.go_to_pose"
+    bl_label = "Go to Pose"
+    neutral_too = True
+
+    def apply(self, obj):
+        go_to_pose(self, obj)
+
+
+def go_to_pose(operator, obj):
+    skeleton, *_ = rig_motion.current_pose(obj)
+    local = obj.dynamorph.active_target.local(skeleton)
+    targets.pose_rig(checks.armature_modifier(obj).object, skeleton, local)
+    elsewhere = targets.held_elsewhere(obj, skeleton, local)
+    if elsewhere:
+        text = rpt_("Constraints or drivers hold bones off: {bones}")
+        operator.report({"WARNING"}, text.format(bones=listed(elsewhere)))
+    index = obj.dynamorph.active_target_index
+    muting.show_target(obj, obj.dynamorph.active_target.name if index else "")
+
+
+class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
+    """Let the selected pose bones decide when the selected target applies"""
+
+    bl_idname = "dynamorph.use_selected_bones"
+    bl_label = "Use Selected Bones"
+
+    extend: BoolProperty(name="Extend", description="Keep the bones that the target depends on already", default=True)
+
+    def apply(self, obj):
+        target = obj.dynamorph.active_target
+        rig = checks.armature_modifier(obj).object
+        chosen = targets.selected_bones(rig)
+        if not chosen:
+            raise SceneError(f"Select in Pose Mode the bones of '{rig.name}' that '{target.name}' depends on")
+        kept = target.bone_names() if self.extend else ()
+        target.set_bones(dict.fromkeys((*kept, *chosen)))
+        regions.update(obj)
+
+
+class DYNAMORPH_OT_remove_bone(TargetOperator, Operator):
+    """The selected target no longer depends on this bone"""
+
+    bl_idname = "dynamorph.remove_bone"
+    bl_label = "Remove Bone"
+
+    bone: StringProperty(name="Bone", description="Which of the target's bones", options={"SKIP_SAVE"})
+
+    def apply(self, obj):
+        target = obj.dynamorph.active_target
+        target.set_bones([bone for bone in target.bone_names() if bone != self.bone])
+        regions.update(obj)
+
+
+CLASSES = (
+    DYNAMORPH_OT_capture_pose,
+    DYNAMORPH_OT_go_to_pose,
+    DYNAMORPH_OT_use_selected_bones,
+    DYNAMORPH_OT_remove_bone,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

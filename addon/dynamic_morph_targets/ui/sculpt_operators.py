@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that sculpt a target in its pose."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, StringProperty
+from bpy.types import Operator
+
+from ..core import engine
+from ..core.errors import SceneError
+from ..scene import rig_motion, skin
+from ..write import muting, targets
+from ..write.targets import sculpted_key
+from .base import SoftSkinOperator, TargetOperator, guarded
+from .pose_operators import go_to_pose
+
+SCULPT_MODE = EnumProperty(
+    name="Mode",
+    description="Where the shape key is edited, in the pose as it is",
+    items=(
+        ("SCULPT", "Sculpt Mode", "Sculpt it with brushes", "SCULPTMODE_HLT", 0),
+        ("EDIT", "Edit Mode", "Move its vertices", "EDITMODE_HLT", 1),
+    ),
+)
+
+
+class SculptOperator:
+    """Mixin, before the other: begins to sculpt, which must not have begun already."""
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and skin.mesh_in(context).dynamorph.sculpt.active:
+            return "Press Finish Sculpting first"
+        return obstacle
+
+
+class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
+    """Make a target for the pose as it is, with a shape key that starts as the other targets look there; sculpt it"""
+
+    bl_idname = "dynamorph.new_from_pose"
+    bl_label = "New from Pose"
+
+    key: StringProperty(name="Name", description="Of the shape key and target", options={"SKIP_SAVE"})
+    mode: SCULPT_MODE
+
+    def invoke(self, context, _event):
+        return guarded(self, self._ask, context)
+
+    def _ask(self, context):
+        obj = skin.mesh_in(context)
+        self._check(obj)
+        self.key = self.key or self._default_name(obj)
+        return context.window_manager.invoke_props_dialog(self)
+
+    def apply(self, obj):
+        pose = self._check(obj)
+        shape = targets.blended_shape(obj, pose[1])
+        muting.show_target(obj, "")
+        block = targets.new_key(obj, self.key or self._default_name(obj), shape)
+        target = targets.add(obj, block)
+        target.set_pose(*pose)
+        targets.choose_bones(obj, target, pose[0], np.zeros_like(shape))  # all that are turned, until it is sculpted
+        targets.begin_sculpting(obj, block, self.mode, is_new=True)
+
+    def _check(self, obj):
+        """The pose as it is. Raises SceneError if there can be no new target."""
+        targets.check_can_sculpt(obj)
+        skeleton, local, rig_world = rig_motion.current_pose(obj)
+        bones = rig_motion.bones_turned(obj, skeleton, obj.dynamorph.targets[0].local(skeleton), local)
+        if not bones:
+            raise SceneError("No bone is turned away from the neutral pose: pose the armature first")
+        other = targets.at_pose_of(obj, skeleton, local, bones)
+        # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
+        if other and (obj.dynamorph.model.hold != "THICKNESS" or set(bones) <= {*other.bone_names()}):
+            raise SceneError(f"The armature is in the pose of '{other.name}': pose it otherwise, or sculpt that target")
+        return skeleton, local, rig_world
+
+    def _default_name(self, obj) -> str:
+        keys = obj.data.shape_keys
+        return targets.free_name(keys.key_blocks.keys() if keys else (), "Pose")
+
+
+class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
+    """Sculpt the selected target in its pose"""
+
+    bl_idname = "dynamorph.sculpt_target"
+    bl_label = "Sculpt Target"
+
+    mode: SCULPT_MODE
+
+    def apply(self, obj):
+        block = sculpted_key(obj)
+        targets.check_can_sculpt(obj)
+        go_to_pose(self, obj)
+        targets.begin_sculpting(obj, block, self.mode)
+
+
+class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
+    """Leave the mode, show all shape keys again, and choose bones and region by what was sculpted"""
+
+    bl_idname = "dynamorph.finish_sculpt"
+    bl_label = "Finish Sculpting"
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not skin.mesh_in(context).dynamorph.sculpt.active:
+            return "No target is being sculpted"
+        return obstacle
+
+    def apply(self, obj):
+        targets.finish_sculpting(obj)
+        try:
+            targets.learn_from_sculpt(obj)
+        except engine.expected_errors() as error:  # the mode is left in any case
+            self.report({"WARNING"}, str(error))
+
+
+CLASSES = (
+    DYNAMORPH_OT_new_from_pose,
+    DYNAMORPH_OT_sculpt_target,
+    DYNAMORPH_OT_finish_sculpt,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

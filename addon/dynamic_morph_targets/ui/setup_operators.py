@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that make a mesh a soft skin, put right what is in the way, and prepare its cage."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty
+from bpy.types import Operator
+
+from ..core.errors import SceneError
+from ..core.feel import FEELS
+from ..scene import checks, extract, references, rig_motion, skin, skinning, target_properties
+from ..write import attachments, bake
+from ..write.fixes import FIXES
+from . import feel_operators
+from .base import SoftSkinOperator
+from .job_operators import JobOperator, StartsJob
+
+
+class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
+    """Make the active mesh a soft skin, which is then built and shown in Live, with a hop of its armature; Esc stops"""
+
+    bl_idname = "dynamorph.add_soft_skin"
+    bl_label = "Add Soft Skin"
+    needs_soft_skin = False
+    job = "dynamorph.first_look"
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle, obj = super().obstacle(context), skin.mesh_in(context)
+        if not obstacle and not skinning.armature_modifiers(obj) and not attachments.carried_by(obj):
+            return "The mesh needs an Armature modifier with an armature"
+        return obstacle
+
+    def apply(self, obj):
+        chosen = _body_meant(obj)
+        if chosen != obj:
+            self.report(
+                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
+            )
+        obj = chosen
+        if obj.dynamorph.targets:
+            raise SceneError(f"'{obj.name}' has a soft skin already")
+        in_the_way = extract.first_look(obj)
+        rig = references.rig_of(obj)
+        skeleton, rig_world = references.rest_skeleton(rig.data), rig_motion.world_now(rig)
+        if obj.mode != "EDIT":
+            bake.ensure_basis(obj)
+        target = obj.dynamorph.targets.add()
+        target.name = target_properties.NEUTRAL
+        target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
+        obj.dynamorph.model.hold = "THICKNESS"  # unlike in files from before
+        feel_operators.give_feel(obj, FEELS["NATURAL"])
+        in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
+        drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
+        obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
+        for text in in_the_way:
+            self.report({"WARNING"}, text)
+
+
+def _body_meant(obj):
+    """The mesh that is to become a soft skin, which is made active, when `obj`, a helmet say, or its armature is."""
+    active = bpy.context.object
+    if "EDIT" in (obj.mode, active.mode):  # what is edited cannot be read
+        return obj
+    chosen = attachments.body_for(active if active.type == "ARMATURE" else obj)
+    if chosen.type != "MESH":  # none of the armature's can be one
+        return obj
+    if active == obj != chosen and obj.mode == "OBJECT":
+        bpy.context.view_layer.objects.active = chosen
+    return chosen
+
+
+def _find_attachments(obj) -> list[str]:
+    """List what belongs to the body of `obj`, in one cage with it. Returns what is in the way of that."""
+    obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
+    problem = next(checks.problems(obj), None)
+    if problem:  # which is told already
+        return []
+    try:
+        attachments.find(obj)
+        extract.character(obj, without_targets=True)
+    except SceneError as error:
+        return [str(error)]
+    return []
+
+
+class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
+    """Put right what is in the way of a soft skin"""
+
+    bl_idname = "dynamorph.fix"
+    bl_label = "Fix"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}  # a search would offer only the first problem
+    needs_soft_skin = False
+
+    problem: EnumProperty(
+        name="Problem",
+        description="What to put right",
+        items=[(key, fix.label, fix.tooltip) for key, fix in FIXES.items()],
+    )
+
+    @classmethod
+    def description(cls, _context, given):
+        return FIXES[given.problem].tooltip
+
+    def apply(self, obj):
+        if self.problem not in [problem.fix for problem in (*checks.problems(obj), *checks.notes(obj))]:
+            raise SceneError(f"'{obj.name}' does not have this problem: {FIXES[self.problem].label} is not needed")
+        FIXES[self.problem].apply(obj)
+
+
+# Cage --------------------------------------------------------------------------------------------------------------
+
+
+class DYNAMORPH_OT_build_cage(JobOperator, Operator):
+    """Build only the cage of tetrahedra and what the bones hold of it, to look at; Build Model goes on from there"""
+
+    bl_idname = "dynamorph.build_cage"
+    bl_label = "Build Cage"
+    goal = "BUILD_CAGE"
+
+
+CLASSES = (
+    DYNAMORPH_OT_add_soft_skin,
+    DYNAMORPH_OT_fix,
+    DYNAMORPH_OT_build_cage,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons of the list of targets: which shape keys are targets, at which poses, of which material."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.props import BoolProperty, EnumProperty, StringProperty
+from bpy.types import Operator
+
+from ..core.errors import SceneError
+from ..run.live import remove_soft_skin
+from ..scene import checks, mesh_data, rig_motion, skin
+from ..scene.references import key_points, rest_skeleton
+from ..write import muting, regions, suggest, targets
+from ..write.targets import capture, sculpted_key
+from .base import SoftSkinOperator, TargetOperator, listed
+
+# The list ----------------------------------------------------------------------------------------------------------
+
+
+class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
+    """Make a shape key a dynamic morph target at the current pose of the armature"""
+
+    bl_idname = "dynamorph.add_target"
+    bl_label = "Add Target"
+
+    key: StringProperty(name="Shape Key", description="The shape key; the active one if empty", options={"SKIP_SAVE"})
+
+    def invoke(self, context, _event):
+        """The only key that can be a target, or a menu of them: the sidebar shows no shape keys to select one in."""
+        names = [] if self.key else targets.eligible(skin.mesh_in(context))
+        if len(names) < 2:
+            self.key = names[0] if names else self.key
+            return self.execute(context)
+
+        def draw(menu, _context):
+            menu.layout.operator_context = "EXEC_DEFAULT"
+            for name in names:
+                menu.layout.operator(self.bl_idname, text=name, icon="SHAPEKEY_DATA", translate=False).key = name
+
+        context.window_manager.popup_menu(draw, title="Shape Key at This Pose")
+        return {"INTERFACE"}
+
+    def apply(self, obj):
+        settings = obj.dynamorph
+        keys = obj.data.shape_keys
+        block = keys and (keys.key_blocks.get(self.key) if self.key else obj.active_shape_key)
+        if not block:
+            wanted = f"shape key '{self.key}'" if self.key else "active shape key"
+            raise SceneError(f"'{obj.name}' has no {wanted}: sculpt one, or select another")
+        if block == keys.reference_key:
+            raise SceneError(
+                f"'{block.name}' is the shape of the neutral target: select another shape key, or make one by New from "
+                "Pose"
+            )
+        if block.name in [target.name for target in settings.targets[1:]]:
+            raise SceneError(f"'{block.name}' is a target already: pose the armature and press Capture Pose to move it")
+        if block.name in settings.bake.keys:
+            raise SceneError(f"'{block.name}' belongs to the bake: select another shape key")
+        pose = rig_motion.current_pose(obj)
+        capture(self, obj, targets.add(obj, block), pose)
+        regions.update(obj)
+
+
+class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
+    """Make targets of the shape keys whose drivers read bones, each at the pose in which its driver turns it on"""
+
+    bl_idname = "dynamorph.suggest_targets"
+    bl_label = "Suggest from Drivers"
+
+    def apply(self, obj):
+        found, skipped = suggest.suggestions(obj)
+        added = []
+        for suggestion in found:
+            skeleton, local, _ = suggestion.pose
+            other = targets.at_pose_of(obj, skeleton, local, suggestion.bones)
+            if other:
+                skipped.append(f"'{suggestion.key}': it has the pose of '{other.name}'")
+                continue
+            target = targets.add(obj, obj.data.shape_keys.key_blocks[suggestion.key])
+            target.set_pose(*suggestion.pose)
+            target.set_bones(suggestion.bones)
+            added.append(target.name)
+        regions.update(obj)
+        told = [rpt_("Targets added: {names}").format(names=", ".join(added))] * bool(added)
+        told += [rpt_("Keys skipped: {names}").format(names=", ".join(skipped))] * bool(skipped)
+        if not added:
+            raise SceneError("; ".join(told))
+        self.report({"WARNING" if skipped else "INFO"}, "; ".join(told))
+
+
+class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
+    """Remove the selected target; its shape key stays. Removing the neutral target removes the soft skin"""
+
+    bl_idname = "dynamorph.remove_target"
+    bl_label = "Remove Target"
+    neutral_too = True
+
+    def apply(self, obj):
+        settings = obj.dynamorph
+        if settings.active_target_index > 0:
+            target = settings.active_target
+            if target.name == settings.sculpt.shown.name:
+                muting.show_target(obj, "")
+            left = [target.region] * target.auto_region
+            settings.targets.remove(settings.active_target_index)
+            settings.active_target_index -= 1
+            regions.update(obj, left)
+            return
+        remove_soft_skin(obj)
+
+
+class DYNAMORPH_OT_move_target(TargetOperator, Operator):
+    """Move the selected target up or down in the list; the neutral target stays the first"""
+
+    bl_idname = "dynamorph.move_target"
+    bl_label = "Move Target"
+
+    direction: EnumProperty(
+        name="Direction",
+        description="Where the target goes",
+        items=(("UP", "Up", "Towards the neutral target"), ("DOWN", "Down", "Away from the neutral target")),
+    )
+
+    def apply(self, obj):
+        settings = obj.dynamorph
+        index = settings.active_target_index
+        wanted = index + (1 if self.direction == "DOWN" else -1)
+        if not 1 <= wanted < len(settings.targets):
+            return {"CANCELLED"}
+        settings.targets.move(index, wanted)
+        settings.active_target_index = wanted
+        return {"FINISHED"}
+
+
+class DYNAMORPH_OT_duplicate_target(TargetOperator, Operator):
+    """Copy the selected target and its shape key, to start another pose from it"""
+
+    bl_idname = "dynamorph.duplicate_target"
+    bl_label = "Duplicate Target"
+
+    def apply(self, obj):
+        index = obj.dynamorph.active_target_index
+        skeleton = rest_skeleton(checks.armature_modifier(obj).object.data)
+        target = targets.add(obj, targets.copy_key(obj, sculpted_key(obj).name), after=index)
+        source = obj.dynamorph.targets[index]
+        targets.copy_settings(source, target)
+        target.set_pose(skeleton, source.local(skeleton), np.array(source.rig_world))
+        target.set_bones(source.bone_names(), source.auto_bones)
+        regions.update(obj)
+        text = rpt_("'{name}' has the pose of '{source}': pose the armature and press Capture Pose")
+        self.report({"WARNING"}, text.format(name=target.name, source=source.name))
+
+
+class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
+    """Make the target of the other side: names, pose, shape key and region mirrored about the X axis"""
+
+    bl_idname = "dynamorph.mirror_target"
+    bl_label = "Mirror Target"
+
+    overwrite: BoolProperty(
+        name="Overwrite",
+        description="If there is a shape key of the other side's name, sculpt it anew instead of using it as it is",
+    )
+
+    def apply(self, obj):
+        settings = obj.dynamorph
+        source, index = settings.active_target, settings.active_target_index
+        skeleton = rest_skeleton(checks.armature_modifier(obj).object.data)
+        local = targets.mirrored_pose(skeleton, source.local(skeleton))
+        bones = self._bones(source, skeleton, local)
+        region = "" if source.auto_region else self._region(obj, source)
+        block = self._key(obj)
+        existing = [i for i, target in enumerate(settings.targets) if i and target.name == block.name]
+        if existing:
+            settings.active_target_index = existing[0]
+        else:
+            targets.add(obj, block, after=index)
+        source, target = settings.targets[index], settings.active_target
+        targets.copy_settings(source, target)
+        target.set_region(region, source.auto_region)
+        target.made_region = ""
+        target.set_pose(skeleton, local, targets.mirrored_world(source.rig_world))
+        target.set_bones(bones, source.auto_bones)
+        regions.update(obj)
+
+    def _bones(self, source, skeleton, mirrored) -> list[str]:
+        """The target's bones on the other side. Raises SceneError where there is no other side."""
+        if bpy.utils.flip_name(source.name) == source.name:
+            raise SceneError(f"'{source.name}' does not say its side: give it a name that ends in .L or _R, say")
+        bones = [bpy.utils.flip_name(bone) for bone in source.bone_names()]
+        missing = [bone for bone in bones if bone not in skeleton.names]
+        if missing:
+            raise SceneError(f"Bone '{missing[0]}' is missing: '{source.name}' has no other side")
+        used = [name in {*bones, *source.bone_names()} for name in skeleton.names]
+        if checks.same_pose(source.local(skeleton)[used], mirrored[used]):
+            raise SceneError(f"'{source.name}' has a symmetric pose, which its mirror image would share")
+        return bones
+
+    def _region(self, obj, source) -> str:
+        region = bpy.utils.flip_name(source.region)
+        if not region or region in obj.vertex_groups:
+            return region
+        text = rpt_("There is no vertex group '{region}': the mirrored target has no Region")
+        self.report({"WARNING"}, text.format(region=region))
+        return ""
+
+    def _key(self, obj):
+        """The shape key of the other side; made, or made anew, unless it is to be used as it is."""
+        keys = obj.data.shape_keys
+        source = sculpted_key(obj)
+        name = bpy.utils.flip_name(source.name)
+        existing = keys.key_blocks.get(name)
+        if existing and not self.overwrite:
+            return existing
+        checks.check_mesh(obj)
+        partners = targets.mirror_partners(key_points(keys.reference_key))
+        alone = (partners < 0).nonzero()[0]
+        if len(alone) == len(partners):
+            raise SceneError(f"'{obj.name}' is not symmetric about its X axis: sculpt a shape key '{name}' yourself")
+        if len(alone):
+            text = rpt_("{count} vertices have no mirror image and stay as in the Basis: {numbers}")
+            self.report({"WARNING"}, text.format(count=len(alone), numbers=listed([str(vertex) for vertex in alone])))
+        shape = targets.mirrored_shape(mesh_data.target_shape(obj, source.name), partners)
+        if existing is None:
+            return targets.new_key(obj, name, shape)
+        targets.sculpt_anew(existing, shape)
+        return existing
+
+
+class DYNAMORPH_OT_select_key(TargetOperator, Operator):
+    """Make the selected target's shape key the active one in the Shape Keys panel"""
+
+    bl_idname = "dynamorph.select_key"
+    bl_label = "Select Shape Key"
+
+    def apply(self, obj):
+        block = sculpted_key(obj)
+        obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(block.name)
+
+
+class DYNAMORPH_OT_region_from_sculpt(TargetOperator, Operator):
+    """Make the region of the selected target from what is sculpted, together with the targets that share its bones"""
+
+    bl_idname = "dynamorph.region_from_sculpt"
+    bl_label = "Region from Sculpt"
+
+    def apply(self, obj):
+        target = obj.dynamorph.active_target
+        sculpted_key(obj)
+        checks.check_mesh(obj)
+        target.set_region("", automatic=True)
+        target.made_region = ""
+        regions.update(obj)
+        if not target.region:
+            text = rpt_("'{name}' is not sculpted yet: its region is the whole body until it is")
+            self.report({"WARNING"}, text.format(name=target.name))
+
+
+CLASSES = (
+    DYNAMORPH_OT_add_target,
+    DYNAMORPH_OT_suggest_targets,
+    DYNAMORPH_OT_remove_target,
+    DYNAMORPH_OT_move_target,
+    DYNAMORPH_OT_duplicate_target,
+    DYNAMORPH_OT_mirror_target,
+    DYNAMORPH_OT_select_key,
+    DYNAMORPH_OT_region_from_sculpt,
+)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Buttons that carry setups: to and from files, and to other meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy.props import BoolProperty, StringProperty
+from bpy.types import Operator
+from bpy_extras.io_utils import ExportHelper, ImportHelper
+
+from ..run.live import remove_soft_skin
+from ..scene import skin
+from ..write import setups, storage, transfer
+from .base import SoftSkinOperator, guarded, listed
+
+FAR = 0.03  # of the source's size: meshes that are further apart were probably not meant
+
+
+class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
+    """Save targets, materials, poses and settings of the soft skin as a file; shapes stay in the .blend"""
+
+    bl_idname = "dynamorph.save_setup"
+    bl_label = "Save Setup"
+    bl_options = {"REGISTER"}
+    filename_ext = ".json"
+
+    filter_glob: StringProperty(name="Filter", description="Files that are shown", default="*.json", options={"HIDDEN"})
+
+    def invoke(self, context, event):
+        if not self.filepath:
+            name = f"{bpy.path.clean_name(skin.mesh_in(context).name)}{self.filename_ext}"
+            self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
+        return super().invoke(context, event)
+
+    def apply(self, obj):
+        path = Path(bpy.path.abspath(self.filepath))
+        setups.write(path, setups.of_object(obj))
+        self.report({"INFO"}, rpt_("Setup of '{name}' saved as '{file}'").format(name=obj.name, file=path.name))
+
+
+class DYNAMORPH_OT_load_setup(SoftSkinOperator, ImportHelper, Operator):
+    """Give the mesh the targets, materials, poses and settings of a file, in place of those it has"""
+
+    bl_idname = "dynamorph.load_setup"
+    bl_label = "Load Setup"
+    needs_soft_skin = False
+
+    filter_glob: StringProperty(name="Filter", description="Files that are shown", default="*.json", options={"HIDDEN"})
+
+    def apply(self, obj):
+        lacking = setups.apply(obj, setups.read(Path(bpy.path.abspath(self.filepath))))
+        if obj.dynamorph.model.content_id:
+            storage.show_stale(obj)
+        report_lacking(self, obj, lacking)
+
+
+class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
+    """Give the other selected meshes on the armature this soft skin; its shapes go by the nearest point at rest"""
+
+    bl_idname = "dynamorph.copy_to_selected"
+    bl_label = "Copy Soft Skin to Selected"
+
+    replace: BoolProperty(
+        name="Replace Soft Skins", description="Replace the soft skins that the other meshes have, with their bakes"
+    )
+    overwrite: BoolProperty(
+        name="Overwrite Shapes",
+        description="Overwrite shape keys and vertex groups of the same name on the other meshes; else theirs are used",
+    )
+
+    @classmethod
+    def obstacle(cls, context):
+        obstacle = super().obstacle(context)
+        if not obstacle and not others(context):
+            return "Select the other meshes too, the soft skin last"
+        return obstacle
+
+    def invoke(self, context, _event):
+        """Ask only where there is something to replace or to overwrite."""
+        names = {target.name for target in skin.mesh_in(context).dynamorph.targets}
+        for obj in others(context):
+            keys = obj.data.shape_keys
+            if obj.dynamorph.targets or (keys and names.intersection(keys.key_blocks.keys())):
+                return context.window_manager.invoke_props_dialog(self)
+        return self.execute(context)
+
+    def execute(self, context):
+        return guarded(self, self._copy, skin.mesh_in(context), others(context))
+
+    def _copy(self, source, others):
+        transfer.check(source, others, self.replace)
+        setup, size = setups.of_object(source), transfer.size(source)
+        setup["pieces"] = [piece for piece in setup["pieces"] if not piece["object"]]  # those follow one soft skin
+        copies = [transfer.copy(source, obj) for obj in others]
+        for obj, made in zip(others, copies, strict=True):
+            if obj.dynamorph.targets:
+                remove_soft_skin(obj)
+            transfer.write(obj, made, self.overwrite)
+            report_lacking(self, obj, setups.apply(obj, setup))
+            self._report_distance(source, obj, made.distance, size)
+
+    def _report_distance(self, source, obj, distance, size):
+        names = {"name": obj.name, "source": source.name, "distance": length(distance)}
+        self.report({"INFO"}, rpt_("'{name}': at most {distance} away from '{source}'").format(**names))
+        if distance > FAR * size:
+            text = rpt_("'{name}' is up to {distance} away from '{source}': check that they stand in the same place")
+            self.report({"WARNING"}, text.format(**names))
+
+
+def others(context):
+    """The selected meshes that are not the one the buttons are about."""
+    active = skin.mesh_in(context)
+    return [obj for obj in context.selected_objects if obj.type == "MESH" and obj != active]
+
+
+def report_lacking(operator, obj, lacking: dict[str, list[str]]):
+    """One warning of all that a setup names and `obj` does not have."""
+    if lacking:
+        quoted = {rpt_(kind): [f"'{name}'" for name in names] for kind, names in lacking.items()}
+        what = "; ".join(f"{kind} {listed(names)}" for kind, names in quoted.items())
+        operator.report(
+            {"WARNING"}, rpt_("Left out, because '{name}' has no such: {what}").format(name=obj.name, what=what)
+        )
+
+
+def length(metres: float) -> str:
+    """As the scene's units show it."""
+    system = bpy.context.scene.unit_settings.system
+    return bpy.utils.units.to_string(system, "LENGTH", metres, precision=3).strip()
+
+
+CLASSES = (DYNAMORPH_OT_save_setup, DYNAMORPH_OT_load_setup, DYNAMORPH_OT_copy_to_selected)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rows that several sections of the panel share."""
+
+from __future__ import annotations
+
+import textwrap
+
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..run import batch
+
+LINE = 34  # characters that fit into the sidebar at its default width
+
+
+def draw_problem(layout, problem, icon: str):
+    row = layout.row()
+    draw_message(row, problem.text, icon=icon, width=LINE - 10 if problem.fix else LINE)
+    if problem.fix:
+        button = row.column()
+        button.alignment = "RIGHT"
+        button.operator("dynamorph.fix").problem = problem.fix
+
+
+def draw_job(layout, operator: str, icon: str, text: str | None = None):
+    """The button, with its operator's label or `text`, or in its place the progress of its job."""
+    job = batch.running
+    if job is None or operator != f"dynamorph.{job.goal.lower()}":
+        layout.operator(operator, text=text, icon=icon)
+        return
+    row = layout.row(align=True)
+    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {iface_(job.message)}")
+    row.operator("dynamorph.cancel", text="", icon="X")
+
+
+def draw_outdated(layout, reasons: list[str]):
+    """Up to three of the reasons; while a job runs they are those from before."""
+    if reasons and not batch.running:
+        more = len(reasons) - 3
+        text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
+        draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))
+
+
+def draw_warnings(layout, warnings: str, said=""):
+    """said: what the panel says elsewhere; a warning that begins so is left out."""
+    for warning in filter(None, warnings.split("\n")):
+        if not (said and warning.startswith(said)):
+            draw_message(layout, warning)
+
+
+def draw_message(layout, text: str, icon="ERROR", width=LINE):
+    """Text, translated unless it was put together, and broken into lines, because labels do not wrap."""
+    column = layout.column(align=True)
+    for i, line in enumerate(textwrap.wrap(iface_(text), width)):
+        column.label(text=line, icon="BLANK1" if i else icon, translate=False)

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A clip for each Action of a character's armature, as games have them: where it is played, and its simulation.
+
+The Actions are laid out one after the other as NLA strips, in the place of the artist's own animation and for as long
+as a `with` lasts. There a bone that one of them moves and another does not is at rest in the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import bpy
+
+from ..core.errors import SceneError
+from ..scene import animation
+from ..scene.references import rig_of
+
+POSE = "pose.bones["  # begins the path of what an Action does to a bone
+ASIDE = "Dynamorph Aside"  # what is called like a clip, meanwhile
+
+
+@dataclass(frozen=True)
+class Clip:
+    """An Action, by name, and where it is laid out: from its own frame `begin` on it is the scene's `first` to `last`.
+    cyclic: it is a loop."""
+
+    name: str
+    begin: int
+    first: int
+    last: int
+    cyclic: bool
+
+    @property
+    def end(self) -> int:
+        return self.begin + self.last - self.first
+
+
+def clips_of(obj) -> list[Clip]:
+    """Every Action that moves bones of what skins `obj`, over its own range. One of a single frame is a pose, and left
+    out. Raises SceneError."""
+    rig, render = rig_of(obj), bpy.context.scene.render
+    if rig is None:
+        raise SceneError(f"'{obj.name}' has no Armature modifier with an armature: it has no Actions to export")
+    if not rig.is_editable:
+        raise SceneError(f"'{rig.name}' is linked, so its Actions cannot be played in turn: make it local")
+    if rig.animation_data and rig.animation_data.use_tweak_mode:
+        raise SceneError(f"'{rig.name}' is in NLA tweak mode: leave it first (Tab in the NLA editor)")
+    if render.frame_map_old != render.frame_map_new:
+        raise SceneError("The scene stretches time, clips have their own: set Time Stretching to 100 (Output tab)")
+    found, first = [], 1
+    for action in bpy.data.actions:
+        begin, end = math.floor(action.frame_range[0]), math.ceil(action.frame_range[1])
+        if end > begin and _slot(action, rig):
+            last = first + end - begin
+            found.append(Clip(action.name, begin, first, last, action.use_cyclic))
+            first = last + 2
+    if not found:
+        raise SceneError(f"No Action moves bones of '{rig.name}': make one for each clip")
+    return found
+
+
+@contextmanager
+def laid_out(rig, clips: Sequence[Clip]) -> Iterator[None]:
+    """`lay_out` for a while, on an armature object that afterwards is as before."""
+    had = rig.animation_data is not None
+    animation = rig.animation_data or rig.animation_data_create()
+    before = animation.action, animation.action_slot, animation.use_nla
+    tracks = [(track, track.mute, track.is_solo) for track in animation.nla_tracks]
+    strips = [(strip, strip.name) for track in animation.nla_tracks for strip in track.strips]
+    values = _values(rig, clips)
+    try:
+        lay_out(rig, clips)
+        yield
+    finally:
+        for track in list(animation.nla_tracks)[len(tracks) :]:
+            animation.nla_tracks.remove(track)
+        for strip, name in strips:
+            strip.name = name
+        for track, mute, is_solo in tracks:
+            track.mute = mute
+            if is_solo:
+                track.is_solo = True
+        animation.use_nla = before[2]
+        animation.action = before[0]
+        if before[1]:
+            animation.action_slot = before[1]
+        if not had:
+            rig.animation_data_clear()
+        for path, value in values.items():
+            _set(rig, path, value)
+
+
+def lay_out(owner, clips: Sequence[Clip]):
+    """Make the clips strips of `owner`, an armature object or shape keys, on which nothing else then plays."""
+    animation = owner.animation_data or owner.animation_data_create()
+    for track in animation.nla_tracks:
+        track.mute = True
+        if track.is_solo:
+            track.is_solo = False
+        for strip in track.strips:
+            strip.name = ASIDE  # no two have one name, and FBX writes it
+    animation.action, animation.use_nla = None, True
+    for clip in clips:
+        action = _action(clip)
+        slot = _slot(action, owner)
+        if slot:
+            _fill(animation.nla_tracks.new(), clip, action, slot)
+
+
+def _action(clip: Clip):
+    action = bpy.data.actions.get(clip.name)
+    if action is None:
+        raise SceneError(f"Action '{clip.name}' was removed or renamed meanwhile: start again")
+    return action
+
+
+def _fill(track, clip: Clip, action, slot):
+    track.name = clip.name
+    strip = track.strips.new(clip.name, clip.first, action)
+    strip.name = clip.name
+    strip.action_slot = slot
+    strip.action_frame_start, strip.action_frame_end = clip.begin, clip.end
+    strip.frame_start, strip.frame_end = clip.first, clip.last
+    strip.extrapolation, strip.blend_type = "NOTHING", "REPLACE"
+
+
+def _slot(action, owner):
+    """The slot of an Action that moves `owner`, of an armature object its bones; one of its name first. Or None."""
+    fitting = [slot for slot in action.slots if slot.target_id_type in {owner.id_type, "UNSPECIFIED"}]
+    fitting = [slot for slot in fitting if not slot.users() or owner in slot.users()]  # else it is another character's
+    for slot in sorted(fitting, key=lambda slot: slot.name_display != owner.name):
+        paths = (curve.data_path for curve in animation.curves(action, slot))
+        if any(_has(owner, path) for path in paths if owner.id_type == "KEY" or path.startswith(POSE)):
+            return slot
+    return None
+
+
+def _has(owner, path: str) -> bool:
+    try:
+        owner.path_resolve(path)
+    except ValueError:
+        return False
+    return True
+
+
+def _values(owner, clips) -> dict:
+    """What the clips would change, by path: Blender leaves in place what it has last evaluated."""
+    actions = [_action(clip) for clip in clips]
+    paths = {curve.data_path for action in actions for curve in animation.curves(action, _slot(action, owner))}
+    found = {path: owner.path_resolve(path) for path in paths if _has(owner, path)}
+    return {path: value if isinstance(value, str | int | float) else tuple(value) for path, value in found.items()}
+
+
+def _set(owner, path: str, value):
+    """The inverse of `path_resolve`; a path ends with .name or, of a custom property, with ["name"]."""
+    if path.endswith('"]'):
+        where, _, name = path[:-2].rpartition('["')
+        (owner.path_resolve(where) if where else owner)[bpy.utils.unescape_identifier(name)] = value
+    else:
+        where, _, name = path.rpartition(".")
+        setattr(owner.path_resolve(where) if where else owner, name, value)

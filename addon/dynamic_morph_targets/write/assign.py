@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings from plain data into property groups."""
+
+from __future__ import annotations
+
+from ..scene.plain import plain
+from ..scene.target_properties import as_computed
+
+
+def assign(group, values: dict):
+    """The inverse of `plain`. Writes only what differs; names that the group does not have are skipped."""
+    with as_computed():  # whether a stiffness was set by hand is one of the values
+        for name, value in values.items():
+            if name in group.bl_rna.properties and plain(group).get(name) != value:
+                setattr(group, name, value)

@@ -1,0 +1,389 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The attachments of a character: finds other meshes on its armature and loose parts, and says what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..core import errors, rigid
+from ..core.geometry import inverse, loose_parts
+from ..scene import checks, mesh_data, references, skinning
+from ..scene.references import rig_of
+from ..scene.skin import parts_in, parts_of
+from . import bake
+
+PREFIX = "Dynamorph Piece "  # of the vertex groups that are made for loose parts
+FEW = 8  # so many loose parts are a piece each
+LARGE = 0.02  # of the body's area: larger loose parts are a piece each
+RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rigidly
+ACCESSORY = 0.05  # of the soft skin of a character's largest mesh: one with less is not what is meant to be soft
+FEW_BONES = 3  # that are named in a reason
+FEWEST_BONES = 3  # that carry the parts of a character that is wholly hard
+
+
+# What a character has ----------------------------------------------------------------------------------------------
+
+
+def find(obj) -> list[str]:
+    """Add the pieces of the soft skin `obj` that are not in its list yet; returns their names. Raises SceneError."""
+    if obj.dynamorph.model.one_cage:
+        return _find_in_body(obj)
+    objects, parts = [(other, _choice(other)) for other in _siblings(obj)], _parts(obj)
+    return [_add_object(obj, *found) for found in objects] + [_add_part(obj, part) for part in parts]
+
+
+def remove(obj, index: int):
+    """Take a piece out of the list, with the vertex group that was made for it."""
+    piece = obj.dynamorph.pieces[index]
+    owner = piece.object or obj
+    group = owner.vertex_groups.get(piece.group)
+    if group and group.name.startswith(PREFIX):
+        owner.vertex_groups.remove(group)
+    obj.dynamorph.pieces.remove(index)
+    obj.dynamorph.active_piece_index = max(min(index, len(obj.dynamorph.pieces) - 1), 0)
+
+
+def members(obj, group: str) -> np.ndarray:
+    """The vertices (V,) bool of a part."""
+    return mesh_data.group_weights(obj, [group])[:, 0] >= mesh_data.MEMBER
+
+
+def problem(obj, piece) -> str:
+    """What is wrong with one of the pieces of `obj`, or ''. Reads no mesh: fit for drawing."""
+    if not (piece.object or piece.group):
+        return f"'{piece.name}' is gone: remove the attachment" if piece.name else "Choose an object or a vertex group"
+    if piece.object and not piece.object.users_scene:
+        return f"'{piece.name}' is gone: remove the attachment"
+    if piece.group:
+        gone = piece.group not in (piece.object or obj).vertex_groups
+        return f"The vertex group '{piece.group}' is gone: choose another, or remove the attachment" if gone else ""
+    if piece.choice in {"WITH_BODY", "HELD"} and rig_of(obj):
+        return next((each.text for each in checks.follower(obj, piece.object)), "")
+    return ""
+
+
+def left_alone(obj) -> Iterator[str]:
+    """The meshes of a character that no skin moves, a sentence each."""
+    rig = rig_of(obj)
+    children = dict.fromkeys([*(rig.children_recursive if rig else ()), *obj.children_recursive])
+    children = [other for other in children if other.users_scene]
+    for other in children:
+        if other.type != "MESH" or other == obj or skinning.armature_modifiers(other):
+            continue
+        if other.parent_type == "BONE":
+            yield f"'{other.name}' is parented to bone '{other.parent_bone}': it moves with the bone and is left alone"
+        elif other.parent_type in {"VERTEX", "VERTEX_3"}:
+            yield f"'{other.name}' is parented to vertices of '{other.parent.name}': it moves with them"
+        else:
+            yield f"'{other.name}' is parented to '{other.parent.name}': it moves with it as a whole and is left alone"
+
+
+def _siblings(obj) -> list:
+    """The other meshes on the armature of `obj` that are no piece yet."""
+    rig, known = rig_of(obj), [obj, *(piece.object for piece in obj.dynamorph.pieces)]
+    return [
+        other
+        for other in bpy.context.scene.objects
+        if other.type == "MESH"
+        and other not in known
+        and len(other.data.vertices)
+        and any(modifier.object == rig for modifier in skinning.armature_modifiers(other))
+    ]
+
+
+def _choice(other) -> str:
+    """What is likely to be meant for another mesh. Eyes and helmets follow one bone."""
+    if other.dynamorph.targets:
+        return "OWN_CAGE"
+    if other.library or other.override_library:
+        return "RIGID"
+    with suppress(errors.SceneError):
+        if rigid_parts(np.zeros(len(other.data.vertices), np.int64), mesh_data.skin_weights(other))[0]:
+            return "RIGID"
+    return "WITH_BODY"
+
+
+def _add_object(obj, other, choice: str) -> str:
+    piece = obj.dynamorph.pieces.add()
+    piece.object, piece.name, piece.choice = other, other.name, choice
+    return other.name
+
+
+def _add_part(obj, part: Part) -> str:
+    group = obj.vertex_groups.new(name=PREFIX + part.name)
+    group.add(np.flatnonzero(part.members).tolist(), 1.0, "REPLACE")
+    piece = obj.dynamorph.pieces.add()
+    piece.group = piece.name = group.name
+    piece.choice = "RIGID" if part.rigid else "WITH_BODY"
+    return group.name
+
+
+# Of a body in one cage -----------------------------------------------------------------------------------------------
+
+
+def body_for(obj):
+    """The mesh that is meant when `obj` is to become a soft skin: itself, unless it is rigid and another one on its
+    armature is not. Of an armature object the mesh with the most soft skin. Raises SceneError.
+    """
+    rig = obj if obj.type == "ARMATURE" else rig_of(obj) or carried_by(obj)
+    if rig is None or obj.mode == "EDIT":
+        return obj
+    areas = {other: _soft_area(other, rig) for other in checks.meshes_on(rig) if _may_be_soft(other, rig)}
+    largest = max(areas, key=areas.get, default=obj)
+    accessory = areas.get(obj, 0.0) <= ACCESSORY * areas.get(largest, 0.0)
+    return largest if obj.type == "ARMATURE" or accessory else obj
+
+
+def carried_by(obj):
+    """The armature object that `obj` is parented to, by itself or by what it is parented to, if it skins a mesh."""
+    above = obj.parent
+    while above and above.type != "ARMATURE":
+        above = above.parent
+    return above if above and any(rig_of(other) == above for other in checks.meshes_on(above)) else None
+
+
+def _may_be_soft(other, rig) -> bool:
+    skinned = any(modifier.object == rig for modifier in skinning.armature_modifiers(other))
+    mine = not (other.library or other.override_library)
+    return skinned and mine and other.mode != "EDIT" and bool(other.data.polygons)
+
+
+def _soft_area(other, rig) -> float:
+    """Of the skin of a mesh that no single bone carries, in Blender units."""
+    try:
+        points, triangles = mesh_data.rest_points(other), mesh_data.mesh_triangles(other.data)
+        labels = loose_parts(points, triangles)
+        hard, _ = rigid.rigid_parts(labels, mesh_data.skin_weights(other, rig))
+    except errors.SceneError:
+        return 0.0
+    areas = rigid.vertex_areas(points @ np.array(other.matrix_world)[:3, :3].T, triangles)
+    return float(areas[~hard[labels]].sum())
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A mesh of the body as it is looked at. labels (P,): of its loose parts; points (P, 3): in the body's bind space;
+    bones (parts,): that carry most of each part.
+    """
+
+    obj: object
+    labels: np.ndarray
+    points: np.ndarray
+    triangles: np.ndarray
+    weights: np.ndarray
+    hard: np.ndarray
+    bones: np.ndarray
+
+
+def _find_in_body(obj) -> list[str]:
+    """As `find`, for a soft skin with One Cage: every other mesh and every rigid part, each with a reason."""
+    checks.check_mesh(obj)
+    rig = checks.armature_modifier(obj).object
+    world, _ = mesh_data.worlds_at_start(obj, rig)
+    to_bind, names = mesh_data.stretch(world), references.rest_skeleton(rig.data).names
+    listed = {piece.object: piece.choice for piece in obj.dynamorph.pieces if piece.object and not piece.group}
+    found, added = [_look_at(obj, obj, rig, world, to_bind)], []
+    for other in [*_siblings(obj), *(each for each, choice in listed.items() if choice in {"WITH_BODY", "HELD"})]:
+        try:
+            refusal = _refusal(obj, other)
+            found += [] if refusal else [_look_at(obj, other, rig, world, to_bind)]
+        except errors.SceneError as error:
+            refusal = str(error)
+        if refusal and other not in listed:
+            choice = "OWN_CAGE" if other.dynamorph.targets else "RIGID"
+            added.append(_add(obj, other, "", choice, refusal))
+    _leave_something_soft(found)
+    for each, touches in zip(found, _touching(found), strict=True):
+        whole = each.obj != obj and each.hard.all() and len(set(each.bones.tolist())) == 1
+        if each.obj != obj and each.obj not in listed:
+            added.append(_add_mesh(obj, each, whole, touches, names))
+        if not whole:
+            added += _add_parts(obj, each, touches, names)
+    skinned = _all_together(found)
+    obj.dynamorph.model.head = ", ".join(
+        names[bone] for bone in rigid.heads(references.rest_skeleton(rig.data), *skinned)
+    )
+    return added
+
+
+def _refusal(obj, other) -> str:
+    """Why a mesh cannot belong to the body of `obj`, or ''."""
+    if other.dynamorph.targets:
+        return "It is a soft skin of its own"
+    for problem in (*checks.follower(obj, other), *checks.mesh(other), *checks.order(other)):
+        return problem.text
+    try:
+        bake.check(other, needs_keys=False)
+    except errors.SinkError as error:
+        return str(error)
+    return ""
+
+
+def _look_at(obj, other, rig, world: np.ndarray, to_bind: np.ndarray) -> _Found:
+    """world (4, 4), to_bind (3, 3): of `obj`. Raises SceneError."""
+    to_body = np.eye(4) if other == obj else inverse(world) @ mesh_data.worlds_at_start(other, rig)[0]
+    local, weights = mesh_data.rest_points(other), mesh_data.skin_weights(other, rig)
+    triangles = mesh_data.mesh_triangles(other.data)
+    labels = loose_parts(local, triangles)
+    points = mesh_data.carried(local, to_body) @ to_bind.T
+    return _Found(other, labels, points, triangles, weights, *rigid.rigid_parts(labels, weights))
+
+
+def _leave_something_soft(found: list[_Found]):
+    """Where all is rigid, but on a bone or two, the largest part is a body after all: a jelly, say."""
+    bones = {bone for each in found for bone in each.bones.tolist()}
+    if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
+        return
+    areas = [np.bincount(each.labels, rigid.vertex_areas(each.points, each.triangles)) for each in found]
+    largest = max(range(len(found)), key=lambda k: areas[k].max())
+    found[largest].hard[areas[largest].argmax()] = False
+
+
+def _all_together(found: list[_Found]) -> tuple:
+    """Weights, points and triangles of all meshes, as `rigid.heads` asks for them."""
+    starts = np.cumsum([0, *(len(each.points) for each in found)])
+    triangles = [each.triangles + start for each, start in zip(found, starts, strict=False)]
+    together = [np.concatenate([getattr(each, name) for each in found]) for name in ("weights", "points")]
+    return *together, np.concatenate(triangles)
+
+
+def _touching(found: list[_Found]) -> list[np.ndarray]:
+    """For each mesh, which (parts,) of its rigid parts share points with soft skin."""
+    points = np.concatenate([each.points for each in found])
+    size = np.linalg.norm(np.ptp(points, axis=0))
+    first = rigid.coincident(points, rigid.COINCIDE * size)
+    counts = [len(each.hard) for each in found]
+    starts = np.cumsum([0, *counts])[:-1]
+    labels = np.concatenate([each.labels + start for each, start in zip(found, starts, strict=True)])
+    hard = np.concatenate([each.hard for each in found])
+    return np.split(rigid.joined_to_soft(labels, hard, first), starts[1:])
+
+
+def _add_mesh(obj, each: _Found, whole: bool, touches: np.ndarray, names) -> str:
+    """whole: one bone carries all of it."""
+    if not whole:
+        return _add(obj, each.obj, "", "WITH_BODY", "It is skinned by the same armature")
+    bone = [*names, "none"][each.bones[0]]
+    if touches.any():
+        return _add(obj, each.obj, "", "HELD", f"Bone '{bone}' alone moves it, and it shares points with soft skin")
+    return _add(obj, each.obj, "", "RIGID", f"Bone '{bone}' alone moves it")
+
+
+def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
+    """The rigid loose parts of a mesh as pieces: those of a material on a bone together, of more than a few the small
+    ones of a material.
+    """
+    mesh, labels, owner = each.obj.data, each.labels, None if each.obj == obj else each.obj
+    slots = np.zeros(len(each.triangles), np.int32)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    areas = np.zeros((len(each.hard), max(len(mesh.materials), 1)))
+    of_triangles = rigid.triangle_areas(each.points, each.triangles)
+    np.add.at(areas, (labels[each.triangles[:, 0]], slots.clip(0, areas.shape[1] - 1)), of_triangles)
+    known = [piece.group for piece in parts_of(obj, owner) if piece.group in each.obj.vertex_groups]
+    taken = (mesh_data.group_weights(each.obj, known) >= mesh_data.MEMBER).any(axis=1)
+    covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
+    added = []
+    for held in (False, True):
+        chosen = np.flatnonzero(each.hard & (touches == held) & ~covered)
+        alike = np.column_stack([areas[chosen].argmax(axis=1), each.bones[chosen]])
+        kinds, kind = np.unique(alike, axis=0, return_inverse=True)
+        of_kinds = np.zeros((len(kinds), areas.shape[1]))
+        np.add.at(of_kinds, kind.ravel(), areas[chosen])
+        for together in grouped(of_kinds, np.zeros(len(kinds), bool), body=False):
+            group = chosen[np.isin(kind.ravel(), together)]
+            material = mesh.materials[areas[group].sum(axis=0).argmax()] if mesh.materials else None
+            made = each.obj.vertex_groups.new(name=PREFIX + (material.name if material else "Part"))
+            made.add(np.flatnonzero(np.isin(labels, group)).tolist(), 1.0, "REPLACE")
+            bones = dict.fromkeys([*names, "none"][bone] for bone in each.bones[group])
+            listed = ", ".join(f"'{bone}'" for bone in list(bones)[:FEW_BONES]) + " ..." * (len(bones) > FEW_BONES)
+            parts = "This loose part follows" if len(group) == 1 else f"These {len(group)} loose parts follow"
+            reason = f"{parts} {'bone' if len(bones) == 1 else 'one bone each:'} {listed}"
+            reason += ", and shares points with soft skin" * held
+            added.append(_add(obj, owner, made.name, "HELD" if held else "RIGID", reason))
+    return added
+
+
+def _add(obj, other, group: str, choice: str, reason: str) -> str:
+    piece = obj.dynamorph.pieces.add()
+    piece.object, piece.group, piece.name = other, group, group or other.name
+    piece.choice = choice
+    piece.reason = reason  # after the choice, which takes it away when the artist makes it
+    return piece.name
+
+
+# Loose parts of the mesh -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Part:
+    """Loose parts of a mesh that are one piece. members (V,) bool; rigid: each follows one bone."""
+
+    name: str
+    members: np.ndarray
+    rigid: bool
+
+
+def _parts(obj) -> list[Part]:
+    """What the mesh of `obj` has besides its body and the pieces there are already. Raises SceneError."""
+    checks.check_mesh(obj)
+    mesh, points = obj.data, mesh_data.rest_points(obj)
+    edges = np.empty((len(mesh.edges), 2), np.int32)
+    mesh.edges.foreach_get("vertices", edges.ravel())
+    labels = loose_parts(points, edges)
+    if not labels.any():
+        return []
+    triangles = mesh_data.mesh_triangles(mesh)
+    slots = np.empty(len(triangles), np.int32)
+    mesh.loop_triangles.foreach_get("material_index", slots)
+    areas = np.zeros((labels.max() + 1, max(len(mesh.materials), 1)))
+    corners = points[triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    slots = slots.clip(0, areas.shape[1] - 1)  # there may be fewer materials than the faces say
+    np.add.at(areas, (labels[triangles[:, 0]], slots), np.linalg.norm(across, axis=1) / 2.0)
+    follows_one = rigid_parts(labels, mesh_data.skin_weights(obj))
+    known = [piece.group for piece in parts_in(obj)]
+    taken = (mesh_data.group_weights(obj, known) >= mesh_data.MEMBER).any(axis=1)
+    covered = np.bincount(labels, taken) > 0.5 * np.bincount(labels)
+    body = areas.sum(axis=1).argmax()
+    out = []
+    for group in grouped(areas, skip=covered):
+        material = mesh.materials[areas[group].sum(axis=0).argmax()] if mesh.materials else None
+        same = areas[group].sum(axis=0).argmax() == areas[body].argmax()
+        name = "Part" if len(group) == 1 else "Small Parts"
+        out.append(
+            Part(material.name if material and not same else name, np.isin(labels, group), follows_one[group].all())
+        )
+    return out
+
+
+def grouped(areas: np.ndarray, skip: np.ndarray, body=True) -> list[np.ndarray]:
+    """Which loose parts are one piece: lists of part numbers; body: without the largest, which is the body.
+
+    areas (P, M): of P loose parts by material slot; skip (P,) bool: parts that are left out. Where there are more than
+    a few, small ones of the same material are together.
+    """
+    whole = areas.sum(axis=1)
+    order = np.argsort(-whole, kind="stable")  # the body first
+    others = [p for p in order[int(body) :] if whole[p] > 0.0 and not skip[p]]
+    if len(others) <= FEW:
+        return [np.array([p]) for p in others]
+    large = [p for p in others[:FEW] if whole[p] > LARGE * whole[order[0]]]
+    small: dict[int, list] = {}
+    for p in others[len(large) :]:
+        small.setdefault(int(areas[p].argmax()), []).append(p)
+    return [np.array([p]) for p in large] + [np.array(parts) for parts in small.values()]
+
+
+def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Whether (P,) each part follows one bone rigidly; labels (V,) its number, weights (V, B + 1) the skin's."""
+    bone, count = weights.argmax(axis=1), labels.max() + 1
+    first, last = np.full(count, weights.shape[1]), np.full(count, -1)
+    np.minimum.at(first, labels, bone)
+    np.maximum.at(last, labels, bone)
+    loose = np.bincount(labels, weights.max(axis=1) <= RIGID, count) > 0
+    return (first == last) & ~loose

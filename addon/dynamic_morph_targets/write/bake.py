@@ -1,0 +1,381 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A bake -> Blender: shape keys or a point cache, and their removal.
+
+surface = vertices + modes . coordinates + details . weights becomes one shape key a mode and one a target's detail,
+with the coordinates as F-curves. The curves sit in an Action of their own, as strips on NLA tracks, because an
+animation data holds one Action and that is the artist's. There are two tracks: the lower one plays the targets' shapes,
+the one above it replaces them by the motion, as far as the influence of its strip says. In the place of the upper track
+there may be a point cache: a Mesh Cache modifier before all others, whose influence is its own.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..core import baked
+from ..core.baked import Bake
+from ..core.errors import SinkError
+from ..core.slider_keys import Key, scaled_keys
+from ..scene import animation, checks
+from ..scene.references import basis_hash, key_points, key_reach
+from ..scene.skin import cache_modifier, followers
+from .bake_influence import MOTION, SHAPES, keep_influence, strip_of
+from .muting import mute_targets, unmute_targets
+from .reconcile import reconcile
+
+LINEAR = 1  # Keyframe.interpolation as foreach_set knows it
+
+
+def check(obj, needs_keys=True):
+    """Refuse, before any work, data to which a bake cannot be written. Raises SinkError.
+
+    needs_keys: there must be a Basis already, unless the neutral target is alone: then it is made.
+    """
+    if obj.type != "MESH":
+        raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
+    keys = obj.data.shape_keys
+    if keys is None and needs_keys and len(obj.dynamorph.targets) != 1:
+        raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
+    check_local(obj, obj.data, *filter(None, [keys]))
+    for problem in checks.shared_mesh(obj):
+        raise SinkError(problem.text)
+    check_not_edited(obj)
+    animation = keys and keys.animation_data
+    if animation is None:
+        return
+    if animation.use_tweak_mode:
+        raise SinkError(f"The shape keys of '{obj.name}' are in NLA tweak mode: leave it first (Tab in the NLA editor)")
+    if not animation.use_nla:
+        raise SinkError(f"NLA is turned off for the shape keys of '{obj.name}': turn it on (Key in the NLA editor)")
+    solo = next((track.name for track in animation.nla_tracks if track.is_solo), None)
+    if solo is not None:
+        raise SinkError(f"NLA track '{solo}' of the shape keys of '{obj.name}' is solo: turn its star off")
+    paths = {f'key_blocks["{bpy.utils.escape_identifier(target.name)}"].mute' for target in obj.dynamorph.targets[1:]}
+    driven = next((driver.data_path for driver in animation.drivers if driver.data_path in paths), None)
+    if driven is not None:
+        raise SinkError(f"'{obj.name}': {driven} has a driver, so a bake cannot mute the key: remove the driver")
+
+
+def check_cache(obj, folder: Path | None):
+    """Refuse a point cache that has no place: folder is that of the .blend. Raises SinkError."""
+    if folder is None:
+        raise SinkError(f"The point cache of '{obj.name}' goes into a folder beside the .blend: save the .blend first")
+
+
+def overwritten_keys(obj) -> list[str]:
+    """The artist's own shape keys that move, over which a point cache plays."""
+    own = {target.name for target in obj.dynamorph.targets[1:]} | animation.baked_keys(obj)
+    return [name for name in animation.moving_keys(obj) if name not in own]
+
+
+def check_not_edited(obj):
+    """Refuse Edit Mode, in which Blender removes no shape keys. Raises SinkError."""
+    if obj.mode == "EDIT":
+        raise SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
+
+
+def check_local(*blocks):
+    """Refuse data-blocks whose changes would not be saved. Raises SinkError."""
+    for block in blocks:
+        if block.library or block.override_library:
+            how = "linked" if block.library else "a library override"
+            raise SinkError(
+                f"{block.bl_rna.name} '{block.name}' is {how}, so what is made here would be lost on save: make it "
+                "local (Object > Relations > Make Local > Selected Objects and Data)"
+            )
+
+
+def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
+    """Write the bake as shape keys and F-curves, replacing the previous bake of `obj`. Raises SinkError.
+
+    The old bake goes only when the new one is complete; its Influence stays. skin: the soft skin that `obj` follows,
+    if it is none itself; its Basis is made if there is none. cache: a point cache (.pc2, .mdd) that plays the motion,
+    if the keys do not. Returns the bytes of keys and curves.
+    """
+    check(obj, needs_keys=skin is None)
+    reconcile(obj)
+    if bake.modes.shape[1] != len(obj.data.vertices):
+        raise SinkError(
+            f"Mesh '{obj.name}' has {len(obj.data.vertices)} vertices, the bake {bake.modes.shape[1]}: bake again"
+        )
+    record = obj.dynamorph.bake
+    followed = obj.dynamorph.follows
+    follow(obj, skin)
+    keys = scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
+    old = _baked_names(obj)  # now: a new key may look like an old one, or take the name of one that was deleted
+    before = obj.data.shape_keys.animation_data is not None
+    had_animation_data = record.had_animation_data if record.exists else before
+    active_index = obj.active_shape_key_index
+    blocks, action = [], None
+    try:
+        for key in keys:
+            blocks.append(_add_key(obj, key))
+        names = [block.name for block in blocks]  # for now: the old bake may have the names that they should have
+        action = _add_curves(obj.data.shape_keys, names, bake.frames, keys)
+    except BaseException:
+        _remove(obj, blocks, action)
+        obj.active_shape_key_index = active_index
+        if not before:
+            obj.data.shape_keys.animation_data_clear()
+        if followed is None:
+            leave(obj)
+        raise
+    obj.active_shape_key_index = active_index
+    keep_influence(strip_of(obj.data.shape_keys, record.action), strip_of(obj.data.shape_keys, action))
+    _free(obj, old, keep_cache=cache is not None)
+    _record(obj, names, [key.name for key in keys], action, had_animation_data)
+    if cache:
+        _play_cache(obj, cache, bake, skin)
+    mute_targets(obj, record.muted, bake.target_names, skin)
+    return sum(key.bytes() for key in keys)
+
+
+def ensure_basis(obj):
+    """Make the shape key that the others are relative to, unless there is one."""
+    if obj.data.shape_keys is None:
+        obj.shape_key_add(name="Basis", from_mix=False)
+
+
+def follow(obj, skin):
+    """Note that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
+    settings = obj.dynamorph
+    if settings.follows != skin:
+        settings.had_keys = settings.had_keys if settings.follows else obj.data.shape_keys is not None
+        settings.follows = skin
+    ensure_basis(obj)
+
+
+def leave(obj):
+    """The inverse of `follow`, when the keys are gone."""
+    settings, keys = obj.dynamorph, obj.data.shape_keys
+    if settings.follows is None:
+        return
+    settings.follows = None
+    if not settings.had_keys and keys and len(keys.key_blocks) == 1:  # the artist has added none
+        obj.shape_key_clear()
+
+
+def free(obj):
+    """Remove the bake of `obj` and of what follows it, if any, and restore what it changed: keys, order, active key,
+    mute, animation data.
+
+    Raises SinkError.
+    """
+    baked = (obj, *followers(obj))
+    for each in baked:
+        if each.dynamorph.bake.exists and each.data.shape_keys:  # else the artist has removed all there was
+            check(each)
+    for each in baked:
+        reconcile(each)
+        _free(each, _baked_names(each))
+        leave(each)
+
+
+def read_back(obj, samples: int = 1) -> Bake:
+    """The bake of `obj` as its shape keys and curves now have it, at its frames and `samples` times a frame, local
+    space. All keys are modes. Its strips count as they were baked. Raises SinkError.
+    """
+    record, keys = obj.dynamorph.bake, obj.data.shape_keys
+    reconcile(obj)
+    wet, dry = _curves_of(keys, record.action, MOTION), _curves_of(keys, record.action, SHAPES)
+    blocks = [keys.key_blocks[name] for name in _baked_names(obj)] if keys else []
+    paths = [f"{block.path_from_id()}.value" for block in blocks]
+    curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
+    if not curves or record.cache:
+        raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
+    render = bpy.context.scene.render
+    per_frame = render.frame_map_old / render.frame_map_new
+    ends = [end / per_frame for curve in curves for end in curve.range()]
+    first, last = math.ceil(min(ends) - 1e-3), math.floor(max(ends) + 1e-3)
+    frames = first + np.arange((last - first) * samples + 1) / samples
+
+    def values(curve) -> np.ndarray:
+        return np.array([curve.evaluate(time) for time in frames * per_frame]) if curve else np.zeros(len(frames))
+
+    basis = key_points(keys.reference_key).astype(np.float64)
+    return Bake(
+        frames=frames,
+        coordinates=np.array([values(wet.get(path) or dry.get(path)) for path in paths]).T,
+        weights=np.zeros((len(frames), 0)),
+        modes=np.array([key_points(block) - basis for block in blocks]),
+        details=np.zeros((0, *basis.shape)),
+        target_names=tuple(target.name for target in obj.dynamorph.targets),
+        dry=np.array([values(dry.get(path)) for path in paths]).T,
+        key_names=tuple(block.name for block in blocks),
+    )
+
+
+def shape_curves(obj) -> dict:
+    """The curves of the bake of `obj` that play the targets' shapes alone, by path."""
+    return _curves_of(obj.data.shape_keys, obj.dynamorph.bake.action, SHAPES)
+
+
+def _curves_of(keys, action, title: str) -> dict:
+    """The curves of one slot of a bake's Action, by path."""
+    slot = action and next((slot for slot in action.slots if slot.name_display == title), None)
+    if not (keys and slot):
+        return {}
+    return {curve.data_path: curve for curve in animation.curves(action, slot)}
+
+
+def _baked_names(obj) -> list[str]:
+    """Names of the shape keys that the bake added and that are still there; the references must be reconciled."""
+    return [key.name for key in obj.dynamorph.bake.keys if key.name]
+
+
+def _free(obj, names, keep_cache=False):
+    """keep_cache: the modifier stays for the next one, with the place and the influence that the artist gave it."""
+    record = obj.dynamorph.bake
+    keys = obj.data.shape_keys
+    if record.exists and keys:
+        active = obj.active_shape_key.name if obj.active_shape_key else ""
+        _remove(obj, [keys.key_blocks[name] for name in names], record.action)
+        index = keys.key_blocks.find(active)
+        obj.active_shape_key_index = index if index >= 0 else min(record.active_index, len(keys.key_blocks) - 1)
+        animation = keys.animation_data
+        unused = animation and not (animation.action or animation.nla_tracks or animation.drivers)
+        if unused and not record.had_animation_data:
+            keys.animation_data_clear()
+    unmute_targets(obj, record.muted)
+    modifier = cache_modifier(obj)
+    if modifier and not keep_cache:
+        modifier.driver_remove("factor")
+        obj.modifiers.remove(modifier)
+    if not keep_cache:
+        record.cache = ""
+    record.keys.clear()
+    record.action = None
+    record.summary = record.warnings = record.verdict = ""
+
+
+def _add_key(obj, key: Key):
+    block = obj.shape_key_add(name=key.name, from_mix=False)
+    block.value = 0.0  # 5.2 creates keys at 1
+    block.relative_key = obj.data.shape_keys.reference_key
+    block.slider_min, block.slider_max = key.lowest, 1.0
+    block.points.foreach_set("co", key.points.ravel())
+    return block
+
+
+def _add_curves(keys, names, frames, values: list[Key]):
+    """An Action with the curves, on NLA tracks above the artist's: without the motion, and with it. Returns it."""
+    render = bpy.context.scene.render
+    times = frames * (render.frame_map_old / render.frame_map_new)  # at frame 10 of a remapped scene it may be time 5
+    animation = keys.animation_data or keys.animation_data_create()
+    action = bpy.data.actions.new(f"{MOTION} {keys.user.name}")
+    strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
+    for title, curves in ((SHAPES, [key.shapes for key in values]), (MOTION, [key.motion for key in values])):
+        if all(curve is None for curve in curves):
+            continue
+        slot = action.slots.new(keys.id_type, title)
+        channels = strip.channelbag(slot, ensure=True)
+        for name, curve in zip(names, curves, strict=True):
+            if curve is not None:
+                add_curve(channels, name, times, curve)
+        _add_track(animation, title, action, slot, times)
+    return action
+
+
+def add_curve(channels, name: str, times, values):
+    """A curve of the value of the key `name`, linear between the times; of equal values the ends count."""
+    points = np.column_stack([times, values]).astype(np.float32)
+    same = points[1:, 1] == points[:-1, 1]
+    points = points[~(np.r_[False, same] & np.r_[same, False])]
+    curve = channels.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(name)}"].value')
+    curve.keyframe_points.add(len(points))
+    curve.keyframe_points.foreach_set("co", points.ravel())
+    curve.keyframe_points.foreach_set("interpolation", np.full(len(points), LINEAR, np.int32))
+    curve.update()
+
+
+def _add_track(animation, title: str, action, slot, times):
+    track = animation.nla_tracks.new()
+    track.name = title
+    strip = track.strips.new(title, int(times[0]), action)
+    strip.action_slot = slot
+    strip.action_frame_start, strip.action_frame_end = times[0], max(times[-1], times[0] + 1)
+    strip.frame_start, strip.frame_end = strip.action_frame_start, strip.action_frame_end  # it was made at whole frames
+    strip.extrapolation = "HOLD"  # the ends hold; other keys have no curve here, so they are left alone
+    strip.blend_type = "REPLACE"
+    if title == MOTION:
+        strip.use_animated_influence = True
+        strip.fcurves.find("influence").keyframe_points.clear()  # or the slider would spring back to its one key
+        strip.influence = 1.0
+
+
+def _play_cache(obj, file: Path, bake: Bake, skin):
+    """Let a Mesh Cache modifier play the motion in a file; what follows a soft skin takes the influence from there."""
+    modifier = cache_modifier(obj)
+    if modifier is None:
+        modifier = obj.modifiers.new(MOTION, "MESH_CACHE")
+        obj.modifiers.move(len(obj.modifiers) - 1, 0)  # it has the surface that the others deform
+    render, samples = bpy.context.scene.render, baked.samples_per_frame(bake)
+    modifier.cache_format = file.suffix[1:].upper()
+    modifier.filepath = str(file)
+    with suppress(ValueError):  # on another drive
+        modifier.filepath = bpy.path.relpath(str(file)) if bpy.data.filepath else str(file)
+    modifier.frame_start = bake.frames[0] * samples  # the modifier scales first
+    modifier.frame_scale = samples * render.frame_map_new / render.frame_map_old
+    modifier.show_in_editmode = False
+    obj.dynamorph.bake.cache = file.name
+    if skin:
+        driver = modifier.driver_add("factor").driver
+        driver.type = "SUM"
+        variable = driver.variables.get("skin") or driver.variables.new()
+        variable.name = "skin"
+        variable.targets[0].id = skin
+        variable.targets[0].data_path = cache_modifier(skin).path_from_id("factor")
+
+
+def _remove(obj, blocks, action):
+    """Remove shape keys, and the Action with its strips and the tracks that then are empty; also the copies
+    that Blender makes of it for strips that are duplicated.
+    """
+    keys = obj.data.shape_keys
+    actions = [action] if action else []
+    tracks = keys.animation_data.nla_tracks if keys.animation_data and action else []
+    paths = {f"{block.path_from_id()}.value" for block in blocks}
+    for track in list(tracks):
+        for strip in list(track.strips):
+            if strip.action and strip.action not in actions and _moves_only(strip.action, paths):
+                actions.append(strip.action)
+            if strip.action in actions:
+                track.strips.remove(strip)
+                if all(left.type == "TRANSITION" for left in track.strips):
+                    tracks.remove(track)
+                    break
+    for name in [block.name for block in blocks]:  # by name: each removal moves the others in memory
+        obj.shape_key_remove(keys.key_blocks[name])
+    for each in actions:
+        recorded = obj.dynamorph.bake.action == each  # the record counts as a user
+        if each.users == int(recorded):
+            bpy.data.actions.remove(each)
+
+
+def _moves_only(action, paths: set[str]) -> bool:
+    """Whether an Action has curves, all of these paths."""
+    bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    moved = {curve.data_path for bag in bags for curve in bag.fcurves}
+    return bool(moved) and moved <= paths
+
+
+def _record(obj, names, wanted, action, had_animation_data):
+    """Give the new keys the names they should have, now that the old bake is gone, and note them."""
+    blocks = obj.data.shape_keys.key_blocks
+    record = obj.dynamorph.bake
+    for name, want in zip(names, wanted, strict=True):
+        index = blocks.find(name)
+        if name != want and want not in blocks:
+            blocks[index].name = want  # the curves' paths follow
+        key = record.keys.add()
+        key.refer_to(blocks, index)
+        key.reach = key_reach(blocks[index])
+    record.basis = basis_hash(blocks)
+    record.action = action
+    record.had_animation_data = had_animation_data
+    record.active_index = obj.active_shape_key_index

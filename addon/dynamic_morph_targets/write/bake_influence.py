@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much of a bake is shown: the influence of its strip in the NLA, which can be animated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene.skin import cache_modifier, followers
+
+SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
+# Of a strip, when it plays what; the ends last, which the others move.
+TIMING = (
+    "extrapolation", "use_reverse", "action_frame_start", "action_frame_end", "scale", "repeat", "frame_start_raw",
+    "frame_end_raw",
+)  # fmt: skip
+
+
+def influence(obj) -> tuple:
+    """What says how much of the bake's motion shows, an NLA strip or a modifier, and which property; None without."""
+    if modifier := cache_modifier(obj):
+        return modifier, "factor"
+    strip = influence_strip(obj)
+    return strip and (strip, "influence")
+
+
+def influence_strip(obj):
+    """The NLA strip that plays the bake's motion, or None."""
+    keys, action = obj.data.shape_keys, obj.dynamorph.bake.action
+    return keys and strip_of(keys, action)
+
+
+def show_influence(obj):
+    """Let Blender evaluate anew, which it does not do by itself when an influence is set."""
+    strip = influence_strip(obj)
+    if strip:
+        strip.mute = strip.mute
+        share_strip(obj)
+
+
+def share_strip(obj):
+    """Let the strip of the targets' shapes, and the strips of what follows a soft skin, play when that of its motion
+    does; what follows with the same influence, set or animated. Strips that were cut or doubled stay as they are.
+    """
+    motion = _strips(obj.data.shape_keys, obj.dynamorph.bake.action, MOTION)
+    for other in (obj, *followers(obj)) if motion else ():
+        shapes, moving = (_strips(other.data.shape_keys, other.dynamorph.bake.action, t) for t in (SHAPES, MOTION))
+        for strips in (shapes, moving):
+            if len(motion) == len(strips) == 1:
+                _keep_timing(motion[0], strips[0])
+        if moving and _influence(moving[0]) != _influence(motion[0]):
+            keep_influence(motion[0], moving[0])
+            moving[0].mute = moving[0].mute
+
+
+def strip_of(keys, action):
+    """The first strip that plays the motion in `action`, or None."""
+    return next(iter(_strips(keys, action, MOTION)), None)
+
+
+def _strips(keys, action, title: str) -> list:
+    """The strips that play the slot of a bake's `action`, which may be None."""
+    if action is None or keys is None or keys.animation_data is None:
+        return []
+    strips = [strip for track in keys.animation_data.nla_tracks for strip in track.strips if strip.action == action]
+    return [strip for strip in strips if strip.action_slot and strip.action_slot.name_display == title]
+
+
+def _keep_timing(old, new):
+    """Let a strip play when another does."""
+    if any(getattr(old, name) != getattr(new, name) for name in TIMING):
+        for name in TIMING:
+            setattr(new, name, getattr(old, name))
+
+
+def _influence(strip) -> tuple:
+    """The influence of a strip, set or animated, to be compared."""
+    curve = strip.fcurves.find("influence")
+    points = np.empty(2 * len(curve.keyframe_points) if curve else 0, np.float32)
+    if curve:
+        curve.keyframe_points.foreach_get("co", points)
+    return strip.influence, points.tobytes()
+
+
+def keep_influence(old, new):
+    """Set the influence of a strip as the artist has set or animated that of another; both may be None."""
+    curve = old and old.fcurves.find("influence")
+    if not (curve and new):
+        return
+    new.influence = old.influence
+    copy = new.fcurves.find("influence")
+    copy.keyframe_points.clear()
+    copy.extrapolation = curve.extrapolation
+    copy.keyframe_points.add(len(curve.keyframe_points))
+    handles = ("handle_left_type", "handle_right_type", "handle_left", "handle_right")
+    for point, same in zip(curve.keyframe_points, copy.keyframe_points, strict=True):
+        for name in ("co", *handles, "interpolation", "easing"):
+            setattr(same, name, getattr(point, name))
+    copy.update()

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A baked character as a file of another format, and what that format will leave out.
+
+Blender's own exporters write what Blender shows: glTF and FBX the shape keys as morph targets with their values at each
+frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for engines of one's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..core.errors import ExportError
+from ..io import glb, model_file, point_cache
+from ..scene import animation, checks, skin
+from ..scene.references import key_points, rig_of
+from ..scene.skin import followers
+from . import actions, bake
+
+
+@dataclass(frozen=True)
+class Format:
+    """suffix: of its files; write(obj, path, frames, takes); skins: whether it has armature and keys, and so a clip for
+    each Action; surface: whether it has what they result in; option: of bpy.app.build_options that it needs."""
+
+    label: str
+    suffix: str
+    description: str
+    write: Callable
+    skins: bool = False
+    surface: bool = False
+    option: str = ""
+
+    @property
+    def is_available(self) -> bool:
+        return not self.option or getattr(bpy.app.build_options, self.option)
+
+
+def check_place(obj, key: str, path: Path):
+    """Refuse, before any work, what cannot be written. Raises ExportError, sinks.SinkError."""
+    chosen = FORMATS[key]
+    if not chosen.is_available:
+        raise ExportError(f"This Blender was built without {chosen.label}: choose another format")
+    bake.check_not_edited(obj)
+    hidden = next((other for other in (obj, rig_of(obj), *followers(obj)) if other and not other.visible_get()), None)
+    if hidden:
+        raise ExportError(f"'{hidden.name}' is hidden, so Blender exports nothing of it: show it")
+    if not path.parent.is_dir():
+        raise ExportError(f"There is no folder '{path.parent}' to write '{path.name}' to: choose another")
+
+
+def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), without=()):
+    """Write the character of `obj` as it shows; takes: the clips that are laid out, if each is to be an animation;
+    without: meshes that others stand in for.
+
+    Raises ExportError, OSError.
+    """
+    chosen = FORMATS[key]
+    partial = path.with_name(f"{path.stem}.part{path.suffix}")  # exporters look at the suffix
+    try:
+        with as_it_was(obj, without):
+            chosen.write(obj, partial, frames, takes)
+        if not partial.is_file():
+            raise ExportError(f"Blender's {chosen.label} exporter wrote nothing: its report says why")
+        partial.replace(path)
+    except RuntimeError as error:  # what an operator reports
+        raise ExportError(f"'{obj.name}' could not be exported: {str(error).strip()}") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def check_bake(obj, key: str):
+    """Refuse a bake that is not there, or not in the form that the format writes. Raises ExportError."""
+    chosen = FORMATS[key]
+    record = obj.dynamorph.bake
+    keys = animation.baked_keys(obj).intersection(animation.keys_of(obj).keys())
+    shown = skin.cache_modifier(obj) if record.cache else keys
+    if not shown:
+        raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
+    if record.cache and not chosen.surface:
+        raise ExportError(
+            f"The bake of '{obj.name}' is a point cache, {chosen.label} writes shape keys: bake to Shape Keys first, "
+            "or choose Alembic or USD"
+        )
+
+
+# Writers -----------------------------------------------------------------------------------------------------------
+
+
+def _write_gltf(obj, path: Path, frames, takes):
+    with _sampled(obj, frames):
+        bpy.ops.export_scene.gltf(
+            filepath=str(path), use_selection=True, export_animation_mode="SCENE", export_force_sampling=True,
+            export_anim_scene_split_object=False,
+            export_optimize_animation_size=False, export_morph_normal=False, export_frame_range=True,
+        )  # fmt: skip
+    if takes:
+        parts = {clip.name: (clip.first - frames[0], clip.last - frames[0]) for clip in takes}
+        path.write_bytes(glb.split_animation(path.read_bytes(), parts, _fps()))
+
+
+def _write_fbx(obj, path: Path, frames, takes):
+    with _sampled(obj, frames):
+        bpy.ops.export_scene.fbx(
+            filepath=str(path), use_selection=True, add_leaf_bones=False, bake_anim_use_nla_strips=bool(takes),
+            bake_anim_use_all_actions=False, bake_anim_simplify_factor=0.0, use_mesh_modifiers=False,
+        )  # fmt: skip
+
+
+def _write_alembic(_obj, path: Path, frames, _takes):
+    bpy.ops.wm.alembic_export(
+        filepath=str(path), selected=True, start=frames[0], end=frames[1], uvs=True, normals=False,
+        as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes, as a model's
+    )  # fmt: skip
+
+
+def _write_usd(_obj, path: Path, frames, _takes):
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames  # until `_as_it_was`
+    bpy.ops.wm.usd_export(
+        filepath=str(path), selected_objects_only=True, export_animation=True, export_armatures=False,
+        export_shapekeys=False, export_normals=False, export_custom_properties=False,
+    )  # fmt: skip
+
+
+def _write_raw(obj, path: Path, _frames, _takes):
+    """One row a frame, whatever the bake's samples are: players count by frames."""
+    basis = key_points(obj.data.shape_keys.reference_key)
+    model_file.save(path, point_cache.raw(bake.read_back(obj), basis, _fps()))
+
+
+def _fps() -> float:
+    render = bpy.context.scene.render
+    return render.fps / render.fps_base
+
+
+FORMATS = {
+    "GLTF": Format("glTF", ".glb", "Morph targets and bones, for engines and the web", _write_gltf, skins=True),
+    "FBX": Format("FBX", ".fbx", "Morph targets and bones, for engines and other packages", _write_fbx,
+                  skins=True),
+    "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic,
+                      surface=True, option="alembic"),
+    "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
+                  option="usd"),
+    "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", _write_raw),
+}  # fmt: skip
+
+
+def named(path: Path, key: str) -> Path:
+    """The path with the suffix of a format, in place of that of another one."""
+    if path.suffix.lower() in {each.suffix for each in FORMATS.values()}:
+        return path.with_suffix(FORMATS[key].suffix)
+    return path.with_name(f"{path.name}{FORMATS[key].suffix}")
+
+
+# Around the exporters ----------------------------------------------------------------------------------------------
+
+
+def meshes_together(obj) -> list:
+    """The meshes of the character that Blender shows: its own, those that its bake moves, and all others that its
+    armature skins or carries.
+    """
+    return [mesh for mesh in _meshes_of(obj) if mesh.visible_get()]
+
+
+def left_out(obj) -> list:
+    """The meshes of the character that are hidden."""
+    return [mesh for mesh in _meshes_of(obj) if not mesh.visible_get()]
+
+
+def _meshes_of(obj) -> list:
+    rig = rig_of(obj)
+    return list(dict.fromkeys((obj, *followers(obj), *(checks.meshes_on(rig) if rig else ()))))
+
+
+def _together(obj, without=()) -> list:
+    """The character: its meshes, its armature, and what they hang on; without: meshes that others stand in for."""
+    meshes = [mesh for mesh in meshes_together(obj) if mesh not in without]
+    found, rig = dict.fromkeys((obj, *filter(None, [rig_of(obj)]), *meshes)), rig_of(obj)
+    for mesh in meshes:
+        above = mesh.parent
+        while above and above != rig and rig in _parents(above):
+            found[above] = None
+            above = above.parent
+    return list(found)
+
+
+def _parents(obj) -> list:
+    found = []
+    while obj.parent:
+        obj = obj.parent
+        found.append(obj)
+    return found
+
+
+@contextmanager
+def as_it_was(obj, without=()):
+    """The character alone selected; afterwards selection and frames as they were."""
+    layer, scene, character = bpy.context.view_layer, bpy.context.scene, _together(obj, without)
+    selected = [other for other in layer.objects if other.select_get()]
+    active, frame = layer.objects.active, (scene.frame_current, scene.frame_subframe)
+    ends = scene.frame_start, scene.frame_end
+    try:
+        for other in layer.objects:
+            other.select_set(other in character)
+        layer.objects.active = obj
+        yield
+    finally:
+        for other in layer.objects:
+            other.select_set(other in selected)
+        layer.objects.active = active
+        scene.frame_start, scene.frame_end = ends
+        scene.frame_set(frame[0], subframe=frame[1])
+
+
+@contextmanager
+def stand_ins(meshes):
+    """Copies of mesh objects, by their names, to be changed and written: the originals stay as they are."""
+    layer, actions_before = bpy.context.view_layer, set(bpy.data.actions)
+    names = [(block, block.name) for mesh in meshes for block in (mesh, mesh.data)]
+    copies = []
+    try:
+        for mesh in meshes:
+            copies.append(mesh.copy())
+            copies[-1].data = mesh.data.copy()
+            bpy.context.scene.collection.objects.link(copies[-1])
+        for (original, name), copy in zip(names, (b for c in copies for b in (c, c.data)), strict=True):
+            original.name = actions.ASIDE
+            copy.name = name
+        layer.update()
+        yield copies
+    finally:
+        for copy in copies:
+            mesh = copy.data
+            bpy.data.objects.remove(copy)
+            bpy.data.meshes.remove(mesh)  # with its shape keys
+        for action in set(bpy.data.actions) - actions_before:  # of the curves
+            bpy.data.actions.remove(action)
+        for original, name in names:
+            original.name = name
+
+
+@contextmanager
+def _sampled(obj, frames):
+    """The frames as the scene's, and `_sampled_keys` of the whole character."""
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = frames
+    with ExitStack() as stack:
+        for each in meshes_together(obj):
+            if each.data.shape_keys and each.data.shape_keys.animation_data:  # the artist may have removed them
+                stack.enter_context(_sampled_keys(each, frames))
+        yield
+
+
+@contextmanager
+def _sampled_keys(obj, frames):
+    """The values that all keys have, whatever moves them, as plain curves of one Action: exporters look no further."""
+    scene, keys = bpy.context.scene, obj.data.shape_keys
+    times = np.arange(frames[0], frames[1] + 1)
+    values = np.empty((len(times), len(keys.key_blocks)), np.float32)
+    for row, frame in zip(values, times, strict=True):
+        scene.frame_set(int(frame))
+        keys.key_blocks.foreach_get("value", row)
+    animation = keys.animation_data
+    before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
+    names = [block.name for block in keys.key_blocks]
+    values[:, [block.mute for block in keys.key_blocks]] = 0.0  # FBX knows no muted keys
+    action = bpy.data.actions.new(obj.name)
+    try:
+        slot = action.slots.new(keys.id_type, obj.name)
+        channels = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
+        for name, column in zip(names[1:], values.T[1:], strict=True):
+            bake.add_curve(channels, name, times, column)
+        for driver in animation.drivers:
+            driver.mute = True
+        animation.use_nla = False
+        animation.action, animation.action_slot = action, slot
+        yield
+    finally:
+        animation.action = before[0]
+        if before[1]:
+            animation.action_slot = before[1]
+        animation.use_nla = before[2]
+        for driver, mute in zip(animation.drivers, before[3], strict=True):
+            driver.mute = mute
+        bpy.data.actions.remove(action)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in the way of a soft skin, put right at the press of a button."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import bpy
+
+from ..core.errors import SceneError
+from ..scene import checks, skinning
+from . import bake
+
+
+@dataclass(frozen=True)
+class Fix:
+    """label, tooltip: for the artist; apply(obj): puts it right. Raises SceneError."""
+
+    label: str
+    tooltip: str
+    apply: Callable
+
+
+def owned(data):
+    """`data`, if changes of it are saved. Raises SceneError."""
+    if not data.is_editable:
+        raise SceneError(f"{data.bl_rna.name} '{data.name}' is linked, so the change would be lost: make it local")
+    return data
+
+
+def _in_modifier(**values) -> Callable:
+    """A fix that sets properties of the Armature modifiers."""
+
+    def apply(obj):
+        for modifier in skinning.armature_modifiers(obj):
+            for name, value in values.items():
+                setattr(modifier, name, value)
+
+    return apply
+
+
+def _in_bones(name: str, value) -> Callable:
+    """A fix that sets a property of every bone that skins the mesh."""
+
+    def apply(obj):
+        for rig in _rigs(obj):
+            owned(rig.data)
+            for bone in skinning.deforming_bones(obj, rig):
+                setattr(bone, name, value)
+
+    return apply
+
+
+def _rigs(obj) -> list:
+    """The armature objects that skin `obj`."""
+    return [modifier.object for modifier in skinning.armature_modifiers(obj)]
+
+
+def _leave_edit_mode(obj):
+    objects = bpy.context.view_layer.objects
+    active = objects.active
+    for edited in (obj, *_rigs(obj)):
+        if edited.mode == "EDIT":
+            objects.active = edited
+            bpy.ops.object.mode_set(mode="OBJECT")
+    objects.active = active
+
+
+def _make_single_user(obj):
+    obj.data = obj.data.copy()
+
+
+def _add_armature_modifier(obj):
+    """In the first place: what comes before an Armature modifier must not add vertices."""
+    empty = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
+    modifier = empty[0] if empty else obj.modifiers.new("Armature", "ARMATURE")
+    modifier.object = skinning.armature_for(obj)
+    obj.modifiers.move(obj.modifiers.find(modifier.name), 0)
+
+
+def _move_below(obj):
+    *_, armature = skinning.armature_modifiers(obj)
+    for modifier in reversed(checks.generating_before(obj, armature)):  # each to the place next to it: keeps the order
+        obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
+
+
+def _pose_position(obj):
+    for rig in _rigs(obj):
+        owned(rig.data).pose_position = "POSE"
+
+
+def _enable_armature(obj):
+    for rig in _rigs(obj):
+        owned(rig).hide_viewport = False
+
+
+def _add_basis(obj):
+    owned(obj.data)
+    bake.ensure_basis(obj)
+
+
+def _relative_keys(obj):
+    owned(obj.data.shape_keys).use_relative = True
+
+
+def _unpin(obj):
+    obj.show_only_shape_key = False
+
+
+FIXES = {
+    "LEAVE_EDIT_MODE": Fix("Leave Edit Mode", "Go back to Object Mode", _leave_edit_mode),
+    "SINGLE_USER": Fix(
+        "Make Mesh Single-User", "Give this object a copy of the mesh; the others keep the one they had",
+        _make_single_user,
+    ),
+    "ADD_ARMATURE": Fix(
+        "Add Armature Modifier",
+        "Add an Armature modifier with the parent, or the only armature that has bones named like the vertex groups",
+        _add_armature_modifier,
+    ),
+    "MOVE_BELOW": Fix(
+        "Move below Armature",
+        "Move the modifiers that change the number of vertices below the Armature modifier, where they work on the "
+        "posed mesh",
+        _move_below,
+    ),
+    "ENABLE_MODIFIER": Fix(
+        "Enable Modifier", "Show the Armature modifier in viewports", _in_modifier(show_viewport=True)
+    ),
+    "ENVELOPES": Fix(
+        "Skin by Vertex Groups", "Turn Bone Envelopes off and Vertex Groups on in the Armature modifier",
+        _in_modifier(use_bone_envelopes=False, use_vertex_groups=True),
+    ),
+    "POSE_POSITION": Fix("Pose Position", "Let the armature show its pose, not its rest position", _pose_position),
+    "ENABLE_ARMATURE": Fix("Enable Armature", "Enable the armature in viewports", _enable_armature),
+    "ENVELOPE_MULTIPLY": Fix(
+        "Turn off Envelope Multiply", "Turn Envelope Multiply off for every bone that deforms the mesh",
+        _in_bones("use_envelope_multiply", False),
+    ),
+    "ADD_BASIS": Fix("Add Basis", "Add the shape key that the others are relative to", _add_basis),
+    "RELATIVE_KEYS": Fix("Relative Shape Keys", "Make the shape keys relative to their Basis", _relative_keys),
+    "UNPIN": Fix("Show All Shape Keys", "Show the mix of all shape keys, not the active one alone", _unpin),
+}  # fmt: skip

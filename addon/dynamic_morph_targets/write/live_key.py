@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one shape key in which Live and its previews show the soft skin, and what it mutes while it is there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..scene.references import key_points
+from ..scene.skin import followers
+from . import bake, muting
+from .reconcile import reconcile
+
+NAME = "Dynamorph Live"
+
+
+def add(obj, target_names, pieces=()):
+    """Add the key at value 1, and mute the keys of these targets: it contains their shapes. Raises SinkError.
+
+    pieces: other meshes that follow the soft skin `obj`; each gets one too.
+    """
+    bake.check(obj)
+    for piece in pieces:
+        bake.check(piece, needs_keys=False)
+    _add(obj, target_names)
+    for piece in pieces:
+        _add(piece, target_names, skin=obj)
+
+
+def _add(obj, target_names, skin=None):
+    reconcile(obj)
+    bake.follow(obj, skin)
+    blocks = obj.data.shape_keys.key_blocks
+    active = obj.active_shape_key_index
+    block = obj.shape_key_add(name=NAME, from_mix=False)
+    block.value = 1.0
+    block.relative_key = obj.data.shape_keys.reference_key
+    obj.active_shape_key_index = active
+    obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
+    muting.mute_targets(obj, obj.dynamorph.live.muted, target_names, skin)
+
+
+def remove(obj):
+    """Remove the key of `obj` and of what follows it, where there is one, and restore what it muted and the active key.
+
+    Raises SinkError.
+    """
+    shown = (obj, *followers(obj))
+    for each in shown:
+        if find(each):
+            bake.check_not_edited(each)
+    for each in shown:
+        _remove(each)
+
+
+def _remove(obj):
+    reconcile(obj)
+    record = obj.dynamorph.live
+    block = find(obj)
+    if block is not None:
+        blocks = obj.data.shape_keys.key_blocks
+        active = obj.active_shape_key.name if obj.active_shape_key else ""
+        obj.shape_key_remove(block)
+        index = blocks.find(active)
+        obj.active_shape_key_index = index if index >= 0 else len(blocks) - 1
+    muting.unmute_targets(obj, record.muted)
+    record.key.name = ""
+    if not obj.dynamorph.bake.exists:
+        bake.leave(obj)
+
+
+def find(obj, written: np.ndarray | None = None):
+    """The key, or None. written (3 V,): what was last written to it, by which it is found when it was renamed."""
+    reference, keys = obj.dynamorph.live.key, obj.data.shape_keys
+    if not (reference.name and keys):
+        return None
+    block = keys.key_blocks.get(reference.name)
+    if block is None and written is not None:
+        same = (k for k, other in enumerate(keys.key_blocks) if np.array_equal(key_points(other).ravel(), written))
+        index = next(same, None)
+        if index is not None:
+            reference.refer_to(keys.key_blocks, index)
+            block = keys.key_blocks[index]
+    return block
+
+
+def write(block, points: np.ndarray):
+    """Show points (3 V,) float32, local space: Blender copies them in one piece."""
+    block.points.foreach_set("co", points)
+    block.id_data.update_tag()

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a format of another program loses of a baked character, said before it is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..scene import animation, skinning
+from ..scene.references import rig_of
+from ..scene.skin import followers
+from .exports import FORMATS, left_out, meshes_together
+
+MORPHS = 8  # that common engines and viewers blend at once
+INFLUENCES = 4  # bones of a vertex that glTF writes
+
+
+def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
+    """What the format will not show as Blender does, as sentences; takes: as for `export`. Reads the scene only."""
+    if key == "RAW":
+        yield from _raw_losses(obj)
+    elif FORMATS[key].skins:
+        planned = _planned_keys(obj) if takes == "ACTIONS" else None
+        moved = obj, *followers(obj)
+        for mesh in meshes_together(obj):
+            if mesh in moved or skinning.armature_modifiers(mesh):
+                yield from _skinning_losses(mesh, key)
+            yield from _key_losses(mesh, key, planned if mesh in moved else None)
+    if key != "RAW":
+        for mesh in left_out(obj):
+            yield f"'{mesh.name}' is hidden, so Blender exports nothing of it: show it"
+
+
+def _planned_keys(obj) -> int:
+    """How many keys the clips of all Actions take together, at most."""
+    settings = obj.dynamorph
+    return settings.output.keys or len(settings.modes) + max(len(settings.targets) - 1, 0)
+
+
+def _raw_losses(obj) -> Iterator[str]:
+    pieces = ", ".join(f"'{piece.name}'" for piece in meshes_together(obj) if piece != obj)
+    if pieces:
+        yield f"A raw clip is of one mesh: {pieces} is left out"
+    others = [name for name in animation.moving_keys(obj) if name not in animation.baked_keys(obj)]
+    if others:
+        yield f"A raw clip has the bake's keys alone: {', '.join(others)} is left out"
+
+
+def _skinning_losses(obj, key: str) -> Iterator[str]:
+    label, modifiers = FORMATS[key].label, skinning.armature_modifiers(obj)
+    if not modifiers:
+        yield f"'{obj.name}' has no Armature modifier: its bones are not written"
+        return
+    for modifier in obj.modifiers:
+        if modifier not in modifiers and modifier.show_viewport:
+            where = "after" if obj.modifiers.find(modifier.name) > obj.modifiers.find(modifiers[-1].name) else "before"
+            yield (
+                f"'{obj.name}': modifier '{modifier.name}' {where} the Armature is left out: {label} takes shape keys "
+                "or modifiers, not both. Use Alembic or USD"
+            )
+    beyond = skinning.beyond_bones(obj)
+    if beyond:
+        yield f"'{obj.name}' is skinned with {beyond}, {label} skins by plain bones: it will differ. Use Alembic or USD"
+    crowded = _crowded_vertices(obj)
+    if key == "GLTF" and crowded:
+        yield f"'{obj.name}': {crowded} vertices follow more than {INFLUENCES} bones: the weakest of them are dropped"
+
+
+def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
+    """planned: how many keys there will be in the place of the bake's, if there will be others."""
+    moving, baked = animation.moving_keys(obj), animation.baked_keys(obj)
+    others = [name for name in moving if name not in baked]
+    count = len(moving) if planned is None else len(others) + planned
+    if count > MORPHS:
+        room = MORPHS - len(others)
+        again = "bake to Shape Keys again with Keys" if planned is None else "set Keys to"
+        remedy = f"{again} {room}, or use" if room > 0 else "use"
+        yield f"'{obj.name}': {count} keys move, many engines blend {MORPHS} at most: {remedy} Alembic or USD"
+    driven = [name for name in moving if name in animation.driven_keys(obj)]
+    if driven:
+        yield f"'{obj.name}': drivers are left out, the values they give at each frame are written: {', '.join(driven)}"
+    blocks = obj.data.shape_keys.key_blocks if moving else ()
+    whole = [name for name in moving if blocks[name].vertex_group or blocks[name].relative_key != blocks[0]]
+    if key == "GLTF" and whole:
+        yield (
+            f"'{obj.name}': glTF knows no vertex groups of shape keys, and none relative to others than "
+            f"'{blocks[0].name}': {', '.join(whole)} will differ"
+        )
+
+
+def _crowded_vertices(obj) -> int:
+    bones = {bone.name for bone in skinning.deforming_bones(obj, rig_of(obj))}
+    groups = {group.index for group in obj.vertex_groups if group.name in bones}
+    return sum(
+        sum(element.group in groups and element.weight > 0.0 for element in vertex.groups) > INFLUENCES
+        for vertex in obj.data.vertices
+    )

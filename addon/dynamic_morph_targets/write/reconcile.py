@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""References to shape keys, vertex groups and bones follow renames."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.character import Skeleton
+from ..scene.references import basis_hash, key_hash, rest_skeleton, rig_of
+from ..scene.skin import parts_in
+
+
+def reconcile(obj):
+    """Make the references of `obj` follow renamed or moved shape keys and renamed bones.
+
+    A reference whose key or bone is really gone stays as it is; whoever uses it reports that.
+    """
+    settings = obj.dynamorph
+    if obj.data.shape_keys:
+        blocks = obj.data.shape_keys.key_blocks
+        _follow_keys(blocks, settings.targets[1:])
+        _follow_keys(blocks, settings.bake.muted)
+        _follow_baked_keys(blocks, settings.bake)
+        _follow_keys(blocks, settings.live.muted)
+        for reference in (settings.live.key, settings.sculpt.key, settings.sculpt.shown):
+            if reference.name:
+                _follow_keys(blocks, [reference])
+    _follow_groups(obj)
+    rig = rig_of(obj)
+    if rig and rig.mode != "EDIT":  # in Edit Mode the armature's bones lag behind
+        skeleton = rest_skeleton(rig.data)
+        for target in settings.targets:
+            _follow_bones(skeleton, target)
+
+
+def _follow_baked_keys(blocks, bake):
+    """Free Bake deletes these keys: one that only has the name of a key of ours is somebody else's.
+
+    Unless the mesh itself was edited, or its scale applied: then none looks as it did, and the name has to do.
+    """
+    basis = basis_hash(blocks) if bake.keys else bake.basis
+    if bake.basis == basis:
+        for reference in bake.keys:
+            block = blocks.get(reference.name)
+            if block and not reference.looks_like(block):
+                reference.name = ""
+    else:
+        bake.basis = basis
+    for reference in _follow_keys(blocks, bake.keys):
+        reference.name = ""
+
+
+def _follow_keys(blocks, references) -> list:
+    """Returns the references whose key is gone."""
+    lost, taken = [], {0}
+    for reference in references:
+        index = blocks.find(reference.name)
+        if index < 0:
+            lost.append(reference)
+        else:
+            reference.refer_to(blocks, index)
+            taken.add(index)
+    free = {i: key_hash(block) for i, block in enumerate(blocks) if i not in taken} if lost else {}
+    gone = []
+    for reference in lost:
+        same = [i for i, digest in free.items() if digest == reference.key_hash]
+        if not same:
+            gone.append(reference)
+            continue
+        index = reference.key_index if reference.key_index in same else same[0]
+        del free[index]
+        reference.refer_to(blocks, index)
+    return gone
+
+
+def _follow_groups(obj):
+    """Vertex groups have no other identity than their place among the others."""
+    settings = obj.dynamorph
+    now, then = obj.vertex_groups.keys(), settings.groups.split("\n")
+    if now == then:
+        return
+    settings.groups = "\n".join(now)
+    moved = zip(then, now, strict=True) if len(now) == len(then) else ()
+    renamed = {old: new for old, new in moved if old not in now and new not in then}
+    users = [(settings, "soft_group"), (settings, "stiffness_group")]
+    users += [(piece, "group") for piece in parts_in(obj)]
+    for user, name in users:
+        if getattr(user, name) in renamed:
+            setattr(user, name, renamed[getattr(user, name)])
+    for target in settings.targets:
+        if target.region in renamed:
+            target.set_region(renamed[target.region], target.auto_region)
+
+
+def _follow_bones(skeleton: Skeleton, target):
+    index = {name: b for b, name in enumerate(skeleton.names)}
+    rest = np.empty((len(target.pose), 4, 4), np.float32)
+    target.pose.foreach_get("rest", rest.ravel())
+    free = sorted(set(index.values()) - {index.get(bone.name) for bone in target.pose})
+    before, after = [], []
+    for bone, stored in zip(target.pose, rest, strict=True):
+        b = index.get(bone.name)
+        if b is None:
+            b = next((b for b in free if np.allclose(skeleton.rest[b], stored, rtol=1e-5, atol=1e-6)), None)
+            if b is None:
+                continue
+            free.remove(b)
+            for used in target.bones:
+                if used.name == bone.name:
+                    used.name = skeleton.names[b]
+            bone.name = skeleton.names[b]
+        before.append(stored[:3, :3])
+        after.append(skeleton.rest[b, :3, :3])
+        if not np.array_equal(skeleton.rest[b].astype(np.float32), stored):
+            bone.rest = skeleton.rest[b].ravel()
+    _keep_tilt(target, np.array(before), np.array(after))
+
+
+def _keep_tilt(target, before: np.ndarray, after: np.ndarray):
+    """Bones (B, 3, 3) that at rest were all turned alike, as a rotation that is applied to the armature turns them,
+    still stood in the world as they stood when the pose was captured."""
+    if len(before) < 2:  # of a single bone it may be the roll
+        return
+    turn = after[0] @ before[0].T
+    if np.allclose(turn, np.eye(3), atol=1e-4) or not np.allclose(turn @ before, after, atol=1e-4):
+        return
+    world = np.array(target.rig_world).reshape(4, 4)
+    world[:3, :3] = world[:3, :3] @ turn.T
+    target.rig_world = world.ravel()

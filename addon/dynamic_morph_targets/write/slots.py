@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Two sets of settings to compare, kept with the object."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from ..core.settings import Material
+from ..scene import plain, skin
+from . import assign
+
+
+def slot_settings(obj) -> dict:
+    """What one slot holds, fit for JSON. Targets are told apart by name; the neutral one is ''."""
+    settings = obj.dynamorph
+    return {
+        "materials": {name: asdict(target.material()) for name, target in skin.named_targets(obj)},
+        "frequencies": {name: [target.frequency, target.by_hand] for name, target in skin.named_targets(obj)},
+        "simulation": plain.plain(settings.simulation),
+        "gains": [mode.gain for mode in settings.modes],
+    }
+
+
+def put_slot(obj, values: dict):
+    """The inverse of `slot_settings`; targets and modes that came since then stay as they are."""
+    for name, target in skin.named_targets(obj):
+        if name in values["materials"]:
+            target.set_material(Material(**values["materials"][name]))
+            target.frequency, target.by_hand = values.get("frequencies", {}).get(name, (0.0, False))
+    assign.assign(obj.dynamorph.simulation, values["simulation"])
+    for mode, gain in zip(obj.dynamorph.modes, values["gains"], strict=False):
+        if mode.gain != gain:
+            mode.gain = gain

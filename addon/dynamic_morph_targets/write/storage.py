@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A built model stored with its object, or dropped."""
+
+from __future__ import annotations
+
+from array import array
+from pathlib import Path
+
+from .. import preferences
+from ..core import engine
+from ..core.errors import SceneError
+from ..io import model_file
+from ..scene import extract, staleness
+from ..scene.model_store import PACKED, blend_folder, stale_reasons
+from .reconcile import reconcile
+
+PACK_LIMIT = 32 * 2**20  # larger models go into a file
+
+
+def store_model(obj, packed: bytes, folder: Path | None = None):
+    """Keep a packed model with `obj`: in the .blend, or if it is large in a file as the preferences say.
+
+    folder: of the .blend that the model belongs to; by default of the open one.
+    Files are named by their content: a copy of the object shares its file, and a new build never overwrites one that
+    another .blend may use.
+    """
+    content_id = model_file.content_id(packed)
+    if len(packed) > PACK_LIMIT:
+        folders = preferences.model_folders(folder or blend_folder())
+        if not folders:
+            raise SceneError(
+                f"The model of '{obj.name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
+                ".blend: save the .blend first"
+            )
+        model_file.save(folders[0] / f"{content_id}.dynamorph", packed)
+        obj.pop(PACKED, None)
+    else:
+        obj.pop(PACKED, None)
+        obj[PACKED] = _as_numbers(packed)  # exporters of Blender's own crash on bytes with zeros in them
+    obj.dynamorph.model.content_id = content_id
+
+
+def _as_numbers(packed: bytes) -> array:
+    numbers = array("i", [len(packed)])
+    numbers.frombytes(packed + bytes(-len(packed) % numbers.itemsize))
+    return numbers
+
+
+def fit_modes(obj, count: int):
+    """List the modes of a new model; those that there were keep their gain."""
+    modes = obj.dynamorph.modes
+    while len(modes) > count:
+        modes.remove(len(modes) - 1)
+    while len(modes) < count:
+        modes.add().name = f"Mode {len(modes) + 1:02d}"
+    obj.dynamorph.active_mode_index = min(obj.dynamorph.active_mode_index, max(count - 1, 0))
+
+
+def forget_model(obj):
+    """Drop the model kept in the .blend. A file stays: another .blend may use it."""
+    obj.pop(PACKED, None)
+    record = obj.dynamorph.model
+    record.content_id = record.summary = record.cage = record.stale = record.warnings = record.built = ""
+
+
+def show_stale(obj):
+    """Look at the mesh, and let the panel say why the model of `obj` is out of date."""
+    reconcile(obj)
+    stale = ""
+    if not staleness.model_changes(obj):  # they say enough
+        try:
+            stale = "; ".join(stale_reasons(obj, extract.character(obj)))
+        except engine.expected_errors() as error:
+            stale = str(error)
+    if obj.dynamorph.model.stale != stale:
+        obj.dynamorph.model.stale = stale

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A soft skin brought to another mesh on the same armature, such as another resolution of the body, or tight clothes.
+
+Both stand in the world as at rest: shape keys and vertex groups go by the nearest point of the source's Basis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..core.errors import SceneError
+from ..core.geometry import determinant, inverse
+from ..scene import checks, mesh_data, rig_motion
+from ..scene.nearest import nearest
+from ..scene.references import rig_of
+from ..scene.skin import parts_in
+from . import bake, regions, setups, targets
+
+
+@dataclass(frozen=True)
+class Copy:
+    """What one mesh of V vertices gets from another.
+
+    shapes: displacements (V, 3) in its local space by the name of their shape key; weights (V,) by the name of their
+    vertex group; distance: how far it is from the source's surface at most, in metres.
+    """
+
+    shapes: dict[str, np.ndarray]
+    weights: dict[str, np.ndarray]
+    distance: float
+
+
+def check(source, others, replace: bool):
+    """Raises SceneError unless the soft skin of `source` can be written to each of `others`."""
+    rig = checks.armature_modifier(source).object
+    names = [target.name for target in source.dynamorph.targets[1:]]
+    keys = source.data.shape_keys
+    gone = [name for name in names if keys is None or name not in keys.key_blocks]
+    if gone:
+        raise SceneError(f"'{source.name}': the shape key of target '{gone[0]}' is gone: remove the target")
+    for obj in (source, *others):
+        checks.check_mesh(obj)
+        if checks.armature_modifier(obj).object != rig:
+            raise SceneError(f"'{obj.name}' is moved by another armature: choose '{rig.name}' in its Armature modifier")
+    for obj in others:
+        if not (obj.is_editable and obj.data.is_editable):
+            raise SceneError(f"'{obj.name}' is linked: make it and its mesh local (Object > Relations > Make Local)")
+        if obj.dynamorph.targets and not replace:
+            raise SceneError(f"'{obj.name}' has a soft skin already: turn on Replace Soft Skins, or deselect it")
+        basis = obj.data.shape_keys and obj.data.shape_keys.reference_key.name
+        if basis in names:
+            raise SceneError(f"'{obj.name}': its Basis is called '{basis}' like a target: rename it")
+
+
+def copy(source, obj) -> Copy:
+    """The shapes and groups of the soft skin `source` for the mesh of `obj`. Reads only; raises SceneError."""
+    (from_basis, from_world), (to_basis, to_world) = _at_rest(source), _at_rest(obj)
+    triangles = mesh_data.mesh_triangles(source.data)
+    found = nearest(_moved(to_basis, to_world), _moved(from_basis, from_world), triangles)
+    to_local = (inverse(to_world) @ from_world)[:3, :3]
+    groups = mesh_data.VertexGroups(source)
+    names = _own_groups(source)
+    return Copy(
+        {
+            target.name: found.carry(mesh_data.target_shape(source, target.name, groups)) @ to_local.T
+            for target in source.dynamorph.targets[1:]
+        },
+        dict(zip(names, found.carry(groups.weights(names)).T, strict=True)),
+        float(found.distances.max()),
+    )
+
+
+def write(obj, made: Copy, overwrite: bool):
+    """Make the shape keys and vertex groups; those there with the same name stay as they are unless `overwrite`."""
+    bake.ensure_basis(obj)
+    for name, shape in made.shapes.items():
+        block = obj.data.shape_keys.key_blocks.get(name)
+        if block is None:
+            targets.new_key(obj, name, shape)
+        elif overwrite:
+            targets.sculpt_anew(block, shape)
+    for name, weights in made.weights.items():
+        if overwrite or name not in obj.vertex_groups:
+            regions.write_group(obj, obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name), weights)
+    obj.data.update_tag()
+
+
+def size(obj) -> float:
+    """From corner to corner at rest, in metres. Raises SceneError."""
+    return float(np.linalg.norm(np.ptp(_moved(*_at_rest(obj)), axis=0)))
+
+
+def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
+    """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now, metres. Raises SceneError."""
+    world = rig_motion.world_now(obj)
+    if determinant(world[:3, :3]) == 0:
+        raise SceneError(f"'{obj.name}' is scaled to zero: give it a size")
+    return mesh_data.rest_points(obj), world
+
+
+def _moved(points: np.ndarray, world: np.ndarray) -> np.ndarray:
+    return points @ world[:3, :3].T + world[:3, 3]
+
+
+def _own_groups(source) -> list[str]:
+    """Names of the vertex groups that the soft skin uses, without those that tie the mesh to bones."""
+    settings = source.dynamorph
+    names = [getattr(settings, field) for field in setups.GROUPS] + [target.region for target in settings.targets]
+    names += [piece.group for piece in parts_in(source)]
+    skinned = {bone.name for bone in rig_of(source).data.bones if bone.use_deform}
+    return [name for name in dict.fromkeys(names) if name in source.vertex_groups and name not in skinned]

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which way the extension's modules depend on each other, and how large they may be. Reads the source, not Blender."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[2] / "addon" / "dynamic_morph_targets"
+# A module may import those of its own folder and of those before it. The package's own files come last.
+FOLDERS = ["core", "io", "preferences", "scene", "write", "run", "ui", "cli", ""]
+WITHOUT_BLENDER = {"core", "io"}
+BLENDER = {"bpy", "bpy_extras", "bmesh", "mathutils", "gpu", "blf"}
+
+
+def modules(package: Path) -> dict[str, ast.Module]:
+    """The syntax of each module by its place, such as scene/extract."""
+    return {
+        path.relative_to(package).with_suffix("").as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+        for path in sorted(package.rglob("*.py"))
+    }
+
+
+def folder_of(module: str) -> str:
+    return module.split("/")[0] if "/" in module or module in FOLDERS else ""
+
+
+def imported_by(module: str, tree: ast.Module, known) -> set[str]:
+    """The package's modules that one imports, anywhere in it."""
+    here, found = module.split("/")[:-1], set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = here[: len(here) - node.level + 1] + (node.module.split(".") if node.module else [])
+            named = ["/".join([*base, alias.name]) for alias in node.names]
+            found |= {name if name in known else "/".join(base) for name in named}
+    return found & set(known)
+
+
+def graph_of(package: Path) -> dict[str, set[str]]:
+    found = modules(package)
+    return {module: imported_by(module, tree, found) for module, tree in found.items()}
+
+
+def arrows_back(graph: dict[str, set[str]]) -> list[str]:
+    def place(module):
+        return FOLDERS.index(folder_of(module))
+
+    return [f"{module} imports {other}" for module in graph for other in graph[module] if place(other) > place(module)]
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """The modules of one circle of imports, in order, or none."""
+    done = set()
+
+    def search(module, way):
+        if module in way:
+            return [*way[way.index(module) :], module]
+        if module not in done:
+            for other in sorted(graph[module]):
+                if found := search(other, [*way, module]):
+                    return found
+            done.add(module)
+        return []
+
+    return next(filter(None, (search(module, []) for module in graph)), [])
+
+
+def test_imports_run_one_way():
+    graph = graph_of(PACKAGE)
+    assert len(graph) > 80 and arrows_back(graph) == []
+    assert circle(graph) == []
+
+
+def test_a_circle_and_an_arrow_back_are_found(tmp_path):
+    for name, text in {
+        "core/shape": "from ..io import files",
+        "io/files": "def save():\n    from ..core.shape import Shape",
+    }.items():
+        path = tmp_path / f"{name}.py"
+        path.parent.mkdir()
+        path.write_text(text)
+    graph = graph_of(tmp_path)
+    assert arrows_back(graph) == ["core/shape imports io/files"]
+    assert circle(graph) == ["core/shape", "io/files", "core/shape"]
+
+
+def test_core_and_io_do_without_blender():
+    for module, tree in modules(PACKAGE).items():
+        if folder_of(module) in WITHOUT_BLENDER:
+            names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+            names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+            assert not BLENDER & {name.split(".")[0] for name in names}, module
+
+
+def test_no_file_name_occurs_twice():
+    names = [path.name for path in PACKAGE.rglob("*.py") if path.name not in ("__init__.py", "__main__.py")]
+    assert sorted(names) == sorted(set(names))
+
