@@ -95,4 +95,3 @@ def test_core_and_io_do_without_blender():
 def test_no_file_name_occurs_twice():
     names = [path.name for path in PACKAGE.rglob("*.py") if path.name not in ("__init__.py", "__main__.py")]
     assert sorted(names) == sorted(set(names))
-
