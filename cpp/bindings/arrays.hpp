@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// NumPy arrays in, Eigen matrices out, with errors that name the parameter.
+// Converts NumPy arrays to Eigen matrices. Errors name the parameter.
 #pragma once
 
 #include <pybind11/numpy.h>
@@ -18,7 +18,7 @@ namespace dynamorph {
 
 using FloatArray = py::array_t<double, py::array::c_style | py::array::forcecast>;
 
-/// An argument of node or vertex indices, which `to_indices` reads: of any type, so that it can say what is wrong.
+/// An argument that holds node or vertex indices. It accepts any type, so that `to_indices` can say what is wrong.
 struct IndexArray : py::array {
   using py::array::array;
 };
@@ -26,8 +26,8 @@ struct IndexArray : py::array {
 /// "(4, 3)"
 inline std::string shape_of(const py::array& array) { return py::repr(array.attr("shape")).cast<std::string>(); }
 
-/// A copy of a two-dimensional array as a row-major Matrix, whose column count, if fixed, it must have.
-/// Throws std::invalid_argument (ValueError) naming `name`, the expected and the actual shape.
+/// Copies a two-dimensional array into a row-major Matrix. If the Matrix has a fixed number of columns, the array must
+/// have as many. Throws std::invalid_argument (ValueError), which names `name`, the expected and the actual shape.
 template <class Matrix, class Array>
 Matrix to_matrix(const Array& array, const char* name) {
   constexpr int columns = Matrix::ColsAtCompileTime;
@@ -39,8 +39,8 @@ Matrix to_matrix(const Array& array, const char* name) {
   return Eigen::Map<const Stored>(array.data(), array.shape(0), array.shape(1));
 }
 
-/// Indices as a row-major Matrix of 32-bit integers. Throws std::invalid_argument as `to_matrix`, and where a number is
-/// not whole by its type or does not fit: NumPy would cut off or wrap it.
+/// Copies indices into a row-major Matrix of 32-bit integers. Throws std::invalid_argument like `to_matrix`, and also
+/// when the type is not an integer type or a number does not fit, because NumPy would truncate or wrap it.
 template <class Matrix>
 Matrix to_indices(const IndexArray& array, const char* name) {
   const char kind = array.dtype().kind();
@@ -50,7 +50,7 @@ Matrix to_indices(const IndexArray& array, const char* name) {
   using Wide = Eigen::Matrix<std::int64_t, Eigen::Dynamic, Matrix::ColsAtCompileTime, Eigen::RowMajor>;
   const py::array_t<std::int64_t, py::array::c_style | py::array::forcecast> whole(array);
   const Wide wide = to_matrix<Wide>(whole, name);
-  const bool wraps = kind == 'u' && array.itemsize() == 8;  // 2^63 and more become negative
+  const bool wraps = kind == 'u' && array.itemsize() == 8;  // numbers from 2^63 up become negative
   constexpr std::int64_t most = std::numeric_limits<std::int32_t>::max();
   if (wide.size() > 0 && (wide.maxCoeff() > most || wide.minCoeff() < (wraps ? 0 : -most)))
     throw std::invalid_argument(std::string(name) + ": expected indices up to " + std::to_string(most) + ", got " +
@@ -69,7 +69,7 @@ inline void check_shape(const char* name, const py::array& array, const std::vec
   throw std::invalid_argument(std::string(name) + ": expected shape (" + text + "), got " + shape_of(array));
 }
 
-/// Points (rows, 3) as x0 y0 z0 x1 ...; -1 rows: any number.
+/// Flattens points (rows, 3) to x0 y0 z0 x1 ... If `rows` is -1, any number is accepted.
 inline VectorXd flat_points(const char* name, const FloatArray& array, py::ssize_t rows) {
   check_shape(name, array, {rows, 3});
   return Eigen::Map<const VectorXd>(array.data(), array.size());
@@ -79,7 +79,7 @@ inline Transforms transforms(const double* data, py::ssize_t bones) {
   return Eigen::Map<const Transforms>(data, bones, 12);
 }
 
-/// Transforms (B, 3, 4), one a row.
+/// Transforms (B, 3, 4), one per row.
 inline Transforms transforms(const char* name, const FloatArray& array) {
   check_shape(name, array, {-1, 3, 4});
   return transforms(array.data(), array.shape(0));
@@ -89,7 +89,7 @@ inline Transforms transforms(const char* name, const FloatArray& array) {
 
 namespace pybind11::detail {
 
-/// Takes what NumPy takes: arrays of any type, lists.
+/// Accepts what NumPy accepts: arrays of any type, and lists.
 template <>
 struct type_caster<dynamorph::IndexArray> {
   using Narrow = type_caster<array_t<std::int32_t, array::c_style | array::forcecast>>;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Model files as NumPy sees them.
+// Reads model files into NumPy arrays.
 #include "bindings.hpp"
 #include "dynamorph/file/model_file.hpp"
 
@@ -13,7 +13,7 @@ py::dtype numpy_type(const std::string& dtype) {
   return py::dtype("<" + kind + std::to_string(std::stoi(dtype.substr(1)) / 8));
 }
 
-/// Of the memory that `array` owned.
+/// Takes over the memory that `array` owns.
 py::array to_numpy(file::Array array) {
   const std::vector<py::ssize_t> shape(array.shape.begin(), array.shape.end());
   const py::dtype type = numpy_type(array.dtype);
@@ -43,7 +43,6 @@ void bind_file(py::module_& m) {
         return py::make_tuple(arrays, content.meta);
       },
       "buffer"_a,
-      "(arrays by name, description as JSON) of a model file's bytes. Raises Error when they are damaged, or of a "
-      "version "
-      "that cannot be read.");
+      "Returns (arrays by name, description as JSON) from a model file's bytes. Raises Error when the bytes are "
+      "damaged, or of a version that cannot be read.");
 }

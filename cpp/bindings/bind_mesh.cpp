@@ -32,38 +32,40 @@ py::array_t<bool> to_array(const std::vector<bool>& flags) {
 }
 
 void bind_tet_mesh(py::module_& m) {
-  py::class_<TetMesh>(m, "TetMesh", "Tetrahedra: n nodes, m tets.")
+  py::class_<TetMesh>(m, "TetMesh", "A mesh of m tetrahedra and n nodes.")
       .def(py::init([](const FloatArray& nodes, const IndexArray& tets) {
              return make_tet_mesh(points(nodes, "nodes"), to_indices<Tets>(tets, "tets"));
            }),
-           "nodes"_a, "tets"_a, R"(A mesh from stored arrays.
+           "nodes"_a, "tets"_a, R"(Makes a mesh from stored arrays.
 
-nodes (n, 3): rest positions, metres. tets (m, 4): node indices. Raises ValueError on an index out of range, a NaN, a
-tet that is flat or inside out, or a node of no tet.)")
-      .def_readonly("nodes", &TetMesh::nodes, "Rest positions (n, 3), metres.")
+nodes (n, 3): rest positions, meters. tets (m, 4): node indices. Raises ValueError when an index is out of range, a
+coordinate is NaN, a tet is flat or inside out, or a node belongs to no tet.)")
+      .def_readonly("nodes", &TetMesh::nodes, "Rest positions (n, 3), meters.")
       .def_readonly("tets", &TetMesh::tets, "Node indices (m, 4), positively oriented.")
-      .def_property_readonly("volumes", &volumes, "Volumes (m,), cubic metres.");
+      .def_property_readonly("volumes", &volumes, "Volumes (m,), cubic meters.");
 
-  py::class_<Embedding>(m, "Embedding", "Where V surface points sit in a TetMesh.")
+  py::class_<Embedding>(m, "Embedding", "Where V surface points lie in a TetMesh.")
       .def(py::init([](const IndexArray& array, const decltype(Embedding::weights)& weights) {
              const Tets nodes = to_indices<Tets>(array, "nodes");
              if (nodes.rows() != weights.rows() || (nodes.size() > 0 && nodes.minCoeff() < 0))
-               throw std::invalid_argument("nodes, weights: expected one row a point, and no negative node");
+               throw std::invalid_argument("nodes, weights: expected one row per point and no negative node");
              return Embedding{nodes, weights, VectorXd::Zero(nodes.rows())};
            }),
-           "nodes"_a, "weights"_a, "One that was kept: nodes, weights (V, 4); its distances are not known.")
-      .def_readonly("nodes", &Embedding::nodes, "The nodes (V, 4) that carry each point: those of one tet.")
-      .def_readonly("weights", &Embedding::weights, "Their weights (V, 4): rows sum to 1; negative only outside.")
-      .def_readonly("distances", &Embedding::distances, "Distance (V,) to the mesh, metres: 0 inside.")
+           "nodes"_a, "weights"_a,
+           "Restores an embedding from its nodes and weights (V, 4). Its distances are not known and read as 0.")
+      .def_readonly("nodes", &Embedding::nodes, "The nodes (V, 4) that carry each point, all of one tet.")
+      .def_readonly("weights", &Embedding::weights,
+                    "Their weights (V, 4). Rows sum to 1; only points outside have negatives.")
+      .def_readonly("distances", &Embedding::distances, "Distances (V,) to the mesh, meters; 0 inside.")
       .def(
           "interpolate",
           [](const Embedding& self, const FloatArray& values) {
             const auto matrix = to_matrix<RowMajor>(values, "values");
             if (self.nodes.size() && self.nodes.maxCoeff() >= matrix.rows())
-              throw std::invalid_argument("values: expected one row a node, got shape " + shape_of(values));
+              throw std::invalid_argument("values: expected one row per node, got shape " + shape_of(values));
             return without_gil([&] { return RowMajor(self.matrix(matrix.rows()) * matrix); });
           },
-          "values"_a, "Values (V, k) at the points from values (n, k) at the nodes.");
+          "values"_a, "Interpolates values (n, k) at the nodes to values (V, k) at the points.");
 }
 
 py::dict to_dict(const Defects& d) {
@@ -82,11 +84,12 @@ void bind_meshers(py::module_& m) {
         const ClosedSurface closed = without_gil([&] { return close_surface(v, f); });
         return py::make_tuple(closed.vertices, closed.triangles, to_dict(closed.defects));
       },
-      "vertices"_a, "triangles"_a, R"(A closed surface with its faces outward, made of any triangle soup.
+      "vertices"_a, "triangles"_a, R"(Turns any triangle soup into a closed surface with outward faces.
 
-vertices (V, 3): metres. triangles (T, 3): vertex indices. Vertices that lie together are welded, faces that are there
-twice dropped, faces turned outward, holes capped. Returns the vertices (W, 3), the triangles (U, 3), caps last, and
-what was wrong: counts by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.)");
+vertices (V, 3): meters. triangles (T, 3): vertex indices. Vertices at the same place are welded, duplicate faces are
+dropped, faces are turned outward, and holes are capped. Returns the vertices (W, 3), the triangles (U, 3) with the caps
+last, and the counts of defects by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and
+1e6 m across.)");
   m.def(
       "make_cage",
       [](const FloatArray& vertices, const IndexArray& faces, int target_vertices, double thickness,
@@ -98,11 +101,11 @@ what was wrong: counts by name. Raises Error when the input is empty, flat, not 
         return std::make_pair(std::move(cage.vertices), std::move(cage.triangles));
       },
       "vertices"_a, "triangles"_a, "target_vertices"_a, "thickness"_a = 0.0, "progress"_a = py::none(),
-      R"(A closed cage of about `target_vertices` vertices around any triangle soup.
+      R"(Wraps a closed cage of about `target_vertices` vertices around any triangle soup.
 
-vertices (V, 3): metres. triangles (T, 3): vertex indices. thickness: metres that the cage stands off at least. progress: called with 0..1, returns False to cancel.
-Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not
-between 1e-6 and 1e6 m across.)");
+vertices (V, 3): meters. triangles (T, 3): vertex indices. thickness: the least distance between cage and body, meters.
+progress: called with 0..1, returns False to cancel. Returns vertices (C, 3) and outward triangles (D, 3). Raises Error
+when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.)");
   m.def(
       "tetrahedralize",
       [](const FloatArray& vertices, const IndexArray& faces, int target_nodes, const FloatArray& inner) {
@@ -111,10 +114,11 @@ between 1e-6 and 1e6 m across.)");
         return without_gil([&] { return tetrahedralize(v, f, target_nodes, more); });
       },
       "vertices"_a, "triangles"_a, "target_nodes"_a, "inner"_a = Points(0, 3),
-      R"(Fills a closed surface without self-intersections with about `target_nodes` nodes.
+      R"(Fills a closed surface that does not intersect itself with about `target_nodes` nodes.
 
-vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. inner (k, 3): points
-inside that become nodes. Raises Error when it cannot be filled. Crashes or hangs on some input: `mesh_body` contains that.)");
+vertices (V, 3): meters; they become the first nodes. triangles (T, 3): vertex indices. inner (k, 3): points inside that
+become nodes too. Raises Error when the surface cannot be filled. On some input this crashes or hangs; `mesh_body` runs
+it in a child process.)");
 }
 
 void bind_body_in_mesh(py::module_& m) {
@@ -124,9 +128,9 @@ void bind_body_in_mesh(py::module_& m) {
         const Points p = points(array, "points");
         return without_gil([&] { return embed(mesh, p); });
       },
-      "mesh"_a, "points"_a, R"(Embeds surface points (V, 3), metres, by barycentric weights.
+      "mesh"_a, "points"_a, R"(Embeds surface points (V, 3), meters, by barycentric weights.
 
-A point outside takes the nearest tet, extrapolating as far as weights of -1/2.)");
+A point outside the mesh uses the nearest tet. Its weights are extrapolated, but not below -1/2.)");
   m.def(
       "fill_fractions",
       [](const TetMesh& mesh, const FloatArray& vertices, const IndexArray& faces, const py::object& progress) {
@@ -136,22 +140,24 @@ A point outside takes the nearest tet, extrapolating as far as weights of -1/2.)
         return without_gil([&] { return fill_fractions(mesh, v, f, report); });
       },
       "mesh"_a, "vertices"_a, "triangles"_a, "progress"_a = py::none(),
-      R"(Fraction (m,) of each tet that the body fills, 0.05 .. 1; any soup, which is closed first.
+      R"(Fraction (m,) of each tet that the body fills, 0.05 .. 1.
 
-vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.)");
+The body may be any triangle soup; it is closed first. vertices (V, 3): meters. triangles (T, 3): vertex indices.
+progress: called with 0..1, returns False to cancel.)");
   m.def(
       "extend_to_nodes",
       [](const TetMesh& mesh, const Embedding& embedding, const FloatArray& values) {
         const MatrixXd v = to_matrix<RowMajor>(values, "values");
         check_rows(values, "values", embedding.nodes.rows());
         if (embedding.nodes.size() > 0 && embedding.nodes.maxCoeff() >= mesh.nodes.rows())
-          throw std::invalid_argument("embedding: is of another mesh");
+          throw std::invalid_argument("embedding: it belongs to another mesh");
         return without_gil([&] { return RowMajor(extend_to_nodes(mesh, embedding, v)); });
       },
-      "mesh"_a, "embedding"_a, "values"_a, R"(Values (n, k) at the nodes from values (V, k) at the embedded points.
+      "mesh"_a, "embedding"_a, "values"_a,
+      R"(Extends values (V, k) at the embedded points to values (n, k) at the nodes.
 
-Least squares at the points, smooth inside. Constants stay constant; overshoots slightly, so skin weights want clamping
-and normalising.)");
+The fit is least squares at the points and smooth inside. Constants stay constant. Values overshoot slightly, so clamp
+and normalize skin weights afterwards.)");
   m.def(
       "points_on_bones",
       [](const FloatArray& vertices, const IndexArray& faces, const FloatArray& skin, const IndexArray& skin_faces,
@@ -165,9 +171,10 @@ and normalising.)");
       "vertices"_a, "triangles"_a, "skin"_a, "skin_triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
       R"(Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
 
-As nodes they tie the flesh to a bone that would else pass between nodes; where there is room, three around the bone
-within what it holds (ratio, as for pinned), so that the body cannot spin about it. vertices (C, 3), triangles (D, 3): the cage.
-skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.)");
+As nodes, they tie the soft tissue to a bone that would otherwise pass between nodes. Where there is room, three points
+surround the bone within the range that it pins (`ratio`, as for `pinned`), so that the body cannot spin about the bone.
+vertices (C, 3), triangles (D, 3): the cage. skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3):
+the bones at rest. All are in meters and in one space.)");
   m.def(
       "pinned",
       [](const TetMesh& mesh, const FloatArray& vertices, const IndexArray& faces, const FloatArray& heads,
@@ -178,28 +185,28 @@ skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bon
         return to_array(without_gil([&] { return pinned(mesh, v, f, h, t, ratio); }));
       },
       "mesh"_a, "vertices"_a, "triangles"_a, "heads"_a, "tails"_a, "ratio"_a,
-      R"(Whether the bones hold each node, bool (n,).
+      R"(Whether the bones pin each node, bool (n,).
 
-A node is held when its distance to the nearest bone is less than `ratio` of the way from bone to skin: 0 holds none, 1
-all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All metres, in
-the mesh's space.)");
+A node is pinned when its distance to the nearest bone is less than `ratio` of the way from bone to skin: 0 pins none, 1
+pins all nodes inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All
+are in meters and in the mesh's space.)");
 }
 
 void bind_thickness(py::module_& m) {
   py::class_<Thickness>(m, "Thickness",
-                        R"(How thick a body is: the radius of the largest ball in it that covers a point.
+                        R"(How thick a body is: the radius of the largest ball inside it that covers a point.
 
-Wide in a belly, narrow in a finger; continuous. Skin that lies inside other skin does not count.)")
+Thickness is large in a belly and small in a finger, and it is continuous. Skin inside other skin does not count.)")
       .def(py::init([](const FloatArray& vertices, const IndexArray& faces, const py::object& progress) {
              const Points v = points(vertices, "vertices");
              const Triangles f = triangles(faces);
              const ProgressFn report = with_gil(progress);
              return without_gil([&] { return std::make_unique<Thickness>(v, f, report); });
            }),
-           "vertices"_a, "triangles"_a, "progress"_a = py::none(), R"(Of any triangle soup, which is closed first.
+           "vertices"_a, "triangles"_a, "progress"_a = py::none(), R"(Measures any triangle soup, which is closed first.
 
-vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Raises Error as
-`closed_surface`.)")
+vertices (V, 3): meters. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Raises
+Error like `closed_surface`.)")
       .def(
           "at",
           [](const Thickness& self, const FloatArray& array) {
@@ -207,16 +214,18 @@ vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with
             const Thickness::Measures found = without_gil([&] { return self.at(p); });
             return std::make_pair(found.thickness, found.depth);
           },
-          "points"_a, R"((thickness (k,), depth (k,)) at points (k, 3); metres.
+          "points"_a, R"(Returns (thickness (k,), depth (k,)) at points (k, 3), all in meters.
 
-Depth is the distance to the skin, 0 outside of the body; a point there has the thickness of the skin nearest to it.)");
+Depth is the distance to the skin, 0 outside the body. A point outside has the thickness of the skin nearest to it.)");
 }
 
 void bind_mesh_cut(py::module_& m) {
-  py::class_<MeshCut>(m, "MeshCut", R"(Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+  py::class_<MeshCut>(m, "MeshCut",
+                      R"(Cuts apart tetrahedra that join distant parts of the skin, such as arm and torso.
 
-Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
-distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.)")
+Two tetrahedra that share a face are glued when the path through the body between their skins is longer than 3 times the
+straight distance and longer than 4 times their longest edge. Loose parts of the skin, which no path joins, are not
+glued.)")
       .def(py::init([](const TetMesh& mesh, const FloatArray& vertices, const IndexArray& faces) {
              const Points v = points(vertices, "vertices");
              const Triangles f = triangles(faces);
@@ -224,16 +233,16 @@ distance, and than 4 times their longest edge. Loose parts of the skin, which no
            }),
            "mesh"_a, "vertices"_a, "triangles"_a, R"(Finds the glued tetrahedra.
 
-vertices (V, 3): metres. triangles (T, 3): the outward skin in the mesh, open or not. Raises ValueError on wrong shapes
-or indices.)")
+vertices (V, 3): meters. triangles (T, 3): the outward-facing skin in the mesh, open or closed. Raises ValueError on
+wrong shapes or indices.)")
       .def_property_readonly(
           "glued", [](const MeshCut& self) { return to_array(self.glued()); }, "Which tetrahedra are glued, bool (m,).")
       .def("cut", &MeshCut::cut, py::call_guard<py::gil_scoped_release>(),
-           R"(The TetMesh with a crack between glued tetrahedra.
+           R"(Returns the TetMesh with a crack between glued tetrahedra.
 
-The same tetrahedra; the nodes along the crack are doubled, the doubles at the end.)")
+The tetrahedra stay the same. Nodes along the crack are duplicated, and the duplicates come last.)")
       .def("embed", &MeshCut::embed, "cut"_a, py::call_guard<py::gil_scoped_release>(),
-           "The Embedding of the V vertices in the mesh as cut, each in a tetrahedron that belongs to skin near it.");
+           "Embeds the V vertices in the cut mesh, each in a tetrahedron that belongs to skin near it.");
 }
 
 }  // namespace

@@ -9,17 +9,17 @@ using namespace dynamorph;
 
 namespace {
 
-/// An embedding of another mesh would read past the nodes.
+/// An embedding in another mesh would read past the nodes.
 void check_embedding(const Embedding& embedding, Eigen::Index nodes) {
   if (embedding.nodes.size() > 0 && embedding.nodes.maxCoeff() >= nodes)
-    throw std::invalid_argument("embedding: is of another mesh");
+    throw std::invalid_argument("embedding: it belongs to another mesh");
 }
 
 void bind_morph_target(py::module_& m) {
   py::enum_<Law>(m, "Law").value("LINEAR", Law::linear).value("STVK", Law::stvk).value("STABLE_STVK", Law::stable_stvk);
   py::enum_<Blending>(m, "Blending").value("FORCES", Blending::forces).value("EVEN", Blending::even);
 
-  py::class_<MorphTarget>(m, "MorphTarget", "A dynamic morph target: shape and elastic properties.")
+  py::class_<MorphTarget>(m, "MorphTarget", "A dynamic morph target: a shape and its elastic properties.")
       .def(py::init([](std::string name, const FloatArray& displacement, double lambda, double mu, double density,
                        double mass_damping, double stiffness_damping, int set, bool shifted) {
              return MorphTarget{std::move(name),   set,     flat_points("displacement", displacement, -1),
@@ -28,13 +28,13 @@ void bind_morph_target(py::module_& m) {
            }),
            "name"_a, "displacement"_a, py::kw_only(), "lame_lambda"_a, "lame_mu"_a, "density"_a, "mass_damping"_a = 0.0,
            "stiffness_damping"_a = 0.0, "set"_a = 0, "shifted"_a = false,
-           "displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, "
-           "Rayleigh damping in 1/s and s; set: index of its target set; shifted: elastic as the neutral shape, moved "
-           "by the displacement.");
+           "displacement (n, 3): meters, bind space, zero at pinned nodes. Lame's parameters are in Pa, the density in "
+           "kg/m^3, Rayleigh damping in 1/s (mass) and s (stiffness). set: index of the target set. shifted: the "
+           "target has the elasticity of the neutral shape, moved by the displacement.");
 }
 
 void bind_soft_body(py::module_& m) {
-  py::class_<SoftBody, std::shared_ptr<SoftBody>>(m, "SoftBody", "What all models of one character share.")
+  py::class_<SoftBody, std::shared_ptr<SoftBody>>(m, "SoftBody", "The data that all models of one character share.")
       .def(py::init([](const TetMesh& mesh, const VectorXd& fill, const VectorXd& stiffness,
                        const MatrixXd& region_weights, const std::vector<bool>& pinned,
                        const std::optional<MatrixXd>& weights, const std::optional<VectorXd>& hold) {
@@ -43,15 +43,13 @@ void bind_soft_body(py::module_& m) {
                                                hold.value_or(VectorXd()));
            }),
            "mesh"_a, "fill"_a, "stiffness"_a, "region_weights"_a, "pinned"_a, "weights"_a, "hold"_a = py::none(),
-           "fill, stiffness (m): filled fraction and painted multiplier of each tet; region_weights (m, S): each "
-           "target set's "
-           "part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None "
-           "where "
-           "a transform of every free node is known instead: such a body has as many bones. hold (m), 1/m^2, or None: "
-           "each target adds mu / 2 times the integral of hold |u - d|^2 to its energy.")
-      .def_readonly("size", &SoftBody::size, "Bounding-box diagonal, metres.")
+           "fill, stiffness (m): filled fraction and painted factor of each tet. region_weights (m, S): each target "
+           "set's part of a tet; rows sum to one. pinned (n): bool. weights (n, B): skin weights at any positive "
+           "scale, or None when every free node has its own transform; such a body has one bone per free node. hold "
+           "(m): 1/m^2, or None. Each target adds mu / 2 times the integral of hold |u - d|^2 to its energy.")
+      .def_readonly("size", &SoftBody::size, "Bounding-box diagonal, meters.")
       .def_readonly("free_nodes", &SoftBody::free_nodes)
-      .def_readonly("volumes", &SoftBody::volumes, "Lumped volume of the free nodes by target set, m^3.")
+      .def_readonly("volumes", &SoftBody::volumes, "Lumped volumes of the free nodes by target set, m^3.")
       .def(
           "extend_shapes",
           [](const SoftBody& body, const Embedding& embedding, const FloatArray& surfaces) {
@@ -67,8 +65,8 @@ void bind_soft_body(py::module_& m) {
             return out;
           },
           "embedding"_a, "surfaces"_a,
-          "Node displacements (k, n, 3) that follow the surface displacements (k, V, 3): elastic in between, zero at "
-          "pins.");
+          "Node displacements (k, n, 3) that follow the surface displacements (k, V, 3). They are elastic in between "
+          "and zero at pinned nodes.");
 }
 
 void bind_full_model(py::module_& m) {
@@ -82,12 +80,13 @@ void bind_full_model(py::module_& m) {
             const LinearModes modes = linear_modes(model, checked_target(model, target), k);
             return std::make_pair(modes.omega, modes.shapes);
           },
-          "target"_a, "k"_a, "(omega (k) rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.")
+          "target"_a, "k"_a, "Returns (omega (k) in rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.")
       .def(
           "fallbacks",
           [](const FullModel& model, int target) { return model.shape(checked_target(model, target)).fallbacks; },
           "target"_a,
-          "Tetrahedra of a target that keep the neutral rest shape, because the sculpt would invert or crush them.");
+          "Number of tetrahedra that keep the neutral rest shape, because the target's sculpt would invert or crush "
+          "them.");
   bind_model(full);
 }
 

@@ -25,10 +25,11 @@ void bind_pose(py::module_& m) {
              return set;
            }),
            "bones"_a, "names"_a, "poses"_a, "kernel"_a = Kernel::linear, "radii"_a = std::vector<double>(),
-           "bones: indices whose local rotations place the targets; poses: per target the local transforms (B, 4, 4) "
-           "of the whole skeleton; radii: per target the joint angle, radians, at which it has faded out, 0 for "
-           "never, which all are by default. What has faded goes to the first target, whose own radius is ignored.");
-  // answer(space, pose, (J) out) at every sample of local transforms (S, B, 4, 4).
+           "bones: indices of the bones; their local rotations place the targets. poses: for each target, the local "
+           "transforms (B, 4, 4) of the whole skeleton. radii: for each target, the joint angle in radians at which it "
+           "has faded out; 0, the default, means never. The first target gets the weight that the others lose, and its "
+           "own radius is ignored.");
+  // Calls answer(space, pose, (J) out) for every sample of local transforms (S, B, 4, 4).
   const auto sampled = [](const PoseSpace& space, const FloatArray& local, auto answer) {
     check_shape("local", local, {-1, -1, 4, 4});
     const py::ssize_t bones = local.shape(1);
@@ -51,7 +52,7 @@ void bind_pose(py::module_& m) {
   const auto distances = [](const PoseSpace& space, const Rotations& pose, VectorXd& d) { space.distances(pose, d); };
   py::class_<PoseSpace>(m, "PoseSpace", "Interpolates target weights over pose space.")
       .def(py::init<std::vector<TargetSet>>(), "sets"_a,
-           "Raises Error, naming both, when two targets of a set have the same pose.")
+           "Raises Error when two targets of a set have the same pose, and names both.")
       .def_property_readonly("targets", &PoseSpace::targets)
       .def(
           "weights",
@@ -59,14 +60,14 @@ void bind_pose(py::module_& m) {
             return sampled(space, local, weights);
           },
           "local"_a,
-          "Weights (S, J) at the local transforms (S, B, 4, 4): each set's are >= 0, sum to 1, and are one at a "
-          "target's own pose.")
+          "Weights (S, J) at the local transforms (S, B, 4, 4). The weights of each set are >= 0 and sum to 1. At its "
+          "own pose, a target has weight 1.")
       .def(
           "distances",
           [sampled, distances](const PoseSpace& space, const FloatArray& local) {
             return sampled(space, local, distances);
           },
           "local"_a,
-          "Distances (S, J) in radians of the local transforms (S, B, 4, 4) to each target's pose: the root of the "
-          "summed squares of the joint angles that its set names.");
+          "Distances (S, J) in radians from the local transforms (S, B, 4, 4) to each target's pose: the root of the "
+          "summed squares of the joint angles at the bones of its set.");
 }

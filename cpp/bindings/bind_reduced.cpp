@@ -7,9 +7,9 @@ using namespace dynamorph;
 
 void bind_reduced(py::module_& m) {
   py::class_<Basis>(m, "Basis")
-      .def_readonly("U", &Basis::U, "(3 free, r), orthonormal in unit-density mass.")
+      .def_readonly("U", &Basis::U, "The modes (3 free, r), orthonormal in the mass for unit density.")
       .def_readonly("explained_variance", &Basis::explained_variance,
-                    "Fraction of the candidates' variance in the span.");
+                    "Fraction of the candidates' variance that the basis spans.");
   m.def(
       "make_basis",
       [](const FullModel& model, int r, const py::object& progress) {
@@ -18,10 +18,11 @@ void bind_reduced(py::module_& m) {
         return make_basis(model, r, report);
       },
       "model"_a, "r"_a, "progress"_a = py::none(),
-      "r modes: the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. "
-      "progress(fraction) -> bool, False raises Cancelled.");
+      "Makes r modes. They span the targets' shapes exactly, then linear modes, modal derivatives and static responses "
+      "by mass-PCA. progress(fraction) -> bool: returning False raises Cancelled.");
 
-  py::class_<ReducedTables>(m, "ReducedTables", "What a built reduced model stores: geometry only, no material.")
+  py::class_<ReducedTables>(m, "ReducedTables",
+                            "The tables that a built reduced model stores. They hold geometry only, no material.")
       .def(py::init([](Law law, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
                        const std::vector<VectorXd>& mu) { return ReducedTables{law, basis, lambda, mu}; }),
            "law"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a)
@@ -36,7 +37,8 @@ void bind_reduced(py::module_& m) {
         py::gil_scoped_release release;
         return reduce(model, U, report);
       },
-      "model"_a, "U"_a, "progress"_a = py::none(), "Energy polynomials of every target in the basis U (3 free, r).");
+      "model"_a, "U"_a, "progress"_a = py::none(),
+      "Computes the energy polynomials of every target in the basis U (3 free, r).");
 
   py::class_<ReducedModel, std::shared_ptr<ReducedModel>> reduced(m, "ReducedModel", "The soft skin in r modes.");
   reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(),

@@ -11,12 +11,11 @@ using namespace dynamorph;
 
 namespace {
 
-/// A Simulation or a Crowd as Python holds it: threads take turns, each for a whole call, as the engine works without
-/// the GIL.
+/// A Simulation or a Crowd for Python. The engine works without the GIL, so threads take turns, each for a whole call.
 template <class Stepper>
 struct InTurn : Stepper {
   explicit InTurn(Stepper&& stepper) : Stepper(std::move(stepper)) {}
-  mutable std::recursive_mutex turn;  ///< recursive: keep_going may look at the simulation that asks it
+  mutable std::recursive_mutex turn;  ///< recursive, because keep_going may read the simulation that calls it
 };
 
 template <class Stepper, class Function>
@@ -44,27 +43,26 @@ py::dict summary(const StepReport& worst, int steps, double seconds) {
 template <class Model>
 void bind_simulation_of(py::module_& m, const char* name) {
   using Sim = InTurn<Simulation<Model>>;
-  py::class_<Sim>(m, name, "Steps a model through time. World space, SI.")
-      .def(
-          py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
-                      int max_iterations, double teleport, const py::object& keep_going) {
-            std::function<bool()> asked;
-            if (!keep_going.is_none())
-              asked = [keep_going] {
-                py::gil_scoped_acquire gil;
-                return keep_going().cast<bool>();
-              };
-            return std::make_unique<Sim>(
-                Simulation<Model>(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked}));
-          }),
-          "model"_a.none(false), "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
-          "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
-          "h: seconds a step; gravity (3,) m/s^2; teleport: jump of the skin off its course in one step, metres, above "
-          "which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, "
-          "False "
-          "raises Cancelled.")
+  py::class_<Sim>(m, name, "Steps a model through time, in world space and SI units.")
+      .def(py::init([](std::shared_ptr<Model> model, double h, Scheme scheme, const Vector3d& gravity, double tolerance,
+                       int max_iterations, double teleport, const py::object& keep_going) {
+             std::function<bool()> asked;
+             if (!keep_going.is_none())
+               asked = [keep_going] {
+                 py::gil_scoped_acquire gil;
+                 return keep_going().cast<bool>();
+               };
+             return std::make_unique<Sim>(
+                 Simulation<Model>(model, {h, scheme, gravity, tolerance, max_iterations, teleport, asked}));
+           }),
+           "model"_a.none(false), "h"_a, py::kw_only(), "scheme"_a = Scheme::bdf2, "gravity"_a = Vector3d(0, 0, 0),
+           "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0, "keep_going"_a = py::none(),
+           "h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, "
+           "meters, above which the past is carried along (0: never). keep_going() -> bool is called before every "
+           "Newton iteration; returning False raises Cancelled.")
       .def("hold_targets", &hold_targets_in<Simulation<Model>>, "bones"_a,
-           "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
+           "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
+           "so that targets do not sag.")
       .def(
           "start",
           [](Sim& s, const FloatArray& now, const FloatArray& next, const VectorXd& weights) {
@@ -72,7 +70,8 @@ void bind_simulation_of(py::module_& m, const char* name) {
             return summary(in_turn(s, [&] { return s.start(a, b, weights); }), 0, 0);
           },
           "now"_a, "next"_a, "weights"_a,
-          "Static solution at the bones `now` (B, 3, 4); the past follows the rig backward from its motion to `next`.")
+          "Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to "
+          "`next` backward.")
       .def(
           "advance",
           [](Sim& s, const FloatArray& bones, const FloatArray& weights, const std::optional<FloatArray>& external) {
@@ -102,9 +101,9 @@ void bind_simulation_of(py::module_& m, const char* name) {
             return summary(worst, int(steps), elapsed.count());
           },
           "bones"_a, "weights"_a, "external"_a = py::none(),
-          "One step to each of the bones (S, B, 3, 4) and target weights (S, J); external (n, 3): newtons on the "
-          "nodes, world space, constant over the call. Returns what the steps did: iterations in all, converged, the "
-          "worst residual, elastic energy at the end, seconds.")
+          "Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external (n, 3): newtons on the "
+          "nodes, world space, constant over the call. Returns a report on the steps: total iterations, converged, "
+          "worst residual, elastic energy at the end, teleported, seconds.")
       .def(
           "solve_static",
           [](Sim& s, const FloatArray& bones, const VectorXd& weights, const std::optional<FloatArray>& external,
@@ -119,17 +118,19 @@ void bind_simulation_of(py::module_& m, const char* name) {
             return py::make_tuple(q, summary(report, 0, 0));
           },
           "bones"_a, "weights"_a, "external"_a = py::none(), "guess"_a = py::none(),
-          "(coordinates, report) of the static solution, sought from `guess` or from the blended targets.")
+          "Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended "
+          "targets.")
       .def_property_readonly("model", &Sim::shared_model)
       .def_property_readonly(
           "coordinates", [](const Sim& s) { return in_turn(s, [&] { return VectorXd(s.coordinates()); }); },
-          "Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.")
+          "A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for "
+          "a reduced model, and meters for a full one.")
       .def_property_readonly(
           "kinetic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.kinetic_energy(); }); },
-          "J, of the posed nodes, by the scheme's own velocity.")
+          "Kinetic energy of the posed nodes, J, from the scheme's own velocity.")
       .def_property_readonly(
           "elastic_energy", [](const Sim& s) { return in_turn(s, [&] { return s.elastic_energy(); }); },
-          "J, at the target weights of the last step.")
+          "Elastic energy, J, at the target weights of the last step.")
       .def_property(
           "state",
           [](const Sim& s) {
@@ -139,7 +140,8 @@ void bind_simulation_of(py::module_& m, const char* name) {
           [](Sim& s, const std::pair<std::array<VectorXd, 4>, std::array<Transforms, 4>>& state) {
             in_turn(s, [&] { s.set_state({state.first, state.second}); });
           },
-          "(coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.");
+          "(coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a "
+          "simulation.");
 }
 
 void bind_crowd(py::module_& m) {
@@ -153,7 +155,8 @@ void bind_crowd(py::module_& m) {
     shape.insert(shape.end(), {crowd.size(), py::ssize_t(crowd.model().targets().size())});
     check_shape("weights", weights, shape);
   };
-  py::class_<SharedCrowd>(m, "Crowd", "Many characters of one reduced model, stepped together. World space, SI.")
+  py::class_<SharedCrowd>(m, "Crowd",
+                          "Steps many characters of one reduced model together, in world space and SI units.")
       .def(py::init([](std::shared_ptr<ReducedModel> model, double h, int size, Scheme scheme, const Vector3d& gravity,
                        double tolerance, int max_iterations, double teleport) {
              return std::make_unique<SharedCrowd>(
@@ -161,9 +164,10 @@ void bind_crowd(py::module_& m) {
            }),
            "model"_a.none(false), "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2,
            "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
-           "As ReducedSimulation; size: characters.")
+           "Takes the options of ReducedSimulation. size: number of characters.")
       .def("hold_targets", &hold_targets_in<Crowd>, "bones"_a,
-           "Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.")
+           "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
+           "so that targets do not sag.")
       .def(
           "start",
           [poses, check_weights](SharedCrowd& crowd, const FloatArray& now, const FloatArray& next,
@@ -174,9 +178,9 @@ void bind_crowd(py::module_& m) {
             return in_turn(crowd, [&] { return crowd.start(now.data(), next.data(), weights.data()).converged; });
           },
           "now"_a, "next"_a, "weights"_a,
-          "Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past "
-          "follows "
-          "their rigs backward from their motion to `next`. False where one did not converge.")
+          "Starts N characters from their static solutions at the bones `now` (N, B, 3, 4) and target weights (N, J). "
+          "Their past continues the motion from `now` to `next` backward. Returns False when a solution did not "
+          "converge.")
       .def(
           "advance",
           [poses, check_weights](SharedCrowd& crowd, const FloatArray& bones, const FloatArray& weights) {
@@ -199,8 +203,9 @@ void bind_crowd(py::module_& m) {
                             "converged"_a = all.converged, "seconds"_a = elapsed.count());
           },
           "bones"_a, "weights"_a,
-          "One step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns what "
-          "the steps did: iterations in all, steps of characters that had to be taken alone, converged, seconds.")
+          "Takes one step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns "
+          "a report on the steps: total iterations, steps of characters that had to be taken alone, converged, "
+          "seconds.")
       .def_property_readonly(
           "coordinates",
           [](const SharedCrowd& crowd) {
@@ -210,7 +215,7 @@ void bind_crowd(py::module_& m) {
               return out;
             });
           },
-          "(N, r) of the last step, a copy.");
+          "A copy of the coordinates (N, r) after the last step.");
 }
 
 }  // namespace

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// dynamorph._core: the engine as NumPy sees it. Thin: shapes are checked here, everything else is the engine's.
+// dynamorph._core: the engine's NumPy interface. It is thin: it checks shapes and leaves everything else to the engine.
 #include "bindings.hpp"
 
 #include "dynamorph/core/errors.hpp"
@@ -13,14 +13,13 @@ PYBIND11_MODULE(_core, m) {
   py::register_exception<dynamorph::Error>(m, "Error", PyExc_RuntimeError);
   py::register_exception<dynamorph::Cancelled>(m, "Cancelled", PyExc_RuntimeError);
   m.def("set_threads", &dynamorph::set_threads, py::arg("most"),
-        "Use at most so many cores from now on; 0: all that the process may use. Results do not depend on it.");
-  dynamorph::instruction_set();  // a bad DYNAMORPH_ISA is an error of the import, not of the first call
+        "Uses at most this many cores from now on; 0 means all that the process may use. Results do not depend on it.");
+  dynamorph::instruction_set();  // a bad DYNAMORPH_ISA must fail at import, not at the first call
   m.def(
       "instruction_set", [] { return dynamorph::name_of(dynamorph::instruction_set()); },
-      "The instruction set that the engine's loops use: 'baseline', 'avx2' or 'avx512', the best that the processor "
-      "has "
-      "or what the environment variable DYNAMORPH_ISA named at the import. Results are the same bytes on all machines "
-      "that use the same one.");
+      "The instruction set that the engine's loops use: 'baseline', 'avx2' or 'avx512'. It is the best that the "
+      "processor has, or the one that the environment variable DYNAMORPH_ISA named at import. Results are "
+      "byte-identical on all machines that use the same one.");
   bind_mesh(m);
   bind_pose(m);
   bind_models(m);

@@ -22,7 +22,7 @@ namespace dynamorph {
 
 using namespace py::literals;
 
-/// A Python callable `progress(fraction) -> bool` (or None) as a ProgressFn that takes the GIL for each call.
+/// Wraps a Python callable `progress(fraction) -> bool` (or None) in a ProgressFn that acquires the GIL for each call.
 /// A Python exception raised inside it (KeyboardInterrupt, say) passes through to the caller.
 inline ProgressFn with_gil(const py::object& progress) {
   if (progress.is_none()) return {};
@@ -32,7 +32,7 @@ inline ProgressFn with_gil(const py::object& progress) {
   };
 }
 
-/// Calls function() while other Python threads run.
+/// Calls function() without the GIL, so that other Python threads can run.
 template <class Function>
 auto without_gil(Function function) {
   py::gil_scoped_release released;

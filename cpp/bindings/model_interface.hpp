@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What both kinds of model offer.
+// The Python interface that both kinds of model share.
 #pragma once
 
 #include "arrays.hpp"
@@ -25,7 +25,7 @@ int checked_target(const Model& model, int target) {
   return target;
 }
 
-/// Bind-space node displacement (n, 3) of coordinates q.
+/// Bind-space node displacement (n, 3) at coordinates q.
 template <class Model>
 Points node_displacement(const Model& model, const VectorXd& q) {
   check_coordinates(model, q);
@@ -59,8 +59,8 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
             return py::make_tuple(energy, force, stiffness);
           },
           "weights"_a, "q"_a,
-          "(energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full "
-          "model is a scipy.sparse matrix.")
+          "Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness "
+          "of a full model is a scipy.sparse matrix.")
       .def(
           "inertia",
           [](const Model& m, const FloatArray& bones, double density) {
@@ -74,11 +74,12 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
             m.inertia(still, {VectorXd::Constant(m.body().sets(), density), VectorXd::Zero(m.body().sets())}, out);
             return out.mass;
           },
-          "bones"_a, "density"_a, "A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).")
+          "bones"_a, "density"_a,
+          "The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4).")
       .def(
           "target", [](const Model& m, int target) { return m.target(checked_target(m, target)); }, "target"_a,
           "Coordinates of a target's shape.")
-      .def("displacement", &node_displacement<Model>, "q"_a, "Bind-space node displacement (n, 3), metres.");
+      .def("displacement", &node_displacement<Model>, "q"_a, "Bind-space node displacement (n, 3), meters.");
 }
 
 }  // namespace dynamorph

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Shakes the soft skin of a model file for a second and prints the displacement of its surface, one vertex a line:
+// Shakes the soft skin of a model file for a second and prints the displacement of its surface, one vertex per line:
 //   shake body.dynamorph
 #include <dynamorph/file/soft_skin.hpp>
 #include <dynamorph/step/simulation.hpp>
@@ -8,7 +8,7 @@
 using namespace dynamorph;
 
 int main(int, char** arguments) {
-  MorphTarget relaxed{"relaxed"}, flexed{"flexed"};  // the file has their shapes; their materials are ours
+  MorphTarget relaxed{"relaxed"}, flexed{"flexed"};  // the file has their shapes; we choose their materials
   relaxed.lame = {28.6e3, 7.14e3};                   // Pa: Young's modulus 20 kPa, Poisson's ratio 0.4
   flexed.lame = {114e3, 28.6e3};
   relaxed.stiffness_damping = flexed.stiffness_damping = 0.005;  // s

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shakes a soft ball around a rigid core for a second and writes it as it is then: python wobble.py ball.obj
+"""Shakes a soft ball around a rigid core for a second and writes its final shape: python wobble.py ball.obj
 
-Needs the packages dynamorph and trimesh, and no Blender.
+Needs the packages dynamorph and trimesh, but not Blender.
 """
 
 import sys
@@ -10,7 +10,7 @@ import dynamorph
 import numpy as np
 import trimesh
 
-ball = trimesh.creation.icosphere(subdivisions=3, radius=0.1)  # metres
+ball = trimesh.creation.icosphere(subdivisions=3, radius=0.1)  # meters
 mesh = dynamorph.mesh_body(ball.vertices, ball.faces, 400)[2]
 core = np.linalg.norm(mesh.nodes, axis=1) < 0.04
 whole, one_bone = np.ones(len(mesh.tets)), np.ones((len(mesh.nodes), 1))
@@ -24,7 +24,7 @@ model = dynamorph.ReducedModel(body, [jelly], tables, dynamorph.Blending.EVEN)
 
 simulation = dynamorph.ReducedSimulation(model, 1 / 120, gravity=(0, 0, -9.81))
 bones = np.tile(np.eye(3, 4), (121, 1, 1, 1))  # steps, bones: bind space to world space
-bones[:, 0, 0, 3] = 0.02 * np.sin(0.2 * np.arange(121))  # metres, along x
+bones[:, 0, 0, 3] = 0.02 * np.sin(0.2 * np.arange(121))  # meters, along x
 simulation.start(bones[0], bones[1], np.ones(1))
 print(simulation.advance(bones[1:], np.ones((120, 1))))
 

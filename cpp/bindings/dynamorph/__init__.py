@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Dynamorph: dynamic morph targets. The engine, with NumPy arrays in and out."""
+"""Dynamorph: the engine of dynamic morph targets, with NumPy arrays in and out."""
 
 from dynamorph._core import *  # noqa: F403
 from dynamorph.meshing import mesh_body as mesh_body

@@ -15,19 +15,19 @@ class Cancelled(RuntimeError):
     pass
 class TetMesh:
     """
-    Tetrahedra: n nodes, m tets.
+    A mesh of m tetrahedra and n nodes.
     """
     def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tets: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> None:
         """
-        A mesh from stored arrays.
+        Makes a mesh from stored arrays.
         
-        nodes (n, 3): rest positions, metres. tets (m, 4): node indices. Raises ValueError on an index out of range, a NaN, a
-        tet that is flat or inside out, or a node of no tet.
+        nodes (n, 3): rest positions, meters. tets (m, 4): node indices. Raises ValueError when an index is out of range, a
+        coordinate is NaN, a tet is flat or inside out, or a node belongs to no tet.
         """
     @property
     def nodes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
         """
-        Rest positions (n, 3), metres.
+        Rest positions (n, 3), meters.
         """
     @property
     def tets(self) -> typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 4]"]:
@@ -37,58 +37,59 @@ class TetMesh:
     @property
     def volumes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
-        Volumes (m,), cubic metres.
+        Volumes (m,), cubic meters.
         """
 class Embedding:
     """
-    Where V surface points sit in a TetMesh.
+    Where V surface points lie in a TetMesh.
     """
     def __init__(self, nodes: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 4]"]) -> None:
         """
-        One that was kept: nodes, weights (V, 4); its distances are not known.
+        Restores an embedding from its nodes and weights (V, 4). Its distances are not known and read as 0.
         """
     def interpolate(self, values: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        Values (V, k) at the points from values (n, k) at the nodes.
+        Interpolates values (n, k) at the nodes to values (V, k) at the points.
         """
     @property
     def distances(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
-        Distance (V,) to the mesh, metres: 0 inside.
+        Distances (V,) to the mesh, meters; 0 inside.
         """
     @property
     def nodes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 4]"]:
         """
-        The nodes (V, 4) that carry each point: those of one tet.
+        The nodes (V, 4) that carry each point, all of one tet.
         """
     @property
     def weights(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 4]"]:
         """
-        Their weights (V, 4): rows sum to 1; negative only outside.
+        Their weights (V, 4). Rows sum to 1; only points outside have negatives.
         """
 class MeshCut:
     """
-    Tetrahedra that join skin far apart, as of an arm and the side it hangs at.
+    Cuts apart tetrahedra that join distant parts of the skin, such as arm and torso.
     
-    Two that share a face are glued when the way through the flesh between their skins is longer than 3 times the straight
-    distance, and than 4 times their longest edge. Loose parts of the skin, which no way joins, are not.
+    Two tetrahedra that share a face are glued when the path through the body between their skins is longer than 3 times the
+    straight distance and longer than 4 times their longest edge. Loose parts of the skin, which no path joins, are not
+    glued.
     """
     def __init__(self, mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> None:
         """
         Finds the glued tetrahedra.
         
-        vertices (V, 3): metres. triangles (T, 3): the outward skin in the mesh, open or not. Raises ValueError on wrong shapes
-        or indices.
+        vertices (V, 3): meters. triangles (T, 3): the outward-facing skin in the mesh, open or closed. Raises ValueError on
+        wrong shapes or indices.
         """
     def cut(self) -> TetMesh:
         """
-        The TetMesh with a crack between glued tetrahedra.
+        Returns the TetMesh with a crack between glued tetrahedra.
         
-        The same tetrahedra; the nodes along the crack are doubled, the doubles at the end.
+        The tetrahedra stay the same. Nodes along the crack are duplicated, and the duplicates come last.
         """
     def embed(self, cut: TetMesh) -> Embedding:
         """
-        The Embedding of the V vertices in the mesh as cut, each in a tetrahedron that belongs to skin near it.
+        Embeds the V vertices in the cut mesh, each in a tetrahedron that belongs to skin near it.
         """
     @property
     def glued(self) -> numpy.typing.NDArray[numpy.bool]:
@@ -97,22 +98,22 @@ class MeshCut:
         """
 class Thickness:
     """
-    How thick a body is: the radius of the largest ball in it that covers a point.
+    How thick a body is: the radius of the largest ball inside it that covers a point.
     
-    Wide in a belly, narrow in a finger; continuous. Skin that lies inside other skin does not count.
+    Thickness is large in a belly and small in a finger, and it is continuous. Skin inside other skin does not count.
     """
     def __init__(self, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], progress: typing.Any = None) -> None:
         """
-        Of any triangle soup, which is closed first.
+        Measures any triangle soup, which is closed first.
         
-        vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Raises Error as
-        `closed_surface`.
+        vertices (V, 3): meters. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel. Raises
+        Error like `closed_surface`.
         """
     def at(self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
         """
-        (thickness (k,), depth (k,)) at points (k, 3); metres.
+        Returns (thickness (k,), depth (k,)) at points (k, 3), all in meters.
         
-        Depth is the distance to the skin, 0 outside of the body; a point there has the thickness of the skin nearest to it.
+        Depth is the distance to the skin, 0 outside the body. A point outside has the thickness of the skin nearest to it.
         """
 class Kernel:
     """
@@ -168,7 +169,7 @@ class TargetSet:
     """
     def __init__(self, bones: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex], names: collections.abc.Sequence[str], poses: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64]], kernel: Kernel = Kernel.LINEAR, radii: collections.abc.Sequence[typing.SupportsFloat | typing.SupportsIndex] = []) -> None:
         """
-        bones: indices whose local rotations place the targets; poses: per target the local transforms (B, 4, 4) of the whole skeleton; radii: per target the joint angle, radians, at which it has faded out, 0 for never, which all are by default. What has faded goes to the first target, whose own radius is ignored.
+        bones: indices of the bones; their local rotations place the targets. poses: for each target, the local transforms (B, 4, 4) of the whole skeleton. radii: for each target, the joint angle in radians at which it has faded out; 0, the default, means never. The first target gets the weight that the others lose, and its own radius is ignored.
         """
 class PoseSpace:
     """
@@ -176,15 +177,15 @@ class PoseSpace:
     """
     def __init__(self, sets: collections.abc.Sequence[TargetSet]) -> None:
         """
-        Raises Error, naming both, when two targets of a set have the same pose.
+        Raises Error when two targets of a set have the same pose, and names both.
         """
     def distances(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        Distances (S, J) in radians of the local transforms (S, B, 4, 4) to each target's pose: the root of the summed squares of the joint angles that its set names.
+        Distances (S, J) in radians from the local transforms (S, B, 4, 4) to each target's pose: the root of the summed squares of the joint angles at the bones of its set.
         """
     def weights(self, local: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        Weights (S, J) at the local transforms (S, B, 4, 4): each set's are >= 0, sum to 1, and are one at a target's own pose.
+        Weights (S, J) at the local transforms (S, B, 4, 4). The weights of each set are >= 0 and sum to 1. At its own pose, a target has weight 1.
         """
     @property
     def targets(self) -> int:
@@ -284,23 +285,23 @@ class Blending:
         ...
 class MorphTarget:
     """
-    A dynamic morph target: shape and elastic properties.
+    A dynamic morph target: a shape and its elastic properties.
     """
     def __init__(self, name: str, displacement: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], *, lame_lambda: typing.SupportsFloat | typing.SupportsIndex, lame_mu: typing.SupportsFloat | typing.SupportsIndex, density: typing.SupportsFloat | typing.SupportsIndex, mass_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, stiffness_damping: typing.SupportsFloat | typing.SupportsIndex = 0.0, set: typing.SupportsInt | typing.SupportsIndex = 0, shifted: bool = False) -> None:
         """
-        displacement (n, 3) metres, bind space, zero at pinned nodes; Lame's parameters in Pa, density kg/m^3, Rayleigh damping in 1/s and s; set: index of its target set; shifted: elastic as the neutral shape, moved by the displacement.
+        displacement (n, 3): meters, bind space, zero at pinned nodes. Lame's parameters are in Pa, the density in kg/m^3, Rayleigh damping in 1/s (mass) and s (stiffness). set: index of the target set. shifted: the target has the elasticity of the neutral shape, moved by the displacement.
         """
 class SoftBody:
     """
-    What all models of one character share.
+    The data that all models of one character share.
     """
     def __init__(self, mesh: TetMesh, fill: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], stiffness: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], region_weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], pinned: collections.abc.Sequence[bool], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] | None, hold: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> None:
         """
-        fill, stiffness (m): filled fraction and painted multiplier of each tet; region_weights (m, S): each target set's part of a tet, rows sum to one; pinned (n) bool; weights (n, B) skin weights, any positive scale, or None where a transform of every free node is known instead: such a body has as many bones. hold (m), 1/m^2, or None: each target adds mu / 2 times the integral of hold |u - d|^2 to its energy.
+        fill, stiffness (m): filled fraction and painted factor of each tet. region_weights (m, S): each target set's part of a tet; rows sum to one. pinned (n): bool. weights (n, B): skin weights at any positive scale, or None when every free node has its own transform; such a body has one bone per free node. hold (m): 1/m^2, or None. Each target adds mu / 2 times the integral of hold |u - d|^2 to its energy.
         """
     def extend_shapes(self, embedding: Embedding, surfaces: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> numpy.typing.NDArray[numpy.float64]:
         """
-        Node displacements (k, n, 3) that follow the surface displacements (k, V, 3): elastic in between, zero at pins.
+        Node displacements (k, n, 3) that follow the surface displacements (k, V, 3). They are elastic in between and zero at pinned nodes.
         """
     @property
     def free_nodes(self) -> list[int]:
@@ -308,12 +309,12 @@ class SoftBody:
     @property
     def size(self) -> float:
         """
-        Bounding-box diagonal, metres.
+        Bounding-box diagonal, meters.
         """
     @property
     def volumes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        Lumped volume of the free nodes by target set, m^3.
+        Lumped volumes of the free nodes by target set, m^3.
         """
 class FullModel:
     """
@@ -323,7 +324,7 @@ class FullModel:
         ...
     def displacement(self, q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
         """
-        Bind-space node displacement (n, 3), metres.
+        Bind-space node displacement (n, 3), meters.
         """
     def energy(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> float:
         """
@@ -331,19 +332,19 @@ class FullModel:
         """
     def fallbacks(self, target: typing.SupportsInt | typing.SupportsIndex) -> int:
         """
-        Tetrahedra of a target that keep the neutral rest shape, because the sculpt would invert or crush them.
+        Number of tetrahedra that keep the neutral rest shape, because the target's sculpt would invert or crush them.
         """
     def inertia(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], density: typing.SupportsFloat | typing.SupportsIndex) -> scipy.sparse.csc_matrix:
         """
-        A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).
+        The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4).
         """
     def linear_modes(self, target: typing.SupportsInt | typing.SupportsIndex, k: typing.SupportsInt | typing.SupportsIndex) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
         """
-        (omega (k) rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.
+        Returns (omega (k) in rad/s, mass-orthonormal shapes (3 free, k)) at a target's shape.
         """
     def linearize(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], scipy.sparse.csc_matrix]:
         """
-        (energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full model is a scipy.sparse matrix.
+        Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness of a full model is a scipy.sparse matrix.
         """
     def target(self, target: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
@@ -361,16 +362,16 @@ class Basis:
     @property
     def U(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        (3 free, r), orthonormal in unit-density mass.
+        The modes (3 free, r), orthonormal in the mass for unit density.
         """
     @property
     def explained_variance(self) -> float:
         """
-        Fraction of the candidates' variance in the span.
+        Fraction of the candidates' variance that the basis spans.
         """
 class ReducedTables:
     """
-    What a built reduced model stores: geometry only, no material.
+    The tables that a built reduced model stores. They hold geometry only, no material.
     """
     def __init__(self, law: Law, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
         ...
@@ -398,7 +399,7 @@ class ReducedModel:
         ...
     def displacement(self, q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
         """
-        Bind-space node displacement (n, 3), metres.
+        Bind-space node displacement (n, 3), meters.
         """
     def energy(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> float:
         """
@@ -406,11 +407,11 @@ class ReducedModel:
         """
     def inertia(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], density: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        A^T M A in the model's coordinates at the bones' transforms (B, 3, 4).
+        The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4).
         """
     def linearize(self, weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], q: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> tuple[float, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]]:
         """
-        (energy J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q; the stiffness of a full model is a scipy.sparse matrix.
+        Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness of a full model is a scipy.sparse matrix.
         """
     def target(self, target: typing.SupportsInt | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
@@ -471,42 +472,42 @@ class Scheme:
         ...
 class FullSimulation:
     """
-    Steps a model through time. World space, SI.
+    Steps a model through time, in world space and SI units.
     """
     def __init__(self, model: FullModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
-        h: seconds a step; gravity (3,) m/s^2; teleport: jump of the skin off its course in one step, metres, above which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False raises Cancelled.
+        h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
         """
-        One step to each of the bones (S, B, 3, 4) and target weights (S, J); external (n, 3): newtons on the nodes, world space, constant over the call. Returns what the steps did: iterations in all, converged, the worst residual, elastic energy at the end, seconds.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external (n, 3): newtons on the nodes, world space, constant over the call. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
         """
     def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
-        Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
+        Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
         """
     def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
         """
-        (coordinates, report) of the static solution, sought from `guess` or from the blended targets.
+        Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended targets.
         """
     def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> dict:
         """
-        Static solution at the bones `now` (B, 3, 4); the past follows the rig backward from its motion to `next`.
+        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward.
         """
     @property
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
-        Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.
+        A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for a reduced model, and meters for a full one.
         """
     @property
     def elastic_energy(self) -> float:
         """
-        J, at the target weights of the last step.
+        Elastic energy, J, at the target weights of the last step.
         """
     @property
     def kinetic_energy(self) -> float:
         """
-        J, of the posed nodes, by the scheme's own velocity.
+        Kinetic energy of the posed nodes, J, from the scheme's own velocity.
         """
     @property
     def model(self) -> FullModel:
@@ -514,49 +515,49 @@ class FullSimulation:
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]]:
         """
-        (coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.
+        (coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a simulation.
         """
     @state.setter
     def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"]]) -> None:
         ...
 class ReducedSimulation:
     """
-    Steps a model through time. World space, SI.
+    Steps a model through time, in world space and SI units.
     """
     def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0, keep_going: typing.Any = None) -> None:
         """
-        h: seconds a step; gravity (3,) m/s^2; teleport: jump of the skin off its course in one step, metres, above which the past is carried along (0: never); keep_going() -> bool is asked before every Newton iteration, False raises Cancelled.
+        h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, meters, above which the past is carried along (0: never). keep_going() -> bool is called before every Newton iteration; returning False raises Cancelled.
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None) -> dict:
         """
-        One step to each of the bones (S, B, 3, 4) and target weights (S, J); external (n, 3): newtons on the nodes, world space, constant over the call. Returns what the steps did: iterations in all, converged, the worst residual, elastic energy at the end, seconds.
+        Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external (n, 3): newtons on the nodes, world space, constant over the call. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
         """
     def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
-        Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
+        Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
         """
     def solve_static(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"], external: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] | None = None, guess: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] | None = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"], dict]:
         """
-        (coordinates, report) of the static solution, sought from `guess` or from the blended targets.
+        Returns (coordinates, report) of the static solution. The search starts from `guess`, or from the blended targets.
         """
     def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]) -> dict:
         """
-        Static solution at the bones `now` (B, 3, 4); the past follows the rig backward from its motion to `next`.
+        Starts from the static solution at the bones `now` (B, 3, 4). The past continues the motion from `now` to `next` backward.
         """
     @property
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
-        Of the last step, a copy: metres times the square root of cubic metres when reduced, metres when full.
+        A copy of the coordinates after the last step. The unit is meters times the square root of cubic meters for a reduced model, and meters for a full one.
         """
     @property
     def elastic_energy(self) -> float:
         """
-        J, at the target weights of the last step.
+        Elastic energy, J, at the target weights of the last step.
         """
     @property
     def kinetic_energy(self) -> float:
         """
-        J, of the posed nodes, by the scheme's own velocity.
+        Kinetic energy of the posed nodes, J, from the scheme's own velocity.
         """
     @property
     def model(self) -> ReducedModel:
@@ -564,111 +565,115 @@ class ReducedSimulation:
     @property
     def state(self) -> tuple[typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]], "FixedSize(4)"], typing.Annotated[list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 12]"]], "FixedSize(4)"]]:
         """
-        (coordinates, bones' transforms (B, 12)), each now and at the last three steps: set it to resume.
+        (coordinates, bones' transforms (B, 12)), each now and at the last three steps. Set it to resume a simulation.
         """
     @state.setter
     def state(self, arg1: tuple[typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], "FixedSize(4)"], typing.Annotated[collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 12]"]], "FixedSize(4)"]]) -> None:
         ...
 class Crowd:
     """
-    Many characters of one reduced model, stepped together. World space, SI.
+    Steps many characters of one reduced model together, in world space and SI units.
     """
     def __init__(self, model: ReducedModel, h: typing.SupportsFloat | typing.SupportsIndex, size: typing.SupportsInt | typing.SupportsIndex, *, scheme: Scheme = Scheme.BDF2, gravity: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ..., tolerance: typing.SupportsFloat | typing.SupportsIndex = 1e-06, max_iterations: typing.SupportsInt | typing.SupportsIndex = 30, teleport: typing.SupportsFloat | typing.SupportsIndex = 0.0) -> None:
         """
-        As ReducedSimulation; size: characters.
+        Takes the options of ReducedSimulation. size: number of characters.
         """
     def advance(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> dict:
         """
-        One step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns what the steps did: iterations in all, steps of characters that had to be taken alone, converged, seconds.
+        Takes one step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns a report on the steps: total iterations, steps of characters that had to be taken alone, converged, seconds.
         """
     def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
-        Only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) acts.
+        Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
         """
     def start(self, now: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], next: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], weights: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> bool:
         """
-        Static solutions of N characters at the bones `now` (N, B, 3, 4) and target weights (N, J); the past follows their rigs backward from their motion to `next`. False where one did not converge.
+        Starts N characters from their static solutions at the bones `now` (N, B, 3, 4) and target weights (N, J). Their past continues the motion from `now` to `next` backward. Returns False when a solution did not converge.
         """
     @property
     def coordinates(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """
-        (N, r) of the last step, a copy.
+        A copy of the coordinates (N, r) after the last step.
         """
 def closed_surface(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32]) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"], dict]:
     """
-    A closed surface with its faces outward, made of any triangle soup.
+    Turns any triangle soup into a closed surface with outward faces.
     
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. Vertices that lie together are welded, faces that are there
-    twice dropped, faces turned outward, holes capped. Returns the vertices (W, 3), the triangles (U, 3), caps last, and
-    what was wrong: counts by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.
+    vertices (V, 3): meters. triangles (T, 3): vertex indices. Vertices at the same place are welded, duplicate faces are
+    dropped, faces are turned outward, and holes are capped. Returns the vertices (W, 3), the triangles (U, 3) with the caps
+    last, and the counts of defects by name. Raises Error when the input is empty, flat, not finite, or not between 1e-6 and
+    1e6 m across.
     """
 def embed(mesh: TetMesh, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> Embedding:
     """
-    Embeds surface points (V, 3), metres, by barycentric weights.
+    Embeds surface points (V, 3), meters, by barycentric weights.
     
-    A point outside takes the nearest tet, extrapolating as far as weights of -1/2.
+    A point outside the mesh uses the nearest tet. Its weights are extrapolated, but not below -1/2.
     """
 def extend_to_nodes(mesh: TetMesh, embedding: Embedding, values: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
     """
-    Values (n, k) at the nodes from values (V, k) at the embedded points.
+    Extends values (V, k) at the embedded points to values (n, k) at the nodes.
     
-    Least squares at the points, smooth inside. Constants stay constant; overshoots slightly, so skin weights want clamping
-    and normalising.
+    The fit is least squares at the points and smooth inside. Constants stay constant. Values overshoot slightly, so clamp
+    and normalize skin weights afterwards.
     """
 def fill_fractions(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], progress: typing.Any = None) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
     """
-    Fraction (m,) of each tet that the body fills, 0.05 .. 1; any soup, which is closed first.
+    Fraction (m,) of each tet that the body fills, 0.05 .. 1.
     
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. progress: called with 0..1, returns False to cancel.
+    The body may be any triangle soup; it is closed first. vertices (V, 3): meters. triangles (T, 3): vertex indices.
+    progress: called with 0..1, returns False to cancel.
     """
 def instruction_set() -> str:
     """
-    The instruction set that the engine's loops use: 'baseline', 'avx2' or 'avx512', the best that the processor has or what the environment variable DYNAMORPH_ISA named at the import. Results are the same bytes on all machines that use the same one.
+    The instruction set that the engine's loops use: 'baseline', 'avx2' or 'avx512'. It is the best that the processor has, or the one that the environment variable DYNAMORPH_ISA named at import. Results are byte-identical on all machines that use the same one.
     """
 def make_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> Basis:
     """
-    r modes: the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool, False raises Cancelled.
+    Makes r modes. They span the targets' shapes exactly, then linear modes, modal derivatives and static responses by mass-PCA. progress(fraction) -> bool: returning False raises Cancelled.
     """
 def make_cage(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_vertices: typing.SupportsInt | typing.SupportsIndex, thickness: typing.SupportsFloat | typing.SupportsIndex = 0.0, progress: typing.Any = None) -> tuple[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"], typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 3]"]]:
     """
-    A closed cage of about `target_vertices` vertices around any triangle soup.
+    Wraps a closed cage of about `target_vertices` vertices around any triangle soup.
     
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. thickness: metres that the cage stands off at least. progress: called with 0..1, returns False to cancel.
-    Returns vertices (C, 3) and outward triangles (D, 3). Raises Error when the input is empty, flat, not finite, or not
-    between 1e-6 and 1e6 m across.
+    vertices (V, 3): meters. triangles (T, 3): vertex indices. thickness: the least distance between cage and body, meters.
+    progress: called with 0..1, returns False to cancel. Returns vertices (C, 3) and outward triangles (D, 3). Raises Error
+    when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.
     """
 def pinned(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> numpy.typing.NDArray[numpy.bool]:
     """
-    Whether the bones hold each node, bool (n,).
+    Whether the bones pin each node, bool (n,).
     
-    A node is held when its distance to the nearest bone is less than `ratio` of the way from bone to skin: 0 holds none, 1
-    all inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All metres, in
-    the mesh's space.
+    A node is pinned when its distance to the nearest bone is less than `ratio` of the way from bone to skin: 0 pins none, 1
+    pins all nodes inside the body. vertices (V, 3), triangles (T, 3): the skin. heads, tails (B, 3): the bones at rest. All
+    are in meters and in the mesh's space.
     """
 def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], skin: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], skin_triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 3]"]:
     """
     Points (k, 3) along the bones, about as far apart as the cage's vertices, where the cage leaves room for them.
     
-    As nodes they tie the flesh to a bone that would else pass between nodes; where there is room, three around the bone
-    within what it holds (ratio, as for pinned), so that the body cannot spin about it. vertices (C, 3), triangles (D, 3): the cage.
-    skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3): the bones at rest. All metres, in one space.
+    As nodes, they tie the soft tissue to a bone that would otherwise pass between nodes. Where there is room, three points
+    surround the bone within the range that it pins (`ratio`, as for `pinned`), so that the body cannot spin about the bone.
+    vertices (C, 3), triangles (D, 3): the cage. skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3):
+    the bones at rest. All are in meters and in one space.
     """
 def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], progress: typing.Any = None) -> ReducedTables:
     """
-    Energy polynomials of every target in the basis U (3 free, r).
+    Computes the energy polynomials of every target in the basis U (3 free, r).
     """
 def set_threads(most: typing.SupportsInt | typing.SupportsIndex) -> None:
     """
-    Use at most so many cores from now on; 0: all that the process may use. Results do not depend on it.
+    Uses at most this many cores from now on; 0 means all that the process may use. Results do not depend on it.
     """
 def tetrahedralize(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], target_nodes: typing.SupportsInt | typing.SupportsIndex, inner: typing.Annotated[numpy.typing.ArrayLike, numpy.float64] = ...) -> TetMesh:
     """
-    Fills a closed surface without self-intersections with about `target_nodes` nodes.
+    Fills a closed surface that does not intersect itself with about `target_nodes` nodes.
     
-    vertices (V, 3): metres; they come first among the nodes. triangles (T, 3): vertex indices. inner (k, 3): points
-    inside that become nodes. Raises Error when it cannot be filled. Crashes or hangs on some input: `mesh_body` contains that.
+    vertices (V, 3): meters; they become the first nodes. triangles (T, 3): vertex indices. inner (k, 3): points inside that
+    become nodes too. Raises Error when the surface cannot be filled. On some input this crashes or hangs; `mesh_body` runs
+    it in a child process.
     """
 def unpack_model(buffer: typing_extensions.Buffer) -> tuple[dict, str]:
     """
-    (arrays by name, description as JSON) of a model file's bytes. Raises Error when they are damaged, or of a version that cannot be read.
+    Returns (arrays by name, description as JSON) from a model file's bytes. Raises Error when the bytes are damaged, or of a version that cannot be read.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a body's triangles to tetrahedra, in a child process: TetGen crashes or hangs on some meshes."""
+"""Fills a body with tetrahedra, in a child process because TetGen crashes or hangs on some meshes."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from dynamorph._core import Cancelled, Error, TetMesh, closed_surface, make_cage
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
 EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER = 2, 3, 4, 5
-WINDOWS_CRASH = 0xC0000000  # from here on an exit code is an exception's; elsewhere a signal's is negative
-# Where TetGen fails, crashes or hangs is a matter of luck: another cage, a little coarser or finer, mostly gets by.
+WINDOWS_CRASH = 0xC0000000  # exit codes from here up are exceptions; elsewhere a signal gives a negative code
+# TetGen fails, crashes or hangs unpredictably. A slightly coarser or finer cage usually works.
 RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
-# For tests only: makes the child crash, hang or allocate without end; "crash once": at the first resolution.
+# For tests only: makes the child crash, hang or allocate without end. "crash once" crashes at the first resolution
+# only.
 FAULT_VARIABLE = "DYNAMORPH_MESHER_FAULT"
 
 
 class _MesherFailed(Error):
-    """Another cage may get by."""
+    """Another cage may work."""
 
 
 def mesh_body(
@@ -51,22 +52,22 @@ def mesh_body(
 ) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     """Wraps a closed cage around any triangle soup and fills it with about `target_nodes` nodes.
 
-    vertices (V, 3): metres. triangles (T, 3): vertex indices. cage: vertices (C, 3) and triangles (D, 3) of a closed
-    surface to be filled instead of a wrap. thickness: metres that the wrap stands off the body at least.
-    grading: 0 for tets of one size .. 1 for much finer ones where the body is moved, by moved (V,), 0..1. bones
-    (B, 2, 3): heads and tails of bones along which nodes are wanted, metres. held: how far of the way to the skin the
-    bones hold the flesh. time_limit: seconds in all, None for as many as fit the nodes. progress: called with 0..1
-    every 50 ms, returns False to cancel.
+    vertices (V, 3): meters. triangles (T, 3): vertex indices. cage: vertices (C, 3) and triangles (D, 3) of a closed
+    surface to fill instead of a wrap. thickness: the least distance between wrap and body, meters. grading: 0 for tets
+    of one size .. 1 for much finer tets where the body moves. moved (V,): how much it moves, 0..1. bones (B, 2, 3):
+    heads and tails of the bones along which to place nodes, meters. held: the part of the way from bone to skin within
+    which the bones pin nodes. time_limit: seconds in total; None depends on the number of nodes. progress: called with
+    0..1 every 50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
-    or indices; Error, saying what to do, when the mesh cannot be used, or the mesher crashes, hangs or takes too much
-    memory at all resolutions near the one that is asked for; Cancelled.
+    or indices. Raises Error, which says what to do, when the mesh cannot be used, or when the mesher crashes, hangs or
+    needs too much memory at all resolutions near the requested one. Raises Cancelled when progress returns False.
     """
     bones = np.zeros((0, 2, 3)) if bones is None else np.asarray(bones, np.float64)
     if bones.ndim != 3 or bones.shape[1:] != (2, 3):
         raise ValueError(f"bones: expected shape (any, 2, 3), got {bones.shape}")
     moved = np.zeros(len(vertices)) if moved is None or not grading else grading * np.asarray(moved, np.float64)
     if moved.shape != (len(vertices),):
-        raise ValueError(f"moved: expected one number a vertex, got shape {moved.shape}")
+        raise ValueError(f"moved: expected one number per vertex, got shape {moved.shape}")
     arrays = [*_checked(vertices, triangles), moved, bones, *_closed(cage)]
     deadline = time.monotonic() + (time_limit or 40.0 + target_nodes / 100)
     resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
@@ -93,7 +94,7 @@ def _mesh_in_child(arrays: list[np.ndarray], arguments: list, progress) -> tuple
 
 
 def _closed(cage: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
-    """The artist's cage, welded and outward, or one of nothing. Raises Error when it has holes."""
+    """The artist's cage, welded and outward, or an empty one for None. Raises Error when it has holes."""
     if cage is None:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
     vertices, triangles, defects = closed_surface(*_checked(*cage))
@@ -106,12 +107,13 @@ def _closed(cage: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.
 
 
 def tet_quality(mesh: TetMesh) -> dict[str, float]:
-    """How well shaped the tetrahedra are: min_dihedral and max_dihedral, degrees; under_5, the fraction of dihedral
-    angles below 5 degrees; mean_aspect and max_aspect, the longest edge over the radius of the inscribed sphere, 1 for
-    a regular tetrahedron.
+    """Measures how well shaped the tetrahedra are.
+
+    min_dihedral, max_dihedral: degrees. under_5: the fraction of dihedral angles below 5 degrees. mean_aspect,
+    max_aspect: the longest edge over the radius of the inscribed sphere, scaled to 1 for a regular tetrahedron.
     """
     corners = mesh.nodes[mesh.tets]
-    areas = []  # vectors of the faces, each across from its corner
+    areas = []  # area vectors of the faces, each opposite its corner
     for a, b, c in ((1, 3, 2), (0, 2, 3), (0, 3, 1), (0, 1, 2)):
         areas.append(np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a]) / 2)
     pairs = list(itertools.combinations(range(4), 2))
@@ -142,20 +144,21 @@ def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _run_child(arguments: list, request, answer, progress: Callable[[float], bool] | None) -> None:
-    """Runs `_child` on open files; its standard error carries progress (numbers) and, at the end, a message."""
+    """Runs `_child` on open files. Its standard error carries progress (numbers) and, at the end, a message."""
     time_limit, memory_limit_gb = arguments[1:3]
-    # Isolated, with our own paths: nothing of the artist's Python environment, and inside Blender its bundled Python.
+    # Isolated, with our own paths: the child must not see the artist's Python environment. Inside Blender it runs
+    # Blender's bundled Python.
     paths = [str(Path(module.__file__).absolute().parent.parent) for module in (sys.modules["dynamorph"], np)]
     code = f"import sys; sys.path[:0] = {paths!r}; from dynamorph.meshing import _child; _child()"
     command = [sys.executable, "-I", "-S", "-c", code, *map(str, arguments)]
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves memory, which is limited
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves memory, and memory is limited
     try:
         child = subprocess.Popen(
             command, stdin=request, stdout=answer, stderr=subprocess.PIPE, text=True, env=environment,
-            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # Windows would flash a console
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # or Windows would flash a console
         )  # fmt: skip
     except OSError as error:
-        raise Error(f"The mesher could not be started ({error}). Re-install the add-on.") from error
+        raise Error(f"The mesher could not be started ({error}). Reinstall the add-on.") from error
     fraction, message = [0.0], []
     reader = threading.Thread(target=_read_reports, args=(child.stderr, fraction, message), daemon=True)
     reader.start()
@@ -167,7 +170,7 @@ def _run_child(arguments: list, request, answer, progress: Callable[[float], boo
             if time.monotonic() > deadline:
                 raise _MesherFailed(f"Meshing took too long and was stopped. {TRY_THIS}")
             time.sleep(0.05)
-    finally:  # also on KeyboardInterrupt, or an exception of progress's own
+    finally:  # also on KeyboardInterrupt or an exception raised by progress
         child.kill()
         child.wait()
         reader.join()
@@ -202,7 +205,7 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
 
 
 def _child() -> None:
-    """The child's main: arrays from standard input to standard output."""
+    """The child's main function: reads arrays from standard input and writes arrays to standard output."""
     target_nodes = int(sys.argv[1])
     time_limit, memory_limit_gb, held, thickness, resolution = map(float, sys.argv[2:])
     _limit_resources(time_limit, memory_limit_gb)
@@ -232,17 +235,17 @@ def _load(count: int) -> list[np.ndarray]:
 def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
     try:
         import resource
-    except ImportError:  # Windows: the parent's time limit alone
+    except ImportError:  # Windows has only the parent's time limit
         return
     memory = int(memory_limit_gb * 2**30)
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    cpu = math.ceil(time_limit) + 10  # outlives the parent's limit: only for a child whose parent was killed
+    cpu = math.ceil(time_limit) + 10  # longer than the parent's limit: it stops a child after the parent was killed
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
 
 
 def _wrapped(body, moved, bones, held: float, target_nodes: int, thickness: float, resolution: float) -> tuple:
-    """A cage that leaves room for nodes inside; another while good tets need too many nodes, or have room for few."""
+    """Wraps cages until good tets need about `target_nodes` nodes: neither too many, nor too few for lack of room."""
     cage_vertices = _surface_share(target_nodes) * target_nodes * resolution
     best, best_error = (), math.inf
     for attempt in range(3):
@@ -261,29 +264,29 @@ def _wrapped(body, moved, bones, held: float, target_nodes: int, thickness: floa
 
 
 def _surface_share(nodes: int) -> float:
-    """What part of the nodes lies on the cage. Fitted to many characters: it falls as the mesh gets finer."""
+    """The fraction of the nodes on the cage. Fitted to many characters: it falls as the mesh gets finer."""
     return float(np.clip(0.62 - 0.12 * math.log(nodes / 2000, 4), 0.4, 0.7))
 
 
 def _coarser(vertices: int, moved: np.ndarray) -> int:
-    """With how many vertices a cage begins that is to be finer in places."""
+    """The number of vertices of a cage before it is refined in places."""
     return max(int((1 - 0.4 * moved.max(initial=0.0)) * vertices), 4)
 
 
 def _graded(cage, target_vertices: int, body, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same surface with that many vertices, the more of them the more the body is moved nearby."""
+    """The same surface with `target_vertices` vertices, denser where the body moves more nearby."""
     return _refined(cage, target_vertices, 1 + 4 * _moved_nearby(cage, body, moved)) if moved.any() else cage
 
 
 def _refined(cage, target_vertices: int, fineness: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The same surface with at least so many vertices: its longest edge is halved, again and again.
+    """The same surface with at least `target_vertices` vertices: its longest edge is halved repeatedly.
 
-    fineness (C,): how much longer an edge counts than it is.
+    fineness (C,): a factor at each vertex by which edges there count as longer than they are.
     """
     vertices, triangles = cage
     points = [tuple(point) for point in vertices.tolist()]
     fineness = [1.0] * len(points) if fineness is None else fineness.tolist()
-    opposite = {}  # the corner across from a directed edge
+    opposite = {}  # the corner opposite a directed edge
     for a, b, c in triangles.tolist():
         opposite |= {(a, b): c, (b, c): a, (c, a): b}
     if len(opposite) < triangles.size:  # some edge has more than two triangles
@@ -307,7 +310,7 @@ def _refined(cage, target_vertices: int, fineness: np.ndarray | None = None) -> 
 
 
 def _moved_nearby(cage, body, moved: np.ndarray) -> np.ndarray:
-    """How much the body is moved near each vertex (C,) of the cage: it fades out over two of its edges."""
+    """How much the body moves near each vertex (C,) of the cage. This fades out over two cage edges."""
     vertices, triangles = cage
     moving = np.flatnonzero(moved > 0.05)
     moving = moving[:: max(1, len(moving) // 1000)]
@@ -320,7 +323,7 @@ def _moved_nearby(cage, body, moved: np.ndarray) -> np.ndarray:
 
 
 def _filled(cage, body, bones, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
-    """The cage and the nodes and tets inside. Raises _MesherFailed."""
+    """The cage, and the nodes and tets that fill it. Raises _MesherFailed."""
     try:
         inner = points_on_bones(*cage, *body, bones[:, 0], bones[:, 1], held)
         mesh = tetrahedralize(*cage, target_nodes, inner)

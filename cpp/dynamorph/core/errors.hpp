@@ -7,13 +7,13 @@
 
 namespace dynamorph {
 
-/// Bad data (mesh, tetrahedra, eigensolver): the message says what the artist can do about it.
-/// A caller's mistake (shape, range) is std::invalid_argument instead.
+/// Bad data (mesh, tetrahedra, eigensolver). The message says what the artist can do about it.
+/// A caller's mistake (shape, range) throws std::invalid_argument instead.
 struct Error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// Throws std::invalid_argument unless both are equal.
+/// Throws std::invalid_argument unless both sizes are equal.
 inline void check_size(const char* name, Eigen::Index actual, Eigen::Index expected) {
   if (actual != expected)
     throw std::invalid_argument(std::string(name) + ": expected " + std::to_string(expected) + " rows, got " +

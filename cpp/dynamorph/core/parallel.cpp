@@ -9,21 +9,21 @@ namespace dynamorph {
 
 namespace {
 
-/// Threads that sleep between loops. Starting new ones takes longer, and on a busy machine one would have to wait for
-/// all of them even after the calling thread has done their work.
+/// Threads that sleep between loops. Starting new threads takes longer. On a busy machine the caller would also have to
+/// wait until all of them have started, even after it has done their work itself.
 class Helpers {
  public:
-  /// By the calling thread and `most` of the helpers.
+  /// Calls work(0) .. work(count - 1) on the calling thread and at most `most` helpers.
   void run(int count, int most, const std::function<void(int)>& work) {
     std::unique_lock lock(mutex_);
-    if (work_) {  // they help another thread
+    if (work_) {  // the helpers work for another thread
       lock.unlock();
       for (int i = 0; i < count; ++i) work(i);
       return;
     }
     try {
       for (; threads_ < most; ++threads_) std::thread([this] { help(); }).detach();
-    } catch (const std::exception&) {  // the system has no more: it is tried again with the next loop
+    } catch (const std::exception&) {  // the system has no more threads; the next loop tries again
     }
     work_ = &work;
     count_ = count;
@@ -59,16 +59,16 @@ class Helpers {
 
   std::mutex mutex_;
   std::condition_variable begun_, ended_;
-  const std::function<void(int)>* work_ = nullptr;  ///< of the present loop
+  const std::function<void(int)>* work_ = nullptr;  ///< of the current loop
   int count_ = 0, busy_ = 0, wanted_ = 0, threads_ = 0;
   long loop_ = 0;
   std::atomic<int> next_{0};
 };
 
-std::atomic<int> most_threads{0};  ///< that the user wants, 0 for any number
+std::atomic<int> most_threads{0};  ///< the limit set by the user; 0 for none
 
 int given_cores() {
-#ifdef __linux__  // hardware_concurrency counts the machine's
+#ifdef __linux__  // hardware_concurrency counts all cores of the machine
   cpu_set_t allowed;
   if (sched_getaffinity(0, sizeof allowed, &allowed) == 0) return CPU_COUNT(&allowed);
 #endif
@@ -88,7 +88,7 @@ void set_threads(int most) {
 }
 
 void parallel_for(int count, const std::function<void(int)>& work) {
-  // Never destroyed: a process may end while the threads sleep, but not while they outlive what they wait for.
+  // Never destroyed: the process may exit while the threads sleep, and the threads must not outlive what they wait on.
   static Helpers& helpers = *new Helpers;
   helpers.run(count, usable_cores() - 1, work);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Independent pieces of work on all cores: the same result on any number of them.
+// Runs independent pieces of work on all cores. The result does not depend on the number of cores.
 #pragma once
 
 #include <algorithm>
@@ -18,15 +18,17 @@
 
 namespace dynamorph {
 
-/// How many cores this process may use: a farm's scheduler gives fewer than the machine has, and so may `set_threads`.
+/// Number of cores that this process may use. A scheduler on a farm, or `set_threads`, may allow fewer than the machine
+/// has.
 int usable_cores();
 
-/// At most so many cores from now on; 0: all that the system gives.
+/// Sets the most cores to use from now on; 0 means all that the system gives.
 void set_threads(int most);
 
-/// work(i, progress) for i = 0..count-1, each with a progress of its own that asks to stop once a work has failed. The
-/// caller's `progress` hears the mean and is called from the calling thread alone. Rethrows what a work threw. Where
-/// the system gives fewer threads than cores, those it gives do all the work; where none, the calling thread.
+/// Calls work(i, progress) for i = 0..count-1. Each call has its own progress, which asks it to stop once another call
+/// has failed. The caller's `progress` gets the mean and is called only from the calling thread. Rethrows what a call
+/// threw. If the system gives fewer threads than cores, those threads do all the work; if it gives none, the calling
+/// thread does.
 template <class Work>
 void run_tasks(int count, const ProgressFn& progress, const Work& work) {
   std::vector<std::atomic<double>> done(count);
@@ -43,14 +45,14 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
           heard();
           return !stop;
         });
-      } catch (const Cancelled&) {  // told to stop: the caller's wish or another's error is the reason
+      } catch (const Cancelled&) {  // told to stop, because the caller cancelled or another call failed
         stop = true;
       } catch (...) {
         errors[i] = std::current_exception();
         stop = true;
       }
   };
-  const auto tell = [&] {  // the caller
+  const auto tell = [&] {  // reports to the caller
     try {
       if (!cancelled) report(progress, std::accumulate(done.begin(), done.end(), 0.0) / count);
     } catch (...) {
@@ -71,7 +73,7 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
         ++ended_threads;
         ended.notify_one();
       });
-  } catch (const std::exception&) {  // the system has no more
+  } catch (const std::exception&) {  // the system has no more threads
     if (threads.empty()) take(tell);
   }
   std::unique_lock lock(mutex);
@@ -87,8 +89,8 @@ void run_tasks(int count, const ProgressFn& progress, const Work& work) {
     if (error) std::rethrow_exception(error);
 }
 
-/// work(i) for i = 0..count-1 in loops that take a millisecond: by the calling thread, and by threads kept for this as
-/// far as they come in time. Nothing is reported and nothing may be thrown.
+/// Calls work(i) for i = 0..count-1, for loops that take about a millisecond. The calling thread does the work, and
+/// sleeping threads join it if they wake in time. Nothing is reported, and work must not throw.
 void parallel_for(int count, const std::function<void(int)>& work);
 
 }  // namespace dynamorph

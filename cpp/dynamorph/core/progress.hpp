@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// How a long call says how far it is, and is asked to stop.
+// How a long call reports its progress and is asked to stop.
 #pragma once
 
 #include <functional>
@@ -7,12 +7,12 @@
 
 namespace dynamorph {
 
-/// Thrown out of a long call whose Progress returned false.
+/// Thrown by a long call when its progress function returned false.
 struct Cancelled : std::runtime_error {
   Cancelled() : std::runtime_error("cancelled") {}
 };
 
-/// Called with the fraction done, 0..1; false asks the call to stop.
+/// Called with the fraction done, 0..1. Returning false asks the call to stop.
 using ProgressFn = std::function<bool(double)>;
 
 inline void report(const ProgressFn& progress, double fraction) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Names as in FIPS 180-4, section 6.2.
+// Names follow FIPS 180-4, section 6.2.
 #include "dynamorph/core/sha256.hpp"
 
 #include <array>
@@ -51,7 +51,7 @@ std::string sha256(const void* bytes, std::size_t size) {
   const auto* next = static_cast<const unsigned char*>(bytes);
   std::size_t left = size;
   for (; left >= kBlock; left -= kBlock, next += kBlock) add_block(next, H);
-  // The rest, a one bit, zeros, and the number of bits, big-endian, at the end of the last block.
+  // The last blocks hold the remaining bytes, a one bit, zeros and, at the end, the number of bits, big-endian.
   unsigned char end[2 * kBlock] = {};
   if (left) std::memcpy(end, next, left);
   end[left] = 0x80;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// SHA-256 (FIPS 180-4). Written here because what is packaged comes as a library to link (OpenSSL, Nettle, Crypto++),
-// which the artist's machine or the other systems that wheels are built for may not have.
+// SHA-256 (FIPS 180-4). It is implemented here because packaged implementations are libraries to link (OpenSSL, Nettle,
+// Crypto++). The artist's machine, or another system that wheels are built for, may not have them.
 #pragma once
 
 #include <cstddef>

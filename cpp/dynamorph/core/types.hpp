@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Shared vocabulary: numbers and arrays.
+// Shared types for numbers and arrays.
 #pragma once
 
 #include <Eigen/Dense>
@@ -13,11 +13,11 @@ using Eigen::MatrixXd;
 using Eigen::Vector3d;
 using Eigen::VectorXd;
 
-/// One point a row, xyz, metres. Row-major, so that `flat(points)` is the displacement vector x0 y0 z0 x1 ...
+/// One point per row, xyz, meters. Row-major, so that `flat(points)` is the displacement vector x0 y0 z0 x1 ...
 using Points = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
 using Triangles = Eigen::Matrix<std::int32_t, Eigen::Dynamic, 3, Eigen::RowMajor>;
 using Tets = Eigen::Matrix<std::int32_t, Eigen::Dynamic, 4, Eigen::RowMajor>;
-/// As NumPy stores it: a row's entries are contiguous.
+/// As in NumPy, a row's entries are contiguous.
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using SparseMatrix = Eigen::SparseMatrix<double>;
 
@@ -26,7 +26,8 @@ constexpr double kPi = 3.14159265358979323846;
 inline Eigen::Map<const VectorXd> flat(const Points& points) { return {points.data(), points.size()}; }
 inline Eigen::Map<const Points> as_points(const VectorXd& x) { return {x.data(), x.size() / 3, 3}; }
 
-/// All stored values of a dense or sparse matrix: matrices of one model share their pattern.
+/// All stored values of a dense or sparse matrix. Matrices of one model share their pattern, so their values
+/// correspond.
 inline Eigen::Map<VectorXd> values(MatrixXd& m) { return {m.data(), m.size()}; }
 inline Eigen::Map<const VectorXd> values(const MatrixXd& m) { return {m.data(), m.size()}; }
 inline Eigen::Map<VectorXd> values(SparseMatrix& m) { return {m.valuePtr(), m.nonZeros()}; }

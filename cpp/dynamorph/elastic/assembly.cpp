@@ -15,10 +15,10 @@ namespace dynamorph {
 
 namespace {
 
-constexpr int kChunkGroups = 128;  // of a chunk: their store, 150 kB, stays in the second cache
-constexpr int kSlice = 1024;       // blocks added up at a time
+constexpr int kChunkGroups = 128;  // per chunk; the chunk's store, 150 kB, stays in the L2 cache
+constexpr int kSlice = 1024;       // blocks summed per task
 
-/// Tetrahedra along a Morton curve through the mesh.
+/// The tetrahedra in the order of a Morton curve through the mesh.
 std::vector<int> along_curve(const TetMesh& mesh) {
   const Eigen::RowVector3d low = mesh.nodes.colwise().minCoeff();
   const double size = (mesh.nodes.rowwise() - low).maxCoeff();
@@ -66,8 +66,8 @@ void Assembly::group_tets(const TetMesh& mesh, const std::vector<int>& free_of_n
   }
 }
 
-/// Every chunk's store has a place for what nobody needs, the held nodes' blocks, and then the blocks of its
-/// tetrahedra.
+/// Every chunk's store begins with a place for the pinned nodes' blocks, which are not needed. The blocks of its
+/// tetrahedra follow.
 void Assembly::place_blocks() {
   struct Place {
     int column, row, at;

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Energy, force and tangent stiffness of a whole tet mesh, the elements of several targets in one pass.
+// Energy, force and tangent stiffness of a whole tet mesh. One pass handles the elements of several targets.
 //
-// Computes the laws of elasticity.hpp (assembly_kernels.cpp has the formulas), four tetrahedra at a time in the lanes
-// of vector registers, and sums the targets' contributions to a tetrahedron before they go anywhere. Tetrahedra are
-// worked through in chunks that are compact in space; each sums into a store of its own, and the stores are added up
-// block by block. Chunks do not depend on the number of threads, so neither does the result.
+// The laws of elasticity.hpp are computed for four tetrahedra at a time, in the lanes of vector registers
+// (assembly_kernels.cpp has the formulas). The targets' contributions to a tetrahedron are summed before they are
+// stored. Tetrahedra are processed in chunks that are compact in space. Each chunk sums into its own store, and the
+// stores are then added block by block. Chunks do not depend on the number of threads, so neither does the result.
 #pragma once
 
 #include <vector>
@@ -21,10 +21,9 @@ class Assembly {
   /// One target's elements in the assembly's order.
   struct Elements {
     std::vector<ElementGroup> groups;
-    std::vector<OriginGroup>
-        origins;  ///< empty where displacements are given from the target's shape, about which F = I
+    std::vector<OriginGroup> origins;  ///< empty if displacements are relative to the target's shape, where F = I
   };
-  /// What a target counts at some target weights.
+  /// The contribution of a target at some target weights.
   struct Part {
     double weight;
     Lame lame;
@@ -33,16 +32,16 @@ class Assembly {
 
   Assembly(const TetMesh& mesh, const std::vector<int>& free_of_node);
 
-  /// absolute: displacements will be given from the neutral shape.
+  /// absolute: displacements will be relative to the neutral shape instead of the target's shape.
   Elements pack(const RestShape& shape, bool absolute) const;
 
   /// A zero matrix (3 free, 3 free) of 3x3 blocks, both triangles stored.
   const SparseMatrix& pattern() const { return pattern_; }
 
-  /// Energy at displacements x (3 free), of StVK or stable StVK.
+  /// Energy of StVK or stable StVK at displacements x (3 free).
   double energy(Law law, const std::vector<Part>& parts, const VectorXd& x) const;
 
-  /// The same, with the force dE/dx and its derivative; `stiffness` has the pattern.
+  /// Computes the force dE/dx and its derivative as well. `stiffness` must have the pattern.
   double linearize(Law law, const std::vector<Part>& parts, const VectorXd& x, VectorXd& force,
                    SparseMatrix& stiffness) const;
 
@@ -51,14 +50,14 @@ class Assembly {
     int first, last;  ///< groups
     int store;        ///< where its store begins
   };
-  /// A block (i, j) with i <= j and what is summed to it.
+  /// A block (i, j) with i <= j, and the addends that it is the sum of.
   struct Block {
     int row, column;          ///< free nodes
-    int first, last;          ///< of `addends_`
-    int upper, upper_stride;  ///< its first value in the matrix, and from one column to the next
-    int lower, lower_stride;  ///< that of the transposed block
+    int first, last;          ///< range in `addends_`
+    int upper, upper_stride;  ///< place of its first value in the matrix, and step between columns
+    int lower, lower_stride;  ///< the same for the transposed block
   };
-  /// The energy; without stores nothing else.
+  /// Returns the energy. Computes forces and stiffness only if there are stores.
   double sum_chunks(Law law, const std::vector<Part>& parts, const VectorXd& x, double* stores) const;
   void group_tets(const TetMesh& mesh, const std::vector<int>& free_of_node);
   void place_blocks();
@@ -67,8 +66,8 @@ class Assembly {
   int free_ = 0;
   std::vector<TetGroup> groups_;
   std::vector<Chunk> chunks_;
-  std::vector<Block> blocks_;  ///< by columns
-  std::vector<int> addends_;   ///< where in the stores
+  std::vector<Block> blocks_;  ///< sorted by column
+  std::vector<int> addends_;   ///< places in the stores
   int stores_size_ = 0;
   SparseMatrix pattern_;
 };

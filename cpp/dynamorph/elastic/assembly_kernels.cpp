@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The element laws. With F = I + G, E = 1/2 (F^T F - I) = 1/2 (G + G^T + G^T G), which does not cancel near rest, and
-// S = lambda tr(E) I + 2 mu E:
+// The element laws. With F = I + G, Green's strain E = 1/2 (F^T F - I) is computed as 1/2 (G + G^T + G^T G), which
+// avoids cancellation near rest. With S = lambda tr(E) I + 2 mu E:
 //
 //   psi        = 1/2 lambda tr(E)^2 + mu E:E + kappa (tr E - det F + 1)                             J/m^3
 //   f_a        = V (F S g_a + kappa (F - cof F) g_a)                                                N, on node a
 //   K_ab       = V ((g_a.S g_b + kappa g_a.g_b) I + lambda F g_a (F g_b)^T                          N/m, 3 x 3
 //                   + mu (F g_b (F g_a)^T + (g_a.g_b) F F^T) + kappa [F (g_a x g_b)]_x)
 //
-// StVK has kappa = 0. The stable law has StVK's moduli at rest with (lambda + mu, 0, kappa = mu), so that its mu-terms
-// are kappa's alone. The linear law's tangent is StVK's at rest. [c]_x is the matrix of c x.
+// StVK has kappa = 0. The stable law has StVK's moduli at rest. It uses (lambda + mu, 0, kappa = mu), so the terms in
+// mu vanish and those in kappa remain. The tangent of the linear law is StVK's tangent at rest. [c]_x is the matrix of
+// the cross product c x.
 #include "dynamorph/elastic/assembly_kernels.hpp"
 
 #include "dynamorph/simd/lanes.hpp"
@@ -18,10 +19,10 @@ namespace dynamorph::DYNAMORPH_ISA {
 namespace {
 
 using Lane = Double4;
-static_assert(sizeof(Lane) == kGroupSize * sizeof(double), "a lane for each tetrahedron");
+static_assert(sizeof(Lane) == kGroupSize * sizeof(double), "one lane per tetrahedron");
 
-/// The sums over the parts, times volume and weight: blocks (1, 1), (2, 2), (3, 3), (1, 2), (1, 3), (2, 3) of the
-/// stiffness, column-major, and the forces on nodes 1 to 3.
+/// Sums over the parts, times volume and weight. blocks: (1, 1), (2, 2), (3, 3), (1, 2), (1, 3), (2, 3) of the
+/// stiffness, column-major. forces: on nodes 1 to 3.
 struct Sums {
   Lane blocks[6][3][3];
   Lane forces[3][3];
@@ -38,12 +39,13 @@ DYNAMORPH_INLINE void cross(const Lane (&a)[3], const Lane (&b)[3], Lane (&out)[
   for (int i = 0; i < 3; ++i) out[i] = mul_sub(a[(i + 1) % 3] * b[(i + 2) % 3], a[(i + 2) % 3], b[(i + 1) % 3]);
 }
 
-/// out = A x, A by rows.
+/// out = A x, with A stored by rows.
 DYNAMORPH_INLINE void multiply(const Lane (&A)[3][3], const Lane (&x)[3], Lane (&out)[3]) {
   for (int i = 0; i < 3; ++i) out[i] = dot(A[i], x);
 }
 
-/// One part at G by rows; lambda, mu and kappa are times the volume. g: gradients of nodes 1 to 3.
+/// Adds one part at G, which is stored by rows. lambda, mu and kappa are multiplied by the volume. g: gradients of
+/// nodes 1 to 3.
 template <bool kStable, bool kTangent>
 DYNAMORPH_INLINE void add_part(const Lane (&G)[3][3], const Lane (&g)[3][3], const Lane& lambda, const Lane& mu,
                                const Lane& kappa, Sums& sums) {
@@ -66,7 +68,7 @@ DYNAMORPH_INLINE void add_part(const Lane (&G)[3][3], const Lane (&g)[3][3], con
     const Lane inner = mul_sub(G[0][0] * G[1][1], G[0][1], G[1][0]) + mul_sub(G[1][1] * G[2][2], G[1][2], G[2][1]) +
                        mul_sub(G[2][2] * G[0][0], G[2][0], G[0][2]);
     const Lane square = dot(G[0], G[0]) + dot(G[1], G[1]) + dot(G[2], G[2]);
-    // tr E - det F + 1 without what cancels: |G|^2 / 2 less the second and the third invariant of G.
+    // tr E - det F + 1 without cancellation: |G|^2 / 2 minus the second and third invariants of G.
     sums.energy = mul_add(sums.energy, kappa, 0.5 * square - inner - dot(G[0], normal));
   }
   if (!kTangent) return;
@@ -129,7 +131,7 @@ DYNAMORPH_INLINE void add_part(const Lane (&G)[3][3], const Lane (&g)[3][3], con
   }
 }
 
-/// Adds the elements' blocks and forces to the store, node 0's from the others' sums.
+/// Adds the elements' blocks and forces to the store. Those of node 0 follow from the sums of the others.
 DYNAMORPH_INLINE void add_to_store(const TetGroup& group, const Sums& sums, double* __restrict store) {
   Lane out[10][kDiagonal];
   for (int i = 0; i < 9; ++i) {
@@ -154,7 +156,7 @@ DYNAMORPH_INLINE void add_to_store(const TetGroup& group, const Sums& sums, doub
     }
 }
 
-/// All parts of groups first .. last - 1 at displacements x, added to the store; returns the energy.
+/// Adds all parts of groups first .. last - 1 at displacements x to the store. Returns the energy.
 template <bool kStable, bool kTangent>
 DYNAMORPH_INLINE double add_groups(const TetGroup* groups, int first, int last, const WeightedPart* parts, size_t count,
                                    const double* x, double* store) {

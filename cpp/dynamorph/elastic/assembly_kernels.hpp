@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Energy, forces and blocks of the stiffness of tetrahedra, four at a time: what assembly.hpp sums.
+// Energy, forces and stiffness blocks of four tetrahedra at a time. assembly.hpp sums them.
 #pragma once
 
 #include "dynamorph/simd/compiler.hpp"
@@ -8,19 +8,19 @@
 namespace dynamorph {
 
 constexpr int kGroupSize = 4;  // tetrahedra in the lanes of a register
-constexpr int kDiagonal = 12;  // numbers stored of a diagonal block: 3x3, column-major, and the node's force
+constexpr int kDiagonal = 12;  // numbers stored per diagonal block: 3x3, column-major, then the node's force
 constexpr int kOffDiagonal = 9;
 constexpr int kPairs[6][2] = {{0, 1}, {0, 2}, {0, 3}, {1, 2}, {1, 3}, {2, 3}};
 
-/// Four tetrahedra, their nodes in ascending order of free nodes and held ones last.
+/// Four tetrahedra. Their nodes are in ascending order of free nodes, with pinned nodes last.
 struct TetGroup {
   int tets[kGroupSize];        ///< -1 in the lanes that the last group leaves empty
-  int order[4][kGroupSize];    ///< the tetrahedron's own number of each node
-  int nodes[4][kGroupSize];    ///< its first degree of freedom; that of held nodes reads zeros
-  int blocks[10][kGroupSize];  ///< where in the chunk's store blocks (a, a), then (a, b) for a < b, are summed
+  int order[4][kGroupSize];    ///< each node's number within the tetrahedron
+  int nodes[4][kGroupSize];    ///< each node's first degree of freedom; that of pinned nodes reads zeros
+  int blocks[10][kGroupSize];  ///< places in the chunk's store of blocks (a, a), then (a, b) for a < b
 };
 
-/// One target's elements of a group. Nodes 1 to 3 have gradients, that of node 0 is minus their sum.
+/// One target's elements of a group. Only nodes 1 to 3 store gradients; that of node 0 is minus their sum.
 struct ElementGroup {
   double gradients[3][3][kGroupSize];  ///< node, component
   double volumes[kGroupSize];
@@ -29,16 +29,16 @@ struct OriginGroup {
   double values[3][3][kGroupSize];  ///< F0 - I, row, column
 };
 
-/// A target with its moduli times its weight: the stable law is StVK with (lambda + mu, 0) and a remainder kappa (tr E
-/// - det F + 1).
+/// A target with its moduli multiplied by its weight. The stable law is StVK with (lambda + mu, 0) plus a remainder
+/// kappa (tr E - det F + 1).
 struct WeightedPart {
   double lambda, mu, kappa;
   const ElementGroup* groups;
-  const OriginGroup* origins;  ///< null where displacements are given from the target's shape
+  const OriginGroup* origins;  ///< null if displacements are relative to the target's shape
 };
 
-/// All parts of groups first .. last - 1 at displacements x; returns the energy. The tangents add forces and stiffness
-/// to the store, too.
+/// Evaluates all parts of groups first .. last - 1 at displacements x and returns the energy. The tangent kernels also
+/// add forces and stiffness to the store.
 DYNAMORPH_KERNEL(double, stvk_energy, const TetGroup* groups, int first, int last, const WeightedPart* parts,
                  size_t count, const double* x);
 DYNAMORPH_KERNEL(double, stable_energy, const TetGroup* groups, int first, int last, const WeightedPart* parts,

@@ -8,7 +8,7 @@ namespace dynamorph {
 /// Factor L D L^T of a small symmetric matrix. Allocates only when the size changes.
 class DenseFactor {
  public:
-  bool compute(const MatrixXd& H);  ///< false when H (n, n) is not positive definite
+  bool compute(const MatrixXd& H);  ///< returns false when H (n, n) is not positive definite
   void solve(const VectorXd& b, VectorXd& x);
 
  private:

@@ -5,7 +5,8 @@
 
 namespace dynamorph::DYNAMORPH_ISA {
 
-/// Each column less what the earlier ones make of it, in whole vectors of rows from the one that holds the diagonal.
+/// Subtracts from each column what the earlier columns contribute. Rows are processed in whole vectors, starting with
+/// the vector that holds the diagonal.
 bool decompose_dense(double* __restrict V, Index n, double* __restrict inverse) {
   const Index stride = whole_vectors(n);
   for (Index j = 0; j < n; ++j) {

@@ -6,14 +6,15 @@
 
 namespace dynamorph {
 
-/// Rows of a dense factor's columns, in whole vectors.
+/// Length of a dense factor's columns, padded to whole vectors.
 DYNAMORPH_INLINE Index whole_vectors(Index size) { return (size + 3) / 4 * 4; }
 
-/// Columns V = L D of L D L^T in place of the lower triangle of a symmetric matrix, whole_vectors(n) from one to the
-/// next; zero on and above the diagonal when done. inverse (n): of D. False when it is not positive definite.
+/// Replaces the lower triangle of a symmetric matrix by the columns V = L D of L D L^T. Columns are whole_vectors(n)
+/// apart, and are zero on and above the diagonal when done. inverse (n): the inverse of D. Returns false when the
+/// matrix is not positive definite.
 DYNAMORPH_KERNEL(bool, decompose_dense, double* V, Index n, double* inverse);
 
-/// L y = x, then L^T x = D^-1 y; x in whole vectors.
+/// Solves L y = x, then L^T x = D^-1 y. x is padded to whole vectors.
 DYNAMORPH_KERNEL(void, substitute_dense, const double* V, const double* inverse, Index n, double* x);
 
 }  // namespace dynamorph

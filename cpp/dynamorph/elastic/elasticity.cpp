@@ -39,7 +39,7 @@ RestShape rest_shape(const TetMesh& mesh, const VectorXd& displacement, const Ve
     element.gradients.rightCols<3>() = rest.inverse().transpose();
     element.gradients.col(0) = -element.gradients.rightCols<3>().rowwise().sum();
     element.weight = rest.determinant() / 6 * scale(e);
-    // F(d) = I. With the deformed rest shape F0 = D(X) D(X+d)^-1; with the neutral one F0 = I - grad d.
+    // Either way F(d) = I. The deformed rest shape gives F0 = D(X) D(X+d)^-1, the neutral one F0 = I - grad d.
     element.origin = own ? Matrix3d(neutral * deformed.inverse()) : Matrix3d(2 * Matrix3d::Identity() - map);
     shape.fallbacks += !usable && !shifted;
   }

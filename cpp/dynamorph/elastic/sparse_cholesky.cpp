@@ -11,7 +11,7 @@ namespace dynamorph {
 
 // --- Structure -------------------------------------------------------------------------------------------------------
 
-/// Rows and columns are those of 3x3 blocks, in the order of elimination, unless they are called scalar.
+/// Rows and columns are those of 3x3 blocks, in elimination order, unless they are called scalar.
 struct SymbolicCholesky {
   struct Supernode {
     int first, columns;  ///< it eliminates first .. first + columns - 1
@@ -24,7 +24,7 @@ struct SymbolicCholesky {
   };
   struct Entry {
     int value;        ///< index among A's values
-    int row, column;  ///< scalar, of the supernode's panel
+    int row, column;  ///< scalar, in the supernode's panel
   };
 
   explicit SymbolicCholesky(const SparseMatrix& A);
@@ -33,11 +33,11 @@ struct SymbolicCholesky {
   std::vector<int> order;             ///< the node that is eliminated k-th
   std::vector<Supernode> supernodes;  ///< children before parents
   std::vector<int> rows_below;        ///< ascending for each supernode
-  std::vector<int> in_parent;         ///< where they are among the parent's rows
+  std::vector<int> in_parent;         ///< their places among the parent's rows
   std::vector<Entry> entries;
   int most_rows = 0;
   size_t factor_size = 0, updates_size = 0;
-  double work = 0;  ///< multiplications of a factorisation
+  double work = 0;  ///< multiplications per factorization
 
  private:
   using Structure = std::vector<std::vector<int>>;
@@ -53,12 +53,12 @@ struct SymbolicCholesky {
 
 namespace {
 
-constexpr int kDepth = 48;  // scalar columns eliminated between two updates of the rest: four strips stay in cache
+constexpr int kDepth = 48;  // scalar columns eliminated between two updates of the rest; four strips stay in the cache
 
-/// Scalar rows with room for a tile that begins at the last of them.
+/// Number of scalar rows, padded so that a tile can begin at the last of them.
 int padded(int scalars) { return (scalars + kStrip + 3) / 4 * 4; }
 
-/// Nodes that share a block with each node, itself excluded, ascending.
+/// The nodes that share a block with each node, ascending and without the node itself.
 std::vector<std::vector<int>> neighbours_of(const SparseMatrix& A) {
   std::vector<std::vector<int>> neighbours(A.cols() / 3);
   for (int c = 0; c < A.outerSize(); ++c)
@@ -91,7 +91,7 @@ std::vector<int> inverse(const std::vector<int>& order) {
   return position;
 }
 
-/// The columns of the elimination tree with every subtree in one run, its largest child last.
+/// The columns in postorder of the elimination tree. Every subtree is one run, and its largest child comes last.
 std::vector<int> postorder(const std::vector<std::vector<int>>& below) {
   const int n = int(below.size());
   std::vector<std::vector<int>> children(n + 1);
@@ -108,7 +108,7 @@ std::vector<int> postorder(const std::vector<std::vector<int>>& below) {
   return {reversed.rbegin(), reversed.rend() - 1};
 }
 
-/// Whether to eliminate a child with its parent although `zeros` of the `size` blocks they then store are zero.
+/// Whether to eliminate a child together with its parent, although `zeros` of the `size` blocks stored are then zero.
 bool worth_merging(int columns, double zeros, double size) {
   return columns <= 2 || zeros < (columns <= 6 ? 0.5 : columns <= 16 ? 0.15 : 0.05) * size;
 }
@@ -120,7 +120,8 @@ struct Group {
   double size() const { return columns * (rows - 0.5 * (columns - 1)); }  ///< blocks of the lower triangle
 };
 
-/// Runs of columns with the same rows below; a child and its parent in one where their rows are nearly the same.
+/// Groups runs of columns with the same rows below. A child and its parent are merged if their rows are nearly the
+/// same.
 std::vector<Group> group_columns(const std::vector<std::vector<int>>& below) {
   std::vector<Group> groups, merged;
   for (int j = 0; j < int(below.size()); ++j) {
@@ -163,13 +164,13 @@ bool SymbolicCholesky::has_pattern_of(const SparseMatrix& A) const {
          std::equal(inner_.begin(), inner_.end(), A.innerIndexPtr());
 }
 
-/// The rows below the diagonal of each of the factor's columns, and `order` in postorder.
+/// Returns the rows below the diagonal of each of the factor's columns, and puts `order` in postorder.
 SymbolicCholesky::Structure SymbolicCholesky::eliminate(const Structure& neighbours) {
   const int n = int(neighbours.size());
   const std::vector<int> position = inverse(order);
   Structure below(n);
   for (int j = 0; j < n; ++j) {
-    std::vector<int>& rows = below[j];  // holds the children's rows already
+    std::vector<int>& rows = below[j];  // already holds the children's rows
     for (int i : neighbours[order[j]])
       if (position[i] > j) rows.push_back(position[i]);
     std::sort(rows.begin(), rows.end());
@@ -199,14 +200,14 @@ void SymbolicCholesky::gather_supernodes(const Structure& below) {
   }
 }
 
-/// Where a row is among a supernode's own.
+/// The place of a row among a supernode's own rows.
 int SymbolicCholesky::local_row(const Supernode& s, int row) const {
   if (row < s.first + s.columns) return row - s.first;
   const auto first = rows_below.begin() + s.below, last = first + (s.rows - s.columns);
   return s.columns + int(std::lower_bound(first, last, row) - first);
 }
 
-/// Children and where their rows are in their parents'. Returns the parents, -1 at roots.
+/// Finds the children and the places of their rows among their parents' rows. Returns the parents, -1 for roots.
 std::vector<int> SymbolicCholesky::link_supernodes() {
   std::vector<int> supernode_of(order.size()), parents(supernodes.size(), -1);
   for (size_t k = 0; k < supernodes.size(); ++k)
@@ -222,8 +223,8 @@ std::vector<int> SymbolicCholesky::link_supernodes() {
   return parents;
 }
 
-/// Two stacks, one for the even and one for the odd levels of the tree: when a supernode pushes its update matrix,
-/// those of its children are the topmost of the other stack.
+/// Uses two stacks, one for the even and one for the odd levels of the tree. When a supernode pushes its update matrix,
+/// those of its children are at the top of the other stack.
 void SymbolicCholesky::place_updates(const std::vector<int>& parents) {
   std::vector<int> odd(parents.size());
   for (size_t k = parents.size(); k-- > 0;) odd[k] = parents[k] < 0 ? 0 : 1 - odd[parents[k]];
@@ -257,11 +258,12 @@ void SymbolicCholesky::place_entries(const SparseMatrix& A) {
   }
 }
 
-// --- Factorisation ---------------------------------------------------------------------------------------------------
+// --- Factorization ---------------------------------------------------------------------------------------------------
 
 namespace {
 
-/// Rows of `depth` columns in strips of kStrip, each column after column, padded with zeros.
+/// Packs the rows of `depth` columns into strips of kStrip rows. A strip is stored column by column and padded with
+/// zeros.
 void pack_strips(Dense columns, Eigen::Index rows, Eigen::Index depth, double* strips) {
   for (Eigen::Index i = 0; i < rows; i += kStrip)
     for (Eigen::Index d = 0; d < depth; ++d, strips += kStrip) {

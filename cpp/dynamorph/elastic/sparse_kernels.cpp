@@ -11,7 +11,8 @@ DYNAMORPH_INLINE Index least(Index a, Index b) { return a < b ? a : b; }
 
 }  // namespace
 
-/// y of three columns at a time: a sum over their common rows, whose values of x are first brought together.
+/// Computes y for three columns at a time, as sums over their common rows. The values of x at those rows are gathered
+/// first.
 void multiply_blocks(const int* outer, const int* inner, const double* values, Index columns,
                      const double* __restrict x, double* __restrict gathered, double* __restrict y) {
   for (Index c = 0; c < columns; c += 3) {
@@ -38,11 +39,11 @@ void multiply_blocks(const int* outer, const int* inner, const double* values, I
   }
 }
 
-// --- Factorisation ---------------------------------------------------------------------------------------------------
+// --- Factorization ---------------------------------------------------------------------------------------------------
 
 namespace {
 
-/// C (12, 3) -= A B^T, depth columns: A (12, depth) and B (3, depth), `a` and `b` from one column to the next.
+/// C (12, 3) -= A B^T with A (12, depth) and B (3, depth). `a` and `b` are the steps between their columns.
 DYNAMORPH_INLINE void subtract_tile(const double* __restrict A, Index a, const double* __restrict B, Index b,
                                     Index depth, Dense C) {
   Double4 sums[3][3] = {};
@@ -130,8 +131,8 @@ DYNAMORPH_INLINE void backward(const Real* __restrict L, Index rows, Index colum
   }
 }
 
-/// out (3, kSides) = sum over d of three values of L, `across` apart, times a row of X: row(d) points to it. L moves on
-/// by `step`.
+/// out (3, kSides) = sum over d of three values of L, `across` apart, times the row of X that row(d) points to. L
+/// advances by `step` with each d.
 template <class Real, class Row>
 DYNAMORPH_INLINE void outer_products(const Real* L, Index step, Index across, Index depth, const Row& row, Real* out) {
   using Vector = typename VectorOf<Real>::Type;

@@ -9,10 +9,10 @@ namespace dynamorph {
 
 namespace {
 
-constexpr double kAccuracy = 1e-4;  // an iteration costs much less than one of Newton's that it saves
-// An iteration waits for memory: per multiplication it takes about this many times as long as a factorisation.
+constexpr double kAccuracy = 1e-4;  // an iteration costs much less than the Newton iterations that accuracy saves
+// An iteration waits for memory: per multiplication it takes about this many times as long as a factorization.
 constexpr double kWait = 2;
-constexpr int kMostIterations = 100;  // with H's own factor, rounded; what is found so far is then good enough
+constexpr int kMostIterations = 100;  // with H's own factor, rounded; after that the result is good enough
 
 }  // namespace
 
@@ -29,7 +29,7 @@ bool SparseSolver::iterate(const SparseMatrix& H, const VectorXd& b, VectorXd& x
   x.setZero(b.size());
   const double size = b.norm();
   if (size == 0) return true;
-  residual_ = b / size;  // in the range of single precision
+  residual_ = b / size;  // scaled to the range of single precision
   double product = 0;
   for (int i = 1; i <= most; ++i) {
     factor_.solve(residual_, preconditioned_, scratch_);

@@ -8,29 +8,30 @@
 
 namespace dynamorph {
 
-/// y = H x for a symmetric H of whole 3x3 blocks, both triangles stored, as FullModel makes them. y is not x.
+/// y = H x for a symmetric H of whole 3x3 blocks, both triangles stored, as FullModel makes them. y must not be x.
 void multiply_symmetric(const SparseMatrix& H, const VectorXd& x, VectorXd& y);
 
-/// Solves H x = b for tangents (of whole 3x3 blocks) that change little from one to the next, where factoring is by far
-/// the most work: conjugate gradients, preconditioned with the factor of an earlier tangent in single precision. Where
-/// they meet no negative curvature, what they find is a descent direction even if H is indefinite.
+/// Solves H x = b for tangents (of whole 3x3 blocks) that change little from one to the next. Factoring is by far the
+/// most work, so the solver uses conjugate gradients, preconditioned with the single-precision factor of an earlier
+/// tangent. If they meet no negative curvature, their result is a descent direction even if H is indefinite.
 ///
-/// Factors anew once a solve costs more than the solves since the last factorisation did on average, the factorisation
-/// included: the least work in the long run. Counts work and takes no time, so that results can be reproduced.
+/// The solver factors again once a solve costs more than the solves since the last factorization did on average, with
+/// that factorization counted in. This is the least work in the long run. The solver counts work instead of measuring
+/// time, so that results can be reproduced.
 class SparseSolver {
  public:
-  /// False when H is not positive definite.
+  /// Returns false when H is not positive definite.
   bool solve(const SparseMatrix& H, const VectorXd& b, VectorXd& x);
 
  private:
-  /// Whether x meets the accuracy after at most `most` iterations; false too at negative curvature.
+  /// Whether x meets the accuracy after at most `most` iterations. Also returns false at negative curvature.
   bool iterate(const SparseMatrix& H, const VectorXd& b, VectorXd& x, int most);
 
   BlockCholesky<float> factor_;
   bool fit_ = false;    ///< the factor exists and is worth keeping
   int solves_ = 0;      ///< with this factor
   int iterations_ = 0;  ///< in these solves
-  int factoring_ = 0;   ///< iterations that cost as much as a factorisation
+  int factoring_ = 0;   ///< iterations that cost as much as a factorization
   VectorXd residual_, preconditioned_, d_, Hd_;
   std::vector<float> scratch_;
 };

@@ -19,14 +19,14 @@ using Json = nlohmann::ordered_json;
 const std::string kFormat = "dynamorph model";
 constexpr int kOldest = 2, kVersion = 4;
 constexpr std::uint64_t kMaxHeader = 16 << 20;  ///< bytes
-constexpr int kMaxDepth = 8;                    ///< of JSON
-constexpr int kMaxParts = 1 << 14;              ///< of JSON, which is a thousand arrays; a model has twenty
-constexpr std::size_t kMaxDimensions = 8;       ///< of an array
-constexpr std::int64_t kMaxModes = 10000;       ///< whose number of coefficients does not overflow
+constexpr int kMaxDepth = 8;                    ///< levels of nested JSON
+constexpr int kMaxParts = 1 << 14;         ///< values in the JSON: enough for a thousand arrays; a model has twenty
+constexpr std::size_t kMaxDimensions = 8;  ///< of an array
+constexpr std::int64_t kMaxModes = 10000;  ///< for which the number of coefficients does not overflow
 
-Error damaged(const std::string& how) { return Error("The model is damaged: " + how + ". Build it again"); }
+Error damaged(const std::string& how) { return Error("The model is damaged: " + how + ". Build it again."); }
 
-/// The JSON object that `text` is.
+/// Parses a JSON object. Throws Error when the text is not one.
 Json parsed(const char* begin, const char* end) {
   int parts = 0;
   const auto limited = [&parts](int depth, Json::parse_event_t, Json&) {
@@ -46,7 +46,7 @@ const std::string& text_of(const Json& value) {
   return value.get_ref<const std::string&>();
 }
 
-/// As Python's json.dumps writes it.
+/// The text that Python's json.dumps writes.
 std::string spelled(const Json& value) {
   if (!value.is_structured()) return value.dump(-1, ' ', true);
   std::string text = value.is_object() ? "{" : "[", separator;
@@ -58,7 +58,7 @@ std::string spelled(const Json& value) {
   return text + (value.is_object() ? "}" : "]");
 }
 
-/// Whether `raw` is exactly what is written for these arrays and this metadata.
+/// Whether `raw` is exactly what the add-on writes for these arrays and this metadata.
 bool is_as_written(const std::string& raw, Json arrays, const Json& metadata) {
   Json& written = arrays["__metadata__"];
   for (const char* name : {"format", "version", "meta", "hashes"}) {
@@ -79,30 +79,30 @@ struct Header {
 };
 
 Header read_header(const unsigned char* bytes, std::size_t size) {
-  if (size < 8) throw Error("The model is cut off: build it again");
+  if (size < 8) throw Error("The model is cut off. Build it again.");
   std::uint64_t length = 0;
   for (int i = 0; i < 8; ++i) length |= std::uint64_t(bytes[i]) << 8 * i;
   if (length > kMaxHeader)
-    throw Error("This is not a Dynamorph model, or it is damaged: its header has an impossible length");
-  if (length > size - 8) throw Error("The model is cut off: build it again");
+    throw Error("This is not a Dynamorph model, or it is damaged: its header has an impossible length.");
+  if (length > size - 8) throw Error("The model is cut off. Build it again.");
   const std::string raw(reinterpret_cast<const char*>(bytes) + 8, std::size_t(length));
   Header header{parsed(raw.data(), raw.data() + raw.size()), {}, 8 + raw.size()};
   header.metadata = header.arrays.value("__metadata__", Json());
   header.arrays.erase("__metadata__");
   if (!header.metadata.is_object() || header.metadata.value("format", Json()) != kFormat)
-    throw Error("This is not a Dynamorph model");
+    throw Error("This is not a Dynamorph model.");
   const Json version = header.metadata.value("version", Json());
   bool known = false;
   for (int readable = kOldest; readable <= kVersion; ++readable) known |= version == std::to_string(readable);
   if (!known)
     throw Error("The model has version " + (version.is_string() ? version.get<std::string>() : spelled(version)) +
-                ", this add-on reads " + std::to_string(kOldest) + " to " + std::to_string(kVersion) +
-                ": update, or build it again");
+                ", but this add-on reads " + std::to_string(kOldest) + " to " + std::to_string(kVersion) +
+                ". Build it again, or update the add-on.");
   if (!is_as_written(raw, header.arrays, header.metadata)) throw damaged("its header has changed");
   return header;
 }
 
-/// Bytes of a number, 0 of an unknown type.
+/// Bytes per number; 0 for an unknown type.
 std::uint64_t size_of(const std::string& dtype) {
   if (dtype == "BOOL") return 1;
   for (const char* kind : {"F64", "F32", "I64", "I32", "I16", "I8", "U64", "U32", "U16", "U8"})
@@ -110,13 +110,14 @@ std::uint64_t size_of(const std::string& dtype) {
   return 0;
 }
 
-/// Numbers >= 0.
+/// Whether `value` is an array of integers >= 0.
 bool are_counts(const Json& value) {
   return value.is_array() &&
          std::all_of(value.begin(), value.end(), [](const Json& n) { return n.is_number_unsigned(); });
 }
 
-/// The array without its bytes, which are as many as `size` is set to, and begin at `begin` of the `available` ones.
+/// The array that a header entry describes, without its bytes. Sets `size` to their number. They must start at `begin`
+/// and fit in the `available` bytes.
 Array described(const std::string& name, const Json& entry, std::uint64_t begin, std::uint64_t available,
                 std::uint64_t& size) {
   const Error wrong = damaged("the table entry of array '" + name + "' is wrong");
@@ -129,7 +130,7 @@ Array described(const std::string& name, const Json& entry, std::uint64_t begin,
   Array array{dtype.get<std::string>(), {}, {}};
   if (!size_of(array.dtype)) throw wrong;
 
-  // Of an empty array the product of what is not 0 is bounded too: strides are such products.
+  // The product of the nonzero dimensions is bounded for an empty array too, because strides are such products.
   std::uint64_t product = size_of(array.dtype);
   bool empty = false, impossible = false;
   for (const Json& value : shape) {
@@ -148,8 +149,8 @@ Array described(const std::string& name, const Json& entry, std::uint64_t begin,
 
 // --- Older versions --------------------------------------------------------------------------------------------------
 
-/// For each coefficient that version 3 stores (`unfolded`), where version 2 had it. That stored K0 as pairs k <= l of
-/// modes, rows first, then K1 (modes, pairs), then the upper triangle of K2 (pairs, pairs), rows first.
+/// For each coefficient that version 3 stores (`unfolded`), its place in version 2. Version 2 stored K0 as pairs k <= l
+/// of modes, rows first, then K1 (modes, pairs), then the upper triangle of K2 (pairs, pairs), rows first.
 std::vector<Eigen::Index> distinct_of_version_2(const TableLayout& layout) {
   const Eigen::Index r = layout.r;
   std::vector<Eigen::Index> places;
@@ -162,13 +163,13 @@ std::vector<Eigen::Index> distinct_of_version_2(const TableLayout& layout) {
   return places;
 }
 
-/// The table of version 2 as version 3 stores it, bit for bit. modes: columns of the basis.
+/// Converts a table of version 2 to version 3, bit for bit. modes: columns of the basis.
 void keep_distinct(const std::string& name, std::int64_t modes, Array& table) {
   const Error wrong = Error("The model is damaged: '" + name + "' does not fit its " + std::to_string(modes) +
-                            " modes. Build it again");
+                            " modes. Build it again.");
   if (table.shape.empty() || modes > kMaxModes) throw wrong;
   const TableLayout layout{Eigen::Index(modes), true};
-  if (table.shape.back() <= layout.pairs()) return;  // of the linear law, or none
+  if (table.shape.back() <= layout.pairs()) return;  // a table of the linear law, or none
   if (table.shape.size() != 2 || table.shape[1] != layout.size()) throw wrong;
   const auto size = std::ptrdiff_t(size_of(table.dtype));
   std::vector<unsigned char> kept;

@@ -15,14 +15,14 @@ template <class Number>
 using Table = Eigen::Map<const Eigen::Matrix<Number, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
 
 Error incomplete(const std::string& what) {
-  return Error("The stored model is incomplete (" + what + "): build it again");
+  return Error("The stored model is incomplete (" + what + "). Build it again.");
 }
 
 constexpr const char* dtype_of(double) { return "F64"; }
 constexpr const char* dtype_of(std::int32_t) { return "I32"; }
 constexpr const char* dtype_of(std::uint8_t) { return "BOOL"; }
 
-/// An array (first dimension, all others) of the content, in which it stays. -1 in `shape` is any size.
+/// A view (first dimension, all others) of an array in `content`. -1 in `shape` stands for any size.
 template <class Number>
 Table<Number> table(const Content& content, const std::string& name, std::initializer_list<Eigen::Index> shape) {
   const Array* array = content.find(name);
@@ -38,7 +38,7 @@ Table<Number> table(const Content& content, const std::string& name, std::initia
   return out;
 }
 
-/// The same of an array that older models lack, and that may be empty.
+/// The same for an array that older models lack and that may be empty.
 VectorXd optional_column(const Content& content, const std::string& name, Eigen::Index size) {
   const Array* array = content.find(name);
   return array && !array->bytes.empty() ? VectorXd(table<double>(content, name, {size})) : VectorXd();
@@ -62,7 +62,7 @@ std::shared_ptr<const SoftBody> soft_body(const Content& content) {
   }
 }
 
-/// What the description says of how the model was built.
+/// How the model was built, according to its description.
 struct Built {
   Law law;
   bool shifted;
@@ -85,7 +85,8 @@ Built built(const std::string& meta) {
   }
 }
 
-/// The modes at the surface, (3V, r) local space: what `embedding_weights` and the inverse of `to_bind` make of them.
+/// The modes at the surface (3V, r), local space: the basis, interpolated by `embedding_weights` and transformed by the
+/// inverse of `to_bind`.
 MatrixXd surface_modes(const Content& content, const SoftBody& body, const MatrixXd& basis) {
   const auto nodes = table<std::int32_t>(content, "embedding_nodes", {-1, 4});
   const auto weights = table<double>(content, "embedding_weights", {nodes.rows(), 4});

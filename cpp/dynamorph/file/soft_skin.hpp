@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// A soft skin from a model file, ready to be stepped.
+// Loads a soft skin from a model file, ready to step.
 //
 //   const SoftSkin skin = load_soft_skin(file::read("body.dynamorph"), {neutral, flexed});
 //   Simulation<ReducedModel> simulation(skin.model, {});
@@ -15,9 +15,9 @@ namespace dynamorph::file {
 /// V surface vertices, r modes, J targets, B bones.
 struct SoftSkin {
   std::shared_ptr<const ReducedModel> model;
-  std::vector<std::string> bone_names;  ///< (B); the model has one bone more, the object itself, which comes last
+  std::vector<std::string> bone_names;  ///< (B); the model has one more bone, the object itself, which comes last
   MatrixXd modes;                       ///< (3V, r) displacement of the surface, local space
-  MatrixXd residual_shapes;             ///< (3V, J) what the nodes cannot carry of the targets' shapes
+  MatrixXd residual_shapes;             ///< (3V, J) the part of the targets' shapes that the nodes cannot represent
 
   /// Displacement of the surface (3V) before skinning, in the mesh object's local space, at the coordinates (r) and
   /// target weights (J) of a step.
@@ -26,9 +26,9 @@ struct SoftSkin {
   }
 };
 
-/// targets: one for each of the model's, with its material and set, which are authored and no part of a model. The
-/// shape is the model's: `displacement` and `shifted` are not read. Throws Error when the content is not that of a
-/// reduced model, and std::invalid_argument when the targets do not fit.
+/// targets: one for each of the model's, with its material and set, which the artist authors and the model does not
+/// store. The shapes come from the model: `displacement` and `shifted` are not read. Throws Error when the content is
+/// not that of a reduced model, and std::invalid_argument when the targets do not fit.
 SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets, Blending blending = Blending::even);
 
 }  // namespace dynamorph::file

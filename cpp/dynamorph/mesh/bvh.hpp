@@ -10,12 +10,12 @@
 
 namespace dynamorph {
 
-/// Built once over the boxes of some items; the items' own geometry stays with the caller.
+/// Built once from the boxes of some items. The items' own geometry stays with the caller.
 class Bvh {
  public:
   using Box = Eigen::AlignedBox3d;
 
-  /// Items order[begin..end). The left child follows its parent in `nodes`; a leaf has right == 0.
+  /// Covers items order[begin..end). The left child follows its parent in `nodes`; a leaf has right == 0.
   struct Node {
     Box box;
     int begin, end, right;
@@ -28,15 +28,15 @@ class Bvh {
     if (!boxes.empty()) build(boxes, 0, static_cast<int>(boxes.size()));
   }
 
-  /// Calls visit(item) for the items that may lie nearer to p than sqrt(best), nearest boxes first; visit lowers
-  /// `best` (squared distance) when its item is nearer.
+  /// Calls visit(item) for the items that may lie nearer to p than sqrt(best), nearest boxes first. visit lowers `best`
+  /// (squared distance) when its item is nearer.
   template <class Visit>
   void nearest(const Vector3d& p, const double& best, Visit visit) const {
     if (!nodes.empty()) nearest(0, p, best, visit);
   }
 
-  /// Calls visit(item) for the items whose box the line from p meets before distance `best`, in units of `direction`;
-  /// visit lowers `best` when it meets its item sooner.
+  /// Calls visit(item) for every item with a box that the line from p meets before distance `best`, in units of
+  /// `direction`. visit lowers `best` when the line meets its item sooner.
   template <class Visit>
   void along(const Vector3d& p, const Vector3d& direction, const double& best, Visit visit) const {
     if (!nodes.empty()) along(0, p, direction, best, visit);
@@ -57,13 +57,14 @@ class Bvh {
     }
     nodes.push_back({box, begin, end, 0});
     if (end - begin <= leaf_size) return;
-    // The median, not the middle: balanced however uneven the mesh, so the recursion stays shallow.
+    // Splits at the median, not the middle: the tree is balanced however uneven the mesh is, so the recursion stays
+    // shallow.
     int axis;
     centers.sizes().maxCoeff(&axis);
     const int middle = (begin + end) / 2;
     std::nth_element(order.begin() + begin, order.begin() + middle, order.begin() + end, [&](int a, int b) {
       const double x = boxes[a].center()[axis], y = boxes[b].center()[axis];
-      return x != y ? x < y : a < b;  // ties by index: the same tree with every standard library
+      return x != y ? x < y : a < b;  // ties by index, for the same tree with every standard library
     });
     build(boxes, begin, middle);
     nodes[self].right = static_cast<int>(nodes.size());
@@ -94,7 +95,7 @@ class Bvh {
     double enter = 0, leave = best;
     for (int axis = 0; axis < 3; ++axis) {
       const double low = node.box.min()[axis] - p[axis], high = node.box.max()[axis] - p[axis];
-      if (direction[axis] == 0 && low <= 0 && high >= 0) continue;  // 0 / 0 on the side of a box
+      if (direction[axis] == 0 && low <= 0 && high >= 0) continue;  // avoids 0 / 0 on the side of a box
       enter = std::max(enter, std::min(low / direction[axis], high / direction[axis]));
       leave = std::min(leave, std::max(low / direction[axis], high / direction[axis]));
     }

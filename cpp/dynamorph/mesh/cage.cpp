@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Exact predicates from CGAL's own number types: GMP and MPFR would be two more libraries to ship.
+// CGAL's own number types give exact predicates. GMP and MPFR would be two more libraries to ship.
 #define CGAL_DISABLE_GMP 1
 #define CGAL_NO_GMP 1
 #define CGAL_DISABLE_MPFR 1
@@ -24,7 +24,7 @@ namespace {
 using Kernel = CGAL::Exact_predicates_inexact_constructions_kernel;
 using Wrap = CGAL::Surface_mesh<Kernel::Point_3>;
 
-/// The closed input in a unit box: what CGAL takes.
+/// The closed input, scaled to a unit box and in the types that CGAL takes.
 struct Soup {
   std::vector<Kernel::Point_3> points;
   std::vector<std::array<std::size_t, 3>> triangles;
@@ -50,11 +50,11 @@ Wrap wrap(const Soup& soup, double alpha, double thickness) {
   return result;
 }
 
-/// The wrap whose number of vertices is nearest to the target.
+/// Finds the wrap with a number of vertices nearest to the target.
 Wrap wrap_with_vertices(const Soup& soup, int target, double thickness, const ProgressFn& progress) {
   constexpr int tries = 8;
   constexpr double close_enough = 0.07;
-  double slope = -2;  // d log(count) / d log(alpha) of a smooth surface
+  double slope = -2;  // d log(count) / d log(alpha) for a smooth surface
   double x = std::log(1 / std::sqrt(double(target))), last_x = 0, last_y = 0;
   Wrap best;
   double best_error = HUGE_VAL;
@@ -66,7 +66,7 @@ Wrap wrap_with_vertices(const Soup& soup, int target, double thickness, const Pr
       best_error = std::abs(y);
       best = std::move(candidate);
     }
-    // Thin parts appear and vanish with alpha: a measured slope off this range says nothing about the next step.
+    // Thin parts appear and vanish with alpha, so a measured slope outside this range says nothing about the next step.
     if (i > 0 && x != last_x) slope = std::clamp((y - last_y) / (x - last_x), -4.0, -1.0);
     last_x = x;
     last_y = y;
@@ -103,7 +103,7 @@ Cage make_cage(const Points& vertices, const Triangles& triangles, int target_ve
                                 std::to_string(target_vertices));
   const ClosedSurface closed = close_surface(vertices, triangles);
   const UnitBox box = unit_box(closed.vertices, closed.triangles);
-  // Balls of the size that the target asks for would be legion on a surface so far out.
+  // So far out, a surface would need far too many balls of the size that the target asks for.
   if (!(thickness >= 0 && thickness <= box.size))
     throw std::invalid_argument("thickness: expected 0 to " + std::to_string(box.size) +
                                 " m, the size of the mesh, got " + std::to_string(thickness));

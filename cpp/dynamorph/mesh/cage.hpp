@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Any triangle soup -> a closed cage around it, coarse enough to simulate.
+// Wraps a closed cage around any triangle soup, coarse enough to simulate.
 //
-// CGAL's alpha wrap (Portaneri et al. 2022, Alpha wrapping with an offset, doi 10.1145/3528223.3530152) shrinks a ball
-// of radius alpha around the soup, at distance offset = 0.2 alpha or more: closed, manifold, no self-intersections,
-// every input triangle inside. The ball would enter through holes, so the soup is closed first. Its number of vertices
-// goes roughly with alpha^-2, so alpha is found by the secant method on log(count) against log(alpha).
+// CGAL's alpha wrap (Portaneri et al. 2022, Alpha wrapping with an offset, doi 10.1145/3528223.3530152) shrinks a
+// surface around the soup with balls of radius alpha, at distance offset = 0.2 alpha or more. The result is closed and
+// manifold, has no self-intersections and encloses every input triangle. The balls would enter through holes, so the
+// soup is closed first. The number of vertices is roughly proportional to alpha^-2, so alpha is found by the secant
+// method on log(count) against log(alpha).
 #pragma once
 
 #include "dynamorph/core/progress.hpp"
@@ -17,10 +18,10 @@ struct Cage {
   Triangles triangles;  // outward
 };
 
-/// A cage of about `target_vertices` vertices (within 7 % where the shape allows), at least `thickness` (metres) away
-/// from the soup. Open, self-intersecting or multi-part input is fine; parts closer than about alpha come out glued.
-/// Throws Error when the input is empty, flat, not finite, or outside 1e-6 .. 1e6 m, and std::invalid_argument for more
-/// than a million vertices or a thickness larger than the input.
+/// Makes a cage of about `target_vertices` vertices (within 7 % where the shape allows), at least `thickness` (meters)
+/// away from the soup. Open, self-intersecting or multi-part input is fine; parts closer than about alpha come out
+/// glued. Throws Error when the input is empty, flat, not finite, or outside 1e-6 .. 1e6 m, and std::invalid_argument
+/// for more than a million vertices or a thickness larger than the input.
 Cage make_cage(const Points& vertices, const Triangles& triangles, int target_vertices, double thickness = 0,
                const ProgressFn& progress = {});
 

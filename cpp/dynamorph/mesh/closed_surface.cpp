@@ -22,7 +22,7 @@ namespace {
 using Face = std::array<int, 3>;
 using Edge = std::pair<int, int>;
 
-constexpr double weld_distance = 1e-6;  // of the diagonal
+constexpr double weld_distance = 1e-6;  // relative to the diagonal
 
 void check_finite(const Points& vertices) {
   std::ostringstream list;
@@ -38,7 +38,7 @@ void check_finite(const Points& vertices) {
 
 Edge undirected(int a, int b) { return {std::min(a, b), std::max(a, b)}; }
 
-/// Sets of numbers that were joined.
+/// Disjoint sets of numbers that can be joined.
 class Sets {
  public:
   explicit Sets(size_t count) : parent_(count) { std::iota(parent_.begin(), parent_.end(), 0); }
@@ -52,7 +52,7 @@ class Sets {
   std::vector<int> parent_;
 };
 
-/// Numbers points in the order they come; one within the weld distance of an earlier one gets its number.
+/// Numbers points in the order they come. A point within the weld distance of an earlier one gets the same number.
 class Welder {
  public:
   int number(const Vector3d& p) {
@@ -70,7 +70,7 @@ class Welder {
   std::vector<Vector3d> points;
 
  private:
-  /// The cell of p, or of a corner of the box around p that may hold its neighbours.
+  /// The cell of p, or (corner >= 0) of a corner of the box around p, which may hold its neighbors.
   static std::array<std::int64_t, 3> cell(const Vector3d& p, int corner) {
     std::array<std::int64_t, 3> c;
     for (int k = 0; k < 3; ++k) {
@@ -118,9 +118,9 @@ class Closing {
 
   std::vector<Vector3d> points_;  // in the unit box
   std::vector<Face> faces_;
-  std::vector<std::pair<int, Edge>> soup_;  // of each triangle of it: its face, -1 if collapsed, and its first edge
+  std::vector<std::pair<int, Edge>> soup_;  // for each of its triangles: the face, -1 if collapsed, and the first edge
   size_t authored_ = 0;
-  std::map<Edge, std::vector<int>> edges_;  // with their faces
+  std::map<Edge, std::vector<int>> edges_;  // each edge with its faces
   Defects defects_;
 };
 
@@ -139,7 +139,7 @@ void Closing::weld(const Points& vertices, const Triangles& triangles, const Uni
     pieces.join(f[0], f[2]);
     const bool collapsed = f[0] == f[1] || f[1] == f[2] || f[2] == f[0];
     const Vector3d u = points_[f[1]] - points_[f[0]], v = points_[f[2]] - points_[f[0]];
-    // One without area still joins its neighbours: it stays.
+    // A triangle without area still joins its neighbors, so it stays.
     defects_.degenerate_faces += u.cross(v).norm() <= 1e-12 * std::max(u.squaredNorm(), v.squaredNorm());
     soup_.push_back({-1, {f[0], f[1]}});
     if (collapsed) continue;
@@ -164,9 +164,10 @@ void Closing::find_edges() {
   }
 }
 
-/// Turns faces to agree with their neighbours across edges of two, then each patch of such outward.
+/// Turns faces to agree with their neighbors across edges of exactly two faces, then turns each patch of such faces
+/// outward.
 void Closing::orient_patches() {
-  constexpr double negligible = 1e-4;  // of a sphere's with the same area, about: what is thin has no outside
+  constexpr double negligible = 1e-4;  // relative to a sphere of the same area; a thinner patch has no outside
   std::vector<bool> visited(faces_.size(), false), flipped(faces_.size(), false);
   for (size_t start = 0; start < faces_.size(); ++start) {
     if (visited[start]) continue;
@@ -198,8 +199,8 @@ void Closing::orient_patches() {
   defects_.flipped_faces = static_cast<int>(std::count(flipped.begin(), flipped.end(), true));
 }
 
-/// The volume of a patch closed towards the middle of its border, over that of a sphere with its area: 1 for a sphere,
-/// -1 for one inside out.
+/// The volume of a patch, closed towards the middle of its border, relative to that of a sphere with the same area: 1
+/// for a sphere, -1 for a sphere inside out.
 double Closing::outwardness(const std::vector<int>& patch) const {
   Vector3d middle = Vector3d::Zero();
   double border = 0;
@@ -222,9 +223,9 @@ double Closing::outwardness(const std::vector<int>& patch) const {
   return area > 0 ? volume * std::sqrt(36 * EIGEN_PI) / std::pow(area, 1.5) : 0;
 }
 
-/// Takes the open flow apart into loops that pass no vertex twice, and caps them.
+/// Splits the flow of open edges into loops that pass no vertex twice, and caps them.
 void Closing::cap_loops() {
-  std::map<int, std::vector<int>> open;  // from a vertex, where the caps have to go: against the faces
+  std::map<int, std::vector<int>> open;  // for each vertex, where the caps go next: against the faces
   for (const auto& [edge, faces] : edges_) {
     int net = 0;
     for (int f : faces) net += runs_along(f, edge.first, edge.second) ? 1 : -1;
@@ -237,7 +238,7 @@ void Closing::cap_loops() {
       std::unordered_map<int, size_t> place{{start, 0}};
       while (!path.empty()) {
         std::vector<int>& onward = open.at(path.back());
-        if (onward.empty()) break;  // only at `start`, with nothing left
+        if (onward.empty()) break;  // happens only at `start`, when nothing is left
         const int next = onward.back();
         onward.pop_back();
         const auto seen = place.find(next);
@@ -254,8 +255,8 @@ void Closing::cap_loops() {
     }
 }
 
-/// Fills a loop by cutting off the corner with the shortest cut, again and again: straight over a hole, to and fro
-/// between the sides of a strip. Its triangles run along the loop.
+/// Fills a loop by repeatedly cutting off the corner with the shortest cut. This goes straight across a hole, and back
+/// and forth between the sides of a strip. The triangles run along the loop.
 void Closing::cap(const std::vector<int>& loop) {
   ++defects_.boundary_loops;
   const int count = static_cast<int>(loop.size());
@@ -292,7 +293,7 @@ void Closing::cap(const std::vector<int>& loop) {
 UnitBox unit_box(const Points& vertices, const Triangles& triangles) {
   check_triangles(vertices, triangles);
   check_finite(vertices);
-  if (triangles.rows() == 0) throw Error("The mesh has no faces. Model some, or un-hide them, then build again.");
+  if (triangles.rows() == 0) throw Error("The mesh has no faces. Model or unhide some, then build again.");
   Eigen::AlignedBox3d box;
   Vector3d mean = Vector3d::Zero();
   for (int i : triangles.reshaped()) {
@@ -312,7 +313,7 @@ UnitBox unit_box(const Points& vertices, const Triangles& triangles) {
     covariance += d * d.transpose() / double(triangles.size());
   }
   const double thickness = Eigen::SelfAdjointEigenSolver<Matrix3d>(covariance).eigenvalues()[0];
-  if (thickness < 1e-12)  // squared, relative
+  if (thickness < 1e-12)  // squared and relative
     throw Error("The mesh is flat: it has no volume to simulate. Give it thickness (Solidify modifier, applied).");
   return {box.min(), size};
 }

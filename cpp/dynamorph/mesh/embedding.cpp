@@ -31,8 +31,8 @@ Bvh tree_of(const std::vector<Tet>& tets) {
   return Bvh(boxes);
 }
 
-/// Laplacian of the graph of tet edges, each edge counted once for every tet that has it. Unlike the finite element
-/// Laplacian its weights are positive on slivers too, so interpolated values keep to the range of the data.
+/// Laplacian of the graph of tet edges, where each edge counts once for every tet that has it. Unlike the finite
+/// element Laplacian, it has positive weights on slivers too, so interpolated values stay in the range of the data.
 SparseMatrix graph_laplacian(const TetMesh& mesh) {
   std::vector<Eigen::Triplet<double>> entries;
   entries.reserve(mesh.tets.rows() * 24);
@@ -100,7 +100,7 @@ MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const 
   const double scale = fit.diagonal().sum() / smooth.diagonal().sum();
   SparseMatrix unit(mesh.nodes.rows(), mesh.nodes.rows());
   unit.setIdentity();
-  // The last term only decides on a piece of mesh without surface points: zero there.
+  // The last term matters only on a piece of mesh without surface points, where it gives zero.
   const SparseMatrix system = fit + 1e-2 * scale * smooth + 1e-12 * unit;
   const Eigen::SimplicialLDLT<SparseMatrix> solver(system);
   if (solver.info() != Eigen::Success)

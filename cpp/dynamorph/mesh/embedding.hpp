@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Where the points of a surface sit in a tet mesh, and what its nodes inherit from them.
+// Where the points of a surface lie in a tet mesh, and how values extend from them to its nodes.
 #pragma once
 
 #include <functional>
@@ -9,15 +9,15 @@
 
 namespace dynamorph {
 
-/// For each of V surface points: point = sum_k weights(k) x[nodes(k)], the weights summing to one.
+/// For each of V surface points: point = sum_k weights(k) x[nodes(k)], where the weights sum to one.
 ///
-/// A point outside takes the nearest tet and its weights there, extrapolated, so that linear motion of the tet carries
-/// it exactly. Extrapolation stops where a weight would fall below -1/2: further out a tet's rotation would swing the
-/// point about, and it is carried with a constant offset instead.
+/// A point outside the mesh uses the nearest tet with extrapolated weights, so that linear motion of the tet carries it
+/// exactly. Extrapolation stops where a weight would fall below -1/2. Farther out, a tet's rotation would swing the
+/// point about, so the point is carried with a constant offset instead.
 struct Embedding {
-  Tets nodes;  // (V, 4): of one tet each
+  Tets nodes;  // (V, 4), those of one tet per point
   Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::RowMajor> weights;
-  VectorXd distances;  // to the tet mesh, metres; 0 inside
+  VectorXd distances;  // to the tet mesh, meters; 0 inside
 
   /// E, (V, node_count): values at the points = E * values at the nodes.
   SparseMatrix matrix(Eigen::Index node_count) const;
@@ -26,12 +26,12 @@ struct Embedding {
 /// Whether a tet may carry a point.
 using MayCarry = std::function<bool(Eigen::Index point, int tet)>;
 
-/// may_carry: all tets by default; where none may, the nearest does.
+/// may_carry: by default, all tets may. If none may, the nearest tet carries the point.
 Embedding embed(const TetMesh& mesh, const Points& points, const MayCarry& may_carry = {});
 
-/// Values (V, k) at surface points, extended to values (n, k) at nodes: least squares at the points plus a little
-/// smoothness along edges, which decides alone deep inside. Constants stay constant. Overshoots slightly: skin weights
-/// want clamping and normalising afterwards.
+/// Extends values (V, k) at surface points to values (n, k) at nodes: least squares at the points plus a little
+/// smoothness along edges, which alone decides deep inside. Constants stay constant. Values overshoot slightly, so
+/// clamp and normalize skin weights afterwards.
 MatrixXd extend_to_nodes(const TetMesh& mesh, const Embedding& embedding, const MatrixXd& values);
 
 }  // namespace dynamorph

@@ -17,7 +17,7 @@ using Eigen::Vector4d;
 
 constexpr double kFloor = 0.05;
 
-/// 20 points spread evenly over a tet, as weights.
+/// The barycentric weights of 20 points spread evenly over a tet.
 std::vector<Vector4d> sample_weights() {
   constexpr int n = 3;
   std::vector<Vector4d> samples;
@@ -28,14 +28,14 @@ std::vector<Vector4d> sample_weights() {
   return samples;
 }
 
-/// Part of the samples of a tet that the surface contains.
+/// The fraction of the samples of a tet that the surface contains.
 double filled(const Tet& tet, const Surface& surface, const std::vector<Vector4d>& samples) {
   const Vector3d center = tet.point(Vector4d::Constant(0.25));
   double radius = 0;
   for (const Vector3d& corner : tet.corners) radius = std::max(radius, (corner - center).norm());
   const double clearance = surface.distance(center);
   const bool center_inside = surface.contains(center);
-  if (clearance > radius) return center_inside;  // the skin does not pass through it
+  if (clearance > radius) return center_inside;  // the skin does not pass through the tet
   const auto inside = [&](const Vector4d& weights) {
     const Vector3d p = tet.point(weights);
     return (p - center).norm() < clearance ? center_inside : surface.contains(p);
@@ -47,7 +47,7 @@ double filled(const Tet& tet, const Surface& surface, const std::vector<Vector4d
 
 VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Triangles& triangles,
                         const ProgressFn& progress) {
-  constexpr Eigen::Index kBlock = 256;  // of tets
+  constexpr Eigen::Index kBlock = 256;  // tets per task
   const ClosedSurface closed = close_surface(vertices, triangles);
   const Surface surface(closed.vertices, closed.triangles);
   const std::vector<Vector4d> samples = sample_weights();

@@ -7,9 +7,9 @@
 
 namespace dynamorph {
 
-/// Fraction of each tet that the body fills, 0.05 .. 1: a cage is larger than the body and has webs between limbs, and
-/// both mass and stiffness go with the fraction. The floor keeps every node massive and every tet stiff. The surface is
-/// closed first (`close_surface`).
+/// Fraction of each tet that the body fills, 0.05 .. 1. A cage is larger than the body and has webs between limbs, so
+/// both mass and stiffness are multiplied by this fraction. The floor keeps every node massive and every tet stiff. The
+/// surface is closed first (`close_surface`).
 VectorXd fill_fractions(const TetMesh& mesh, const Points& vertices, const Triangles& triangles,
                         const ProgressFn& progress = {});
 

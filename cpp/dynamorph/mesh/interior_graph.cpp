@@ -19,7 +19,7 @@ std::pair<int, int> edge(int a, int b) { return {std::min(a, b), std::max(a, b)}
 
 constexpr double slack = 1e-9;  // so that no line slips through between two triangles
 
-/// Distance along the line from p to triangle abc, infinite where it misses (Moller and Trumbore 1997).
+/// Distance along the line from p to triangle abc, infinite if the line misses it (Moller and Trumbore 1997).
 double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& a, const Vector3d& b,
                   const Vector3d& c) {
   const Vector3d ab = b - a, ac = c - a, normal = direction.cross(ac), from = p - a, q = from.cross(ab);
@@ -27,12 +27,12 @@ double along_line(const Vector3d& p, const Vector3d& direction, const Vector3d& 
   const double u = from.dot(normal) / determinant, v = direction.dot(q) / determinant, t = ac.dot(q) / determinant;
   return u >= -slack && v >= -slack && u + v <= 1 + slack && t >= 0
              ? t
-             : infinity;  // not so for NaN: a triangle along the line
+             : infinity;  // NaN fails too: the triangle is along the line
 }
 
-using Cell = std::array<double, 3>;  // whole numbers, which far from the origin are too large for integers
+using Cell = std::array<double, 3>;  // whole numbers; far from the origin they are too large for integers
 
-/// Where each vertex is, on a grid of 1e-6 of the diagonal.
+/// The cell of each vertex, on a grid of 1e-6 of the diagonal.
 std::vector<Cell> cells_of(const Points& vertices, const Triangles& triangles) {
   Bvh::Box box;
   for (int vertex : triangles.reshaped()) box.extend(Vector3d(vertices.row(vertex)));
@@ -46,8 +46,8 @@ std::vector<Cell> cells_of(const Points& vertices, const Triangles& triangles) {
   return cells;
 }
 
-/// The vertices that are one with others at their place: those at open edges, and of triangles that are there twice,
-/// facing alike. Elsewhere equal vertices are parts that touch.
+/// The vertices that are the same point as others at their place: those at open edges, and those of duplicate triangles
+/// that face alike. Elsewhere, vertices at the same place belong to parts that touch.
 std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cells) {
   std::map<std::pair<int, int>, int> edges;
   std::map<std::array<Cell, 3>, int> places;
@@ -73,7 +73,7 @@ std::vector<bool> seams(const Triangles& triangles, const std::vector<Cell>& cel
 
 InteriorGraph::InteriorGraph(const Points& vertices, const Triangles& triangles, double spacing) {
   check_triangles(vertices, triangles);
-  if (triangles.rows() > 0) unit_box(vertices, triangles);  // throws where it could not be closed
+  if (triangles.rows() > 0) unit_box(vertices, triangles);  // throws if the surface cannot be closed
   if (!(spacing > 0)) throw std::invalid_argument("spacing: expected more than 0, got " + std::to_string(spacing));
   weld(vertices, triangles);
   close(vertices, triangles);
@@ -100,7 +100,7 @@ void InteriorGraph::weld(const Points& vertices, const Triangles& triangles) {
     triangles_.push_back({of_vertex_[triangles(t, 0)], of_vertex_[triangles(t, 1)], of_vertex_[triangles(t, 2)]});
 }
 
-/// Turns the triangles outward, as those of the closed body are.
+/// Turns the triangles outward, like those of the closed body.
 void InteriorGraph::close(const Points& vertices, const Triangles& triangles) {
   if (triangles.rows() == 0) return;
   const ClosedSurface closed = close_surface(vertices, triangles);
@@ -109,7 +109,7 @@ void InteriorGraph::close(const Points& vertices, const Triangles& triangles) {
     if (closed.flipped[t]) std::swap(triangles_[t][1], triangles_[t][2]);
 }
 
-/// Triangles are halved at their longest edge; both triangles of an edge get the same middle.
+/// Halves triangles at their longest edge. Both triangles at an edge get the same midpoint.
 void InteriorGraph::refine(double spacing) {
   std::map<std::pair<int, int>, int> middles;
   for (size_t t = 0; t < triangles_.size();) {
@@ -172,11 +172,11 @@ void InteriorGraph::find_normals() {
   for (Vector3d& normal : normals_) normal.normalize();
 }
 
-/// By winding numbers, each part for itself: a body is not inside its clothes.
+/// Uses the winding number of each part alone, because a body is not buried in its clothes.
 void InteriorGraph::find_buried(double off) {
   std::vector<std::vector<Triangle>> parts(part_.empty() ? 0 : 1 + *std::max_element(part_.begin(), part_.end()));
   for (const Triangle& corners : triangles_) parts[part_[corners[0]]].push_back(corners);
-  std::vector<int> number(size());  // of each point within its part
+  std::vector<int> number(size());  // each point's number within its part
   std::vector<std::vector<int>> members(parts.size());
   for (int i = 0; i < size(); ++i) {
     number[i] = int(members[part_[i]].size());
@@ -194,7 +194,8 @@ void InteriorGraph::find_buried(double off) {
   }
 }
 
-/// Joins what lies opposite through the flesh. Not from inside another part, which the line would leave instead.
+/// Joins points that lie opposite each other through the body. It skips buried points, because the line from there
+/// would leave another place instead.
 void InteriorGraph::look_through() {
   std::vector<Bvh::Box> boxes(triangles_.size());
   for (size_t t = 0; t < triangles_.size(); ++t)
@@ -209,8 +210,8 @@ void InteriorGraph::look_through() {
   }
 }
 
-/// Where the line inward from a point leaves the body, through skin that faces the other way; -1 when it first enters
-/// it a second time.
+/// The point where the inward line from a point leaves the body, through skin that faces the other way; -1 if the line
+/// first enters the body a second time.
 int InteriorGraph::opposite(int from) const {
   const Vector3d inward = -normals_[from];
   double nearest = infinity;
@@ -221,7 +222,7 @@ int InteriorGraph::opposite(int from) const {
     if (part_[a] != part_[from] || a == from || b == from || c == from) return;
     const bool out = (points_[b] - points_[a]).cross(points_[c] - points_[a]).dot(inward) > 0;
     const double distance = along_line(points_[from], inward, points_[a], points_[b], points_[c]);
-    const double first = out ? distance * (1 - 1e-6) : distance;  // where parts touch it leaves before it enters
+    const double first = out ? distance * (1 - 1e-6) : distance;  // where parts touch, the line leaves before it enters
     if (!(first < nearest)) return;
     nearest = first;
     crossed = t;
@@ -241,7 +242,7 @@ int InteriorGraph::nearest_corner(int triangle, const Vector3d& p) const {
 int InteriorGraph::nearest(const Vector3d& p) const {
   const Place any = nearest_place(p, false);
   if (any.triangle < 0) return -1;
-  // Inside another part that overlaps this one: not this one's, although it is near.
+  // p lies inside another part that overlaps this one, so it does not belong to this one, although this one is near.
   const bool other = any.outside && body_.contains(p);
   const Place own = other ? nearest_place(p, true) : any;
   const Place& place = own.triangle < 0 ? any : own;

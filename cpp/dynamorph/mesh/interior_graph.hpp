@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// How far apart two points of the skin are for the flesh between them.
+// Distances between points of the skin, measured through the body.
 //
-// A path through the flesh runs along the edges of the skin, and straight through the body: from a vertex inward along
-// its normal to where that leaves the body again. So what lies opposite in a thin slab (ear, hand, cape) is near, and
-// what lies opposite across a gap, or touches, is as far as the path around.
+// A path through the body runs along the edges of the skin, and straight across: from a vertex inward along its normal
+// to where that line leaves the body again. So points on opposite sides of a thin slab (ear, hand, cape) are near each
+// other. Points across a gap, or of parts that touch, are as far apart as the path around.
 #pragma once
 
 #include <array>
@@ -22,31 +22,32 @@ class InteriorGraph {
     double length;
   };
 
-  /// The skin: vertices and triangles, which may look either way. It may be open, and have seams: equal vertices at
-  /// open edges count as one. Edges longer than `spacing` (metres) get points in between. Throws std::invalid_argument
-  /// when a triangle names a vertex that does not exist.
+  /// The skin: vertices and triangles, which may face either way. It may be open, and it may have seams: vertices at
+  /// the same place at open edges count as one. Edges longer than `spacing` (meters) get points in between. Throws
+  /// std::invalid_argument when a triangle names a vertex that does not exist.
   InteriorGraph(const Points& vertices, const Triangles& triangles, double spacing);
 
   int size() const { return int(points_.size()); }
   const Vector3d& point(int i) const { return points_[i]; }
   /// The point of an input vertex; -1 when it has no triangle.
   int of_vertex(Eigen::Index vertex) const { return of_vertex_[vertex]; }
-  /// The loose part of the skin that a point belongs to: there are no paths between parts.
+  /// The loose part of the skin that a point belongs to. There are no paths between parts.
   int part(int i) const { return part_[i]; }
   const std::vector<Step>& steps(int i) const { return steps_[i]; }
 
-  /// The point of the skin that is around p, or nearest to it outside of the body; -1 when there is no skin. Skin that
-  /// lies inside another part, or touches it, is none: where parts overlap it would be the other's.
+  /// The point of the skin nearest to p; if p is inside the body, on skin that has p on its inner side. -1 when there
+  /// is no skin. Skin that lies inside another part, or touches it, does not count, because where parts overlap it
+  /// would belong to the other part.
   int nearest(const Vector3d& p) const;
 
  private:
   using Triangle = std::array<int, 3>;
 
-  /// On the skin.
+  /// A place on the skin.
   struct Place {
     int triangle = -1;
     Vector3d at = Vector3d::Zero();
-    bool outside = false;  // of it lies what it is nearest to
+    bool outside = false;  // whether the query point is on its outer side
   };
 
   void weld(const Points& vertices, const Triangles& triangles);
@@ -66,7 +67,7 @@ class InteriorGraph {
   std::vector<Triangle> triangles_;
   std::vector<std::vector<Step>> steps_;
   std::vector<int> part_;
-  std::vector<bool> buried_;  // inside another place of the same part, or touching it
+  std::vector<bool> buried_;  // whether a point is inside its own part, or touches it elsewhere
   Bvh bvh_ = Bvh({});
   Surface body_ = Surface(Points(0, 3), Triangles(0, 3));  // closed
 };

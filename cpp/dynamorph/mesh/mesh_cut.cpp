@@ -10,9 +10,9 @@ namespace dynamorph {
 
 namespace {
 
-constexpr double kDetour = 3;  // a way longer than so many times the straight one,
-constexpr double kEdges = 4;   // and than so many times the longest edge, joins nothing
-constexpr int kRounds = 5;     // of giving back what would come off
+constexpr double kDetour = 3;  // a path longer than this many times the straight distance,
+constexpr double kEdges = 4;   // and than this many times the longest edge, joins nothing
+constexpr int kRounds = 5;     // of reassigning tets that a crack would cut off
 
 /// Longest edge of every tet.
 std::vector<double> sizes_of(const TetMesh& mesh) {
@@ -24,13 +24,13 @@ std::vector<double> sizes_of(const TetMesh& mesh) {
   return sizes;
 }
 
-/// The mean of the tets' sizes, which the skin is refined to.
+/// The mean size of the tets, to which the skin is refined.
 double spacing_of(const std::vector<double>& sizes) {
   if (sizes.empty()) throw std::invalid_argument("mesh: expected at least one tet");
   return std::accumulate(sizes.begin(), sizes.end(), 0.0) / double(sizes.size());
 }
 
-/// f(a, b) for any two tets that share a face.
+/// Calls f(a, b) for any two tets that share a face.
 template <class Function>
 void for_neighbours(const Tets& tets, const Function& f) {
   struct Face {
@@ -80,8 +80,8 @@ void MeshCut::find_glued() {
     }
 }
 
-/// A crack never takes anything off, as there is a path through the flesh. Where it would, a few tets in the thick of
-/// it belong to the wrong skin: they go to that of a neighbour. Returns whether there were any.
+/// A crack must not cut anything off, because there is a path through the body. If it would, a few tets in the middle
+/// of the body belong to the wrong skin, and they go to the skin of a neighbor. Returns whether there were any.
 bool MeshCut::adopt_loose() {
   std::vector<int> group(mesh_.tets.rows(), -1), count;
   for (int seed = 0; seed < mesh_.tets.rows(); ++seed) {
@@ -146,7 +146,7 @@ TetMesh MeshCut::cut() const {
   return out;
 }
 
-/// Takes out of `tets` those that hang together with its first.
+/// Removes the first of `tets` and those connected to it, and returns them.
 std::vector<int> MeshCut::take_connected(std::vector<int>& tets) const {
   std::vector<int> taken{tets.front()};
   tets.erase(tets.begin());
@@ -161,7 +161,7 @@ std::vector<int> MeshCut::take_connected(std::vector<int>& tets) const {
 }
 
 Embedding MeshCut::embed(const TetMesh& cut) const {
-  if (cut.tets.rows() != mesh_.tets.rows()) throw std::invalid_argument("cut: is of another mesh");
+  if (cut.tets.rows() != mesh_.tets.rows()) throw std::invalid_argument("cut: it belongs to another mesh");
   ShortestPaths paths(graph_);
   return dynamorph::embed(cut, vertices_, [&](Eigen::Index vertex, int tet) {
     return !far_apart(paths, graph_.of_vertex(vertex), owner_[tet], sizes_[tet]);

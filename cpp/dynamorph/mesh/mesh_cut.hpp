@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Parts of a body that touch at rest (arms at the sides, thighs, fingers) share the tetrahedra of a cage that is
-// coarser than the gap between them. Here such a cage is cut apart.
+// coarser than the gap between them. MeshCut cuts such a cage apart.
 //
-// Each tet t belongs to a point s(t) of the skin, near its nearest point. Two tets that share a face are *glued* when
-// the path through the flesh from s(t1) to s(t2) is longer than 3 |s(t1) - s(t2)|, and than 4 times their longest edge.
-// Without any path, between loose parts, they are not.
+// Each tet t belongs to a point s(t) of the skin close to it. Two tets that share a face are *glued* when the path
+// through the body from s(t1) to s(t2) is longer than 3 |s(t1) - s(t2)| and longer than 4 times their longest edge.
+// Tets of loose parts, which no path joins, are not glued.
 #pragma once
 
 #include <vector>
@@ -18,17 +18,18 @@ namespace dynamorph {
 
 class MeshCut {
  public:
-  /// vertices (V), triangles: the skin in the mesh, as for InteriorGraph. Throws std::invalid_argument without tets.
+  /// vertices (V), triangles: the skin in the mesh, as for InteriorGraph. Throws std::invalid_argument if the mesh has
+  /// no tets.
   MeshCut(const TetMesh& mesh, const Points& vertices, const Triangles& triangles);
 
-  /// Which tets (m) join skin that is far apart.
+  /// Whether each tet (m) joins skin that is far apart.
   std::vector<bool> glued() const;
 
-  /// The mesh with a crack between glued tets: the same tets, the nodes along the crack doubled, the doubles at the
-  /// end. A crack ends by itself where the parts meet.
+  /// The mesh with a crack between glued tets. The tets stay the same; nodes along the crack are duplicated, and the
+  /// duplicates come last. A crack ends by itself where the parts meet.
   TetMesh cut() const;
 
-  /// Embeds the V vertices in the mesh as cut, each in the nearest tet that belongs to skin near it.
+  /// Embeds the V vertices in the cut mesh, each in the nearest tet that belongs to skin near it.
   Embedding embed(const TetMesh& cut) const;
 
  private:
@@ -47,8 +48,8 @@ class MeshCut {
   InteriorGraph graph_;
   std::vector<int> owner_;                // s(t); -1 when there is no skin
   std::vector<Pair> pairs_;               // tets that share a face
-  std::vector<Pair> glued_;               // those of them that share no flesh
-  std::vector<std::vector<int>> beside_;  // the others that share a face with each tet
+  std::vector<Pair> glued_;               // those of them that no short path joins
+  std::vector<std::vector<int>> beside_;  // the tets that share a face with each tet and are not glued to it
 };
 
 }  // namespace dynamorph

@@ -15,7 +15,7 @@ namespace dynamorph {
 namespace {
 
 constexpr double infinity = std::numeric_limits<double>::infinity();
-constexpr int kMostPieces = 1000000;  // of a bone; one of a rig has hundreds
+constexpr int kMostPieces = 1000000;  // per bone; the bones of a rig need hundreds
 
 double distance_to_segment(const Vector3d& p, const Vector3d& a, const Vector3d& b) {
   const Vector3d ab = b - a;
@@ -54,17 +54,17 @@ Points points_on_bones(const Points& cage, const Triangles& triangles, const Poi
     const Eigen::Quaterniond frame = Eigen::Quaterniond::FromTwoVectors(Vector3d::UnitZ(), along);
     const double length = along.norm() / spacing;
     if (!(length < kMostPieces))
-      throw Error("a bone is more than " + std::to_string(kMostPieces) +
-                  " times as long as the cage's edges: check the scale of the armature");
+      throw Error("A bone is more than " + std::to_string(kMostPieces) +
+                  " times as long as the cage's edges: check the scale of the armature.");
     const int pieces = std::max(1, int(std::round(length)));
     for (int i = 0; i <= pieces; ++i) {
       const Vector3d p = head + along * i / pieces;
-      // Well within what is held, and away from the cage too.
+      // Well within the pinned range, and away from the cage too.
       const double radius =
           surface.contains(p) ? ratio * std::min(0.75 * surface.distance(p), 0.9 * body.distance(p)) : 0;
       bool around = false;
       for (int corner = 0; corner < 3 && std::sqrt(3) * radius >= room; ++corner) {
-        const double angle = kPi / 3 * (2 * corner + i % 2);  // each triangle turned against the last
+        const double angle = kPi / 3 * (2 * corner + i % 2);  // each triangle is turned against the last
         around |= keep(p + radius * (frame * Vector3d(std::cos(angle), std::sin(angle), 0)));
       }
       if (!around) keep(p);
@@ -87,7 +87,7 @@ std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Tria
     double to_bone = infinity;
     for (Eigen::Index b = 0; b < heads.rows(); ++b)
       to_bone = std::min(to_bone, distance_to_segment(p, heads.row(b), tails.row(b)));
-    // Written so that no bones (an infinite distance) hold nothing.
+    // Written so that without bones (an infinite distance) no node is pinned.
     held[i] = (1 - ratio) * to_bone < ratio * skin.distance(p) && body.contains(p);
   }
   return held;

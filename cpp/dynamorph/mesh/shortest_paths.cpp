@@ -22,7 +22,7 @@ void ShortestPaths::start(int from) {
   from_ = from;
 }
 
-// Dijkstra's method, halted once the point is reached and taken up again with the next.
+// Dijkstra's method. It stops once the point is reached, and resumes for the next point.
 double ShortestPaths::to(int point, double bound) {
   while (!next_.empty() && next_.top().first <= bound && next_.top().first < length_[point]) {
     const auto [length, i] = next_.top();

@@ -10,13 +10,13 @@
 
 namespace dynamorph {
 
-/// The shortest paths from one point of the skin, found as far as they are asked for.
+/// The shortest paths from one point of the skin, computed only as far as they are asked for.
 class ShortestPaths {
  public:
   explicit ShortestPaths(const InteriorGraph& graph);
   void start(int from);
   int from() const { return from_; }
-  /// Length of the path to a point, metres; infinite when it is longer than `bound`.
+  /// Length of the path to a point, meters; infinite when it is longer than `bound`.
   double to(int point, double bound);
 
  private:

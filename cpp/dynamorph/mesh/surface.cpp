@@ -25,7 +25,8 @@ void check_triangles(const Points& vertices, const Triangles& triangles) {
                                 std::to_string(triangles.maxCoeff()));
 }
 
-// Ericson, Real-Time Collision Detection, 5.1.5: which vertex, edge or face region of the triangle p projects to.
+// Ericson, Real-Time Collision Detection, 5.1.5: finds the vertex, edge or face region of the triangle that p projects
+// to.
 Vector3d closest_on_triangle(const Vector3d& p, const Vector3d& a, const Vector3d& b, const Vector3d& c) {
   const Vector3d ab = b - a, ac = c - a, ap = p - a, bp = p - b, cp = p - c;
   const double d1 = ab.dot(ap), d2 = ac.dot(ap), d3 = ab.dot(bp), d4 = ac.dot(bp), d5 = ab.dot(cp), d6 = ac.dot(cp);

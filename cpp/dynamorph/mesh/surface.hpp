@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Distance to a triangle mesh, and whether a point is inside of it, however broken the mesh.
+// Distance to a triangle mesh, and whether a point is inside it, however broken the mesh is.
 //
-// Inside is where the generalised winding number w(q) = 1/(4 pi) sum_t Omega_t(q) exceeds 1/2 in size, with Omega_t the
-// solid angle of triangle t seen from q. Far triangles are summed as one dipole: w = sum_t a_t n_t . (c - q) / (4 pi
-// |c - q|^3), c their centroid (Barill, Dickson, Schmidt, Levin, Jacobson 2018, Fast winding numbers for soups and
-// clouds, doi 10.1145/3197517.3201337).
+// Inside is where the generalized winding number w(q) = 1/(4 pi) sum_t Omega_t(q) exceeds 1/2 in magnitude; Omega_t is
+// the solid angle of triangle t seen from q. Far triangles are summed as one dipole,
+//
+//   w = sum_t a_t n_t . (c - q) / (4 pi |c - q|^3),
+//
+// where c is their centroid (Barill, Dickson, Schmidt, Levin, Jacobson 2018, Fast winding numbers for soups and clouds,
+// doi 10.1145/3197517.3201337).
 #pragma once
 
 #include "dynamorph/core/types.hpp"
@@ -24,13 +27,13 @@ class Surface {
 
   /// Bounds of the vertices that have triangles.
   Eigen::AlignedBox3d box() const { return bvh_.nodes.empty() ? Eigen::AlignedBox3d() : bvh_.nodes[0].box; }
-  /// Metres, unsigned; infinite without triangles.
+  /// Unsigned distance, meters; infinite without triangles.
   double distance(const Vector3d& p) const { return (nearest(p) - p).norm(); }
   /// The point of the surface nearest to p; infinite without triangles.
   Vector3d nearest(const Vector3d& p) const;
-  /// About 1 inside a closed mesh of outward triangles, about 0 outside; between for open ones.
+  /// About 1 inside a closed mesh of outward triangles, about 0 outside, and in between for open ones.
   double winding_number(const Vector3d& p) const { return bvh_.nodes.empty() ? 0 : winding_number(0, p); }
-  /// Also for a mesh that is inside out.
+  /// Whether p is inside. This also works for a mesh that is inside out.
   bool contains(const Vector3d& p) const { return std::abs(winding_number(p)) > 0.5; }
 
  private:

@@ -15,7 +15,7 @@ struct Tet {
   static constexpr double kLowestWeight = -0.5;
 
   Vector3d corners[4];
-  Matrix3d to_weights;  // of corners 1..3, from x - corners[0]
+  Matrix3d to_weights;  // x - corners[0] to the weights of corners 1..3
 
   Tet(const TetMesh& mesh, Eigen::Index t) {
     for (int k = 0; k < 4; ++k) corners[k] = mesh.nodes.row(mesh.tets(t, k));
@@ -43,7 +43,8 @@ struct Tet {
     return best;
   }
 
-  /// The weights of p, or on the way from the closest point to p the last that are all >= kLowestWeight.
+  /// The weights of p, or those of the last point on the way from `closest` to p where all weights are >=
+  /// kLowestWeight.
   Eigen::Vector4d bounded_weights(const Vector3d& p, const Vector3d& closest) const {
     const Eigen::Vector4d near = weights(closest), far = weights(p);
     double t = 1;

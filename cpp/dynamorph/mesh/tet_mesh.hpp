@@ -6,19 +6,20 @@
 
 namespace dynamorph {
 
-/// Metres. Beyond it the cube of a length would not be finite, which volumes and distances in tets are computed from.
+/// The largest coordinate, meters. Beyond it the cube of a length would not be finite, and volumes and distances in
+/// tets are computed from such cubes.
 constexpr double kFarthest = 1e100;
 
 struct TetMesh {
-  Points nodes;  // n rest positions, metres
+  Points nodes;  // n rest positions, meters
   Tets tets;     // m rows of node indices, positively oriented: det(b - a, c - a, d - a) > 0
 };
 
-/// A mesh from stored arrays. Throws std::invalid_argument on an index out of range, a coordinate that is not a number
-/// or beyond kFarthest, a tet that is not positively oriented or a node of no tet.
+/// Makes a mesh from stored arrays. Throws std::invalid_argument when an index is out of range, a coordinate is not a
+/// number or beyond kFarthest, a tet is not positively oriented, or a node belongs to no tet.
 TetMesh make_tet_mesh(Points nodes, Tets tets);
 
-/// Volume of every tet, cubic metres.
+/// Volume of every tet, cubic meters.
 VectorXd volumes(const TetMesh& mesh);
 
 }  // namespace dynamorph

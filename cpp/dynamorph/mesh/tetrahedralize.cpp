@@ -16,7 +16,7 @@ namespace dynamorph {
 
 namespace {
 
-/// What to do about TetGen's `reason` for giving up.
+/// The message to the artist when TetGen gives up for `reason`.
 std::string advice(const std::string& reason) {
   const auto says = [&](const char* words) { return reason.find(words) != std::string::npos; };
   if (says("Out of memory")) return "The mesher ran out of memory. Lower the cage resolution.";
@@ -29,7 +29,7 @@ std::string advice(const std::string& reason) {
          "). Make it closed, or change the cage resolution a little.";
 }
 
-/// `in` is filled in place: a tetgenio owns its arrays but does not know how to be copied.
+/// `in` is filled in place, because a tetgenio owns its arrays but cannot be copied.
 void load(tetgenio& in, const Points& points, const Triangles& triangles) {
   in.numberofpoints = static_cast<int>(points.rows());
   in.pointlist = new REAL[points.size()];
@@ -47,9 +47,9 @@ void load(tetgenio& in, const Points& points, const Triangles& triangles) {
   }
 }
 
-/// The mesh without tets of no volume, which between them and their neighbours leave no gap.
+/// The mesh without tets of zero volume. This leaves no gap between their neighbors.
 TetMesh without_flat(const TetMesh& mesh) {
-  constexpr double flat = 1e-9;  // of the cube of the longest edge
+  constexpr double flat = 1e-9;  // relative to the cube of the longest edge
   const VectorXd volume = volumes(mesh);
   std::vector<int> kept;
   for (Eigen::Index t = 0; t < mesh.tets.rows(); ++t) {
@@ -74,16 +74,16 @@ TetMesh without_flat(const TetMesh& mesh) {
   return clean;
 }
 
-/// volume_limit <= 0: none.
+/// volume_limit <= 0 means no limit.
 TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
-  // p: fill a surface, Q: quiet, F: no files (it writes self-intersections), Y: add nothing on the surface, q:
-  // radius-edge ratio / dihedral angle, S: most nodes added, o: flips and smooths tets with wider dihedral angles (its
-  // own 165 leaves fifteen times as many angles under 5 degrees).
+  // p: fill a surface, Q: quiet, F: write no files (TetGen writes self-intersections), Y: add nothing on the surface,
+  // q: radius-edge ratio / dihedral angle, S: most nodes to add, o: flip and smooth tets with wider dihedral angles
+  // (TetGen's own 165 leaves fifteen times as many angles under 5 degrees).
   char switches[96];
   std::snprintf(switches, sizeof switches, "pQFYq1.5/8o/150S%d", most_nodes);
   std::string command = switches;
   if (volume_limit > 0) {
-    std::snprintf(switches, sizeof switches, "a%.12f", volume_limit);  // TetGen reads no exponents
+    std::snprintf(switches, sizeof switches, "a%.12f", volume_limit);  // TetGen cannot read exponents
     command += switches;
   }
   tetgenio out;
@@ -91,7 +91,7 @@ TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
     ::tetrahedralize(command.data(), &in, &out);
   } catch (const std::runtime_error& error) {
     throw Error(advice(error.what()));
-  } catch (int code) {  // TetGen proper throws these; the sdist's edition has replaced most, not all
+  } catch (int code) {  // the original TetGen throws these; the sdist's edition replaces most, but not all
     throw Error(advice(code == 1 ? "Out of memory" : "TetGen error " + std::to_string(code)));
   }
   if (out.numberoftetrahedra == 0) throw Error(advice("no tetrahedra inside"));
@@ -103,8 +103,8 @@ TetMesh run_tetgen(tetgenio& in, double volume_limit, int most_nodes) {
   return without_flat(mesh);
 }
 
-/// Fewest nodes that give good tets, then a limit on their volume until there are about as many as wanted: nodes added
-/// go with limit^-1.4 (measured).
+/// Starts with the fewest nodes that give good tets, then limits the volume of tets until there are about as many nodes
+/// as wanted. The number of nodes added is proportional to limit^-1.4 (measured).
 TetMesh fill(tetgenio& in, int target_nodes, int most_nodes) {
   constexpr double close_enough = 0.05;
   constexpr int tries = 6;
@@ -129,14 +129,14 @@ TetMesh tetrahedralize(const Points& vertices, const Triangles& triangles, int t
   check_triangles(vertices, triangles);
   if (triangles.rows() == 0) throw Error("The cage has no faces. Choose a closed mesh.");
   if (!vertices.allFinite())
-    throw Error("The cage has a NaN or infinite coordinate. Delete that vertex.");  // TetGen hangs
+    throw Error("The cage has a NaN or infinite coordinate. Delete that vertex.");  // TetGen would hang
   const Eigen::AlignedBox3d box = Surface(vertices, triangles).box();
   const double size = box.diagonal().norm();
   if (!(size > 0)) throw Error("The cage is a single point. Scale it and apply the scale.");
   // Points without facets are kept as nodes. (TetGen's own list of extra points, -i, crashes with -Y.)
   Points unit(vertices.rows() + inner.rows(), 3);
   unit << vertices, inner;
-  unit = ((unit.rowwise() - box.min().transpose()) / size).eval();  // TetGen's tolerances and 'a' want it
+  unit = ((unit.rowwise() - box.min().transpose()) / size).eval();  // TetGen's tolerances and 'a' need unit size
 
   tetgenio in;
   load(in, unit, triangles);

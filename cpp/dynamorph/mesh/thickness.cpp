@@ -12,15 +12,15 @@ namespace dynamorph {
 
 namespace {
 
-constexpr int kBalls = 6144;         // samples of the skin: fingers of a body get dozens
+constexpr int kBalls = 6144;         // samples of the skin; the fingers of a body get dozens
 constexpr int kBlock = 256;          // points or balls at a time
-constexpr double kCovered = 1.1;     // radii from its center within which a ball counts fully,
-constexpr double kUncovered = 1.35;  // and beyond which not at all: a fin at a body is thin
-constexpr double kThinnest = 5e-3;   // of the size: a sheet has no thickness, but something must divide
-constexpr double kFacet = 0.04;      // of the size: longer triangles may lie half inside the body, and are split
-constexpr double kOff = 1e-4;        // of the size: beside a face, to see what lies there
+constexpr double kCovered = 1.1;     // distance from its center, in radii, within which a ball counts fully,
+constexpr double kUncovered = 1.35;  // and beyond which it does not count, so that a fin on a body is thin
+constexpr double kThinnest = 5e-3;   // relative to the size; a sheet has no thickness, but divisors must not be 0
+constexpr double kFacet = 0.04;      // relative to the size; longer triangles are split, as half may be inside the body
+constexpr double kOff = 1e-4;        // relative to the size; how far off a face to test what lies there
 
-/// 1 below `full`, 0 above `none`, smooth between.
+/// 1 below `full`, 0 above `none`, smooth in between.
 double fade(double x, double full, double none) {
   const double t = std::clamp((none - x) / (none - full), 0.0, 1.0);
   return t * t * (3 - 2 * t);
@@ -32,7 +32,7 @@ Vector3d area_vector(const Points& vertices, const Triangles& triangles, Eigen::
   return (b - a).cross(c - a) / 2;
 }
 
-/// Splits triangles across their longest edges until none is longer than `longest`.
+/// Splits triangles across their longest edges until no edge is longer than `longest`.
 void refine(Points& vertices, Triangles& triangles, double longest) {
   std::vector<Vector3d> points;
   for (Eigen::Index i = 0; i < vertices.rows(); ++i) points.emplace_back(vertices.row(i));
@@ -63,8 +63,8 @@ void refine(Points& vertices, Triangles& triangles, double longest) {
   for (size_t t = 0; t < done.size(); ++t) triangles.row(Eigen::Index(t)) << done[t][0], done[t][1], done[t][2];
 }
 
-/// Points spread evenly over triangles by area, the same every time: additive recurrence with the plastic number
-/// within a triangle (Roberts 2018).
+/// Points spread evenly over triangles by area, and the same every time. Within a triangle they follow the additive
+/// recurrence with the plastic number (Roberts 2018).
 struct Samples {
   std::vector<Vector3d> points, normals;
 
@@ -124,13 +124,13 @@ void Thickness::find_balls(const Points& vertices, const Triangles& triangles, c
       for (int round = 0; round < 60; ++round) {
         const Vector3d center = p - radius * normal, touched = skin_.nearest(center);
         if ((touched - center).norm() >= (1 - 1e-4) * radius) break;
-        const double along = normal.dot(p - touched);  // above zero: what it touched lies inside the ball
+        const double along = normal.dot(p - touched);  // above zero when the touched point lies inside the ball
         const double smaller = along > 0 ? (p - touched).squaredNorm() / (2 * along) : 0;
         if (!(smaller < (1 - 1e-6) * radius)) break;
         radius = smaller;
       }
       const Vector3d center = p - radius * normal;
-      balls_[i] = {center, body_.contains(center) ? radius : 0};  // a sheet has its ball outside
+      balls_[i] = {center, body_.contains(center) ? radius : 0};  // the ball of a sheet lies outside
     }
     report(done, 1);
   });

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // How thick a body is around a point, and how deep the point lies in it.
 //
-// Thickness T is the radius of the largest ball inside the body that covers the point: wide in a belly, narrow in a
-// finger, whatever the bones say. The balls are those of the medial axis that touch the skin (found by shrinking, Ma,
-// Bae, Choi 2012, 3D medial axis point approximation using nearest neighbors, doi 10.1007/s00371-011-0594-7). A ball
-// that the point lies a little outside of counts less and less, so that T is continuous.
+// Thickness T is the radius of the largest ball inside the body that covers the point. It is large in a belly and small
+// in a finger, wherever the bones are. The balls are those of the medial axis that touch the skin (found by shrinking,
+// Ma, Bae, Choi 2012, 3D medial axis point approximation using nearest neighbors, doi 10.1007/s00371-011-0594-7). A
+// ball counts less the farther the point lies outside it, so that T is continuous.
 #pragma once
 
 #include <vector>
@@ -17,15 +17,15 @@ namespace dynamorph {
 
 class Thickness {
  public:
-  /// The skin: any triangle soup, which is closed first (`close_surface`, whose errors it throws). Skin that lies
+  /// The skin may be any triangle soup. It is closed first by `close_surface`, and errors from there pass through. Skin
   /// inside other skin, as under clothes, does not count.
   Thickness(const Points& vertices, const Triangles& triangles, const ProgressFn& progress = {});
 
   struct Measures {
-    VectorXd thickness;  ///< T (k), metres; above zero
-    VectorXd depth;      ///< to the skin (k), metres; 0 outside of the body
+    VectorXd thickness;  ///< T (k), meters; above zero
+    VectorXd depth;      ///< distance to the skin (k), meters; 0 outside the body
   };
-  /// At points (k, 3). A point outside of the body has the thickness of the skin nearest to it.
+  /// Measures at points (k, 3). A point outside the body has the thickness of the skin nearest to it.
   Measures at(const Points& points) const;
 
  private:
@@ -38,7 +38,7 @@ class Thickness {
   double thickness(const Vector3d& p) const;
 
   Surface body_;  ///< closed
-  Surface skin_;  ///< its triangles with nothing of the body outside
+  Surface skin_;  ///< the triangles that have no part of the body on their outer side
   double size_ = 0;
   std::vector<Ball> balls_;  ///< largest first
 };

@@ -8,20 +8,20 @@
 namespace dynamorph {
 
 MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces) {
-  // Unit material: the shape of the fill-in does not depend on the stiffness. The pull is 1e4 times the mean nodal
-  // stiffness per vertex, so the surface is met to about 1e-4 where the cage can carry it.
+  // A unit material will do, because the shape of the fill-in does not depend on the stiffness. The pull per vertex is
+  // 1e4 times the mean nodal stiffness, so the surface is met to about 1e-4 where the cage can represent it.
   MorphTarget neutral;
   neutral.displacement = VectorXd::Zero(3 * body.mesh.nodes.rows());
   neutral.lame = {1, 1};
   auto whole = std::make_shared<SoftBody>(body);
   whole->region_weights.setOnes(body.mesh.tets.rows(), 1);
-  whole->holds.resize(0, 0);  // what is held is held in the target's shape, which is sought
+  whole->holds.resize(0, 0);  // the hold acts about the target's shape, which is not known yet
   const FullModel model(whole, {neutral}, Law::linear, Blending::forces);
   SparseMatrix A = model.rest_stiffness(0);
   const double pull = 1e4 * A.diagonal().mean();
 
   check_size("surfaces", surfaces.rows(), 3 * embedding.nodes.rows());
-  if (!surfaces.allFinite()) throw Error("a target's shape is not finite: repair its shape key");
+  if (!surfaces.allFinite()) throw Error("A target's shape is not finite. Repair its shape key.");
   const SparseMatrix E = embedding.matrix(body.mesh.nodes.rows());
   std::vector<Eigen::Triplet<double>> entries;
   for (int node = 0; node < E.outerSize(); ++node)
@@ -33,7 +33,7 @@ MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const M
   B.setFromTriplets(entries.begin(), entries.end());
   A += pull * SparseMatrix(B.transpose() * B);
   BlockCholesky<double> solver;
-  if (!solver.factorize(A)) throw Error("a target's shape could not be carried into the cage: rebuild it");
+  if (!solver.factorize(A)) throw Error("A target's shape could not be extended into the cage. Rebuild the cage.");
   MatrixXd solution = pull * (B.transpose() * surfaces);
   solver.solve_in_place(solution);
   MatrixXd out(3 * body.mesh.nodes.rows(), surfaces.cols());

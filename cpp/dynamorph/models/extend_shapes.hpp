@@ -7,9 +7,9 @@
 
 namespace dynamorph {
 
-/// Node displacements (3n, k) that follow the columns of `surfaces` (3V, k) where the mesh embeds them and are elastic
-/// in between: minimise the neutral material's energy plus a stiff pull to the surface; zero at pins. Bind space,
-/// metres.
+/// Node displacements (3n, k) that follow the columns of `surfaces` (3V, k) where the mesh embeds them, and are elastic
+/// in between. They minimize the neutral material's energy plus a stiff pull to the surface, and are zero at pinned
+/// nodes. Bind space, meters.
 MatrixXd extend_shapes(const SoftBody& body, const Embedding& embedding, const MatrixXd& surfaces);
 
 }  // namespace dynamorph

@@ -9,7 +9,7 @@ namespace dynamorph {
 
 namespace {
 
-constexpr Eigen::Index kBlended = 2048;  // values blended at a time, so that the sums stay in the first cache
+constexpr Eigen::Index kBlended = 2048;  // values blended at a time, so that the sums stay in the L1 cache
 
 }  // namespace
 
@@ -100,7 +100,8 @@ std::vector<Assembly::Part> FullModel::parts(const Blend& blend) const {
 }
 
 VectorXd FullModel::displacement_from_shape(const Blend& blend, const VectorXd& q) const {
-  // Even blending: target j's displacement q - d(q) + d_j, which from its own shape is the same for all.
+  // Even blending: target j's displacement is q - d(q) + d_j. Relative to the target's own shape, it is the same for
+  // all targets.
   return blending_ == Blending::even ? VectorXd(q - blend.displacement) : q;
 }
 
@@ -114,7 +115,7 @@ void FullModel::blend_hold(const VectorXd& w, Blend& out) const {
     const VectorXd nodes = w(j) * targets_[j].lame.mu * body_->holds.col(targets_[j].set);
     const VectorXd own = nodes.replicate(1, 3).transpose().reshaped();
     out.hold += own;
-    if (blending_ == Blending::even) continue;  // about each target's own shape, which is where x is zero
+    if (blending_ == Blending::even) continue;  // x is zero at each target's own shape, so there are no more terms
     out.hold_shapes += own.cwiseProduct(rest_displacements_[j]);
     out.hold_energy += 0.5 * own.dot(rest_displacements_[j].cwiseAbs2());
   }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // The unreduced soft skin: E(u, q) = sum_j w_j(q) E_j(u) over the free nodes of a tet mesh (thesis ch. 5).
 //
-// FullModel and ReducedModel have one interface, which step() is written against:
+// FullModel and ReducedModel share one interface, which step() uses:
 //   Matrix, Blend                dense or sparse; the model at one set of target weights
-//   blend(w, out)                paid once per pose
+//   blend(w, out)                needed once per pose
 //   energy, linearize            E, F = dE/dq and K = dF/dq at coordinates q
 //   inertia(inertial, ...)       A^T M A, and the force that the moving rig exerts
 //   displacement, project_force  q -> u and its transpose
@@ -26,20 +26,20 @@ class FullModel {
   using Matrix = SparseMatrix;
 
   struct Blend {
-    const FullModel* of = nullptr;  ///< whose it is
+    const FullModel* of = nullptr;  ///< the model that made it
     VectorXd weights;
     SetDensities mass;
     Matrix damping;          ///< sum_j w_j beta_j K_j
-    VectorXd displacement;   ///< d(q) of even blending (3 free), else empty
-    VectorXd hold;           ///< sum_j w_j mu_j holds (3 free); empty when nothing is held so
-    VectorXd hold_shapes;    ///< of forces blending: the same times d_j
-    double hold_energy = 0;  ///< of forces blending, at u = 0
+    VectorXd displacement;   ///< even blending: d(q) (3 free); otherwise empty
+    VectorXd hold;           ///< sum_j w_j mu_j holds (3 free); empty without a hold
+    VectorXd hold_shapes;    ///< forces blending: the same times d_j
+    double hold_energy = 0;  ///< forces blending: its energy at u = 0
     Matrix stiffness;        ///< linear law only: f = stiffness q + force, E = energy + ...
     VectorXd force;
     double energy = 0;
   };
 
-  /// The flesh's inertia in one pose, and scratch.
+  /// Inertia of the soft tissue in one pose, and scratch.
   struct Inertia {
     Matrix mass;     ///< A^T M A
     Matrix damped;   ///< the same with M times mass damping
@@ -57,7 +57,7 @@ class FullModel {
   Blending blending() const { return blending_; }
   const RestShape& shape(int target) const { return shapes_[target]; }
   int dofs() const { return int(3 * body_->free_nodes.size()); }
-  /// Norm of the coordinates of a body that is moved by one metre as a whole.
+  /// Norm of the coordinates when the whole body moves by one meter.
   double metre() const { return std::sqrt(double(body_->free_nodes.size())); }
 
   void blend(const VectorXd& w, Blend& out) const;
@@ -74,11 +74,11 @@ class FullModel {
   Matrix zero() const { return assembly_.pattern(); }
 
  private:
-  /// The targets that count, and the displacements they are given.
+  /// The targets with a weight, and the displacements to evaluate them at.
   std::vector<Assembly::Part> parts(const Blend& blend) const;
   VectorXd displacement_from_shape(const Blend& blend, const VectorXd& q) const;
   void blend_hold(const VectorXd& w, Blend& out) const;
-  /// Energy of the hold at displacements x as `displacement_from_shape`; pull: its force.
+  /// Energy of the hold at displacements x from `displacement_from_shape`. pull: its force.
   double hold_energy(const Blend& blend, const VectorXd& x, VectorXd& pull) const;
 
   std::shared_ptr<const SoftBody> body_;
@@ -87,7 +87,7 @@ class FullModel {
   Blending blending_;
   Assembly assembly_;
   std::vector<RestShape> shapes_;
-  std::vector<Assembly::Elements> elements_;  ///< of each target; of even blending about its shape
+  std::vector<Assembly::Elements> elements_;  ///< of each target; with even blending, about its shape
   std::vector<VectorXd> rest_displacements_;  ///< d_j over the free nodes
   std::vector<VectorXd> rest_stiffness_;      ///< values of each K_j
   std::vector<VectorXd> rest_pull_;           ///< K_j d_j

@@ -14,7 +14,8 @@ void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets
       throw std::invalid_argument("targets: '" + target.name + "' is in set " + std::to_string(target.set) +
                                   ", there are " + std::to_string(body.sets()));
     check_size("displacement", target.displacement.size(), body.mesh.nodes.size());
-    if (!target.displacement.allFinite()) throw Error("target '" + target.name + "' has a shape that is not finite");
+    if (!target.displacement.allFinite())
+      throw Error("Target '" + target.name + "' has a shape that is not finite. Repair its shape key.");
     if (body.expand(body.restrict_to_free(target.displacement)) != target.displacement)
       throw std::invalid_argument("targets: '" + target.name + "' displaces pinned nodes");
     const double properties =

@@ -10,28 +10,29 @@
 
 namespace dynamorph {
 
-/// forces: sum w_j F_j(u), the source's; even: sum w_j F_j(u - d(q) + d_j) with d = sum w_j d_j, halfway in pose is
-/// halfway in shape whatever the stiffness. Both are exact at the targets; of overlapping target sets, only even is.
+/// forces: sum w_j F_j(u), as in the thesis. even: sum w_j F_j(u - d(q) + d_j) with d = sum w_j d_j, so that halfway in
+/// pose is halfway in shape, whatever the stiffness. Both are exact at the targets; with overlapping target sets, only
+/// even is.
 enum class Blending { forces, even };
 
 /// A dynamic morph target as the engine knows it.
 struct MorphTarget {
   std::string name;
   int set = 0;                   ///< index of its target set
-  VectorXd displacement;         ///< d_j (3n), metres, bind space, zero at pinned nodes
+  VectorXd displacement;         ///< d_j (3n), meters, bind space, zero at pinned nodes
   Lame lame{};                   ///< Pa
   double density = 1000;         ///< kg/m^3
   double mass_damping = 0;       ///< alpha, 1/s
   double stiffness_damping = 0;  ///< beta, s
-  bool shifted = false;          ///< elastic as the neutral shape, moved by d: a shape alone (after Capell et al. 2005)
+  bool shifted = false;  ///< elasticity of the neutral shape, moved by d: a shape alone (after Capell et al. 2005)
 };
 
-/// Throws std::invalid_argument, or Error for what an artist can mend, unless a model of `body` can have these targets:
-/// at least one, each of a set that the body has, with a finite displacement of every node that is zero at pins, and
-/// with finite properties.
+/// Throws std::invalid_argument, or Error for what an artist can fix, unless a model of `body` can have these targets.
+/// There must be at least one. Each must belong to one of the body's sets and have finite properties. Its displacement
+/// must be finite at every node and zero at pinned nodes.
 void check_targets(const SoftBody& body, const std::vector<MorphTarget>& targets);
 
-/// Throws std::invalid_argument unless it is one of the enumeration's values.
+/// Throws std::invalid_argument unless `blending` is one of the enumeration's values.
 void check(Blending blending);
 
 /// Density and mass damping of each target set at weights w: sum_j w_j rho_j and sum_j w_j alpha_j rho_j.

@@ -9,12 +9,12 @@
 
 namespace dynamorph {
 
-/// What all models of one character share. Throws std::invalid_argument when sizes disagree.
+/// The data that all models of one character share. Throws std::invalid_argument when sizes disagree.
 struct SoftBody {
-  /// fill, stiffness (m): filled fraction and painted multiplier of each tet; region_weights (m, S): each target set's
-  /// part of a tet, rows sum to one; pinned (n); weights (n, B), any positive scale. With weights (n, 0) the skinning
-  /// is not known: every free node is a bone of its own, and what is called bones' transforms is one for each of them.
-  /// hold (m), 1/m^2: how firmly each tet is held in its target's shape, see `holds`; none without it.
+  /// fill, stiffness (m): filled fraction and painted factor of each tet. region_weights (m, S): each target set's part
+  /// of a tet; rows sum to one. pinned (n). weights (n, B): skin weights at any positive scale. With weights (n, 0) the
+  /// skinning is not known; then every free node is its own bone, and there is one bone transform for each of them.
+  /// hold (m), 1/m^2: how firmly each tet is held in its target's shape, see `holds`; empty for no hold.
   SoftBody(TetMesh mesh, VectorXd fill, const VectorXd& stiffness, MatrixXd region_weights,
            const std::vector<bool>& pinned, const Eigen::Ref<const MatrixXd>& weights, const VectorXd& hold = {});
 
@@ -24,18 +24,19 @@ struct SoftBody {
   VectorXd stiffness_scale;       ///< (m) fill times painted stiffness
   std::vector<int> free_nodes;    ///< node of each free node
   std::vector<int> free_of_node;  ///< -1 where pinned
-  bool own_transforms;            ///< of every free node
+  bool own_transforms;            ///< whether every free node has its own
   SkinWeights skin;               ///< (free nodes, B)
   VectorXd rest;                  ///< X of the free nodes (3 free)
   MatrixXd volumes;               ///< (free nodes, S) lumped, m^3
-  /// The hold (free nodes, S), metres: target j of set s adds mu_j / 2 sum_i holds(i, s) |u_i - d_j,i|^2 to its energy,
-  /// the lumped integral of hold |u - d_j|^2 over the body. In proportion to mu_j and about its own shape, so that it
-  /// is one more term of the table for mu = 1 and all targets stay exact. Empty when nothing is held so.
+  /// The hold (free nodes, S), meters: target j of set s adds mu_j / 2 sum_i holds(i, s) |u_i - d_j,i|^2 to its energy,
+  /// the lumped integral of hold |u - d_j|^2 over the body. It is proportional to mu_j and acts about the target's own
+  /// shape, so that it is one more term of the table for mu = 1 and all targets stay exact. Empty when there is no
+  /// hold.
   MatrixXd holds;
   double size;      ///< bounding-box diagonal, m
   double volume;    ///< of the free nodes, m^3
   Vector3d centre;  ///< of that volume, m
-  /// Of each bone's flesh: sum of volume times weight times p p^T, p = (X - centre, 1).
+  /// Moments of each bone's soft tissue: the sum of volume times weight times p p^T, where p = (X - centre, 1).
   std::vector<Eigen::Matrix4d> moments;
 
   int sets() const { return int(region_weights.cols()); }

@@ -12,8 +12,8 @@ namespace dynamorph {
 
 namespace {
 
-constexpr double kHalfRound = 150 * kPi / 180;  // radians: beyond, angles the other way round come into play
-constexpr double kSamePose = 0.5 * kPi / 180;   // radians: closer poses make the interpolation ill-conditioned
+constexpr double kHalfRound = 150 * kPi / 180;  // radians; beyond it, angles the other way round matter
+constexpr double kSamePose = 0.5 * kPi / 180;   // radians; closer poses make the interpolation ill-conditioned
 
 double kernel(Kernel kind, double width, double distance) {
   const double d = distance / width;
@@ -36,7 +36,7 @@ Vector3d rotation_vector(const Rotations& reference, const Eigen::Ref<const Rota
   return sine > 0 ? Vector3d(q.vec() * (2 * std::atan2(sine, q.w()) / sine)) : Vector3d::Zero();
 }
 
-/// The rotation matrix from the reference to the pose less the identity, its columns one below the other.
+/// The rotation matrix from the reference to the pose minus the identity, its columns stacked.
 Eigen::Matrix<double, 9, 1> turn(const Rotations& reference, const Eigen::Ref<const Rotations>& pose, int bone) {
   const Eigen::Quaterniond a(reference(bone, 0), reference(bone, 1), reference(bone, 2), reference(bone, 3));
   const Eigen::Quaterniond b(pose(bone, 0), pose(bone, 1), pose(bone, 2), pose(bone, 3));
@@ -44,16 +44,16 @@ Eigen::Matrix<double, 9, 1> turn(const Rotations& reference, const Eigen::Ref<co
   return Eigen::Map<const Eigen::Matrix<double, 9, 1>>(matrix.data());
 }
 
-/// 0 up to 0, 1 from 1 on.
+/// 0 for t <= 0, 1 for t >= 1, smooth in between.
 double smooth_step(double t) {
   t = std::clamp(t, 0.0, 1.0);
   return t * t * (3 - 2 * t);
 }
 
-/// How much of its weight a target keeps at a distance; a radius of 0 is none.
+/// The fraction of its weight that a target keeps at a distance. A radius of 0 means no limit.
 double fade(double distance, double radius) { return radius > 0 ? 1 - smooth_step(2 * distance / radius - 1) : 1; }
 
-/// 0 where every joint is less than 150 degrees from the set's first pose, 1 where one is at 180.
+/// 0 if every joint is less than 150 degrees from the set's first pose, 1 if one is at 180.
 double turned_round(const TargetSet& set, const Eigen::Ref<const Rotations>& pose) {
   double kept = 1;
   for (int bone : set.bones)
@@ -66,18 +66,18 @@ double turned_round(const TargetSet& set, const Eigen::Ref<const Rotations>& pos
 void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations) {
   const Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>> m(transforms.row(bone).data());
   if (!m.allFinite())
-    throw Error("bone " + std::to_string(bone) +
-                " has a transform that is not a number: check its drivers and constraints");
+    throw Error("Bone " + std::to_string(bone) +
+                " has a transform that is not a number. Check its drivers and constraints.");
   const Matrix3d A = m.topLeftCorner<3, 3>();
   const Matrix3d square = A.transpose() * A;
   const double scale = square.trace() / 3;
   Eigen::Quaterniond q;
   if ((square - scale * Matrix3d::Identity()).cwiseAbs().maxCoeff() < 1e-6 * scale && A.determinant() > 0) {
-    q = Eigen::Quaterniond(Matrix3d(A / std::sqrt(scale)));  // as nearly every bone: rotated and no more
+    q = Eigen::Quaterniond(Matrix3d(A / std::sqrt(scale)));  // nearly every bone: rotated, scaled uniformly
   } else {
     const Eigen::JacobiSVD<Matrix3d> svd(A, Eigen::ComputeFullU | Eigen::ComputeFullV);
     Matrix3d U = svd.matrixU();
-    if (U.determinant() * svd.matrixV().determinant() < 0) U.col(2) *= -1;  // a mirrored bone: nearest proper rotation
+    if (U.determinant() * svd.matrixV().determinant() < 0) U.col(2) *= -1;  // mirrored: the nearest proper rotation
     q = Eigen::Quaterniond(Matrix3d(U * svd.matrixV().transpose()));
   }
   rotations.row(bone) << q.w(), q.x(), q.y(), q.z();
@@ -121,8 +121,8 @@ PoseSpace::Interpolated PoseSpace::interpolate(TargetSet set) {
   for (size_t j = 0; j < set.poses.size(); ++j)
     for (size_t k = 0; k < j; ++k)
       if (!(pose_distance(set.bones, set.poses[j], set.poses[k]) >= kSamePose))
-        throw Error("targets '" + set.names[k] + "' and '" + set.names[j] +
-                    "' have the same pose: pose the character differently and capture one of them again");
+        throw Error("Targets '" + set.names[k] + "' and '" + set.names[j] +
+                    "' have the same pose. Pose the character differently and capture one of them again.");
   Interpolated in;
   in.set = std::move(set);
   if (in.set.kernel == Kernel::thin_plate) {
@@ -139,11 +139,12 @@ PoseSpace::Interpolated PoseSpace::interpolate(TargetSet set) {
     in.usual.chordal = chordal;
     if (in.usual.fit(in.set)) return in;
   }
-  throw Error("the poses of targets '" + in.set.names.front() + "' to '" + in.set.names.back() +
-              "' cannot be interpolated: capture poses that differ more, or remove a target");
+  throw Error("The poses of targets '" + in.set.names.front() + "' to '" + in.set.names.back() +
+              "' cannot be interpolated. Capture poses that differ more, or remove a target.");
 }
 
-/// False when the kernel is not definite at these distances, or the system is too ill-conditioned to be cardinal.
+/// Returns false when the kernel is not definite at these distances, or the system is too ill-conditioned to be
+/// cardinal.
 bool PoseSpace::Interpolant::fit(const TargetSet& set) {
   const int count = int(set.poses.size());
   MatrixXd A = MatrixXd::Zero(count, count);
@@ -152,11 +153,11 @@ bool PoseSpace::Interpolant::fit(const TargetSet& set) {
   width = count > 1 ? A.sum() / (count * (count - 1.0)) : 1.0;
   A = A.unaryExpr([&](double d) { return kernel(set.kernel, width, d); });
 
-  const Eigen::Index entries = matrices ? 9 : 3;  // of a bone
+  const Eigen::Index entries = matrices ? 9 : 3;  // per bone
   span.resize(entries * set.bones.size(), 0);
   MatrixXd P = MatrixXd::Ones(count, 1);
   if (set.kernel == Kernel::thin_plate && count > 1) {
-    // Linear terms only where the poses have extent: elsewhere they could not be determined.
+    // Linear terms exist only in directions in which the poses differ; in others they could not be determined.
     MatrixXd coordinates(span.rows(), count);
     for (int j = 0; j < count; ++j)
       for (size_t i = 0; i < set.bones.size(); ++i)
@@ -171,7 +172,8 @@ bool PoseSpace::Interpolant::fit(const TargetSet& set) {
     P.rightCols(rank) = coordinates.transpose() * span;
   }
 
-  // Definite on the coefficients that the polynomial leaves, or weights overshoot and jump between the targets.
+  // The kernel must be definite on the coefficients that the polynomial leaves. Otherwise weights overshoot and jump
+  // between the targets.
   if (count > P.cols()) {
     const MatrixXd Q = MatrixXd(Eigen::HouseholderQR<MatrixXd>(P).householderQ()).rightCols(count - P.cols());
     const VectorXd values = Eigen::SelfAdjointEigenSolver<MatrixXd>(Q.transpose() * A * Q).eigenvalues();
@@ -215,7 +217,7 @@ void PoseSpace::weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<Vect
     if (turned < 1) in.usual.add_weights(set, pose, 1 - turned, out);
     if (turned > 0) in.turned->add_weights(set, pose, turned, out);
     out = out.cwiseMax(0.0);
-    out /= out.sum();  // >= 1: clamping only adds to a sum of one
+    out /= out.sum();  // the sum is >= 1, because clamping only adds to a sum of one
     for (size_t k = 1; k < set.radii.size(); ++k) {
       const double kept = out(k) * fade(pose_distance(set.bones, set.poses[k], pose), set.radii[k]);
       out(0) += out(k) - kept;

@@ -1,22 +1,23 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Pose space: how much each dynamic morph target counts at a pose.
 //
-// Per target set, cardinal radial basis functions over the joint rotations q of the set's bones:
+// Each target set uses cardinal radial basis functions of the joint rotations q of the set's bones:
 //
-//   w(q) = C^T phi(q) + P^T p(q),   w_j(q_k) = delta_jk,   sum_j w_j = 1,
+//   w(q) = C^T phi(q) + P^T p(q),   w_j(q_k) = delta_jk,   sum_j w_j = 1.
 //
-// then negatives are clamped and the rest renormalised, so that the blended stiffness stays positive definite. A target
-// of limited radius r_j fades out with its distance d_j, and the set's first target gets what is taken from it:
+// Negative weights are then clamped and the rest renormalized, so that the blended stiffness stays positive definite. A
+// target with a limited radius r_j fades out with its distance d_j, and the set's first target gets the weight it
+// loses:
 //
 //   w_j <- w_j s(d_j / r_j),   s = 1 up to a half, then 1 - t^2 (3 - 2 t) with t = 2 d_j / r_j - 1, 0 from one on.
 //
-// Distances are joint angles, which make the linear kernel a driver's hat function. Poses right round a joint (0, 90,
-// 180, -90 degrees) are no set of points in a flat space by their angles, and weights would jump: those sets use
-// chords, which are. A radius is a joint angle there too.
+// Distances are joint angles, which make the linear kernel a driver's hat function. Poses all the way around a joint
+// (0, 90, 180, -90 degrees) cannot be placed in a flat space by their angles, and weights would jump. Such sets use
+// chords, which are distances in a flat space. A radius is a joint angle there too.
 //
-// The thin plate's linear terms p(q) are the rotation vectors from the set's first pose, which turn round at 180
-// degrees. From 150 degrees on the weights pass over to a second interpolant without that jump: chords for distances,
-// and the entries of the rotation matrices for p(q), which is the thin plate in the space where chords are distances.
+// The thin plate's linear terms p(q) are the rotation vectors from the set's first pose, which flip at 180 degrees.
+// From 150 degrees on, the weights pass over to a second interpolant without that jump. It uses chords for distances
+// and the entries of the rotation matrices for p(q). This is the thin plate in the space where chords are distances.
 #pragma once
 
 #include <optional>
@@ -27,7 +28,7 @@
 
 namespace dynamorph {
 
-/// One rotation a row, unit quaternion w x y z; bones in the skeleton's order.
+/// One rotation per row, unit quaternion w x y z; bones in the skeleton's order.
 using Rotations = Eigen::Matrix<double, Eigen::Dynamic, 4, Eigen::RowMajor>;
 
 /// linear: |q - q_k|, in one dimension the piecewise-linear hat of a driver. gaussian and thin_plate are smooth.
@@ -39,33 +40,33 @@ struct TargetSet {
   std::vector<std::string> names;  ///< of the targets, for messages
   std::vector<Rotations> poses;    ///< per target, (bones of the skeleton, 4)
   Kernel kernel = Kernel::linear;
-  std::vector<double> radii = {};  ///< per target, radians, 0 unlimited, or none at all; the first one's is ignored
+  std::vector<double> radii = {};  ///< per target, radians, 0 unlimited; may be empty; the first one's is ignored
 };
 
-/// Local transforms, one row-major 4 x 4 a row.
+/// Local transforms, one row-major 4 x 4 per row.
 using LocalTransforms = Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 16, Eigen::RowMajor>>;
 
-/// The rotation of bone b's local transform, scale and shear removed, into row b.
+/// Writes the rotation of a bone's local transform, without scale and shear, into the bone's row.
 void rotation_of(const LocalTransforms& transforms, int bone, Rotations& rotations);
 
-/// Distance in radians over the set's bones: sqrt(sum of squared joint angles), or of their chords 2 sin(angle / 2).
-/// Blind to quaternion sign.
+/// Distance in radians over the set's bones: sqrt(sum of squared joint angles), or of their chords 2 sin(angle / 2). It
+/// does not depend on the signs of quaternions.
 double pose_distance(const std::vector<int>& bones, const Rotations& a, const Eigen::Ref<const Rotations>& b,
                      bool chordal = false);
 
 class PoseSpace {
  public:
-  /// Throws Error, naming both, when two targets of a set have (nearly) the same pose.
+  /// Throws Error, which names both, when two targets of a set have (nearly) the same pose.
   explicit PoseSpace(std::vector<TargetSet> sets);
 
   /// Number of targets of all sets.
   int targets() const { return targets_; }
 
-  /// Bones that some set names, ascending: the only rows of a pose that count.
+  /// The bones that any set uses, ascending. Only these rows of a pose count.
   const std::vector<int>& bones() const { return bones_; }
   int sets() const { return int(sets_.size()); }
 
-  /// Weights (J), set after set: each set's are >= 0 and sum to 1, and are a unit vector at a target's pose.
+  /// Weights (J), set after set. Each set's weights are >= 0 and sum to 1; at a target's pose they are a unit vector.
   /// Allocates nothing. `pose` (B, 4).
   void weights(const Eigen::Ref<const Rotations>& pose, Eigen::Ref<VectorXd> w) const;
 
@@ -79,7 +80,7 @@ class PoseSpace {
     double width = 1;       ///< of the kernel, radians
     MatrixXd coefficients;  ///< (J, J): row k times phi(|q - q_k|)
     MatrixXd polynomial;    ///< (1 + dims, J): the constant, then the linear terms on the poses' span
-    MatrixXd span;          ///< (3 or 9 bones, dims) orthonormal, empty but for thin_plate
+    MatrixXd span;          ///< (3 or 9 times bones, dims) orthonormal, empty except for thin_plate
 
     bool fit(const TargetSet& set);
     /// Adds `share` times the weights (J), which sum to one but may be negative.
@@ -89,7 +90,7 @@ class PoseSpace {
   struct Interpolated {
     TargetSet set;
     Interpolant usual;
-    std::optional<Interpolant> turned;  ///< towards 180 degrees; of thin_plate alone
+    std::optional<Interpolant> turned;  ///< used towards 180 degrees; thin_plate only
   };
   static Interpolated interpolate(TargetSet set);
 

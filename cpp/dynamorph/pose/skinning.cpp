@@ -8,7 +8,7 @@ namespace dynamorph {
 SkinWeights normalized(const Eigen::Ref<const MatrixXd>& weights) {
   if (!weights.allFinite() || (weights.array() < 0).any())
     throw std::invalid_argument("weights: skin weights must be finite and not negative");
-  constexpr double kNegligible = 1e-2;  // keeps the pairs of bones that share nodes few
+  constexpr double kNegligible = 1e-2;  // keeps the number of pairs of bones that share nodes small
   std::vector<Eigen::Triplet<double>> entries;
   for (Eigen::Index i = 0; i < weights.rows(); ++i) {
     const double total = weights.row(i).sum();
@@ -52,7 +52,7 @@ Transforms extrapolate_back(const Transforms& now, const Transforms& next, int k
     Eigen::Matrix4d here = Eigen::Matrix4d::Identity(), there = here;
     here.topRows<3>() = transform(now, b);
     there.topRows<3>() = transform(next, b);
-    // A bone that collapses or springs up is let rest: its motion extrapolates to anything.
+    // A bone that collapses or springs up stays at rest, because its motion could extrapolate to anything.
     const double growth = there.topLeftCorner<3, 3>().determinant() / here.topLeftCorner<3, 3>().determinant();
     if (!(growth > 0.1 && growth < 10)) continue;
     const Eigen::Matrix4d back = here * there.inverse();

@@ -29,8 +29,8 @@ VectorXd unit_mass(const SoftBody& body) {
   return mass;
 }
 
-/// The targets whose energies are in K about target j's shape: j, and of every other set the first, its neutral. They
-/// need not be ordered by set.
+/// The targets with energies in K about target j's shape: j itself, and of every other set the first target, which is
+/// its neutral. Targets need not be ordered by set.
 std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j) {
   std::vector<int> summed{j};
   std::set<int> sets{targets[j].set};
@@ -49,8 +49,8 @@ struct Factored {
     shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
     K.diagonal() += shift * mass;
     if (!solver.factorize(K))
-      throw Error("target '" + model.targets()[target].name +
-                  "' has a shape with degenerate elements: smooth its sculpt or raise the cage resolution");
+      throw Error("Target '" + model.targets()[target].name +
+                  "' has a shape with degenerate elements. Smooth its sculpt, or raise the cage resolution.");
   }
   VectorXd solve(const VectorXd& load) const {
     if (tick) tick();
@@ -78,7 +78,7 @@ class InverseOperator {
   explicit InverseOperator(const Factored& factored) : factored_(factored), root_(factored.mass.cwiseSqrt()) {}
   Eigen::Index rows() const { return root_.size(); }
   Eigen::Index cols() const { return root_.size(); }
-  void set_shift(double) {}  // the factorisation is already shifted
+  void set_shift(double) {}  // the factorization is already shifted
   void perform_op(const double* x, double* y) const {
     const Eigen::Map<const VectorXd> in(x, rows());
     Eigen::Map<VectorXd>(y, rows()) = root_.cwiseProduct(factored_.solve(root_.cwiseProduct(in)));
@@ -97,21 +97,21 @@ LinearModes solve_modes(const Factored& factored, const std::string& name, int k
   solver.init();
   const auto found = solver.compute(Spectra::SortRule::LargestMagn, 1000, 1e-10);
   if (solver.info() != Spectra::CompInfo::Successful || found < k)
-    throw Error("the vibration modes of target '" + name + "' were not found (" + std::to_string(found) + " of " +
-                std::to_string(k) + "): ask for fewer modes or rebuild the cage");
+    throw Error("The vibration modes of target '" + name + "' were not found (" + std::to_string(found) + " of " +
+                std::to_string(k) + "). Ask for fewer modes, or rebuild the cage.");
   LinearModes modes;
   modes.omega = solver.eigenvalues().cwiseMax(0).cwiseSqrt().reverse();
   modes.shapes = factored.mass.cwiseSqrt().cwiseInverse().asDiagonal() * solver.eigenvectors().rowwise().reverse();
   return modes;
 }
 
-/// How far displacements (3 free, k) together move a node, at most, whatever the axes.
+/// The largest distance that displacements (3 free, k) together move a node. It does not depend on the axes.
 double largest(const MatrixXd& u) {
   VectorXd squares = u.rowwise().squaredNorm();
   return std::sqrt(squares.reshaped(3, u.rows() / 3).colwise().sum().maxCoeff());
 }
 
-/// From end to end through the flesh's centre, metres, whatever the axes.
+/// The width of the body through its center, meters. It does not depend on the axes.
 double width(const SoftBody& body) {
   double farthest = 0;
   for (Eigen::Index i = 0; i < body.rest.size(); i += 3)
@@ -119,12 +119,13 @@ double width(const SoftBody& body) {
   return 2 * farthest;
 }
 
-/// The inertial loads (3 free, at most kLoads) that bones put on the flesh for unit density: each bone accelerating
-/// along and about each axis, the strongest combinations of all bones by SVD, scaled by their strength.
+/// The inertial loads (3 free, at most kLoads) that bones put on the soft tissue for unit density. Each bone
+/// accelerates along and about each axis. The loads are the strongest combinations of all bones by SVD, scaled by their
+/// strength.
 MatrixXd bone_loads(const SoftBody& body) {
   constexpr Eigen::Index kLoads = 24;
   const VectorXd mass = unit_mass(body);
-  // Nodes with transforms of their own are loaded as if one bone moved them.
+  // Nodes with their own transforms are loaded as if one bone moved them.
   const Eigen::Index nodes = body.skin.rows(), bones = body.own_transforms ? 1 : body.skin.cols();
   const auto X = [&](Eigen::Index i) { return Vector3d(body.rest.segment<3>(3 * i)); };
   MatrixXd centres = MatrixXd::Zero(3, bones);
@@ -146,7 +147,7 @@ MatrixXd bone_loads(const SoftBody& body) {
   for_each([&](Eigen::Index i, Eigen::Index b, double m) {
     for (int axis = 0; axis < 3; ++axis) {
       entries.emplace_back(3 * i + axis, 6 * b + axis, m);
-      // Turning, as fast at the bone's radius as the translation.
+      // Rotation, as fast at the bone's radius as the translation.
       const Vector3d turn = m / spread(b) * Vector3d::Unit(axis).cross(X(i) - centres.col(b));
       for (int c = 0; c < 3; ++c) entries.emplace_back(3 * i + c, 6 * b + 3 + axis, turn(c));
     }
@@ -158,10 +159,10 @@ MatrixXd bone_loads(const SoftBody& body) {
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
-/// Adds one element law's part of `force_curvatures`, that of target j.
+/// Adds target j's part of `force_curvatures`.
 void add_curvatures(const FullModel& model, int j, const RowMajor& modes, RowMajor& sum) {
   const SoftBody& body = model.body();
-  // Stable StVK is StVK with (lambda + mu, 0) less mu det F, whose second derivative is the cross product.
+  // Stable StVK is StVK with (lambda + mu, 0) minus mu det F. The second derivative of det F is the cross product.
   const bool stable = model.law() == Law::stable_stvk;
   const double mu = model.targets()[j].lame.mu;
   const Lame lame = stable ? Lame{model.targets()[j].lame.lambda + mu, 0} : model.targets()[j].lame;
@@ -191,18 +192,17 @@ void add_curvatures(const FullModel& model, int j, const RowMajor& modes, RowMaj
 
 /// Candidate displacements about one target.
 struct Candidates {
-  MatrixXd modes;      ///< as each answers a slow load: phi_i / omega_i^2 (by 1 / omega_i high modes crowd the
-                       ///< derivatives out and large motions lock: docs/decisions)
+  MatrixXd modes;      ///< scaled as they respond to a slow load: phi_i / omega_i^2 (with 1 / omega_i, high modes
+                       ///< crowd out the derivatives and large motions lock: docs/decisions)
   MatrixXd bending;    ///< derivatives of pairs of those modes, quadratic in their scale
   MatrixXd responses;  ///< static, to the bones' loads
-  double response;     ///< how far uniform accelerations move the flesh, in the scale of the responses
+  double response;     ///< how far uniform accelerations move the body, in the scale of the responses
 };
 
 Candidates candidates(const FullModel& model, int target, int k, const MatrixXd& loads, const ProgressFn& progress) {
   const int bent = model.law() == Law::linear ? 0 : std::min(k, 10);  // stiffer modes bend too little to count
   const Eigen::Index pairs = bent * (bent + 1) / 2;
-  const double expected =
-      double(k + pairs + loads.cols() + 3 + 4 * k);  // solves: the eigensolver takes a few for a mode
+  const double expected = double(k + pairs + loads.cols() + 3 + 4 * k);  // solves; the eigensolver takes a few per mode
   double solves = 0;
   const Factored factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
@@ -220,9 +220,10 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   return out;
 }
 
-/// All targets' candidates as columns, times `root` by rows, in common units: the softest target's first mode moves by
-/// `amplitude` metres, the others' with about the same energy, and so far they would by a uniform acceleration: stiff
-/// targets move less, and so count less, but by the same loads they would hardly count.
+/// All targets' candidates as columns in common units, with rows multiplied by `root`. The softest target's first mode
+/// moves by `amplitude` meters, and the first modes of the others with about the same energy. A uniform acceleration
+/// moves each target as far as its first mode. Stiff targets therefore move less and count less; under the same loads
+/// they would hardly count at all.
 RowMajor in_common_units(const std::vector<Candidates>& found, double amplitude, const VectorXd& root) {
   double softest = 0;
   Eigen::Index columns = 0;
@@ -246,7 +247,7 @@ RowMajor in_common_units(const std::vector<Candidates>& found, double amplitude,
   return all;
 }
 
-/// A^T A, the lower triangle.
+/// The lower triangle of A^T A.
 MatrixXd gram(const RowMajor& A) {
   GramAccumulator products(A.cols());
   for (Eigen::Index i = 0; i < A.rows(); ++i) products.add(A.row(i).data());
@@ -257,7 +258,7 @@ MatrixXd gram(const RowMajor& A) {
   return out;
 }
 
-/// Orthonormal basis of the columns' span, relative rank tolerance 1e-9.
+/// Orthonormal basis of the columns' span, with a relative rank tolerance of 1e-9.
 MatrixXd orthonormal(const MatrixXd& columns) {
   MatrixXd unit = columns;
   for (Eigen::Index c = 0; c < unit.cols(); ++c)
@@ -295,7 +296,7 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   if (r <= shapes.cols() || r >= model.dofs() / 2)
     throw Error(std::to_string(r) + " modes: this model needs more than " + std::to_string(shapes.cols()) +
                 " (its targets' shapes) and fewer than " + std::to_string(model.dofs() / 2) +
-                " (half its degrees of freedom)");
+                " (half its degrees of freedom).");
 
   Basis basis;
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
@@ -310,23 +311,23 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
             [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });
   RowMajor all = in_common_units(found, 0.1 * width(model.body()), root);
 
-  // Mass-PCA by the method of snapshots on what the targets' shapes do not already span.
+  // Mass-PCA by the method of snapshots, on what the targets' shapes do not already span.
   const double total = all.squaredNorm();
   all.noalias() -= shapes * (shapes.transpose() * all);
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(all));
   const int motions = r - int(shapes.cols());
   if (eigen.eigenvalues()(all.cols() - motions) <= 1e-14 * total)
-    throw Error(std::to_string(r) + " modes are more than this cage can move in: ask for fewer");
+    throw Error(std::to_string(r) + " modes are more than this cage can move in. Ask for fewer.");
   MatrixXd Y(model.dofs(), r);
   Y.leftCols(shapes.cols()) = shapes;
   Y.rightCols(motions) = all * eigen.eigenvectors().rightCols(motions).rowwise().reverse();
   for (Eigen::Index c = shapes.cols(); c < r; ++c) Y.col(c).normalize();
-  // Householder QR leaves the span and makes the columns orthonormal to round-off.
+  // Householder QR keeps the span and makes the columns orthonormal to round-off.
   const Eigen::HouseholderQR<MatrixXd> qr(Y);
   Y = qr.householderQ() * MatrixXd::Identity(Y.rows(), r);
   basis.explained_variance = 1 - std::max(0.0, eigen.eigenvalues().head(all.cols() - motions).sum()) / total;
   basis.U = root.cwiseInverse().asDiagonal() * Y;
-  if (!basis.U.allFinite()) throw Error("the modes of this set-up are not finite: check its stiffness and rebuild");
+  if (!basis.U.allFinite()) throw Error("The modes of this setup are not finite. Check its stiffness and rebuild.");
   report(progress, 1);
   return basis;
 }

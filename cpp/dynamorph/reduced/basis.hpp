@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The subspace of a reduced soft skin (docs/theory.md, Reduction): per target linear modes, their modal derivatives and
-// the static responses to accelerated bones, compressed by mass-PCA; the targets' own shapes stay exactly in the span.
+// The subspace of a reduced soft skin (docs/theory.md, Reduction). For each target it has linear modes, their modal
+// derivatives and the static responses to accelerated bones, compressed by mass-PCA. The targets' own shapes stay
+// exactly in the span.
 #pragma once
 
 #include "dynamorph/core/progress.hpp"
@@ -14,12 +15,12 @@ struct LinearModes {
   VectorXd omega;   ///< (k), rad/s, ascending
 };
 
-/// The k lowest modes of `target` by Spectra, shift-invert with a sparse Cholesky factorisation.
+/// The k lowest modes of `target`, found by Spectra with shift-invert and a sparse Cholesky factorization.
 /// Throws Error when the eigensolver does not converge.
 LinearModes linear_modes(const FullModel& model, int target, int k);
 
-/// Second derivatives of the force about a target's shape, the other sets in their neutral shapes (3 free, pairs of
-/// modes (pair_index)): d2F[phi_k, phi_l] in the model's law, with the sets that linear_modes' K is made of.
+/// Second derivatives d2F[phi_k, phi_l] of the force about a target's shape, with the other sets in their neutral
+/// shapes: (3 free, pairs of modes (pair_index)). They use the model's law, and the same targets as K of linear_modes.
 MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes);
 
 struct Basis {
@@ -27,7 +28,8 @@ struct Basis {
   double explained_variance = 1;  ///< fraction of the candidates' mass-weighted variance in the span
 };
 
-/// r modes for all targets of the model. Throws Error when r cannot hold every target's shape and one mode of motion.
+/// Makes r modes for all targets of the model. Throws Error when r cannot hold every target's shape and one mode of
+/// motion.
 Basis make_basis(const FullModel& model, int r, const ProgressFn& progress = {});
 
 }  // namespace dynamorph

@@ -30,7 +30,7 @@ void packed_product(const DoubleW* __restrict S, const DoubleW* __restrict x, In
 }
 
 void dot(const DoubleW* a, const DoubleW* b, Index size, DoubleW& out) {
-  DoubleW sums[4] = {};  // independent, or each addition would wait for the one before
+  DoubleW sums[4] = {};  // independent, so that no addition waits for the one before
   Index i = 0;
   for (; i + 4 <= size; i += 4)
     for (int k = 0; k < 4; ++k) sums[k] = mul_add(sums[k], a[i + k], b[i + k]);
@@ -50,7 +50,7 @@ void expand(const DoubleW* q, const DoubleW* centre, Index r, FloatW* v, FloatW*
 void add_orders(const float* __restrict table, Index rows, Index r, const FloatW& w, const FloatW* __restrict v,
                 const FloatW* __restrict pairs, FloatW* __restrict product, FloatW* __restrict linear,
                 FloatW* __restrict quadratic) {
-  for (Index p = 0; p < rows; p += 4) {  // four sums at a time, or each addition would wait for the one before
+  for (Index p = 0; p < rows; p += 4) {  // four sums at a time, so that no addition waits for the one before
     FloatW sums[4] = {};
     for (Index m = 0; m < r; ++m)
       for (int i = 0; i < 4; ++i) sums[i] = mul_add(sums[i], table[m * rows + p + i], v[m]);
@@ -64,7 +64,7 @@ void add_orders(const float* __restrict table, Index rows, Index r, const FloatW
     FloatW s0 = {}, s1 = {}, s2 = {}, s3 = {};
     const Index diagonal = panel / 2;
     for (Index chunk = diagonal; chunk < chunks; ++chunk, table += 4 * kChunk) {
-      const bool whole = chunk == diagonal;  // stored whole, and so counted once
+      const bool whole = chunk == diagonal;  // stored in full, so counted once
       for (Index i = 0; i < kChunk; ++i) {
         const float a0 = table[i], a1 = table[kChunk + i], a2 = table[2 * kChunk + i], a3 = table[3 * kChunk + i];
         product[kChunk * chunk + i] += mul_add(a0 * x0, a1, x1) + mul_add(a2 * x2, a3, x3);
@@ -136,7 +136,7 @@ void substitute(const DoubleW* V, const DoubleW* inverse, Index r, DoubleW* x) {
 bool all_finite(const double* transforms, const int* bones, Index count) {
   double nothing[4] = {};
   for (Index b = 0; b < count; ++b)
-    for (int e = 0; e < 12; ++e) nothing[e % 4] += 0 * transforms[12 * bones[b] + e];  // not a number if that is not
+    for (int e = 0; e < 12; ++e) nothing[e % 4] += 0 * transforms[12 * bones[b] + e];  // NaN if the entry is not finite
   return nothing[0] + nothing[1] + nothing[2] + nothing[3] == 0;
 }
 

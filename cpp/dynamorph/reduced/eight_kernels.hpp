@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The loops that a step of eight characters spends its time in, beside those of modal_inertia: one character a lane.
-// Symmetric matrices are packed upper triangles.
+// The hot loops of a step of eight characters, besides those of modal_inertia. Each lane is one character. Symmetric
+// matrices are packed upper triangles.
 #pragma once
 
 #include "dynamorph/simd/dispatch.hpp"
@@ -20,28 +20,29 @@ DYNAMORPH_KERNEL(void, packed_product, const DoubleW* S, const DoubleW* x, Index
 
 DYNAMORPH_KERNEL(void, dot, const DoubleW* a, const DoubleW* b, Index size, DoubleW& out);
 
-/// v in single precision and its pairs, both orders of a pair together.
+/// v = q - centre in single precision, and the products of its pairs, with both orders of a pair together.
 DYNAMORPH_KERNEL(void, expand, const DoubleW* q, const DoubleW* centre, Index r, FloatW* v, FloatW* pairs);
 
-/// linear += w K1 v and quadratic += w K2 (v v) of one target's table, as table_layout.hpp orders it.
+/// linear += w K1 v and quadratic += w K2 (v v) for one target's table, in the order of table_layout.hpp.
 DYNAMORPH_KERNEL(void, add_orders, const float* table, Index rows, Index r, const FloatW& w, const FloatW* v,
                  const FloatW* pairs, FloatW* product, FloatW* linear, FloatW* quadratic);
 
-/// As contract_orders of polynomial_kernels.hpp; the tangent packed.
+/// Like contract_orders of polynomial_kernels.hpp, with a packed tangent.
 DYNAMORPH_KERNEL(void, contract, const DoubleW* constant, const FloatW* linear, const FloatW* quadratic,
                  const DoubleW* q, const DoubleW* centre, const DoubleW* rest_force, Index r, DoubleW* force,
                  DoubleW* tangent, DoubleW& energy);
 
-/// Columns L D of L D L^T in place of the packed matrix, and D^-1; a lane whose matrix is not positive definite gets a
-/// zero or negative entry there.
+/// Replaces the packed matrix by the columns L D of L D L^T, and computes D^-1. In a lane where the matrix is not
+/// positive definite, D^-1 gets an entry that is not positive and finite.
 DYNAMORPH_KERNEL(void, factorize, DoubleW* V, Index r, DoubleW* inverse);
 
 DYNAMORPH_KERNEL(void, substitute, const DoubleW* V, const DoubleW* inverse, Index r, DoubleW* x);
 
-/// Of the given bones' transforms (B, 12).
+/// Whether the given bones' transforms (B, 12) are all finite.
 DYNAMORPH_KERNEL(bool, all_finite, const double* transforms, const int* bones, Index count);
 
-/// jump += of one bone's flesh by its moments, of an affine motion off its course (12 entries).
+/// Adds to `jump` how far one bone's soft tissue is off its course: the squared distance, integrated by the bone's
+/// moments. The motions are affine (12 entries).
 DYNAMORPH_KERNEL(void, add_jump, const DoubleW* now, const DoubleW* last, const DoubleW* before, const double* moments,
                  const double* centre, DoubleW& jump);
 

@@ -11,7 +11,7 @@ namespace {
 
 Index tiles_for(Index size) { return (size + kTile - 1) / kTile; }
 
-/// Row `at` of a batch, into panels.
+/// Packs row `at` of a batch into panels.
 void pack(const double* row, Index size, Index at, double* panels) {
   panels += at * kTile;
   Index i = 0;

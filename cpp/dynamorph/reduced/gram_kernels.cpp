@@ -7,7 +7,7 @@ namespace dynamorph::DYNAMORPH_ISA {
 
 namespace {
 
-/// C (4, kTile) += A^T B for `depth` rows of two panels; A from the first of its four columns.
+/// C (4, kTile) += A^T B for `depth` rows of two panels. A points to the first of its four columns.
 DYNAMORPH_INLINE void quarter_tile(const double* __restrict A, const double* __restrict B, Index depth,
                                    double* __restrict C) {
   Double4 sums[4][3] = {};

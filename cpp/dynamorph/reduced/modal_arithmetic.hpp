@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The arithmetic of modal_inertia: what tensors of bones and of pairs of bones (modal_terms.hpp) are contracted with.
-// Lanes are eight terms, or eight characters, in single precision; tests take one term in double.
+// The arithmetic of modal_inertia: how the tensors of bones and of pairs of bones (modal_terms.hpp) are contracted.
+// Lanes are eight terms, or eight characters, in single precision; tests use one term in double.
 #pragma once
 
 #include "dynamorph/simd/lanes.hpp"
 
 namespace dynamorph::terms {
 
-constexpr int kMoments = 4, kPoses = 5;  ///< InertialTarget's
+constexpr int kMoments = 4, kPoses = 5;  ///< as in InertialTarget
 constexpr int kRigid = 12, kSymmetric = 6, kSkew = 3;
 
-/// Entries of a term's tensor.
+/// Number of entries of a term's tensor.
 constexpr Index entries(Index r) { return (kRigid + kSymmetric) * r + (kSymmetric + kSkew) * (r * (r - 1) / 2); }
 
-/// Of each lane's term: coefficients that their tensors are contracted with.
+/// The coefficients that the tensor of each lane's term is contracted with.
 template <class Lanes>
 struct Coefficients {
   Lanes rigid[kRigid];                              ///< of the rest positions, and of the weights alone
@@ -21,7 +21,7 @@ struct Coefficients {
   Lanes mass[kSymmetric];
 };
 
-/// Symmetric and skew parts that the tensors are stored by: xx yy zz, xy yz zx; xy yz zx.
+/// Splits G into the symmetric and skew parts that the tensors are stored by: xx yy zz, xy yz zx; xy yz zx.
 template <class Lanes>
 DYNAMORPH_INLINE void split(const Lanes G[3][4], Lanes* parts) {
   for (int i = 0; i < 3; ++i) {
@@ -32,8 +32,8 @@ DYNAMORPH_INLINE void split(const Lanes G[3][4], Lanes* parts) {
   }
 }
 
-/// From eight terms' own motions, entry after entry. sign: 1 of a bone, whose mass counts by how far it is from rigid;
-/// -1 of a pair.
+/// Computes the coefficients from the motions of eight terms, entry after entry. sign: 1 for a bone, with a mass
+/// counted by how far the bone is from rigid; -1 for a pair.
 template <class Lanes>
 DYNAMORPH_INLINE void contract_bones(const Lanes (*motion)[12], const Lanes& sign, Coefficients<Lanes>& out) {
   Lanes R[3][3], G[3][4];
@@ -57,7 +57,7 @@ DYNAMORPH_INLINE void contract_bones(const Lanes (*motion)[12], const Lanes& sig
   }
 }
 
-/// The 9 coefficients of each mode. y: its backward differences, numbers or lanes.
+/// Computes the 9 coefficients of each mode. y: each mode's backward differences, numbers or lanes.
 template <class Lanes, class Y>
 DYNAMORPH_INLINE void take_slopes(const Coefficients<Lanes>& c, const Y* y, Index r, Lanes* slopes) {
   for (int e = 0; e < kSymmetric + kSkew; ++e) {
@@ -69,19 +69,19 @@ DYNAMORPH_INLINE void take_slopes(const Coefficients<Lanes>& c, const Y* y, Inde
   }
 }
 
-/// force += tensors : coefficients, and with kHeavy the mass, packed: of eight terms (Table: const Lanes*) or of one
-/// term for eight characters (const float*). slopes: 9 coefficients of each mode.
+/// force += tensors : coefficients, and with kHeavy the same for the packed mass. It takes eight terms (Table: const
+/// Lanes*) or one term for eight characters (const float*). slopes: 9 coefficients of each mode.
 template <bool kHeavy, class Table, class Lanes>
 DYNAMORPH_INLINE void add_terms(Table table, Index r, const Lanes* __restrict slopes, const Coefficients<Lanes>& c,
                                 Lanes* __restrict force, Lanes* __restrict mass) {
   constexpr int kEntries = kSymmetric + kSkew;
   for (Index k = 0; k < r; ++k) {
     const Lanes* own = slopes + kEntries * k;
-    Lanes sums[3] = {};  // independent, or each addition would wait for the one before
+    Lanes sums[3] = {};  // independent, so that no addition waits for the one before
     for (int e = 0; e < kRigid; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], c.rigid[e]);
     table += kRigid;
     for (int e = 0; e < kSymmetric; ++e) sums[e % 3] = mul_add(sums[e % 3], table[e], own[e]);
-    // Two loops, each of which keeps its coefficients in registers.
+    // Two loops, so that each keeps its coefficients in registers.
     if (kHeavy) {
       Table row = table;
       for (Index l = k; l < r; row += l == k ? kSymmetric : kEntries, ++l) {
@@ -122,14 +122,14 @@ DYNAMORPH_INLINE Value weigh(const double* coefficients, const Value& b0, const 
       coefficients[4], b4);
 }
 
-/// What one bone contributes to the terms (BoneMotion), of one character or of eight. bones: its twelve entries in each
-/// pose; coefficients (kMoments, kPoses), row-major. Only the sums are rounded: each has the size of what it adds to
-/// the force.
+/// What one bone contributes to the terms (BoneMotion), for one character or for eight. bones: its twelve entries in
+/// each pose. coefficients (kMoments, kPoses), row-major. Only the sums are rounded, because each is as large as what
+/// it adds to the force.
 template <class Value, class Single>
 DYNAMORPH_INLINE void combine(const Value* const* bones, const double* coefficients, const double* centre,
                               const double* gravity_offset, Single (*out)[12]) {
   for (int i = 0; i < 3; ++i) {
-    Value first[4];  // the row of the first difference, whose translation is moved to the centre
+    Value first[4];  // the row of the first difference, with its translation moved to the center
     for (int j = 0; j < 4; ++j) {
       const int e = 4 * i + j;
       const Value b0 = bones[0][e], b1 = bones[1][e], b2 = bones[2][e], b3 = bones[3][e], b4 = bones[4][e];

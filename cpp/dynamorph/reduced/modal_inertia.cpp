@@ -14,11 +14,11 @@ namespace {
 
 using namespace terms;
 
-/// Part of the force at which a pair of bones is left out, whatever the pose (see modal_kernels.cpp).
+/// Pairs of bones with a smaller part of the force are left out, whatever the pose (see modal_kernels.cpp).
 constexpr double kNegligible = 1e-5;
 using BoneMotion = ModalInertia::BoneMotion;
 
-/// lanes[m][e][t] = entry e of matrix m of term t: its bone's, less that of the second bone of a pair.
+/// lanes[m][e][t] = entry e of matrix m of term t: that of its bone, minus that of the second bone for a pair.
 void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<int, int>>& terms,
             const std::array<float, kLanes>& signs, FloatW lanes[][12]) {
   for (size_t t = 0; t < terms.size(); ++t) {
@@ -33,7 +33,7 @@ void gather(const std::vector<BoneMotion>& bones, const std::vector<std::pair<in
 
 ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols()), centre_(body.centre) {
   const Index nodes = body.skin.rows();
-  VectorXd motion(nodes);  // of each node in the modes
+  VectorXd motion(nodes);  // how much each node moves in the modes
   for (Index i = 0; i < nodes; ++i) motion(i) = U.middleRows<3>(3 * i).squaredNorm();
   const double all_motion = body.volumes.rowwise().sum().dot(motion);
   for (int s = 0; s < body.sets(); ++s) {
@@ -43,7 +43,7 @@ ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols(
       motions[bones] += part * motion(i) / all_motion;
     });
     std::vector<std::pair<double, Bones>> terms,
-        pairs;  // with a bound, by Cauchy and Schwarz, of their part of the force
+        pairs;  // with a bound (Cauchy-Schwarz) on their part of the force
     for (const auto& [bones, share] : volumes) {
       const double influence = std::sqrt(share * motions[bones]);
       if (influence > kNegligible) (bones.first == bones.second ? terms : pairs).push_back({influence, bones});

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Inertia of a soft skin in modes, without its mesh: its cost does not depend on the number of nodes.
+// Inertia of a soft skin in modes, without its mesh. The cost does not depend on the number of nodes.
 //
-// Nodes are posed by x = sum_b w_b (R_b (X + U z) + t_b), linear in the bones' matrices, so every sum over nodes is a
-// fixed tensor contracted with those. Weights sum to one, hence for any matrices D_b
+// Nodes are posed by x = sum_b w_b (R_b (X + U z) + t_b). This is linear in the bones' matrices, so every sum over
+// nodes is a fixed tensor contracted with those matrices. Weights sum to one, hence for any matrices D_b
 //
-//   A^T sum_b w_b D_b = sum_b w_b R_b^T D_b - sum_{b<c} w_b w_c (R_b - R_c)^T (D_b - D_c):
+//   A^T sum_b w_b D_b = sum_b w_b R_b^T D_b - sum_{b<c} w_b w_c (R_b - R_c)^T (D_b - D_c).
 //
-// a sum over `terms`, which are the bones, and the pairs of bones that share flesh. Rigid bones need only the pairs for
-// the mass (R_b^T R_b = 1), and pairs that turn together need nothing.
+// This is a sum over `terms`: the bones, and the pairs of bones that share soft tissue. If bones are rigid, R_b^T R_b =
+// 1, the mass needs only the pairs. Pairs that rotate together need nothing.
 #pragma once
 
 #include <array>
@@ -25,15 +25,14 @@ class ModalInertia {
   /// Tensors of all target sets in the basis U (3 free, r).
   ModalInertia(const SoftBody& body, const MatrixXd& U);
 
-  /// What one bone contributes to the terms, 3 x 4 row-major: its transform, then sum_n coefficients'(m, n) [R_n | t_n]
-  /// for each backward difference m of the coordinates; t of the first of those, at the flesh's centre and less
-  /// gravity_offset,
-  /// counts.
+  /// What one bone contributes to the terms, as 3 x 4 row-major matrices: its transform, then sum_n coefficients'(m, n)
+  /// [R_n | t_n] for each backward difference m of the coordinates. Only the first difference uses its t, which is
+  /// taken at the body's center and minus gravity_offset.
   struct BoneMotion {
     float values[1 + InertialTarget::kMoments][12];
   };
 
-  /// What `evaluate` makes, and its scratch: nothing is allocated after the first time.
+  /// The results of `evaluate`, and its scratch. Nothing is allocated after the first time.
   struct Result {
     MatrixXd mass;    ///< U^T A^T M A U (r, r)
     MatrixXd damped;  ///< the same with M times mass damping
@@ -44,11 +43,11 @@ class ModalInertia {
   };
 
   /// Mass and force of `inertial` in the pose of its first bones. Tensors are in single precision, differences in time
-  /// in double. Pairs of bones that matter little are simplified: with 20 bones and 33 pairs bent by half a radian the
-  /// mass is within 4e-4 and the force within 7e-6 of the nodes' own, with few bones both within 1e-7.
+  /// in double. Pairs of bones that matter little are simplified. With 20 bones and 33 pairs bent by half a radian, the
+  /// mass is within 4e-4 and the force within 7e-6 of a sum over the nodes; with few bones, both are within 1e-7.
   void evaluate(const InertialTarget& inertial, const SetDensities& densities, Result& out) const;
 
-  /// The same of eight characters, one a lane: coordinates (r); the entries of used_bones(), twelve each.
+  /// The same for eight characters, one per lane: coordinates (r), and twelve entries for each of used_bones().
   struct EightInertialTarget {
     std::array<const DoubleW*, InertialTarget::kMoments> q;
     std::array<const DoubleW*, InertialTarget::kPoses> bones;
@@ -60,37 +59,37 @@ class ModalInertia {
     LaneVector<DoubleW> force;
     LaneVector<FloatW> bones, differences, sums, slopes;
   };
-  /// density, damping: of each target set.
+  /// density, damping: one for each target set.
   void evaluate(const EightInertialTarget& inertial, const DoubleW* density, const DoubleW* damping,
                 EightInertia& out) const;
 
-  /// The bones that carry flesh.
+  /// The bones that carry soft tissue.
   const std::vector<int>& used_bones() const { return used_; }
 
   /// Number of terms of all sets.
   int terms() const;
 
  private:
-  using Bones = std::pair<int, int>;  ///< (b, b) one bone, (b, c) a pair; of used_
+  using Bones = std::pair<int, int>;  ///< (b, b) for one bone, (b, c) for a pair; places in used_
   /// Up to eight terms, side by side.
   struct Group {
     std::vector<Bones> bones;
-    std::array<float, kLanes> signs;  ///< 1 of a bone, -1 of a pair
-    double influence;                 ///< the largest part of the force that one of them can have, if all are pairs
+    std::array<float, kLanes> signs;  ///< 1 for a bone, -1 for a pair
+    double influence;  ///< the largest part of the force that one can have; infinite unless all are pairs
   };
-  /// Of one target set.
+  /// The tensors of one target set.
   struct Tensors {
     VectorXd mass;              ///< U^T M1 U, packed upper triangle
     std::vector<Group> groups;  ///< bones, then pairs, the most influential first
     LaneVector<FloatW> table;   ///< terms::entries of each group
-    std::vector<float> terms;   ///< the same, entries() of one term after another
+    std::vector<float> terms;   ///< the same, term after term
   };
-  int used(int bone);  ///< its place in used_, where it is added
+  int used(int bone);  ///< its place in used_; adds it if it is missing
   void tabulate(const SoftBody& body, const MatrixXd& U, int set, Tensors& out) const;
 
   Eigen::Index r_;
-  Vector3d centre_;        ///< of the flesh: rest positions are relative to it
-  std::vector<int> used_;  ///< first those of the terms
+  Vector3d centre_;        ///< of the body; rest positions are relative to it
+  std::vector<int> used_;  ///< those of the terms come first
   size_t in_terms_;        ///< how many those are
   std::vector<Tensors> sets_;
 };

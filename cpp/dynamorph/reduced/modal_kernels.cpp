@@ -9,13 +9,13 @@ namespace {
 
 using namespace terms;
 
-// Parts of the force at which pairs of bones are simplified. All together, with those that ModalInertia leaves out for
-// good, they change Herbert's dive (sample_blends) by 1e-4 of its motion; skin weights below 1 %, which count as zero,
-// change it more.
-constexpr double kUnnoticed = 1e-7;  ///< left out in a pose that turns the bones so little against each other
-constexpr double kSlight = 1e-4;     ///< acts on the flesh as if it did not move in the modes
+// Pairs of bones with a smaller part of the force than this are simplified. Together with those that ModalInertia
+// leaves out for good, they change Herbert's dive (sample_blends) by 1e-4 of its motion. Skin weights below 1 %, which
+// count as zero, change it more.
+constexpr double kUnnoticed = 1e-7;  ///< left out, because the pose turns the bones so little against each other
+constexpr double kSlight = 1e-4;     ///< counted as if the soft tissue did not move in the modes
 
-/// How much the mass's coefficients can change it.
+/// The most that the coefficients of the mass can change it.
 DYNAMORPH_INLINE float largest(const Coefficients<FloatW>& c) {
   FloatW most = c.mass[0] * c.mass[0];
   for (int e = 1; e < kSymmetric; ++e) most = mul_add(most, c.mass[e], c.mass[e]);
@@ -24,7 +24,7 @@ DYNAMORPH_INLINE float largest(const Coefficients<FloatW>& c) {
   return __builtin_sqrtf(out);
 }
 
-/// The part of a force that does not depend on the coordinates.
+/// Adds the part of a force that does not depend on the coordinates.
 template <class Table>
 DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<FloatW>& c, FloatW* __restrict force) {
   for (Index k = 0; k < r; ++k) {
@@ -35,8 +35,8 @@ DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<FloatW>
   }
 }
 
-/// Lane by lane, to force (r) and packed mass. y: each mode's backward differences, numbers or lanes. influence: the
-/// largest part of the force that a term can have, where all are pairs.
+/// Adds to force (r) and packed mass, lane by lane. y: each mode's backward differences, numbers or lanes. influence:
+/// the largest part of the force that a term can have; infinite unless all are pairs.
 template <class Table, class Y>
 DYNAMORPH_INLINE void add_contribution(const FloatW (*motion)[12], const FloatW& sign, double influence, const Y* y,
                                        Index r, Table table, FloatW* slopes, FloatW* force, FloatW* mass) {
@@ -47,13 +47,13 @@ DYNAMORPH_INLINE void add_contribution(const FloatW (*motion)[12], const FloatW&
   if (pairs && change * influence < kUnnoticed) return;
   if (pairs && change * influence < kSlight) return add_rigid(table, r, c, force);
   take_slopes(c, y, r, slopes);
-  if (change > 1e-6F)  // bones are rigid to Blender's single precision
+  if (change > 1e-6F)  // Blender's bones are rigid only to single precision
     add_terms<true>(table, r, slopes, c, force, mass);
   else
     add_terms<false>(table, r, slopes, c, force, mass);
 }
 
-/// Of two vectors, each one's neighbours, pairs of neighbours, or halves added up.
+/// Adds up the neighbors, the pairs of neighbors, or the halves of each of two vectors.
 DYNAMORPH_INLINE Float8 added_neighbours(const Float8& a, const Float8& b) {
   return __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14) +
          __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The tensors of bones and of pairs of bones that modal_inertia contracts, and what they are contracted with.
+// The tensors of bones and of pairs of bones that modal_inertia contracts, and the coefficients to contract them with.
 #pragma once
 
 #include <vector>
@@ -10,9 +10,9 @@
 
 namespace dynamorph::terms {
 
-static_assert(kMoments == InertialTarget::kMoments && kPoses == InertialTarget::kPoses, "as modal_arithmetic.hpp says");
+static_assert(kMoments == InertialTarget::kMoments && kPoses == InertialTarget::kPoses, "see modal_arithmetic.hpp");
 
-/// visit(node, bones, volume) for the bones (b, b) of every node and the pairs (b, c), b < c, that share it.
+/// Calls visit(node, bones, volume) for the bones (b, b) of every node, and for the pairs (b, c), b < c, that share it.
 template <class Visit>
 void for_each_term(const SoftBody& body, int set, const Visit& visit) {
   for (Index i = 0; i < body.skin.rows(); ++i)
@@ -23,7 +23,7 @@ void for_each_term(const SoftBody& body, int set, const Visit& visit) {
                 body.volumes(i, set) * b.value() * (b.col() == c.col() ? 1 : c.value()));
 }
 
-/// One node's tensor in the order of add_terms: U (3, r) of the node, X its rest position.
+/// One node's tensor in the order of add_terms. U (3, r) is that of the node, X is its rest position.
 inline void node_tensor(const Eigen::Ref<const Eigen::Matrix3Xd>& U, const Vector3d& X, VectorXd& out) {
   double* entry = out.data();
   for (Index k = 0; k < U.cols(); ++k) {
@@ -38,8 +38,9 @@ inline void node_tensor(const Eigen::Ref<const Eigen::Matrix3Xd>& U, const Vecto
   }
 }
 
-/// Shares of the backward differences q_0, q_0 - q_1, q_0 - 2 q_1 + q_2, ... instead of the coordinates themselves.
-/// Each has the size of what it adds to the force, which therefore keeps its digits in single precision.
+/// The coefficients of the backward differences q_0, q_0 - q_1, q_0 - 2 q_1 + q_2, ... instead of those of the
+/// coordinates themselves. Each difference is as large as what it adds to the force, so the force keeps its digits in
+/// single precision.
 using Shares = Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses, Eigen::RowMajor>;
 inline Shares shares_of_differences(
     const Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses>& coefficients) {

@@ -10,7 +10,7 @@ using terms::kPoses;
 
 namespace {
 
-static_assert(kPoses == InertialTarget::kPoses, "as modal_arithmetic.hpp says");
+static_assert(kPoses == InertialTarget::kPoses, "see modal_arithmetic.hpp");
 
 double sum(const DoubleW& lanes) {
   double out = 0;
@@ -50,7 +50,7 @@ void NodalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
     }
     poses[n] = (body_->own_transforms ? *inertial.bones[n] : scratch.poses[n].nodes).data();
   }
-  scratch.displacements.resize(kPoses, r_);  // column-major: pose after pose of each mode
+  scratch.displacements.resize(kPoses, r_);  // column-major: the poses of a mode are contiguous
   for (Index k = 0; k < r_; ++k)
     for (int n = 0; n < kPoses; ++n) {
       double all = 0;

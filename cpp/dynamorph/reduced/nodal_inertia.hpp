@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Inertia of a soft skin in modes, node by node: for skinning that is not linear in the bones' matrices, where
-// ModalInertia's sums do not exist. In double; the cost grows with the nodes.
+// Inertia of a soft skin in modes, node by node. It is for skinning that is not linear in the bones' matrices, where
+// the sums of ModalInertia do not exist. It works in double, and its cost grows with the number of nodes.
 //
-//   mass = sum_i m_i (A_i U_i)^T (A_i U_i),  force = sum_i m_i (A_i U_i)^T y_i,  y_i what the inertial target
-//   adds up to at node i.
+//   mass = sum_i m_i (A_i U_i)^T (A_i U_i),  force = sum_i m_i (A_i U_i)^T y_i,
+//
+// where y_i is the inertial target at node i.
 #pragma once
 
 #include <array>
@@ -18,13 +19,13 @@ namespace dynamorph {
 
 class NodalInertia {
  public:
-  /// In the basis U (3 free, r).
+  /// Inertia in the basis U (3 free, r).
   NodalInertia(std::shared_ptr<const SoftBody> body, const MatrixXd& U);
 
   /// Nothing is allocated after the first time.
   struct Scratch {
     std::array<SkinFrame, InertialTarget::kPoses> poses;
-    MatrixXd displacements;  ///< of the modes in each pose (r, kPoses)
+    MatrixXd displacements;  ///< of the modes in each pose (kPoses, r)
     LaneVector<DoubleW> modes, force, mass, damped;
   };
 
@@ -35,7 +36,7 @@ class NodalInertia {
  private:
   std::shared_ptr<const SoftBody> body_;
   Eigen::Index r_;
-  LaneVector<DoubleW> table_;  ///< of eight nodes after the other: U mode after mode, then X; three numbers each
+  LaneVector<DoubleW> table_;  ///< for each eight nodes, U mode after mode, then X; three numbers each
 };
 
 }  // namespace dynamorph

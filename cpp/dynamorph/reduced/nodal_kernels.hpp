@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The loop of nodal_inertia: eight nodes at a time.
+// The loop of nodal_inertia, over eight nodes at a time.
 #pragma once
 
 #include "dynamorph/reduced/modal_arithmetic.hpp"
@@ -8,15 +8,15 @@
 
 namespace dynamorph {
 
-/// Eight nodes' transforms in the poses of an inertial target, [A | a] row-major, and by how much they count.
+/// Eight nodes' transforms in the poses of an inertial target, [A | a] row-major, and their masses.
 struct EightNodes {
   DoubleW poses[terms::kPoses][12];
   DoubleW mass, damped;
 };
 
-/// What eight nodes add to the force (r) and to the packed mass, and if `damped` is not null to that. table: U (r, 3),
-/// then X; d (r, kPoses) row-major and sums (kPoses): displacements and coefficients in each pose; gravity_offset (3);
-/// modes (r, 3): scratch.
+/// Adds the contributions of eight nodes to the force (r), to the packed mass and, if it is not null, to `damped`.
+/// table: U (r, 3), then X. d (r, kPoses) row-major, sums (kPoses): displacements and coefficients in each pose.
+/// gravity_offset (3). modes (r, 3): scratch.
 DYNAMORPH_KERNEL(void, add_eight_nodes, const EightNodes& nodes, const DoubleW* table, Index r, const double* d,
                  const double* sums, const double* gravity_offset, DoubleW* modes, DoubleW* force, DoubleW* mass,
                  DoubleW* damped);

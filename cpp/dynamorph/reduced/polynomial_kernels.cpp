@@ -11,7 +11,7 @@ template <class Real>
 DYNAMORPH_INLINE void sum_columns(const Real* __restrict A, Index rows, const double* __restrict x, Index columns,
                                   double* __restrict y) {
   Index c = 0;
-  for (; c + 4 <= columns; c += 4) {  // four columns a sweep: y is loaded and stored a quarter as often
+  for (; c + 4 <= columns; c += 4) {  // four columns per sweep: y is loaded and stored a quarter as often
     const Real *a0 = A + c * rows, *a1 = a0 + rows, *a2 = a1 + rows, *a3 = a2 + rows;
     const double x0 = x[c], x1 = x[c + 1], x2 = x[c + 2], x3 = x[c + 3];
     for (Index i = 0; i < rows; ++i)
@@ -21,7 +21,7 @@ DYNAMORPH_INLINE void sum_columns(const Real* __restrict A, Index rows, const do
     for (Index i = 0; i < rows; ++i) y[i] = mul_add(y[i], double(A[c * rows + i]), x[c]);
 }
 
-/// Independent sums, because the compiler may not reassociate one.
+/// Uses independent sums, because the compiler may not reassociate a single one.
 DYNAMORPH_INLINE double dot(const double* __restrict a, const double* __restrict b, Index size) {
   Double4 sums[4] = {};
   Index i = 0;
@@ -72,7 +72,7 @@ void add_symmetric_product(const float* __restrict A, Index size, const double* 
         const DoubleW entries = to_double(load(A + kChunk * c));
         low = mul_add(low, x[4 * panel + c], entries.low);
         high = mul_add(high, x[4 * panel + c], entries.high);
-        if (i == diagonal) continue;  // stored whole
+        if (i == diagonal) continue;  // stored in full
         sums[c] = mul_add(sums[c], entries.low, x_low);
         sums[c] = mul_add(sums[c], entries.high, x_high);
       }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The loops that a reduced step spends its time in, beside those of modal_inertia.
+// The hot loops of a reduced step, besides those of modal_inertia.
 #pragma once
 
 #include "dynamorph/simd/compiler.hpp"
@@ -9,18 +9,18 @@ namespace dynamorph {
 
 constexpr Index kChunk = 8;  ///< entries of K2 that a step reads together (table_layout.hpp)
 
-/// y += A x, A (rows, columns) column-major. Single precision is summed in double.
+/// y += A x, with A (rows, columns) column-major. Single precision is summed in double.
 DYNAMORPH_KERNEL(void, add_product, const double* A, Index rows, const double* x, Index columns, double* y);
 DYNAMORPH_KERNEL(void, add_single_product, const float* A, Index rows, const double* x, Index columns, double* y);
 
-/// y += A x, A symmetric, stored by symmetric_index, summed in double; size is a whole number of chunks.
+/// y += A x for a symmetric A stored by symmetric_index, summed in double. size is a whole number of chunks.
 DYNAMORPH_KERNEL(void, add_symmetric_product, const float* A, Index size, const double* x, double* y);
 
-/// y = A^T x, A (rows, columns) column-major.
+/// y = A^T x, with A (rows, columns) column-major.
 DYNAMORPH_KERNEL(void, transposed_product, const double* A, Index rows, Index columns, const double* x, double* y);
 
-/// From the packed orders K0, K1 v and K2 (v v) of a tangent (polynomials.hpp): returns the energy, writes the force
-/// (r) and the tangent itself (r, r).
+/// Contracts the packed orders K0, K1 v and K2 (v v) of a tangent (polynomials.hpp). Returns the energy, and writes the
+/// force (r) and the tangent itself (r, r).
 DYNAMORPH_KERNEL(double, contract_orders, const double* constant, const double* linear, const double* quadratic,
                  const double* v, Index r, double* force, double* stiffness);
 

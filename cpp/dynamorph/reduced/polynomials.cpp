@@ -15,16 +15,17 @@ namespace {
 
 using Eigen::Index;
 
-constexpr double kOrthonormal = 1e-8;    // norm of U^T M U - I; 1e-13 of a basis that is computed
-constexpr double kLost = 1e-6;           // of a target's shape
-constexpr double kLostOfLargest = 1e-8;  // of the largest shape: as much of one that is nearly a multiple of another's
-
-/// A number of each node (n) for its three degrees of freedom.
+constexpr double kOrthonormal = 1e-8;    // norm of U^T M U - I; a computed basis has 1e-13
+constexpr double kLost = 1e-6;           // relative to a target's shape
+constexpr double kLostOfLargest = 1e-8;  // relative to the largest shape, for a near multiple of another
 VectorXd repeated(const VectorXd& nodes) { return nodes.replicate(1, 3).transpose().reshaped(); }
 
-/// Sums over the tetrahedra of one target that its tables are made of. Green's strain is quadratic in v,
-/// E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l), so with the monomials m = (v_k, v_k v_l) each tet adds
-/// B^T B to a Gram matrix, B the rows of its strain: the trace, and the deviator, E:E = dev:dev + 1/3 tr^2.
+/// The sums over the tetrahedra that one target's tables are made of. Green's strain is quadratic in v,
+///
+///   E = sum_k v_k sym(G_k) + sum_kl v_k v_l 1/2 sym(G_k^T G_l).
+///
+/// With the monomials m = (v_k, v_k v_l), each tet adds B^T B to a Gram matrix, where B has the rows of its strain: the
+/// trace, and the deviator, because E:E = dev:dev + 1/3 tr^2.
 class TargetSums {
  public:
   TargetSums(Law law, Index r)
@@ -70,7 +71,7 @@ class TargetSums {
  private:
   bool stable() const { return law_ == Law::stable_stvk; }
 
-  /// Differentiates E = m^T gram m twice, symmetrised over all indices.
+  /// Differentiates E = m^T gram m twice, symmetrized over all indices.
   VectorXd table(const GramAccumulator& gram, const TableLayout& layout) const {
     VectorXd out(layout.distinct());
     const auto pair = [&](Index k, Index l) { return r_ + pair_index(r_, k, l); };
@@ -97,7 +98,7 @@ class TargetSums {
   RowMajor crosses_;  ///< (9, pairs)
 };
 
-/// The hold's U^T H U, which is quadratic about the target's shape as K0 is.
+/// Adds the hold's U^T H U, which is quadratic about the target's shape, as K0 is.
 void add_hold(const SoftBody& body, int set, const RowMajor& U, VectorXd& table) {
   MatrixXd held = MatrixXd::Zero(U.cols(), U.cols());
   for (Index i = 0; i < body.holds.rows(); ++i) {
@@ -155,7 +156,7 @@ ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn
   tables.basis = U;
   const int targets = int(model.targets().size());
   const Index tets = body.mesh.tets.rows();
-  const RowMajor modes = U;  // a node's rows in one piece
+  const RowMajor modes = U;  // row-major, so that a node's rows are contiguous
   tables.lambda.resize(targets);
   tables.mu.resize(targets);
   run_tasks(targets, progress, [&](int j, const ProgressFn& done) {

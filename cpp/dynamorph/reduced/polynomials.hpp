@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Every law's energy is a polynomial of degree <= 4 in the modal coordinates (thesis eq. 5.7). About a target's own
-// coordinates z_j, with v = z - z_j, its tangent is, as packed pairs (k <= l),
+// coordinates z_j, with v = z - z_j and packed pairs (k <= l), the tangent, force and energy are
 //
 //   H(v) = K0 + K1 v + K2 (v v),
 //   f = (K0 + 1/2 K1 v + 1/3 K2 (v v)) v,
@@ -15,8 +15,8 @@
 
 namespace dynamorph {
 
-/// What a built reduced model stores: geometry only. Each target's table for lambda = 1 Pa and mu = 1 Pa, so that
-/// changing a target's stiffness is a linear recombination and never a new precompute.
+/// What a built reduced model stores: geometry only. Each target has a table for lambda = 1 Pa and one for mu = 1 Pa,
+/// so that a change of its stiffness is a linear recombination and never needs a new precompute.
 struct ReducedTables {
   Law law = Law::linear;
   MatrixXd basis;                ///< U (3 free, r)
@@ -26,17 +26,17 @@ struct ReducedTables {
   TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
 };
 
-/// G (9, r): column k is dF/dz_k of tet e for the modes (3 free, r), column-major 3 x 3. False if all its nodes are
-/// held.
+/// G (9, r): column k is dF/dz_k of tet e for the modes (3 free, r), column-major 3 x 3. Returns false if all its nodes
+/// are pinned.
 bool mode_gradients(const SoftBody& body, const Element& element, Eigen::Index e, const RowMajor& modes, RowMajor& G);
 
 /// The targets' shapes in the basis, z_j = U^T M d_j with the mass M for unit density. Throws std::invalid_argument
-/// unless U (3 free, r) is finite, U^T M U = I and every shape is in its span, U z_j = d_j: a model in another basis
-/// would play other shapes than were sculpted.
+/// unless U (3 free, r) is finite, U^T M U = I and every shape is in its span, U z_j = d_j. A model in another basis
+/// would play shapes other than those sculpted.
 std::vector<VectorXd> target_coordinates(const SoftBody& body, const std::vector<MorphTarget>& targets,
                                          const MatrixXd& U);
 
-/// Tables of every target of `model` in the basis U (3 free, r). Throws as `target_coordinates`.
+/// Tables of every target of `model` in the basis U (3 free, r). Throws like `target_coordinates`.
 ReducedTables reduce(const FullModel& model, const MatrixXd& U, const ProgressFn& progress = {});
 
 }  // namespace dynamorph

@@ -53,7 +53,7 @@ std::variant<ModalInertia, NodalInertia> inertia_of(const std::shared_ptr<const 
   return ModalInertia(*body, U);
 }
 
-/// Taylor shift of a table from v = z - z_j to z; the energy and force (r) there.
+/// Shifts a table (Taylor) from v = z - z_j to z. Returns the energy at z = 0, and writes the force (r) there.
 double recentre(const TableLayout& layout, const VectorXd& coordinates, VectorXd& table, VectorXd& force) {
   const Eigen::Index r = layout.r, pairs = layout.pairs();
   VectorXd packed;
@@ -179,7 +179,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
 void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
   const Eigen::Index r = dofs(), rows = padded_pairs_;
   blend.v = z - blend.centre;
-  if (!layout_.nonlinear && blend.linear.size() == rows) return;  // zero for good
+  if (!layout_.nonlinear && blend.linear.size() == rows) return;  // always zero
   blend.linear.setZero(rows);
   blend.quadratic.setZero(rows);
   if (!layout_.nonlinear) return;
@@ -266,7 +266,7 @@ void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& d
 
 const ModalInertia& ReducedModel::modal_inertia() const {
   if (body_->own_transforms)
-    throw std::invalid_argument("model: its nodes have transforms of their own, which a crowd's cannot");
+    throw std::invalid_argument("model: its nodes have their own transforms, which a crowd does not support");
   return std::get<ModalInertia>(inertia_);
 }
 

@@ -14,8 +14,8 @@
 
 namespace dynamorph {
 
-/// Energy of one table (TableLayout) at v, with its force (r) and tangent (r, r). In double and as it is written above:
-/// what ReducedModel's own evaluation is compared with.
+/// Energy of one table (TableLayout) at v, with its force (r) and tangent (r, r). It works in double and follows the
+/// formulas of polynomials.hpp literally. Tests compare ReducedModel's own evaluation with it.
 double linearize(const VectorXd& table, const TableLayout& layout, const VectorXd& v, VectorXd& force,
                  MatrixXd& stiffness);
 
@@ -27,17 +27,18 @@ class ReducedModel {
   };
 
   struct Blend {
-    const ReducedModel* of = nullptr;  ///< whose it is
+    const ReducedModel* of = nullptr;  ///< the model that made it
     VectorXd weights;
     SetDensities mass;
     Matrix damping;           ///< sum_j w_j beta_j K_j (r, r)
     VectorXd stiffness;       ///< K0, packed
-    LaneVector<float> table;  ///< sum_j w_j table_j, unless one target alone counts
+    LaneVector<float> table;  ///< sum_j w_j table_j, unless a single target has all the weight
     int only = -1;            ///< that target
     VectorXd force;           ///< f at v = 0
     double energy = 0;        ///< E at v = 0
     VectorXd centre;          ///< v = z - centre
-    /// Scratch: v, its pairs, the packed tangent's orders, what the energy alone does not need, the tables that count.
+    /// Scratch: v, its pairs, the orders of the packed tangent, results that the energy does not need, the tables with
+    /// a weight.
     mutable VectorXd v, pairs, linear, quadratic, unused_force;
     mutable Matrix unused_stiffness;
     VectorXd packed_damping;
@@ -45,9 +46,9 @@ class ReducedModel {
     std::vector<double> active_weights;
   };
 
-  /// The same of eight characters, one a lane; matrices are packed upper triangles.
+  /// The same for eight characters, one per lane. Matrices are packed upper triangles.
   struct EightBlend {
-    LaneVector<DoubleW> weights, density, density_damping;  ///< (J), and of each set, mass damping times density
+    LaneVector<DoubleW> weights, density, density_damping;  ///< (J), (sets), and (sets) times mass damping
     LaneVector<DoubleW> centre, rest_force, stiffness, damping;
     DoubleW rest_energy;
     LaneVector<FloatW> v, pairs, product, linear, quadratic;  ///< scratch
@@ -61,18 +62,18 @@ class ReducedModel {
   const std::vector<MorphTarget>& targets() const { return targets_; }
   const MatrixXd& basis() const { return U_; }
   int dofs() const { return int(U_.cols()); }
-  /// Norm of the coordinates of a body that is moved by one metre as a whole, as far as the modes can.
+  /// Norm of the coordinates when the whole body moves by one meter, as far as the modes can.
   double metre() const { return std::sqrt(body_->volume); }
 
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
-  /// By out.weights, which are set before.
+  /// Blends by out.weights, which must be set before.
   void blend(EightBlend& out) const;
   void linearize(EightBlend& blend, const LaneVector<DoubleW>& z, DoubleW& energy, LaneVector<DoubleW>& force,
                  LaneVector<DoubleW>& stiffness) const;
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
-  /// Throws std::invalid_argument when there is none, because the nodes have transforms of their own.
+  /// Throws std::invalid_argument when there is none, because the nodes have their own transforms.
   const ModalInertia& modal_inertia() const;
   void displacement(const VectorXd& z, VectorXd& u) const;
   void project_force(const VectorXd& f, VectorXd& out) const;
@@ -80,7 +81,7 @@ class ReducedModel {
   Matrix zero() const { return Matrix::Zero(dofs(), dofs()); }
 
  private:
-  /// The orders of the tangent at v (in the scratch), packed.
+  /// Computes the packed orders of the tangent at v, in the scratch.
   void expand(const Blend& blend, const VectorXd& z) const;
 
   std::shared_ptr<const SoftBody> body_;
@@ -90,12 +91,12 @@ class ReducedModel {
   std::vector<VectorXd> coordinates_;  ///< z_j
   TableLayout layout_;
   Eigen::Index padded_pairs_;
-  /// Per target with its material, about z_j (even) or 0 (forces). K0 in double; [K1 | K2] in single precision, in the
-  /// order in which a step reads them: half the bytes, and forces to 1e-7 of the largest.
+  /// Per target with its material, about z_j (even) or 0 (forces). K0 is in double. [K1 | K2] is in single precision,
+  /// in the order in which a step reads it: this halves the bytes and keeps forces to 1e-7 of the largest.
   std::vector<VectorXd> stiffness_;
   std::vector<LaneVector<float>> tables_;
   std::vector<VectorXd> rest_stiffness_;  ///< packed K_j at z_j
-  std::vector<VectorXd> forces_;          ///< of forces blending, at z = 0
+  std::vector<VectorXd> forces_;          ///< forces blending: at z = 0
   std::vector<double> energies_;
   std::variant<ModalInertia, NodalInertia> inertia_;
 };

@@ -14,7 +14,8 @@ namespace {
 constexpr InstructionSet kSets[] = {InstructionSet::avx512, InstructionSet::avx2, InstructionSet::baseline};
 constexpr const char* kNames = "baseline, avx2 or avx512";
 
-/// What CMakeLists.txt compiles for; the system must save the wide registers too, which is part of the answer.
+/// Checks for the features that CMakeLists.txt compiles for. The system must save the wide registers too; the
+/// compiler's functions check that as well.
 bool is_supported(InstructionSet set) {
   if (set == InstructionSet::baseline) return true;
   __builtin_cpu_init();
@@ -50,7 +51,7 @@ InstructionSet choose_instruction_set() {
     } else if (std::string(wanted) == name_of(set)) {
       if (is_supported(set)) return set;
       throw Error(std::string("DYNAMORPH_ISA: this processor does not have ") + wanted +
-                  ": name one that it has, or unset the variable");
+                  ". Name one that it has, or unset the variable.");
     }
   }
   throw std::invalid_argument(std::string("DYNAMORPH_ISA: expected ") + kNames + ", got '" + wanted + "'");

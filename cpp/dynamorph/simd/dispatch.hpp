@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Kernels, the loops that matter, are compiled once for each instruction set, and the processor chooses when the first
-// one is called, so that a wheel built for any x86-64 uses AVX2 or AVX-512 where the machine has it. What one computes
-// depends on the instruction set in the last digits (fused multiply-adds, sums by lanes), and on nothing else.
+// Kernels are the loops that matter. They are compiled once for each instruction set, and the processor decides which
+// to use when the first one is called. So a wheel built for any x86-64 uses AVX2 or AVX-512 where the machine has it.
+// The results depend on the instruction set in their last digits (fused multiply-adds, sums by lanes), and on nothing
+// else.
 //
-// CMakeLists.txt compiles every file *_kernels.cpp several times, with DYNAMORPH_ISA the namespace that its functions
-// are put into. Such a file takes and gives pointers and sizes, and includes neither Eigen nor what the standard
-// library defines inline: the linker keeps one copy of an inline function, which may be the one for AVX-512.
+// CMakeLists.txt compiles every file *_kernels.cpp several times; DYNAMORPH_ISA is the namespace of its functions. The
+// functions of such a file take and return pointers and sizes. The file must include neither Eigen nor anything that
+// the standard library defines inline, because the linker keeps one copy of an inline function, which may be the one
+// for AVX-512.
 #pragma once
 
 #if !defined(DYNAMORPH_ISA)
@@ -22,17 +24,17 @@ enum class InstructionSet { baseline };
 /// "baseline", "avx2" or "avx512".
 const char* name_of(InstructionSet set);
 
-/// The best that the processor has, or what the environment variable DYNAMORPH_ISA names. Throws std::invalid_argument
-/// when that is no name, Error when the processor does not have it.
+/// The best one that the processor has, or the one that the environment variable DYNAMORPH_ISA names. Throws
+/// std::invalid_argument when the name is unknown, and Error when the processor does not have it.
 InstructionSet choose_instruction_set();
 
-/// The one in use: chosen once.
+/// The instruction set in use, which is chosen once.
 inline InstructionSet instruction_set() {
   static const InstructionSet chosen = choose_instruction_set();
   return chosen;
 }
 
-/// A function for each instruction set, called as one.
+/// One function for each instruction set, called like a single function.
 template <class Function>
 struct Dispatched;
 template <class Result, class... Arguments>

@@ -8,7 +8,7 @@
 
 namespace dynamorph {
 
-/// Allocates whole cache lines: what kernels read there does not straddle two.
+/// Allocates whole cache lines, so that what kernels read there does not straddle two.
 template <class T>
 struct CacheAligned {
   using value_type = T;

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Every vector type of the engine: some numbers that go through the same arithmetic. Vectors of GCC and Clang: whatever
-// the processor has carries them out. Free of the standard library, as kernels are (dispatch.hpp).
+// Every vector type of the engine: several numbers that go through the same arithmetic. They are the vectors of GCC and
+// Clang, which use whatever the processor has. Like kernels (dispatch.hpp), this file does not use the standard
+// library.
 //
-// mul_add and mul_sub are a fused multiply-add where the instruction set has one, else two roundings: the engine is
-// compiled with -ffp-contract=off, so that nothing else depends on the compiler's choice.
+// mul_add and mul_sub are a fused multiply-add where the instruction set has one; otherwise they round twice. The
+// engine is compiled with -ffp-contract=off, so that nothing else depends on the compiler's choice.
 #pragma once
 
 #include "dynamorph/simd/compiler.hpp"
@@ -14,7 +15,7 @@
 #include <arm_neon.h>
 #endif
 
-// Vectors wider than the baseline's registers are passed by value only between functions that are inlined.
+// Only inlined functions pass vectors wider than the baseline's registers by value, so this warning does not apply.
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wpsabi"
 
@@ -27,7 +28,7 @@ typedef float Float8 __attribute__((vector_size(32)));
 typedef double Double4 __attribute__((vector_size(32)));
 typedef double Double8 __attribute__((vector_size(64)));
 
-// As they lie in an array, where they need not begin at a multiple of their size. (Clang ignores `aligned` in an alias
+// Vectors in an array, where they need not begin at a multiple of their size. (Clang ignores `aligned` in an alias
 // declaration.)
 typedef float UnalignedFloat8 __attribute__((vector_size(32), aligned(4), may_alias));
 typedef double UnalignedDouble4 __attribute__((vector_size(32), aligned(8), may_alias));
@@ -39,7 +40,7 @@ DYNAMORPH_INLINE Double4 load(const double* from) { return *reinterpret_cast<con
 DYNAMORPH_INLINE void store(const Float8& v, float* to) { *reinterpret_cast<UnalignedFloat8*>(to) = v; }
 DYNAMORPH_INLINE void store(const Double4& v, double* to) { *reinterpret_cast<UnalignedDouble4*>(to) = v; }
 
-/// The vector that `load` makes of an array of Real.
+/// The vector that `load` returns for an array of Real.
 template <class Real>
 struct VectorOf;
 template <>
@@ -135,8 +136,8 @@ DYNAMORPH_INLINE Double4 mul_add(const Double4& c, double a, const Double4& b) {
 DYNAMORPH_INLINE Double4 mul_sub(const Double4& c, double a, const Double4& b) { return mul_sub(c, all_of(a), b); }
 
 // --- Lanes -----------------------------------------------------------------------------------------------------------
-// One number of each of eight terms or characters. Structs, because they are aligned for every instruction set, also in
-// containers, where GCC's baseline would ask for 16 bytes.
+// One number for each of eight terms or characters. These are structs so that they are aligned alike for every
+// instruction set, even in containers, where GCC's baseline would ask for 16 bytes.
 
 constexpr int kLanes = 8;
 
@@ -158,7 +159,7 @@ DYNAMORPH_INLINE FloatW operator*(const FloatW& a, const FloatW& b) { return {a.
 DYNAMORPH_INLINE FloatW operator*(float a, const FloatW& b) { return {a * b.all}; }
 DYNAMORPH_INLINE FloatW operator+(float a, const FloatW& b) { return {a + b.all}; }
 
-/// Eight doubles, as two vectors: GCC 12 keeps one of 64 bytes in memory where the registers have 32.
+/// Eight doubles as two vectors, because GCC 12 keeps a vector of 64 bytes in memory if the registers have 32.
 struct alignas(64) DoubleW {
   typedef double Half __attribute__((vector_size(32), may_alias));
   Half low, high;

@@ -18,7 +18,7 @@ using Eigen::Index;
 
 Crowd::Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int size)
     : size_(size), alone_(std::move(model), std::move(options)) {
-  alone_.model().modal_inertia();  // there must be one
+  alone_.model().modal_inertia();  // throws if there is none
   if (size < 1) throw std::invalid_argument("size: expected at least one character, got " + std::to_string(size));
 }
 
@@ -67,7 +67,7 @@ State Crowd::lane(const Eight& eight, int lane) const {
   for (int m = 0; m < InertialTarget::kMoments; ++m) {
     state.q[m].resize(model().dofs());
     for (Index k = 0; k < state.q[m].size(); ++k) state.q[m](k) = eight.q[m][k][lane];
-    state.bones[m].setZero(model().body().skin.cols(), 12);  // those that carry no flesh do not count
+    state.bones[m].setZero(model().body().skin.cols(), 12);  // bones that carry no soft tissue do not count
     for (size_t b = 0; b < used.size(); ++b)
       for (int e = 0; e < 12; ++e) state.bones[m](used[b], e) = eight.bones[m][12 * b + e][lane];
   }
@@ -99,7 +99,7 @@ CrowdReport Crowd::step(const double* bones, const double* weights) {
   try {
     for (int eight = 0; eight < int(eights_.size()); ++eight) step_eight(eight, bones, weights, report);
   } catch (...) {
-    eights_.clear();  // half of them have moved on
+    eights_.clear();  // some characters have moved on
     throw;
   }
   return report;
@@ -112,7 +112,7 @@ void Crowd::check(const double* bones, const double* weights) const {
     check_weights(model().targets(), model().body().sets(), Eigen::Map<const VectorXd>(weights + i * targets, targets));
     if (!all_finite(bones + i * count * 12, used.data(), Index(used.size())))
       throw Error("character " + std::to_string(i) +
-                  ": the rig has a transform that is not a number: check its drivers and constraints");
+                  ": The rig has a transform that is not a number. Check its drivers and constraints.");
   }
 }
 

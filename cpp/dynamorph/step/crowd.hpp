@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Many characters of one reduced model, stepped together: eight at a time, one a lane of every instruction, so that the
-// model's tables are read once for eight. The step is Simulation's; where the rig is cut, or no step descends, a
-// character is stepped alone, by Simulation.
+// Steps many characters of one reduced model together: eight at a time, one in each lane of every instruction, so that
+// the model's tables are read once for eight. The step is that of Simulation. Where the rig jumps to another place, or
+// no step descends, Simulation steps the character alone.
 #pragma once
 
 #include <memory>
@@ -14,25 +14,27 @@
 namespace dynamorph {
 
 struct CrowdReport {
-  int iterations = 0;     ///< of Newton's method, of all characters
+  int iterations = 0;     ///< of Newton's method, for all characters together
   int alone = 0;          ///< characters that were stepped alone
-  bool converged = true;  ///< all of them
+  bool converged = true;  ///< whether all of them did
 };
 
 class Crowd {
  public:
-  /// `size` characters. options.keep_going is asked before every step, and as Simulation does of who is stepped alone.
+  /// `size` characters. options.keep_going is called before every step, and by Simulation for a character stepped
+  /// alone.
   Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int size);
 
-  /// As Simulation's: of all characters.
+  /// As in Simulation, for all characters.
   void hold_targets(const std::vector<Transforms>& bones);
 
-  /// As Simulation's, for one character after another: now, next (size, B, 12) and weights (size, J), row-major.
+  /// As in Simulation, for one character after another. now, next (size, B, 12) and weights (size, J) are row-major.
   CrowdReport start(const double* now, const double* next, const double* weights);
 
-  /// One step of every character to bones (size, B, 12) and weights (size, J), row-major. Nobody has moved when those
-  /// are refused; after any other exception start() must come first again. What a character does depends on its seven
-  /// neighbours in the last digits: small terms of the inertia are left out for eight or for none.
+  /// Takes one step of every character to bones (size, B, 12) and weights (size, J), row-major. If it refuses those, no
+  /// character has moved. After any other exception, start() must be called first again. The last digits of a
+  /// character's motion depend on its seven neighbors, because small terms of the inertia are left out for all eight or
+  /// for none.
   CrowdReport step(const double* bones, const double* weights);
 
   int size() const { return size_; }
@@ -45,7 +47,7 @@ class Crowd {
   struct Eight {
     std::array<LaneVector<DoubleW>, InertialTarget::kMoments> q, bones;
   };
-  /// As Simulation's members of these names.
+  /// Like the members of Simulation with these names.
   struct Scratch {
     ReducedModel::EightBlend blend;
     LaneVector<DoubleW> bones;  ///< at the end of the step (12 used)
@@ -60,12 +62,12 @@ class Crowd {
   void set_lane(Eight& eight, int lane, const State& state) const;
   void check(const double* bones, const double* weights) const;
   template <class Step>
-  void add(CrowdReport& report, int character, const Step& step);  ///< one that is started or stepped alone
+  void add(CrowdReport& report, int character, const Step& step);  ///< a character that is started or stepped alone
   void step_eight(int eight, const double* bones, const double* weights, CrowdReport& report);
   void gather(int eight, const double* bones, const double* weights);
-  Lanes jumps(const Eight& eight) const;  ///< lanes whose rig jumps off its course further than options.teleport
+  Lanes jumps(const Eight& eight) const;  ///< lanes in which the rig jumps off its course farther than options.teleport
   void load(const Eight& eight);
-  Lanes minimize(Lanes moving, CrowdReport& report);  ///< of these, the lanes that need to be stepped alone
+  Lanes minimize(Lanes moving, CrowdReport& report);  ///< returns the lanes that need to be stepped alone
 
   int size_;
   Simulation<ReducedModel> alone_;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The arithmetic of newton.hpp for eight characters of a reduced model, one a lane. Matrices are packed upper
+// The arithmetic of newton.hpp for eight characters of a reduced model, one per lane. Matrices are packed upper
 // triangles.
 #pragma once
 
@@ -17,10 +17,10 @@ struct EightLanes {
   using Vector = LaneVector<DoubleW>;
   using Matrix = LaneVector<DoubleW>;
   static constexpr int kLanes = dynamorph::kLanes;
-  static constexpr int kHalvings = 4;     // who needs more is stepped alone
-  static constexpr double kNoise = 1e-6;  // of an energy from tables in single precision
+  static constexpr int kHalvings = 4;     // a character that needs more is stepped alone
+  static constexpr double kNoise = 1e-6;  // relative, of an energy from tables in single precision
 
-  /// Solves H x = b; returns the lanes whose H is not positive definite.
+  /// Solves H x = b. Returns the lanes in which H is not positive definite.
   class Solver {
    public:
     Lanes solve(const Matrix& H, const Vector& b, Vector& x) {
@@ -85,13 +85,13 @@ struct EightLanes {
     out.resize(a.size());
     for (size_t k = 0; k < a.size(); ++k) out[k] = a[k] - b[k];
   }
-  /// Of the given lanes; the others become zero.
+  /// Negates the given lanes; the others become zero.
   static void negate(Vector& x, Lanes lanes) {
     Number sign{};
     for (int lane = 0; lane < kLanes; ++lane) sign[lane] = lanes >> lane & 1 ? -1 : 0;
     for (Number& own : x) own = own * sign;
     if (lanes + 1 == 1U << kLanes) return;
-    for (Number& own : x)  // what is not a number stays none when it is multiplied by zero
+    for (Number& own : x)  // NaN times zero is still NaN
       for (int lane = 0; lane < kLanes; ++lane)
         if (!(lanes >> lane & 1)) own[lane] = 0;
   }
@@ -99,7 +99,7 @@ struct EightLanes {
     out.resize(from.size());
     for (size_t k = 0; k < from.size(); ++k) out[k] = from[k] + length * direction[k];
   }
-  /// Sizes of the entries of A's diagonal.
+  /// Magnitudes of the entries of A's diagonal.
   static void scales(const Matrix& A, Vector& out) {
     Number most{};
     out.clear();
@@ -126,7 +126,7 @@ struct EightLanes {
     for (int lane = 0; lane < kLanes; ++lane) out[lane] = function(x[lane]);
     return out;
   }
-  /// Rows of a packed matrix.
+  /// Number of rows of a packed matrix.
   static size_t order(const Matrix& A) {
     return size_t(std::lround((std::sqrt(1.0 + 8.0 * double(A.size())) - 1) / 2));
   }

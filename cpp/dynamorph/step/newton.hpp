@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Newton's method with a line search for the potential of a step, Phi(q) = sum of terms: for one character, whose
-// numbers are doubles, and for eight of them, one a lane of every number.
+// Newton's method with a line search for the potential of a step, Phi(q) = sum of terms. It minimizes for one
+// character, with doubles as numbers, or for eight characters, one in each lane of every number.
 //
-// A term is what has, after evaluate(q),
+// After evaluate(q), a term must have
 //
 //   energy (J), gradient and hessian (of the energy by q),
-//   forces      sum of the norms of what cancels in its gradient
+//   forces      sum of the norms of the parts that cancel in its gradient
 //   round_off   of its gradient: what no iteration can improve
-//   length      of the displacements that its energy is made of, for the round-off of that
+//   length      of the displacements that its energy is made of, for the round-off of that energy
 //   resolution  of the coordinates: smaller steps change nothing
-//   longest(q, direction)  the longest admissible step, 1 for most: what must not be passed is beyond
+//   longest(q, direction)  the longest admissible step, 1 for most terms: states that must not be passed lie beyond it
 //
-// An `Arithmetic` says what numbers, vectors and matrices are, and what can be done to them: one.hpp, eight.hpp.
+// An `Arithmetic` defines numbers, vectors and matrices, and what can be done to them: one.hpp, eight.hpp.
 #pragma once
 
 #include <algorithm>
@@ -20,17 +20,17 @@
 
 namespace dynamorph {
 
-/// A bit for each character: one, or eight.
+/// One bit per character: one bit or eight.
 using Lanes = unsigned;
 
-constexpr double kSmallestScale = 1e-6;  ///< of the diagonal of a tangent, as a part of the largest
+constexpr double kSmallestScale = 1e-6;  ///< smallest scale of a tangent's diagonal, relative to the largest
 
-/// What the terms add up to at some q.
+/// The sums of the terms at some q.
 template <class Arithmetic>
 struct Value {
   using Number = typename Arithmetic::Number;
   typename Arithmetic::Vector gradient;
-  Number potential, magnitude;  ///< J; magnitude: sum of the energies' sizes
+  Number potential, magnitude;  ///< J; magnitude: sum of the energies' magnitudes
   Number forces, round_off, length, resolution;
 };
 
@@ -58,12 +58,12 @@ class Potential {
         terms_);
   }
 
-  /// Where it was evaluated last.
+  /// The Hessian where the potential was evaluated last.
   void hessian(typename Arithmetic::Matrix& out) const {
     std::apply([&](const Terms&... terms) { Arithmetic::sum(out, terms.hessian...); }, terms_);
   }
 
-  /// Of a step along `direction`, at most 1.
+  /// The longest admissible step along `direction`, at most 1.
   Number longest(const Vector& q, const Vector& direction) const {
     Number out = Number() + 1.0;
     std::apply([&](const Terms&... terms) { (Arithmetic::shorten(out, terms.longest(q, direction)), ...); }, terms_);
@@ -74,47 +74,48 @@ class Potential {
   std::tuple<Terms&...> terms_;
 };
 
-/// What Newton's method works with. Keep it: nothing is allocated after the first time, and factors are used again.
+/// The memory that Newton's method works in. Keep it: nothing is allocated after the first time, and factors are
+/// reused.
 template <class Arithmetic>
 struct NewtonScratch {
   Value<Arithmetic> value;
   typename Arithmetic::Vector from, direction, scales;
   typename Arithmetic::Matrix tangent;
-  typename Arithmetic::Number shift{};  ///< of the last tangent, in parts of its scales
+  typename Arithmetic::Number shift{};  ///< of the last tangent, relative to its scales
   typename Arithmetic::Solver solver;
 };
 
 struct NewtonLimits {
   double tolerance;  ///< on the gradient, relative to the forces in it
-  double step;       ///< coordinates that are nothing: who is stopped after such a step has converged
+  double step;       ///< negligible step of the coordinates: ending on such a step counts as converged
   int iterations;
 };
 
 template <class Arithmetic>
 struct NewtonReport {
-  int iterations = 0;                      ///< of all characters
-  Lanes open = 0;                          ///< neither was the tolerance reached, nor was the last step nothing
-  Lanes broken = 0;                        ///< a force is not finite
+  int iterations = 0;                      ///< for all characters together
+  Lanes open = 0;                          ///< missed the tolerance, and the last step was not negligible
+  Lanes broken = 0;                        ///< a force is not finite, or there is no direction
   typename Arithmetic::Number residual{};  ///< gradient relative to the forces in it
 };
 
-/// Size of the gradient relative to the forces in it, which know how much of them is round-off.
+/// Norm of the gradient relative to the forces in it, with an allowance for their round-off.
 template <class Arithmetic>
 typename Arithmetic::Number relative_residual(const Value<Arithmetic>& value, double tolerance) {
   return Arithmetic::norm(value.gradient) / (value.forces + value.round_off / tolerance + 1e-300);
 }
 
-/// scratch.direction downhill, by the tangent at scratch.value. Under compression, and without inertia where a bone has
-/// collapsed, it is not positive definite: then each entry of its diagonal is raised by a part of its own size, so that
-/// the stiffest place does not hold back the softest (Marquardt 1963, doi 10.1137/0111030). Returns the lanes for which
-/// there is no direction.
+/// Finds a downhill scratch.direction from the tangent at scratch.value. Under compression, and without inertia where a
+/// bone has collapsed, the tangent is not positive definite. Then each entry of its diagonal is raised by a part of its
+/// own size, so that the stiffest place does not hold back the softest (Marquardt 1963, doi 10.1137/0111030). Returns
+/// the lanes for which there is no direction.
 template <class Arithmetic, class Potential>
 Lanes newton_direction(const Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving) {
   using Number = typename Arithmetic::Number;
   constexpr int kShifts = 20;
-  constexpr double kLeast = 1e-4;  // of an entry
+  constexpr double kLeast = 1e-4;  // relative to an entry
   potential.hessian(scratch.tangent);
-  Number more{};  // who needed a shift in the last iteration needs less of it now
+  Number more{};  // a lane that needed a shift in the last iteration needs less of it now
   bool raised = false, scaled = false;
   for (int lane = 0; lane < Arithmetic::kLanes; ++lane) {
     double& shift = Arithmetic::at(scratch.shift, lane);
@@ -143,8 +144,8 @@ Lanes newton_direction(const Potential& potential, NewtonScratch<Arithmetic>& sc
   return indefinite;
 }
 
-/// Moves q of the moving lanes along scratch.direction to where the potential descends, and evaluates it there. The
-/// whole step is nearly always taken; who would not descend by it halves it. Returns the lanes that stay where they
+/// Moves q of the moving lanes along scratch.direction to where the potential is lower, and evaluates it there. The
+/// whole step is nearly always taken; a lane that would not descend halves it. Returns the lanes that stay where they
 /// were, because round-off leaves no descent.
 template <class Arithmetic, class Potential>
 Lanes line_search(Potential& potential, NewtonScratch<Arithmetic>& scratch, Lanes moving,
@@ -179,8 +180,8 @@ Lanes line_search(Potential& potential, NewtonScratch<Arithmetic>& scratch, Lane
   return rising;
 }
 
-/// Minimises the potential from q on, for the lanes that are `moving`; the others stay. Before every iteration it calls
-/// `ask`, which may throw.
+/// Minimizes the potential from q on, for the lanes that are `moving`; the others stay. It calls `ask`, which may
+/// throw, before every iteration.
 template <class Arithmetic, class Potential, class Ask>
 NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic>& scratch,
                                   typename Arithmetic::Vector& q, Lanes moving, const NewtonLimits& limits,
@@ -188,7 +189,7 @@ NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic
   NewtonReport<Arithmetic> report;
   scratch.shift = typename Arithmetic::Number();
   potential.evaluate(q, scratch.value);
-  Lanes far = ~Lanes();  // whose last step was something
+  Lanes far = ~Lanes();  // lanes in which the last step was not negligible
   for (int iteration = 0;; ++iteration) {
     ask();
     const Value<Arithmetic>& value = scratch.value;

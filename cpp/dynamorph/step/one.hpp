@@ -18,9 +18,9 @@ struct One {
   using Vector = VectorXd;
   using Matrix = MatrixType;
   static constexpr int kLanes = 1, kHalvings = 19;
-  static constexpr double kNoise = 1e-12;  ///< of an energy, as a part of it
+  static constexpr double kNoise = 1e-12;  ///< relative, of an energy
 
-  /// Solves H x = b; returns the lanes whose H is not positive definite.
+  /// Solves H x = b. Returns the lanes in which H is not positive definite.
   class Solver {
    public:
     Lanes solve(const Matrix& H, const Vector& b, Vector& x) {
@@ -49,12 +49,13 @@ struct One {
   static Number largest(const Matrix& A) { return values(A).cwiseAbs().maxCoeff(); }
   static void multiply(const Matrix& A, const Vector& x, Vector& y) { y.noalias() = A * x; }
   static void subtract(const Vector& a, const Vector& b, Vector& out) { out = a - b; }
-  /// Of the given lanes; the others become zero.
+  /// Negates the given lanes; the others become zero.
   static void negate(Vector& x, Lanes lanes) { lanes ? void(x = -x) : void(x.setZero()); }
   static void move(const Vector& from, Number length, const Vector& direction, Vector& out) {
     out = from + length * direction;
   }
-  /// Sizes of the entries of A's diagonal; of a mesh, those of a node's three are alike, whatever the axes are.
+  /// Magnitudes of the entries of A's diagonal. For a mesh, the three entries of a node are averaged, so that they do
+  /// not depend on the axes.
   static void scales(const Matrix& A, Vector& out) {
     out = A.diagonal().cwiseAbs();
     if constexpr (!std::is_same_v<Matrix, MatrixXd>)
@@ -67,7 +68,7 @@ struct One {
   static void sum(Vector& out, const Parts&... parts) {
     out = (... + parts);
   }
-  /// Matrices of one pattern.
+  /// The matrices must have the same pattern.
   template <class... Others>
   static void sum(Matrix& out, const Matrix& first, const Others&... others) {
     if (out.rows() != first.rows()) out = first;

@@ -9,9 +9,9 @@ namespace dynamorph {
 
 namespace {
 
-constexpr int kStaticIterations = 200;  // paid once, and gravity on a soft body is far to go
+constexpr int kStaticIterations = 200;  // needed only once, and gravity moves a soft body far
 
-/// Gravity (m/s^2, world) on the flesh at the bones, and nothing of the past.
+/// Gravity (m/s^2, world) on the soft tissue at the bones, without a past.
 InertialTarget at_rest(const VectorXd& q, const Transforms& bones, const Vector3d& gravity) {
   InertialTarget inertial;
   inertial.q.fill(&q);
@@ -31,7 +31,7 @@ void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eige
     for (Eigen::Index j = 0; j < weights.size(); ++j)
       if (targets[j].set == set) sum += weights(j);
     if (!((weights.array() >= 0).all() && std::abs(sum - 1) < 1e-6))
-      throw std::invalid_argument("weights: every target set's must be >= 0 and sum to one");
+      throw std::invalid_argument("weights: those of every target set must be >= 0 and sum to one");
   }
 }
 
@@ -48,7 +48,7 @@ void Simulation<Model>::pose(const Transforms& bones, const VectorXd& weights) {
     throw std::invalid_argument("bones: expected " + std::to_string(model_->body().skin.cols()) + " transforms, got " +
                                 std::to_string(bones.rows()));
   if (!bones.allFinite() || !weights.allFinite())
-    throw Error("the rig has a transform that is not a number: check its drivers and constraints at this frame");
+    throw Error("The rig has a transform that is not a number. Check its drivers and constraints at this frame.");
   model_->blend(weights, blend_);
 }
 
@@ -78,11 +78,11 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
     throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
                                 " targets, got " + std::to_string(bones.size()));
   MatrixXd held(model_->dofs(), targets.size()), before;
-  before.swap(rest_gravity_);  // does not count, and is back where a rig is refused
+  before.swap(rest_gravity_);  // must not act meanwhile, and is restored when a rig is refused
   const VectorXd rest = VectorXd::Zero(model_->dofs());
   try {
     for (size_t j = 0; j < targets.size(); ++j) {
-      // The target alone, not even with the other sets': f_g^(j) = rho_j (A^(j))^T M1 g.
+      // The target alone, without targets of other sets: f_g^(j) = rho_j (A^(j))^T M1 g.
       const VectorXd alone = VectorXd::Unit(targets.size(), j);
       pose(bones[j], alone);
       load(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
@@ -101,7 +101,7 @@ StepReport Simulation<Model>::solve_static(const Transforms& bones, const Vector
   check_weights(model_->targets(), model_->body().sets(), weights);
   pose(bones, weights);
   if (q.size() != model_->dofs()) {
-    // The blended targets are close to the answer, and often are it.
+    // The blended targets are close to the answer, and often they are the answer.
     q.setZero(model_->dofs());
     for (Eigen::Index j = 0; j < weights.size(); ++j)
       if (weights(j) != 0) q += weights(j) * model_->target(int(j));
@@ -132,9 +132,9 @@ StepReport Simulation<Model>::start(const Transforms& now, const Transforms& nex
 template <class Model>
 void Simulation<Model>::set_state(const State& state) {
   for (const VectorXd& q : state.q)
-    if (q.size() != model_->dofs()) throw std::invalid_argument("state: is of another model");
+    if (q.size() != model_->dofs()) throw std::invalid_argument("state: it belongs to another model");
   for (const Transforms& bones : state.bones)
-    if (bones.rows() != model_->body().skin.cols()) throw std::invalid_argument("state: is of another model");
+    if (bones.rows() != model_->body().skin.cols()) throw std::invalid_argument("state: it belongs to another model");
   state_ = state;
 }
 
@@ -178,13 +178,13 @@ StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& w
   inertial.gravity_offset = rule.square * options_.gravity;
   load(inertial, rule.square, external);
 
-  // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h, constant symmetric positive C.
+  // Damping: C u' with u' = (v0 q + v1 q(n) + v2 q(n-1)) / h and a constant, symmetric, positive C.
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
   values(quadratic_.hessian) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
   velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
   quadratic_.g.noalias() += damped_ * velocity_;
   quadratic_.origin = next_;
-  // Far from the world's origin posed positions lose digits, and inertia multiplies the loss.
+  // Far from the world's origin, posed positions lose digits, and inertia multiplies the loss.
   quadratic_.round_off =
       1e-14 / rule.square * farthest(bones) *
       std::sqrt(model_->body().volume * blend_.mass.density.maxCoeff() * values(inertia_.mass).cwiseAbs().maxCoeff());
@@ -217,7 +217,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   const NewtonLimits limits{options_.tolerance, nothing, max_iterations};
   const NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
   if (found.broken)
-    throw Error("a step failed because a force is not finite: check the rig and the materials at this frame");
+    throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
   StepReport report;
   report.iterations = found.iterations;
   report.converged = !found.open;
@@ -229,7 +229,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
 template <class Model>
 double Simulation<Model>::elastic_energy() const {
   require_pose();
-  typename Model::Blend blend;  // that of the iterations may be of another pose
+  typename Model::Blend blend;  // blend_ may be of another pose
   model_->blend(weights_, blend);
   return model_->energy(blend, state_.q[0]);
 }

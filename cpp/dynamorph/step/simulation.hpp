@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// One time step for every model. With posed positions x(q) = A (X + u(q)) + a, a step minimises
+// One time step for every model. With posed positions x(q) = A (X + u(q)) + a, a step minimizes
 //
 //   Phi(q) = 1/(2 h^2 c^2) |x(q) - x^|^2_M + E(q) + D(q) - f . x(q)
 //
-// over the bind-pose coordinates q. x^ is a fixed combination of past *posed* positions, so the moving bones' Euler,
-// Coriolis and centrifugal forces act without their accelerations ever being formed, and a velocity that jumps is a
+// over the bind-pose coordinates q. x^ is a fixed combination of past *posed* positions. So the Euler, Coriolis and
+// centrifugal forces of moving bones act without their accelerations ever being computed, and a jump in velocity is a
 // finite impulse. D damps the bind-pose velocity, so a bone's rigid motion is not damped.
 //
 //   implicit Euler     x^ = 2 x(n) - x(n-1),                                           c = 1
@@ -30,13 +30,13 @@ struct State {
   std::array<Transforms, InertialTarget::kMoments> bones;
 };
 
-/// Throws std::invalid_argument unless every target set's weights are >= 0 and sum to one.
+/// Throws std::invalid_argument unless the weights of every target set are >= 0 and sum to one.
 void check_weights(const std::vector<MorphTarget>& targets, int sets, const Eigen::Ref<const VectorXd>& weights);
 
 struct StepReport {
   int iterations = 0;  ///< of Newton's method
-  /// The gradient was within the tolerance of the forces, or Newton's last step within that of the body's size (root
-  /// mean square). When false the state is the best found, and finite.
+  /// Whether the gradient was within the tolerance of the forces, or Newton's last step within the tolerance of the
+  /// body's size (root mean square). If false, the state is the best one found, and it is finite.
   bool converged = true;
   double residual = 0;  ///< gradient relative to the largest force term
   double energy = 0;    ///< elastic energy, J
@@ -48,19 +48,20 @@ class Simulation {
  public:
   Simulation(std::shared_ptr<const Model> model, StepOptions options);
 
-  /// Targets were sculpted as seen under gravity: from now on only the difference between gravity in a pose and gravity
-  /// in the targets' own poses acts, so that they do not sag. `bones` per target (B, 12), the skin frame of its pose.
+  /// Targets are sculpted as they look under gravity. From now on, only the difference between gravity in a pose and
+  /// gravity in the targets' own poses acts, so that targets do not sag. `bones`: for each target (B, 12), the skin
+  /// frame of its pose.
   void hold_targets(const std::vector<Transforms>& bones);
 
-  /// At rest with the bones `now`, the rig moving on to `next` at the end of the first step: u is the static solution
-  /// and the past follows the rig backward.
+  /// Starts at rest with the bones `now`, while the rig moves on to `next` by the end of the first step. u is the
+  /// static solution, and the past continues the rig's motion backward.
   StepReport start(const Transforms& now, const Transforms& next, const VectorXd& weights);
 
-  /// One step to the bones and target weights at its end. `external` (3 free) newtons, world space, or empty.
+  /// Takes one step to the bones and target weights at its end. `external` (3 free): newtons, world space, or empty.
   StepReport step(const Transforms& bones, const VectorXd& weights, const VectorXd& external = VectorXd());
 
-  /// Static solution at fixed bones, from the coordinates q, or from the blended targets when q is empty. Does not
-  /// change the state.
+  /// Finds the static solution at fixed bones, starting from the coordinates q, or from the blended targets when q is
+  /// empty. Does not change the state.
   StepReport solve_static(const Transforms& bones, const VectorXd& weights, VectorXd& q,
                           const VectorXd& external = VectorXd());
 
@@ -68,10 +69,11 @@ class Simulation {
   const std::shared_ptr<const Model>& shared_model() const { return model_; }
   const StepOptions& options() const { return options_; }
   const State& state() const { return state_; }
-  const MatrixXd& rest_gravity() const { return rest_gravity_; }  ///< what holds the targets (dofs, J), or empty
+  const MatrixXd& rest_gravity() const { return rest_gravity_; }  ///< gravity in the targets' poses (dofs, J), or empty
   void set_state(const State& state);
   const VectorXd& coordinates() const { return state_.q[0]; }
-  /// J, of the state at the target weights of the last start() or step(); kinetic by the scheme's own velocity.
+  /// Energies of the state, J, at the target weights of the last start() or step(). The kinetic energy uses the
+  /// scheme's own velocity.
   double kinetic_energy() const;
   double elastic_energy() const;
   const typename Model::Blend& blend() const { return blend_; }
@@ -80,12 +82,12 @@ class Simulation {
   using Arithmetic = One<typename Model::Matrix>;
 
   void pose(const Transforms& bones, const VectorXd& weights);
-  /// A step, posed and checked, off which the rig does not jump.
+  /// Takes a step that is posed and checked, and in which the rig does not jump.
   StepReport advance(const Transforms& bones, const VectorXd& weights, const VectorXd& external);
-  /// The forces at the origin of the quadratic term, in its g: inertia's towards `inertial` divided by `square` s^2,
-  /// the external ones, and what holds the targets.
+  /// Sets g of the quadratic term to the forces at its origin: inertia's towards `inertial` divided by `square` s^2,
+  /// the external forces, and gravity in the targets' own poses.
   void load(const InertialTarget& inertial, double square, const VectorXd& external);
-  /// To the minimum of the sum of the terms, from q on.
+  /// Moves q to the minimum of the sum of the terms.
   StepReport minimize(VectorXd& q, int max_iterations);
   void require_pose() const;
   double farthest(const Transforms& bones) const;
@@ -94,7 +96,7 @@ class Simulation {
   StepOptions options_;
   State state_;
   VectorXd weights_;                                         ///< of the last start() or step()
-  std::array<Transforms, InertialTarget::kMoments> before_;  ///< a jump, should the step fail
+  std::array<Transforms, InertialTarget::kMoments> before_;  ///< bones before a jump, in case the step fails
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
   typename Model::Matrix damped_;

@@ -10,7 +10,7 @@ namespace dynamorph {
 namespace {
 
 [[noreturn]] void refuse(const char* option, const char* expected, double actual) {
-  std::ostringstream message;  // a tolerance is small: std::to_string would print 0
+  std::ostringstream message;  // std::to_string would print 0 for a small tolerance
   message << option << ": expected " << expected << ", got " << actual;
   throw std::invalid_argument(message.str());
 }

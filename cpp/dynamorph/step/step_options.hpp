@@ -18,23 +18,25 @@ struct StepOptions {
   Vector3d gravity = Vector3d::Zero();  ///< m/s^2, world
   double tolerance = 1e-6;              ///< on the gradient, relative to the largest force term
   int max_iterations = 30;
-  /// Jump of the skin off its course in one step, metres (root mean square), above which the past is carried along.
+  /// Jump of the skin off its course in one step, meters (root mean square), above which the past is carried along.
   /// 0: never.
   double teleport = 0;
-  /// Asked before every Newton iteration; false throws Cancelled, after which start() must come first again.
+  /// Called before every Newton iteration. Returning false throws Cancelled; after that, start() must be called first
+  /// again.
   std::function<bool()> keep_going = {};
 };
 
-/// Throws std::invalid_argument, naming the option, unless a step can be taken with these.
+/// Throws std::invalid_argument, which names the option, unless a step can be taken with these options.
 void check(const StepOptions& options);
 
 /// The numbers of a scheme at one step size.
 struct StepRule {
   explicit StepRule(const StepOptions& options);
-  std::array<double, InertialTarget::kMoments> past;  ///< of x^
+  std::array<double, InertialTarget::kMoments> past;  ///< coefficients of x^
   double square;                                      ///< h^2 c^2, s^2
   std::array<double, 3> velocity;                     ///< h u' = sum velocity[m] u(n+1-m)
-  /// Of the motion that inertia acts on: 2 q(n) - q(n-1), as the bones pose it at the end of the step, less x^.
+  /// Coefficients of the motion that inertia acts on: 2 q(n) - q(n-1), posed by the bones at the end of the step, minus
+  /// x^.
   Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses> coefficients() const;
 };
 

@@ -9,7 +9,7 @@ namespace {
 
 using Affine = Eigen::Matrix<double, 3, 4>;
 
-/// A transform of rest positions relative to `centre`.
+/// The transform of rest positions relative to `centre`.
 template <class Row>
 Affine about(const Vector3d& centre, const Row& row) {
   const Eigen::Matrix<double, 1, 12> entries = row;
@@ -44,7 +44,7 @@ RigidMotion fit_jump(const SoftBody& body, const Transforms& now, const Transfor
 bool jumps(const SoftBody& body, double distance, const Transforms& bones,
            const std::array<Transforms, InertialTarget::kMoments>& past) {
   if (distance <= 0) return false;
-  // How far the bones' flesh is from where it would be had nothing jumped, by its moments.
+  // How far the bones' soft tissue is from where it would be without a jump, by its moments.
   double jump = 0;
   for (Eigen::Index b = 0; b < bones.rows(); ++b) {
     const Eigen::Matrix4d& moments = body.moments[b];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The terms of a step's potential, as newton.hpp asks for them. A new one, contact say, is a struct here and its name
-// in the list of terms of Simulation and Crowd.
+// The terms of a step's potential, as newton.hpp needs them. To add one, contact for example, add a struct here and its
+// name to the lists of terms in Simulation and Crowd.
 #pragma once
 
 #include "dynamorph/core/types.hpp"
@@ -8,8 +8,8 @@
 
 namespace dynamorph {
 
-/// 1/2 d.H d + g.d with d = q - origin: inertia, damping, gravity, external forces. About the predicted coordinates, so
-/// that g is a force and not the round-off of a large displacement.
+/// 1/2 d.H d + g.d with d = q - origin: inertia, damping, gravity, external forces. The origin is the predicted
+/// coordinates, so that g is a force and not the round-off of a large displacement.
 template <class Arithmetic>
 struct QuadraticTerm {
   using Number = typename Arithmetic::Number;
@@ -34,14 +34,14 @@ struct QuadraticTerm {
   Vector d_, Hd_;
 };
 
-/// E(q) in one pose: the elastic energy, and that of what holds the flesh against the bones.
+/// E(q) in one pose: the elastic energy, and the energy of the hold.
 template <class Model, class Arithmetic, class Blend>
 struct ElasticTerm {
   using Number = typename Arithmetic::Number;
   using Vector = typename Arithmetic::Vector;
   const Model* model;
   Blend* blend;
-  Number reference{};  ///< norm of the coordinates that the step is about, for the round-off
+  Number reference{};  ///< norm of the quadratic term's origin, for the round-off
 
   Vector gradient;
   typename Arithmetic::Matrix hessian;
@@ -53,11 +53,11 @@ struct ElasticTerm {
     } else {
       model->linearize(*blend, q, energy, gradient, hessian);
       Arithmetic::subtract(q, blend->centre, from_centre_);
-      resolution = 1e-6 * Arithmetic::norm(from_centre_);  // the tables take them in single precision
+      resolution = 1e-6 * Arithmetic::norm(from_centre_);  // the tables use them in single precision
     }
     forces = Arithmetic::norm(gradient);
     length = Arithmetic::norm(q) + reference + 0.1 * model->body().size * model->metre();
-    round_off = 1e-14 * Arithmetic::largest(hessian) * length;  // terms as large as that cancel in the force
+    round_off = 1e-14 * Arithmetic::largest(hessian) * length;  // terms of that size cancel in the force
   }
   Number longest(const Vector&, const Vector&) const { return Number() + 1.0; }
 
