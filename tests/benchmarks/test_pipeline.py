@@ -75,7 +75,7 @@ def pose_evaluation(monkeypatch) -> list[float]:
         with rig_scene(*moving) as (scene, follower):
             yield TimedScene(scene, seconds), follower
 
-    monkeypatch.setattr(rig_motion, "_rig_scene", timed)
+    monkeypatch.setattr(rig_motion, "rig_scene", timed)
     return seconds
 
 
