@@ -76,7 +76,8 @@ def _accelerate(loop: _Loop) -> bool:
     one, would have ended as they began, in the least squares sense. For a linear law that is exact once there are as
     many passes as ways to be off (Walker and Ni 2011, Anderson acceleration for fixed-point iterations).
     """
-    began, passes = loop.began, []
+    began = loop.began
+    passes: list[tuple[np.ndarray, np.ndarray]] = []
     while loop.passes < ACCELERATED:
         ended = loop(began)
         if loop.is_closed:
@@ -93,7 +94,7 @@ def _accelerate(loop: _Loop) -> bool:
     return False
 
 
-def _newton(loop: _Loop):
+def _newton(loop: _Loop) -> None:
     """Newton's method for what a pass leaves as it was, whose tangent is only ever multiplied, by a pass that begins a
     little otherwise (Knoll and Keyes 2004, Jacobian-free Newton-Krylov methods). Flesh so soft that one pass does not
     foretell the next closes by it. Plain passes go before, and wherever a step does not help.

@@ -19,12 +19,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import exp, hypot, log, pi
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from .character import Character
 from .oscillation import Oscillation, damped, damping_for, swing
 from .settings import Material
+
+if TYPE_CHECKING:  # they need the engine
+    from dynamorph import FullModel
+
+    from .model import Model
 
 MODES = 8  # that are looked at, to find the one that shows
 SEARCHED = 24  # that are looked at where thin parts, which swing first, may be many
@@ -36,19 +42,18 @@ SOFTEST, STIFFEST = 1.0, 1e9  # Pa, between which a stiffness is sought
 # Fitting a target --------------------------------------------------------------------------------------------------
 
 
-def bounce(model, character: Character, target: int, patch: np.ndarray | None = None) -> Oscillation:
+def bounce(model: Model, character: Character, target: int, patch: np.ndarray | None = None) -> Oscillation:
     """How the flesh swings at a target after a push: the slowest visible mode at its pose.
 
-    model: model.Model; target: index into character.targets; patch (V,): weights of the surface vertices that are
-    looked at, default the target's region. Raises ValueError or dynamorph.Error.
+    target: index into character.targets; patch (V,): weights of the surface vertices that are looked at, default the target's region. Raises ValueError or dynamorph.Error.
     """
     character, patch = checked(model, character, target, patch)
-    engine = unreduced(model).engine(character)
+    engine = full_engine(model, character)
     return damped(natural_frequency(model, engine, target, patch), character.targets[target].material)
 
 
 def fit_oscillation(
-    model,
+    model: Model,
     character: Character,
     target: int,
     frequency: float,
@@ -65,7 +70,7 @@ def fit_oscillation(
         raise ValueError(f"frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero")
     character, patch = checked(model, character, target, patch)
     now = character.targets[target].material
-    omega_now = natural_frequency(model, unreduced(model).engine(character), target, patch)
+    omega_now = natural_frequency(model, full_engine(model, character), target, patch)
     if mass_share is None:
         total = now.mass_damping + now.stiffness_damping * omega_now**2
         mass_share = now.mass_damping / total if total else 0.0
@@ -78,7 +83,9 @@ def fit_oscillation(
     )
 
 
-def _stiffness_for(model, character: Character, target: int, omega: float, omega_now: float, patch) -> float:
+def _stiffness_for(
+    model: Model, character: Character, target: int, omega: float, omega_now: float, patch: np.ndarray
+) -> float:
     """Young's modulus with which the flesh at a target swings at omega, rad/s.
 
     omega^2 ~ E where the target has the flesh to itself, so the first step lands; where other regions hold it too,
@@ -93,7 +100,7 @@ def _stiffness_for(model, character: Character, target: int, omega: float, omega
         if not log(SOFTEST) < stiffness + step < log(STIFFEST):
             break
         stiffer = _with_stiffness(character, target, exp(stiffness + step))
-        now = 2 * log(natural_frequency(model, unreduced(model).engine(stiffer), target, patch))
+        now = 2 * log(natural_frequency(model, full_engine(model, stiffer), target, patch))
         slope = max((now - reached) / step, 0.05)
         stiffness, reached = stiffness + step, now
     raise ValueError(
@@ -103,7 +110,7 @@ def _stiffness_for(model, character: Character, target: int, omega: float, omega
 
 
 def fit_force_displacement(
-    model,
+    model: Model,
     character: Character,
     target: int,
     forces: np.ndarray,
@@ -136,7 +143,7 @@ def fit_force_displacement(
     return replace(now, stiffness=exp(stiffness))
 
 
-def _measurements(forces, displacements) -> tuple[np.ndarray, np.ndarray]:
+def _measurements(forces: np.ndarray, displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     forces, displacements = np.atleast_2d(np.asarray(forces, float)), np.atleast_2d(np.asarray(displacements, float))
     if forces.ndim != 2 or forces.shape[1] != 3 or forces.shape != displacements.shape:
         raise ValueError(f"forces and displacements: expected (k, 3) each, got {forces.shape}, {displacements.shape}")
@@ -151,7 +158,7 @@ def _measurements(forces, displacements) -> tuple[np.ndarray, np.ndarray]:
 class _Press:
     """Pushes a patch of the flesh at a target's pose: (Young's modulus Pa, forces (k, 3) N) -> displacements (k, 3)."""
 
-    def __init__(self, model, character: Character, target: int, patch: np.ndarray):
+    def __init__(self, model: Model, character: Character, target: int, patch: np.ndarray):
         self.model, self.character, self.target = model, character, target
         self.carriers = np.zeros(len(model.nodes))  # how much of the patch each node carries, sum 1
         np.add.at(self.carriers, model.embedding_nodes, model.embedding_weights * patch[:, None])
@@ -163,7 +170,8 @@ class _Press:
         """NaN where the flesh finds no rest."""
         engine = self.model.engine(_with_stiffness(self.character, self.target, stiffness))
         simulation = self.model.stepper(engine, 1.0, tolerance=1e-9, max_iterations=100)
-        answers, found = [], []
+        answers: list[np.ndarray] = []
+        found: list[np.ndarray] = []
         for k, force in enumerate([np.zeros(3), *forces]):
             guess = self.guesses[k] if self.guesses else found[-1] if found else None
             at_rest, report = simulation.solve_static(self.bones, self.weights, np.outer(self.carriers, force), guess)
@@ -211,7 +219,7 @@ def with_bounce(reference: float, material: Material, frequency: float) -> Mater
 # What both fits share ----------------------------------------------------------------------------------------------
 
 
-def checked(model, character: Character, target: int, patch) -> tuple[Character, np.ndarray]:
+def checked(model: Model, character: Character, target: int, patch: np.ndarray | None) -> tuple[Character, np.ndarray]:
     """The character that is simulated, and the weights (V,) of its surface vertices, by default the target's region.
 
     The neutral target is all sets', so its region is all of the flesh.
@@ -262,11 +270,15 @@ def _with_stiffness(character: Character, target: int, stiffness: float) -> Char
     return replace(character, target_sets=sets)
 
 
-def unreduced(model, **settings):
-    return replace(model, settings=replace(model.settings, solver="FULL", **settings))
+def unreduced(model: Model, law: str | None = None) -> Model:
+    return replace(model, settings=replace(model.settings, solver="FULL", law=law or model.settings.law))
 
 
-def natural_frequency(model, engine, target: int, patch: np.ndarray) -> float:
+def full_engine(model: Model, character: Character) -> FullModel:
+    return cast("FullModel", unreduced(model).engine(character))  # as its solver says
+
+
+def natural_frequency(model: Model, engine: FullModel, target: int, patch: np.ndarray) -> float:
     """Undamped angular frequency, rad/s, of the mode that answers most to a push on the patch.
 
     engine: of the unreduced model. A mode phi of unit mass moves by |phi|^2 / omega^2 for a unit force: modes are
@@ -283,7 +295,7 @@ def natural_frequency(model, engine, target: int, patch: np.ndarray) -> float:
     return float(omega[swings][answer.argmax()])
 
 
-def _body_frequency(model, engine, target: int, patch: np.ndarray) -> float:
+def _body_frequency(model: Model, engine: FullModel, target: int, patch: np.ndarray) -> float:
     """The same of a body that is held by thickness: the lowest mode with at least EFFECTIVE of the effective mass.
 
     With the patch (V,) moving as one along an axis, s its pattern on the nodes, a mode phi of unit mass has the

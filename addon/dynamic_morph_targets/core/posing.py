@@ -6,27 +6,42 @@ Never touches bpy.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
+from typing import Protocol
 
 import dynamorph
 import numpy as np
 
-from .character import Character
+from .character import Character, Skeleton, Target, TargetSet
 from .geometry import determinant, inverse
 from .model import Model
-from .rig_samples import RigSamples
+from .rig_samples import ForceField, RigSamples
 
 FLAT = 1e-9  # determinant of a node's transform below which it has no size
 
 
-def placing_bones(character: Character) -> list[int]:
+class WithTargets(Protocol):
+    """A character, or so much of one that targets have places in its pose space."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def skeleton(self) -> Skeleton: ...
+    @property
+    def target_sets(self) -> tuple[TargetSet, ...]: ...
+    @property
+    def targets(self) -> list[Target]: ...
+
+
+def placing_bones(character: WithTargets) -> list[int]:
     """Indices of the bones whose rotations place targets in pose space; those that are missing left out."""
     names = character.skeleton.names
     placing = {bone for target in character.targets for bone in target.bones}
     return [index for index, name in enumerate(names) if name in placing]
 
 
-def pose_space(character: Character) -> dynamorph.PoseSpace:
+def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
     """Raises dynamorph.Error, naming both, when two targets have the same pose; ValueError on a missing bone."""
     names = character.skeleton.names
     sets = []
@@ -99,7 +114,8 @@ class Skin:
         self.model = model
         self.rest = character.vertices @ character.to_bind.T
         self._weights = character.weights
-        self._carriers, self.known = None, slice(None)
+        self._carriers: np.ndarray | None = None
+        self.known: np.ndarray | slice = slice(None)
         if character.probed and len(model.tets):
             # The bones do not say where it is, the free nodes do: each vertex is moved like those that carry it, on
             # average. What only held nodes carry is not known, but nothing that acts there has an effect.
@@ -113,7 +129,7 @@ class Skin:
         thirds = np.repeat(np.linalg.norm(across, axis=1) / 6.0, 3)
         self.areas = np.bincount(character.triangles.ravel(), thirds, len(self.rest))  # m^2
 
-    def posed(self, frames: np.ndarray, displacement=0.0) -> np.ndarray:
+    def posed(self, frames: np.ndarray, displacement: np.ndarray | float = 0.0) -> np.ndarray:
         """The skin (V, 3), displaced by (V, 3) in bind space, at the transforms that the engine gets (B + 1, 3, 4)."""
         if self._carriers is None:
             matrices = np.tensordot(self._weights, frames, 1)
@@ -121,7 +137,9 @@ class Skin:
             matrices = np.einsum("va,vaij->vij", self._weights, frames[self._carriers])
         return np.einsum("vij,vj->vi", matrices[:, :, :3], self.rest + displacement) + matrices[:, :, 3]
 
-    def push(self, fields, sample: int, frames: np.ndarray, displacement: np.ndarray) -> np.ndarray | None:
+    def push(
+        self, fields: Sequence[ForceField], sample: int, frames: np.ndarray, displacement: np.ndarray
+    ) -> np.ndarray | None:
         """Newtons on the nodes (n, 3), world space; frames as for `posed`, displacement of the nodes (n, 3)."""
         acting = [field for field in fields if field.strength[sample]]
         if not acting:

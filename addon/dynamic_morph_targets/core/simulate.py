@@ -11,7 +11,7 @@ import numpy as np
 
 from .baked import Bake
 from .build import build
-from .cage import Progress
+from .cage import Progress, Report
 from .character import Character
 from .geometry import determinant
 from .loops import cycle, loop_warnings
@@ -61,11 +61,14 @@ def build_for(
 ) -> Model:
     """`build.build` for a character in a shot, to which its modes are fitted if it says so; else no shot is needed."""
 
-    def rehearse(model: Model, report) -> tuple[np.ndarray, np.ndarray]:
+    if rig is None or settings is None:
+        return build(character, progress, previous)
+
+    def rehearse(model: Model, report: Report) -> tuple[np.ndarray, np.ndarray]:
         frames = list(simulate(model, character, rig, settings, lambda fraction, _message: report(fraction)))
         return np.array([frame.coordinates for frame in frames]), np.array([frame.weights for frame in frames])
 
-    model = build(character, progress, previous, rehearse if rig is not None else None)
+    model = build(character, progress, previous, rehearse)
     if "rehearsal" in model.summary["seconds"]:
         model.summary["fitted"] = [settings.start, settings.end]
     return model
@@ -84,7 +87,9 @@ class Shot:
     ):
         self.player = _player(model, character, settings, progress)
         self.done = 0  # of settings.times
-        self._coordinates, self._weights, self._steps = [], [], []  # a stretch each
+        self._coordinates: list[np.ndarray] = []  # a stretch each, like the next two
+        self._weights: list[np.ndarray] = []
+        self._steps: list[np.ndarray] = []
         self._loop: dict = {}
         self._warnings: list[str] = []
         self._seconds = 0.0
@@ -93,7 +98,7 @@ class Shot:
     def is_complete(self) -> bool:
         return self.done == len(self.player.settings.times)
 
-    def play(self, rig: RigSamples):
+    def play(self, rig: RigSamples) -> None:
         """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
         if self.is_complete:
             return
@@ -123,7 +128,7 @@ class Shot:
             "bones": np.array(bones),
         }
 
-    def resume(self, kept: dict[str, np.ndarray], first: RigSamples):
+    def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
         """Go on after the frames of another shot of the same; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
@@ -173,6 +178,7 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
     by_name = dict(zip(STEP, steps.T, strict=True))
     moving = by_name["steps"] > 0
     rates = by_name["steps"][moving] / by_name["seconds"][moving]
+    warnings: list[str] = []
     report = {
         "steps": int(by_name["steps"].sum()),
         "engine_seconds": float(by_name["seconds"].sum()),
@@ -180,14 +186,14 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
         "iterations": int(by_name["iterations"].sum()),
         "residual": float(by_name["residual"].max()),  # of the largest force
         "energy": float(by_name["energy"].max()),  # elastic, J
-        "warnings": [],
+        "warnings": warnings,
     }
     unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
-        report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
+        warnings.append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
     cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
-        report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
+        warnings.append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
     return report
 
 
