@@ -7,6 +7,7 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -33,11 +34,11 @@ OUTPUT_SETTINGS = ("keys", "every", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
 
-def number(setting):
+def number(setting: bpy.types.Property) -> Callable[[str], float]:
     """A parser of numbers that Blender would not quietly move into the setting's range."""
 
-    def parse(text: str):
-        value = {"INT": int, "FLOAT": float}[setting.type](text)
+    def parse(text: str) -> float:
+        value: float = {"INT": int, "FLOAT": float}[setting.type](text)
         if not setting.hard_min <= value <= setting.hard_max:
             raise argparse.ArgumentTypeError(f"{text} is not between {setting.hard_min:g} and {setting.hard_max:g}")
         return value
@@ -45,12 +46,12 @@ def number(setting):
     return parse
 
 
-def check_substeps(args):
+def check_substeps(args: argparse.Namespace) -> None:
     if args.substeps is not None and args.substeps < 1:
         raise InputError(f"--substeps is {args.substeps}: give 1 or more")
 
 
-def run_job(args):
+def run_job(args: argparse.Namespace) -> None:
     """bake and build."""
     check_substeps(args)
     objects = chosen_objects(args)
@@ -82,7 +83,7 @@ def run_job(args):
             job.kept.unlink(missing_ok=True)
 
 
-def apply_settings(args, obj):
+def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     """Set on the object what the command line says. Raises InputError."""
     for change in args.changes:
         set_property(obj, change)
@@ -94,7 +95,7 @@ def apply_settings(args, obj):
         obj.dynamorph.output.sink = "MODES" if sink_of(args) in exports.FORMATS else sink_of(args)
 
 
-def sink_of(args) -> str:
+def sink_of(args: argparse.Namespace) -> str:
     return (args.sink or "").upper()
 
 
@@ -104,7 +105,7 @@ def sink_names() -> list[str]:
     return [item.identifier for item in output.properties["sink"].enum_items]
 
 
-def sink_files(args, objects, folder: Path) -> dict[str, Path]:
+def sink_files(args: argparse.Namespace, objects: list[bpy.types.Object], folder: Path) -> dict[str, Path]:
     """The files that --sink and --sink-file ask for, by the names of their meshes. Raises InputError, ExportError."""
     if args.goal == "BUILD":
         if not (args.output or args.in_place or args.share):
@@ -138,7 +139,7 @@ def sink_files(args, objects, folder: Path) -> dict[str, Path]:
     return files
 
 
-def export(args, obj, job, path: Path):
+def export(args: argparse.Namespace, obj: bpy.types.Object, job: Job, path: Path) -> None:
     """Write the bake for other programs."""
     sink, takes, tick = sink_of(args), args.clips.upper(), Progress(args.progress == "openjd")
     job.warnings += losses.losses(obj, sink, takes)
@@ -147,7 +148,7 @@ def export(args, obj, job, path: Path):
     print(f"{job.name}: written to {path.name}")
 
 
-def set_property(obj, change: str):
+def set_property(obj: bpy.types.Object, change: str) -> None:
     """TARGET.PROPERTY=VALUE, a wedge of a farm; the name of a target may have dots in it. Raises InputError."""
     where, _, text = change.partition("=")
     name, _, field = where.rpartition(".")
@@ -163,7 +164,7 @@ def set_property(obj, change: str):
         raise InputError(f"--set {change}: {error}") from error
 
 
-def run_collect(args):
+def run_collect(args: argparse.Namespace) -> None:
     """Raises CollectError when a bake failed or is missing, after the page is written."""
     reports = report_page.read(args.folder)
     wrong = report_page.failures(reports, args.expect)
@@ -174,7 +175,7 @@ def run_collect(args):
         raise errors.CollectError("; ".join(wrong))
 
 
-def run_check(args):
+def run_check(args: argparse.Namespace) -> None:
     """Raises InputError when something is in the way."""
     engine.engine()
     in_the_way = 0
@@ -196,18 +197,18 @@ def run_check(args):
         raise InputError(f"{in_the_way} problem{'s' * (in_the_way > 1)} in the way, listed above")
 
 
-def run_report(args):
+def run_report(args: argparse.Namespace) -> None:
     check_substeps(args)
     engine.engine()  # says what is missing
     from ..core import compare
 
-    found = {}
+    found: dict[str, dict] = {}
     for obj in chosen_objects(args):
         job = Job(obj, "BAKE", frames=tuple(args.frames) if args.frames else None, substeps=args.substeps)
         job.prepare()
         tick = Progress()
 
-        def progress(fraction, message, job=job, tick=tick):
+        def progress(fraction: float, message: str, job: Job = job, tick: Progress = tick) -> bool:
             job.fraction, job.message = fraction, message
             tick(job)
             return True
@@ -221,7 +222,7 @@ def run_report(args):
         print(f"written to {args.json}")
 
 
-def run_fit(args):
+def run_fit(args: argparse.Namespace) -> None:
     path = args.oscillation or args.force_displacement
     if not path.is_file():
         raise InputError(f"there is no file '{path}'")
@@ -236,22 +237,22 @@ def run_fit(args):
             raise InputError(f"'{obj.name}' has no target named '{args.target}'")
         if args.patch and args.patch not in obj.vertex_groups:
             raise InputError(f"'{obj.name}' has no vertex group named '{args.patch}'")
-        subject = model_store.fit_input(obj, target)
+        model, character, index = model_store.fit_input(obj, target)
         patch = None
         if args.patch:
-            patch = np.zeros(len(subject[1].vertices))
-            patch[subject[1].own] = mesh_data.group_weights(obj, [args.patch])[:, 0]
+            patch = np.zeros(len(character.vertices))
+            patch[character.own] = mesh_data.group_weights(obj, [args.patch])[:, 0]
         if args.oscillation:
-            fitted = material_fit.fit_oscillation(*subject, seen.frequency, seen.decay, patch)
+            fitted = material_fit.fit_oscillation(model, character, index, seen.frequency, seen.decay, patch)
         else:
-            fitted = material_fit.fit_force_displacement(*subject, rows[:, :3], rows[:, 3:], patch)
+            fitted = material_fit.fit_force_displacement(model, character, index, rows[:, :3], rows[:, 3:], patch)
         for name, value in asdict(fitted).items():
             print(f"{obj.name}: {target.name}: {name.replace('_', ' ')} {getattr(target, name):.4g} -> {value:.4g}")
         target.set_material(fitted, by_hand=True)
     save(args)
 
 
-def run_free(args):
+def run_free(args: argparse.Namespace) -> None:
     for obj in chosen_objects(args):
         bake.check(obj)
         baked = obj.dynamorph.bake
@@ -261,7 +262,7 @@ def run_free(args):
     save(args)
 
 
-def run_info(args):
+def run_info(args: argparse.Namespace) -> None:
     for obj in chosen_objects(args):
         settings = obj.dynamorph
         print(f"{obj.name}: {', '.join(target.name for target in settings.targets)}")
@@ -280,7 +281,7 @@ def run_info(args):
         print(f"  bake state: {'; '.join(staleness.outdated(obj)) or 'up to date'}")
 
 
-def chosen_objects(args) -> list:
+def chosen_objects(args: argparse.Namespace) -> list[bpy.types.Object]:
     """The objects that --object or --all name."""
     if not args.object:
         found = skin.soft_skins(bpy.context.scene.objects)
@@ -293,13 +294,13 @@ def chosen_objects(args) -> list:
     return _reconciled([bpy.context.scene.objects[name] for name in args.object])
 
 
-def _reconciled(objects: list) -> list:
+def _reconciled(objects: list) -> list[bpy.types.Object]:
     for obj in skin.soft_skins(objects):
         reconcile(obj)
     return objects
 
 
-def save(args) -> float:
+def save(args: argparse.Namespace) -> float:
     """Save the .blend; returns the seconds it took."""
     began = time.perf_counter()
     path = str(args.output.resolve()) if args.output else bpy.data.filepath

@@ -17,7 +17,9 @@ import json
 import signal
 import sys
 import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import FrameType
 
 import bpy
 
@@ -47,7 +49,7 @@ COLLECT = "make one page of many reports; fails when one of them is missing or t
 DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70, 75, 130
 
 
-def main(argv, opens_file: bool = False) -> int:
+def main(argv: Sequence[str], opens_file: bool = False) -> int:
     """Run one command and return its exit code. opens_file: the .blend is an argument, not the one already open."""
     try:
         args = parser(opens_file).parse_args(argv)
@@ -71,11 +73,11 @@ class Preempted(BaseException):
     """A scheduler wants the machine for something else."""
 
 
-def _preempted(_number, _frame):
+def _preempted(_number: int, _frame: FrameType | None) -> None:
     raise Preempted
 
 
-def _run(args, opens_file: bool) -> int:
+def _run(args: argparse.Namespace, opens_file: bool) -> int:
     """Run the command, and report what came of it; returns its exit code."""
     args.done, code, error = [], DONE, ""
     try:
@@ -112,7 +114,9 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     )
     commands = root.add_subparsers(title="commands", required=True)
 
-    def command(name, run, text, writes=True):
+    def command(
+        name: str, run: Callable[[argparse.Namespace], None], text: str, writes: bool = True
+    ) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=text)
         sub.set_defaults(run=run)
         if opens_file:
@@ -176,12 +180,12 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     return root
 
 
-def add_shot(sub):
+def add_shot(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
     sub.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
 
 
-def add_settings(sub, part: str, names):
+def add_settings(sub: argparse.ArgumentParser, part: str, names: Sequence[str]) -> None:
     """Settings of a panel by the same names; what is given is set on the object first."""
     settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties[part].fixed_type.properties
     for name in names:
@@ -195,7 +199,7 @@ def add_settings(sub, part: str, names):
             sub.add_argument(option, type=number(setting), help=text)
 
 
-def open_file(args, opens_file: bool):
+def open_file(args: argparse.Namespace, opens_file: bool) -> None:
     """Make sure that the .blend is open, and that the result can be written, before any work."""
     if args.run == run_collect:
         return

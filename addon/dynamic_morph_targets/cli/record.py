@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import argparse
 import platform
 import tomllib
 from pathlib import Path
@@ -10,9 +11,11 @@ from pathlib import Path
 import bpy
 
 from ..core import baked
+from ..run.batch import Batch
+from ..run.job import Job
 
 
-def record(args, code: int, error: str) -> dict:
+def record(args: argparse.Namespace, code: int, error: str) -> dict:
     """What --report writes."""
     return {
         "versions": versions(),
@@ -33,7 +36,7 @@ def versions() -> dict:
     }
 
 
-def character_record(job) -> dict:
+def character_record(job: Job) -> dict:
     """What a job made, of one character."""
     found = {
         "name": job.name,
@@ -57,19 +60,19 @@ def character_record(job) -> dict:
     return found
 
 
-def find_model(name: str):
+def find_model(name: str) -> bpy.types.PropertyGroup:
     return bpy.context.scene.objects[name].dynamorph.model
 
 
 class Progress:
     """Prints a line at each tenth, not at each tick; openjd: each hundredth, for Open Job Description's farms."""
 
-    def __init__(self, openjd=False):
+    def __init__(self, openjd: bool = False):
         self.openjd = openjd
         self.step = 1 if openjd else 10
         self.percent = -1
 
-    def __call__(self, job):
+    def __call__(self, job: Job | Batch) -> None:
         percent = int(100 * job.fraction) // self.step * self.step
         if percent > self.percent:
             self.percent = percent
@@ -78,7 +81,7 @@ class Progress:
                 print(f"openjd_progress: {percent}\nopenjd_status: {job.name}: {job.message}", flush=True)
 
 
-def print_table(job, save_seconds: float):
+def print_table(job: Job, save_seconds: float) -> None:
     made = job.model.summary
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
     if made["seconds"]:  # it was built now

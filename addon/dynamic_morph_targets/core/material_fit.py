@@ -45,7 +45,8 @@ SOFTEST, STIFFEST = 1.0, 1e9  # Pa, between which a stiffness is sought
 def bounce(model: Model, character: Character, target: int, patch: np.ndarray | None = None) -> Oscillation:
     """How the flesh swings at a target after a push: the slowest visible mode at its pose.
 
-    target: index into character.targets; patch (V,): weights of the surface vertices that are looked at, default the target's region. Raises ValueError or dynamorph.Error.
+    target: index into character.targets; patch (V,): weights of the surface vertices that are looked at, default the
+    target's region. Raises ValueError or dynamorph.Error.
     """
     character, patch = checked(model, character, target, patch)
     engine = full_engine(model, character)

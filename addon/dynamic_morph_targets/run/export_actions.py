@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import bpy
 import numpy as np
 
 from ..core import keys
 from ..core.baked import Bake
 from ..core.errors import ExportError, SceneError
+from ..core.settings import SimulationSettings
 from ..scene import skin
 from ..scene.references import rig_of
 from ..scene.skin import find
@@ -28,12 +30,14 @@ from .job import Job
 class ClipJob(Job):
     """Simulates one of the clips with the model as it is built, and writes nothing: `result` and `carried` are it."""
 
-    def __init__(self, obj, clip: Clip, clips: Sequence[Clip]):
+    settings: SimulationSettings
+
+    def __init__(self, obj: bpy.types.Object, clip: Clip, clips: Sequence[Clip]):
         super().__init__(obj, "BAKE", frames=(clip.first, clip.last))
         self.name = f"{obj.name}: {clip.name}"
         self.clip, self._clips = clip, clips
 
-    def read(self, whole=False):
+    def read(self, whole: bool = False) -> None:
         super().read(whole=True)  # it may be a loop
         if self.reasons:
             why = "; ".join(self.reasons)
@@ -43,22 +47,21 @@ class ClipJob(Job):
         with laid_out(rig_of(skin.find(self.session_uid)), self._clips):
             return super().sample(seconds)
 
-    def commit(self):
+    def commit(self) -> None:
         self._probe = None
 
-    def _next_stretch(self, obj):
+    def _next_stretch(self, obj: bpy.types.Object) -> None:
         """The clip alone: before its first frame there is nothing to run up on."""
-        chosen = {"loop": self.clip.cyclic, "preroll_pose": "HELD", "samples": 1}
-        self.settings = replace(self.settings, **chosen)
+        self.settings = replace(self.settings, loop=self.clip.cyclic, preroll_pose="HELD", samples=1)
         super()._next_stretch(obj)
 
-    def _read_kept(self, obj):
+    def _read_kept(self, obj: bpy.types.Object) -> None:
         """It becomes no part of the bake that there is."""
 
-    def _read_output(self, obj):
+    def _read_output(self, obj: bpy.types.Object) -> None:
         """It becomes nothing in Blender."""
 
-    def _make_keys(self):
+    def _make_keys(self) -> None:
         """It becomes keys together with the other clips: `joined`."""
 
 
@@ -74,7 +77,14 @@ def joined(bakes: Sequence[Bake]) -> Bake:
     return replace(first, **together)
 
 
-def export(obj, key: str, path: Path, frames: tuple[int, int], takes="SCENE", tick=None) -> list[str]:
+def export(
+    obj: bpy.types.Object,
+    key: str,
+    path: Path,
+    frames: tuple[int, int],
+    takes: str = "SCENE",
+    tick: Callable[[batch.Batch], object] | None = None,
+) -> list[str]:
     """Write `obj`, with its armature and all meshes on that, to `path`, whole or not at all; returns warnings.
 
     key: of FORMATS. takes: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
@@ -99,7 +109,7 @@ class ActionsExport(batch.Batch):
     `actions.clips_of` and `jobs.Batch`.
     """
 
-    def __init__(self, obj, key: str, path: Path):
+    def __init__(self, obj: bpy.types.Object, key: str, path: Path):
         check_place(obj, key, path)
         if not FORMATS[key].skins:
             raise ExportError(
@@ -121,7 +131,7 @@ class ActionsExport(batch.Batch):
         yield from super().steps(seconds, pause)
         self._write_clips()
 
-    def _write_clips(self):
+    def _write_clips(self) -> None:
         obj, job = self.jobs[0].target(), self.jobs[0]
         pieces = [find(follower.session_uid) for follower in job.followers]
         wholes = [joined(each) for each in zip(*([job.result, *job.carried] for job in self.jobs), strict=True)]

@@ -20,7 +20,7 @@ from .session import Session, simulation_settings, way_to_skin
 SCRUBBED = 0.02  # seconds between two looks whether the artist still drags through the timeline
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple] = {}  # why an object does not play, and how its model stood then
+_problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and how its model stood then
 lent: set[int] = set()  # objects whose live key shows something else for a while
 _any_live: bool | None = None  # whether an object of this file is live; None: to be seen
 
@@ -28,11 +28,11 @@ _any_live: bool | None = None  # whether an object of this file is live; None: t
 # On, off, and the present frame ------------------------------------------------------------------------------------
 
 
-def is_on(obj) -> bool:
+def is_on(obj: bpy.types.Object) -> bool:
     return bool(obj.dynamorph.live.key.name) and obj.session_uid not in lent
 
 
-def obstacle(obj) -> str:
+def obstacle(obj: bpy.types.Object) -> str:
     """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
     if obj.dynamorph.bake.exists:
         return "The bake shows the motion already: press Free Bake first"
@@ -40,7 +40,7 @@ def obstacle(obj) -> str:
     return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 
 
-def turn_on(obj, scene):
+def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
     """Add the live key and show the present frame. Raises what keeps it from playing, before anything is changed.
 
     There must be no `obstacle`.
@@ -53,30 +53,30 @@ def turn_on(obj, scene):
     follow(obj, scene)
 
 
-def turn_off(obj):
+def turn_off(obj: bpy.types.Object) -> None:
     """Raises SinkError."""
     sessions.pop(obj.session_uid, None)
     _problems.pop(obj.session_uid, None)
     live_key.remove(obj)
 
 
-def refresh(obj):
+def refresh(obj: bpy.types.Object) -> None:
     """Show at once what was changed in the settings of an object, if it is live."""
     if is_on(obj):
         follow(obj, bpy.context.scene, arrives=False)
 
 
-def problem(obj) -> str:
+def problem(obj: bpy.types.Object) -> str:
     """Why a live object does not play, or ''."""
     text, model = _problems.get(obj.session_uid, ("", None))
     return text if text and model == _stated(obj) else ""
 
 
-def _stated(obj) -> tuple:
+def _stated(obj: bpy.types.Object) -> tuple[str, ...]:
     return obj.dynamorph.model.content_id, *staleness.model_age(obj)
 
 
-def follow(obj, scene, arrives=True):
+def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) -> None:
     """Show what the flesh does at the scene's time. What is in the way is kept, see `problem`."""
     uid, rig = obj.session_uid, references.rig_of(obj)
     if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
@@ -99,7 +99,7 @@ def follow(obj, scene, arrives=True):
         events.redraw(events.PANELS)
 
 
-def holds_still(scene) -> bool:
+def holds_still(scene: bpy.types.Scene) -> bool:
     """Whether a render in the window reads what we would write."""
     rendering = not bpy.app.background and bpy.app.is_job_running("RENDER")
     return rendering and not scene.render.use_lock_interface
@@ -109,7 +109,7 @@ def holds_still(scene) -> bool:
 
 
 @persistent
-def _frame_changed(scene, _depsgraph=None):
+def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """frame_change_pre: what is written before Blender evaluates the frame does not make it do so twice.
 
     The rig is not read from there but by itself, which changes frames too, in a scene of its own.
@@ -138,7 +138,7 @@ def is_scrubbing() -> bool:
     return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
 
 
-def _after_scrubbing():
+def _after_scrubbing() -> float | None:
     """By a timer: show the frame that was scrubbed to, when the mouse is up."""
     if is_scrubbing():
         return SCRUBBED  # seconds from now
@@ -148,7 +148,7 @@ def _after_scrubbing():
 
 
 @persistent
-def _edited(scene, depsgraph):
+def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post, which changing the frame does not call."""
     global _any_live
     if depsgraph.id_type_updated("OBJECT"):
@@ -170,13 +170,13 @@ def _edited(scene, depsgraph):
             turn_off(obj)
 
 
-def _may_reskin(update) -> bool:
+def _may_reskin(update: bpy.types.DepsgraphUpdate) -> bool:
     edited = update.id
     is_mesh = isinstance(edited, bpy.types.Object) and edited.type == "MESH" and update.is_updated_geometry
     return is_mesh or isinstance(edited, bpy.types.Armature)
 
 
-def _moves(update) -> bool:
+def _moves(update: bpy.types.DepsgraphUpdate) -> bool:
     """Whether an edit may have changed how rigs move. Posing is one, and so is any object: a rig may follow it."""
     edited = update.id
     if isinstance(edited, bpy.types.Object):
@@ -185,7 +185,7 @@ def _moves(update) -> bool:
 
 
 @persistent
-def _undone(*_args):
+def _undone(*_args: object) -> None:
     """undo_post, redo_post. What was simulated stays true; how the rig moves may not."""
     global _any_live
     _any_live = None
@@ -195,7 +195,7 @@ def _undone(*_args):
 
 
 @persistent
-def _loaded(*_args):
+def _loaded(*_args: object) -> None:
     """load_post: the ids may be those of other objects now."""
     global _any_live
     _any_live = None
@@ -204,7 +204,7 @@ def _loaded(*_args):
 
 
 @persistent
-def _before_save(*_args):
+def _before_save(*_args: object) -> None:
     """save_pre: note what the live keys look like, by which they are found after a rename."""
     skins = soft_skins(bpy.data.objects)
     for obj in [each for skin in skins for each in (skin, *followers(skin))]:
@@ -227,20 +227,20 @@ HANDLERS = {
 LISTENERS = {events.Event.SHOWN_CHANGED: refresh}
 
 
-def register():
+def register() -> None:
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
     _loaded()
 
 
-def unregister():
+def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
     events.forget(_after_scrubbing)
     _loaded()
 
 
-def remove_soft_skin(obj):
+def remove_soft_skin(obj: bpy.types.Object) -> None:
     """Its targets, model and bake; shape keys and settings stay. Raises SinkError."""
     turn_off(obj)
     bake.free(obj)
