@@ -23,7 +23,7 @@ from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, skin, staleness
 from ..write import bake, exports, losses
 from ..write.reconcile import reconcile
-from .record import Progress, print_table
+from .record import Done, Progress, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
@@ -59,28 +59,43 @@ def run_job(args: argparse.Namespace) -> None:
     files = sink_files(args, objects, folder)
     for obj in objects:  # all that may be refused, before any work
         apply_settings(args, obj)
-    shared = cache_dir.Share(args.share.resolve()) if args.share else None
     for obj in objects:
-        frames = tuple(args.frames) if args.frames else None
-        rebuild = args.goal == "BUILD" and shared is None
-        goal = "BUILD" if args.clips == "actions" else args.goal  # the clips are simulated as they are written
-        job = Job(obj, goal, frames, args.substeps, folder, rebuild, shared)
-        job.cache_files = files
-        batch.run(job, Progress(args.progress == "openjd"))
-        if sink_of(args) in exports.FORMATS:
-            export(args, obj, job, files[obj.name])
-        for reason in job.reasons:
-            print(f"{job.name}: built: {reason}")
-        if job.rehearsed:
-            print(f"{job.name}: {job.rehearsed}")
-        for warning in job.warnings:
-            print(f"{job.name}: warning: {warning}")
-        args.done.append(job)
+        done = work_on(args, obj, folder, files)
+        say(done)
+        args.done.append(done)
     seconds = save(args) if args.output or args.in_place else 0.0
-    for job in args.done:
+    for job in (done.job for done in args.done):
         print_table(job, seconds)
-        if job.kept:  # it is saved now
-            job.kept.unlink(missing_ok=True)
+        if job.input.kept:  # it is saved now
+            job.input.kept.unlink(missing_ok=True)
+
+
+def work_on(args, obj, folder: Path, files: dict[str, Path]) -> Done:
+    """Build or bake one object, and write its file for other programs if that is asked for; folder, files: where what
+    is written goes.
+    """
+    shared = cache_dir.Share(args.share.resolve()) if args.share else None
+    rebuild = args.goal == "BUILD" and shared is None
+    goal = "BUILD" if args.clips == "actions" else args.goal  # the clips are simulated as they are written
+    frames = tuple(args.frames) if args.frames else None
+    job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, share=shared, cache_files=files)
+    tick = Progress(args.progress == "openjd")
+    batch.run(job, tick)
+    warnings = list(job.warnings)
+    if sink_of(args) in exports.FORMATS:
+        first, last = job.result.frames[[0, -1]] if job.input.is_bake else (0, 0)
+        warnings += export(args, obj, files[obj.name], (math.ceil(first), math.floor(last)))
+    return Done(job, warnings)
+
+
+def say(done: Done):
+    job = done.job
+    for reason in job.reasons:
+        print(f"{job.name}: built: {reason}")
+    if job.outcome.rehearsed:
+        print(f"{job.name}: {job.outcome.rehearsed}")
+    for warning in done.warnings:
+        print(f"{job.name}: warning: {warning}")
 
 
 def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
@@ -139,13 +154,12 @@ def sink_files(args: argparse.Namespace, objects: list[bpy.types.Object], folder
     return files
 
 
-def export(args: argparse.Namespace, obj: bpy.types.Object, job: Job, path: Path) -> None:
-    """Write the bake for other programs."""
+def export(args, obj, path: Path, frames: tuple[int, int]) -> list[str]:
+    """Write the bake, or the clips, for other programs; returns warnings."""
     sink, takes, tick = sink_of(args), args.clips.upper(), Progress(args.progress == "openjd")
-    job.warnings += losses.losses(obj, sink, takes)
-    first, last = job.result.frames[[0, -1]] if job.bake else (0, 0)
-    job.warnings += export_actions.export(obj, sink, path, (math.ceil(first), math.floor(last)), takes, tick)
-    print(f"{job.name}: written to {path.name}")
+    warnings = [*losses.losses(obj, sink, takes), *export_actions.export(obj, sink, path, frames, takes, tick)]
+    print(f"{obj.name}: written to {path.name}")
+    return warnings
 
 
 def set_property(obj: bpy.types.Object, change: str) -> None:
@@ -204,9 +218,9 @@ def run_report(args: argparse.Namespace) -> None:
 
     found: dict[str, dict] = {}
     for obj in chosen_objects(args):
-        job = Job(obj, "BAKE", frames=tuple(args.frames) if args.frames else None, substeps=args.substeps)
-        job.prepare()
-        tick = Progress()
+        frames = tuple(args.frames) if args.frames else None
+        job = Job(obj, "BAKE", frames, args.substeps, whole=True, stored=False)
+        rig, tick = batch.read_rig(job), Progress()
 
         def progress(fraction: float, message: str, job: Job = job, tick: Progress = tick) -> bool:
             job.fraction, job.message = fraction, message
@@ -214,7 +228,7 @@ def run_report(args: argparse.Namespace) -> None:
             return True
 
         variants = {name: VARIANTS[name] for name in args.methods}
-        found[obj.name] = compare.compare(job.character, job.rig, job.settings, variants, progress)
+        found[obj.name] = compare.compare(job.character, rig, job.settings, variants, progress)
     for name, compared in found.items():
         print(f"\n{name}\n{compare.table(compared)}")
     if args.json:

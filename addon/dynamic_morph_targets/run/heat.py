@@ -14,7 +14,7 @@ import numpy as np
 from ..core import engine
 from ..core.errors import SceneError
 from ..scene import extract, model_store, references, skin
-from ..write import bake
+from ..write import bake_reading
 from . import live
 
 LIMIT = 0.05  # of the body's size, where Max Displacement is 0
@@ -66,7 +66,7 @@ def _baked_motion(obj: bpy.types.Object) -> np.ndarray:
     keys = obj.data.shape_keys
     render = bpy.context.scene.render
     time = bpy.context.scene.frame_current_final * render.frame_map_old / render.frame_map_new
-    shapes = bake.shape_curves(obj)
+    shapes = bake_reading.shape_curves(obj)
     basis = references.key_points(keys.reference_key)
     motion = np.zeros_like(basis)
     for reference in obj.dynamorph.bake.keys:

@@ -30,20 +30,21 @@ class Preview:
     Raises SceneError or SinkError.
     """
 
-    def __init__(self, obj: bpy.types.Object, operator: type[Operator]):
+    def __init__(self, obj, operator: type[Operator]):
+        rig_motion.check_not_rendering()
         self.name, self.label = operator.bl_idname, operator.bl_label
-        self.session_uid = obj.session_uid
+        self.object = skin.ObjectHandle.of(obj)
         self.flesh = session.Flesh(obj, bpy.context.scene)
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         self._sculpt = obj.dynamorph.sculpt.shown.name
         if not self._was_live:
             self.flesh.add_keys(obj)
-        live.lent.add(self.session_uid)
+        live.lent.add(self.object.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None) -> None:
         """values: see Flesh.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
-        obj = skin.find(self.session_uid)
+        obj = self.object.find()
         if not self.flesh.show(values):
             raise SceneError("The live key was removed: the test stops")
         if transform is not None:
@@ -53,11 +54,11 @@ class Preview:
 
     def end(self) -> None:
         """Put everything back."""
-        live.lent.discard(self.session_uid)
+        live.lent.discard(self.object.session_uid)
         for mover in self._movers:
             mover.restore()
         with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
-            obj = skin.find(self.session_uid)
+            obj = self.object.find()
             if self._was_live:
                 live.refresh(obj)
             else:
@@ -68,15 +69,15 @@ class Preview:
 class _Mover:
     """Moves an object by its delta transform, which is neither keyed nor changed by changing the frame."""
 
-    def __init__(self, obj: bpy.types.Object):
-        self.session_uid = obj.session_uid
+    def __init__(self, obj):
+        self.object = skin.ObjectHandle.of(obj)
         self.before = [getattr(obj, name).copy() for name in DELTAS]
         self.basis = obj.matrix_basis.copy()  # with the deltas
         self.parent = obj.matrix_world @ self.basis.inverted()
 
     def move(self, transform: Matrix) -> None:
         """transform: in world space, of the object as it stood."""
-        obj = skin.find(self.session_uid)
+        obj = self.object.find()
         moved = self.parent.inverted() @ transform @ self.parent @ self.basis
         turn = moved.to_quaternion() @ self.basis.to_quaternion().inverted()
         _, euler, quaternion = self.before
@@ -89,7 +90,7 @@ class _Mover:
 
     def restore(self) -> None:
         with suppress(SceneError):  # it was deleted
-            obj = skin.find(self.session_uid)
+            obj = self.object.find()
             for name, value in zip(DELTAS, self.before, strict=True):
                 setattr(obj, name, value)
 

@@ -48,20 +48,21 @@ class Flesh:
         self.modes = len(modes)
         self.target_names = [target.name for target in self.character.by_method().targets]
         own, details = self.character.own, self.model.details
-        self.skin = Surface(obj, self.character.vertices[own], modes[:, own], details[:, own])
-        self.followers: list[Surface] = []
+        self.skin = Surface(skin.ObjectHandle.of(obj), self.character.vertices[own], modes[:, own], details[:, own])
+        self.followers = []
         for follower in extract.followers(obj, self.character):
             if follower.members:
                 moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
             else:
-                moved, kept = carrying.carried(self.model, nodes, follower)
-            self.followers.append(Surface(skin.find(follower.session_uid), follower.points, moved, kept))
+                shapes = carrying.carried(self.model, nodes, follower)
+            handle = skin.ObjectHandle(follower.session_uid, follower.name)
+            self.followers.append(Surface(handle, follower.points, *shapes))
 
     @property
-    def vertices(self) -> dict[int, int]:
-        """How many the meshes have that share the cage, by session_uid."""
-        parts = {part.session_uid: len(part.points) for part in self.character.parts}
-        return {self.skin.session_uid: self.character.own.stop} | parts
+    def vertices(self) -> dict[skin.ObjectHandle, int]:
+        """How many the meshes have that share the cage."""
+        parts = {skin.ObjectHandle(part.session_uid, part.name): len(part.points) for part in self.character.parts}
+        return {self.skin.object: self.character.own.stop} | parts
 
     def values(self, frame: Frame) -> np.ndarray:
         """What `points` asks for: (r + J,) coordinates as shown, and target weights."""
@@ -73,7 +74,7 @@ class Flesh:
 
     def add_keys(self, obj: bpy.types.Object) -> None:
         """The live keys of the soft skin `obj` and of what follows it. Raises SinkError."""
-        live_key.add(obj, self.target_names, [skin.find(surface.session_uid) for surface in self.followers])
+        live_key.add(obj, self.target_names, [surface.object.find() for surface in self.followers])
 
     def show(self, values: np.ndarray) -> bool:
         """Write the live keys; False when that of the skin is gone."""
@@ -105,9 +106,9 @@ class Surface:
     shows.
     """
 
-    def __init__(self, obj: bpy.types.Object, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
-        self.session_uid = obj.session_uid
-        self.written: np.ndarray | None = None
+    def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
+        self.object = handle
+        self.written = None
         self._rest = vertices.astype(np.float32).ravel()
         shapes = np.concatenate([modes, details])
         self.shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
@@ -118,7 +119,7 @@ class Surface:
 
     def show(self, values: np.ndarray) -> bool:
         """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
-        block = live_key.find(skin.find(self.session_uid), self.written)
+        block = live_key.find(self.object.find(), self.written)
         if block is None or 3 * len(block.points) != len(self._rest):
             return False
         self.written = self.points(values)
@@ -213,8 +214,8 @@ class Session:
         flesh = self.flesh
         if self.now not in self._frames:
             return {}
-        values = flesh.values(self._frames[self.now])
-        return {surface.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
+        values = flesh.values(frame)
+        return {surface.object.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
 
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, is simulated already."""
@@ -230,8 +231,8 @@ class Session:
         age = staleness.model_age(obj)
         if age:
             raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
-        for uid, count in self.flesh.vertices.items():
-            mesh = skin.find(uid).data
+        for handle, count in self.flesh.vertices.items():
+            mesh = handle.find().data
             if len(mesh.vertices) != count:
                 raise SceneError(
                     f"Mesh '{mesh.name}' has {len(mesh.vertices)} vertices, its model {count}: press Build Model"

@@ -72,7 +72,7 @@ class EndsLive(JobOperator):
         return result
 
     def _look(self, context):
-        obj = skin.find(self.batch.jobs[0].session_uid)
+        obj = self.batch.jobs[0].request.object.find()
         obstacle = live.obstacle(obj)
         if obstacle:
             raise SceneError(obstacle)
@@ -152,6 +152,8 @@ class PreviewOperator(FleshOperator):
 
     def _tick(self):
         """Show the frame of this moment: a slow window drops some, as playback does."""
+        if rig_motion.render_runs():  # which reads what would be written
+            return {"RUNNING_MODAL"}
         due = 1 + int((time.monotonic() - self.began) * self.fps) - self.done
         frames = list(islice(self.left, due))
         self.done += len(frames)
