@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build and Bake as one path for the button, the command line and scripts; and where a built model is kept.
+"""Build and Bake as one path for the button, the command line and scripts.
 
 The work has three parts: `read` reads Blender, `compute` runs in threads that never touch bpy, `write` changes Blender
 all at once, so that it is one undo step and an error before it changes nothing.

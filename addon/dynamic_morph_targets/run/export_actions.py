@@ -71,7 +71,7 @@ def export(
 
     key: of FORMATS. takes: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
     then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
-    ExportError, OSError, and with ACTIONS as `jobs.run`.
+    ExportError, OSError, and with ACTIONS as `batch.run_all`.
     """
     if takes == "ACTIONS":
         batch = ActionsExport(obj, key, path)
@@ -88,7 +88,7 @@ class ActionsExport(batch.Batch):
     to `path`, whole or not at all: an animation for each, by its name, of bones and of shape keys that all clips share.
 
     It needs no bake, and leaves the one that there is as it is. key: of a format that skins. Raises ExportError, and as
-    `actions.clips_of` and `jobs.Batch`.
+    `actions.clips_of` and `batch.Batch`.
     """
 
     def __init__(self, obj: bpy.types.Object, key: str, path: Path):

@@ -72,7 +72,10 @@ class EndsLive(JobOperator):
         return result
 
     def _look(self, context):
-        obj = self.batch.jobs[0].request.object.find()
+        request = self.batch.jobs[0].request
+        if request.scene.find() != context.scene:  # the artist has gone on in another one
+            return
+        obj = request.object.find()
         obstacle = live.obstacle(obj)
         if obstacle:
             raise SceneError(obstacle)

@@ -120,14 +120,15 @@ class NewBake:
         follow(obj, skin)
         self._had_keys = obj.dynamorph.had_keys
         self._old = baked_names(obj)  # now: a new key may look like an old one, or take the name of a deleted one
-        self._keys = scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
         record, has_animation_data = obj.dynamorph.bake, obj.data.shape_keys.animation_data is not None
         self._had_animation_data = record.had_animation_data if record.exists else has_animation_data
+        self._keys: list[Key] = []
         self._names: list[str] = []  # for now: the old bake may have the names that they should have
         self._action = None
         self._is_shown = False
         active_index = obj.active_shape_key_index
         try:
+            self._keys = scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
             for key in self._keys:
                 self._names.append(_add_key(obj, key).name)
             self._action = _add_curves(obj.data.shape_keys, self._names, bake.frames, self._keys)
