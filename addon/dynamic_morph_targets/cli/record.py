@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 
 from ..core import baked
+from ..run.batch import Batch
 from ..run.job import Job
 
 

@@ -214,7 +214,7 @@ class Session:
         flesh = self.flesh
         if self.now not in self._frames:
             return {}
-        values = flesh.values(frame)
+        values = flesh.values(self._frames[self.now])
         return {surface.object.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
 
     def knows(self, time: float) -> bool:
