@@ -70,7 +70,7 @@ def run_job(args: argparse.Namespace) -> None:
             job.input.kept.unlink(missing_ok=True)
 
 
-def work_on(args, obj, folder: Path, files: dict[str, Path]) -> Done:
+def work_on(args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files: dict[str, Path]) -> Done:
     """Build or bake one object, and write its file for other programs if that is asked for; folder, files: where what
     is written goes.
     """
@@ -88,7 +88,7 @@ def work_on(args, obj, folder: Path, files: dict[str, Path]) -> Done:
     return Done(job, warnings)
 
 
-def say(done: Done):
+def say(done: Done) -> None:
     job = done.job
     for reason in job.reasons:
         print(f"{job.name}: built: {reason}")
@@ -154,7 +154,7 @@ def sink_files(args: argparse.Namespace, objects: list[bpy.types.Object], folder
     return files
 
 
-def export(args, obj, path: Path, frames: tuple[int, int]) -> list[str]:
+def export(args: argparse.Namespace, obj: bpy.types.Object, path: Path, frames: tuple[int, int]) -> list[str]:
     """Write the bake, or the clips, for other programs; returns warnings."""
     sink, takes, tick = sink_of(args), args.clips.upper(), Progress(args.progress == "openjd")
     warnings = [*losses.losses(obj, sink, takes), *export_actions.export(obj, sink, path, frames, takes, tick)]

@@ -6,16 +6,18 @@ chunks. All of it in the main thread.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
 
 from .. import preferences
 from ..core import engine, errors, judge
+from ..core.character import Follower
 from ..core.errors import SceneError
 from ..core.keys import united
 from ..io import point_cache
@@ -28,6 +30,9 @@ from ..write.bake_reading import read_back
 from ..write.reconcile import reconcile
 from .job_data import BakeInput
 
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.model import Model
+
 CHUNK_FRAMES = 1000  # of a shot, that are read and simulated at once: bounds memory
 SHORT_CHUNK_FRAMES = 100  # where each node is read, or chunks are kept for other processes, which go on from there
 
@@ -36,14 +41,15 @@ SHORT_CHUNK_FRAMES = 100  # where each node is read, or chunks are kept for othe
 class Request:
     """What a job is asked for.
 
-    goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE", which builds too where that is necessary.
-    frames: (start, end), substeps, and changes, by name, override the object's settings of the simulation. folder:
-    where large models go. rebuild: build even when the model is up to date. share: where built models and unfinished
-    bakes are kept for other processes. rehearse: do so although it was done before. cache_files: where point caches go,
-    by mesh, if not where they go by default. whole: the shot is one chunk. stored: the result goes into Blender.
+    target: the object. goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE", which builds too where
+    that is necessary. frames: (start, end), substeps, and changes, by name, override the object's settings of the
+    simulation. folder: where large models go. rebuild: build even when the model is up to date. share: where built
+    models and unfinished bakes are kept for other processes. rehearse: do so although it was done before. cache_files:
+    where point caches go, by mesh, if not where they go by default. whole: the shot is one chunk. stored: the result
+    goes into Blender.
     """
 
-    object: ObjectHandle
+    target: ObjectHandle
     scene: SceneHandle
     name: str
     goal: str
@@ -56,14 +62,14 @@ class Request:
     cache_files: Mapping[str, Path] = field(default_factory=dict)
     whole: bool = False
     stored: bool = True
-    changes: Mapping[str, object] = field(default_factory=dict)
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
 
 def read(request: Request) -> BakeInput:
     """Check and read the character and its settings. Raises SceneError, SinkError, ModelFileError, OSError."""
     engine.engine()
     preferences.use_threads()
-    obj = request.object.find()
+    obj = request.target.find()
     check_local(obj)
     if obj.type == "MESH":
         reconcile(obj)
@@ -83,25 +89,27 @@ def read(request: Request) -> BakeInput:
     return given
 
 
-def handles(followers) -> list[ObjectHandle]:
+def handles(followers: Sequence[Follower]) -> list[ObjectHandle]:
     """The objects of the other meshes that the flesh carries along."""
     return [ObjectHandle(follower.session_uid, follower.name) for follower in followers]
 
 
-def _read_output(given: BakeInput, obj, folder: Path | None):
+def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
     """What the bake becomes in Blender. Raises SinkError."""
     given.output = run_settings.output_settings(obj)
     if given.output.sink not in point_cache.CACHES:
         return
-    given.caches = folder or blend_folder()
-    check_cache(obj, given.caches)
+    caches = folder or blend_folder()
+    check_cache(obj, caches)
+    assert caches is not None  # that would have been refused
+    given.caches = caches
     for mesh in (obj, *(handle.find() for handle in handles(given.followers))):
         lost = ", ".join(f"'{name}'" for name in overwritten_keys(mesh))
         if lost:
             given.warnings.append(f"The point cache of '{mesh.name}' plays over shape keys that move too: {lost}")
 
 
-def _read_model(given: BakeInput, obj, request: Request) -> bool:
+def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bool:
     """The model that there is, and why another one is to be built; True if that is fitted to the shot."""
     with suppress(errors.ModelFileError):  # then one of the reasons
         given.previous = load_model(obj)
@@ -113,13 +121,13 @@ def _read_model(given: BakeInput, obj, request: Request) -> bool:
     fits = bool(given.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
     given.share = request.share
     given.shares_model = bool(given.share) and not fits  # a fitted one depends on the shot
-    if given.reasons and given.shares_model:
+    if given.reasons and given.share and given.shares_model:
         given.shared_model = given.share.built(given.character)
         given.previous = given.shared_model or given.previous
     return fits
 
 
-def _reasons(given: BakeInput, obj, rebuild: bool) -> list[str]:
+def _reasons(given: BakeInput, obj: bpy.types.Object, rebuild: bool) -> list[str]:
     """Why something is to be built."""
     if given.only_cage:
         build, _ = engine.engine()
@@ -128,10 +136,10 @@ def _reasons(given: BakeInput, obj, rebuild: bool) -> list[str]:
     return stale_reasons(obj, given.character) or ["asked for"] * rebuild
 
 
-def _read_shot(given: BakeInput, obj, request: Request, fits: bool):
+def _read_shot(given: BakeInput, obj: bpy.types.Object, request: Request, fits: bool) -> None:
     """The settings of the simulation, and what there is of its result already."""
     settings = run_settings.simulation_settings(obj, bpy.context.scene, request.frames, request.substeps)
-    given.settings = replace(settings, **request.changes)
+    given.has_shot, given.settings = True, replace(settings, **request.changes)
     given.inputs = staleness.bake_inputs(obj, given.settings) | {"animation": animation.animation(obj)}
     chosen = obj.dynamorph.simulation
     _read_limits(given, chosen, request)
@@ -149,7 +157,7 @@ def _read_shot(given: BakeInput, obj, request: Request, fits: bool):
         given.first = rig_motion.sample_rig(obj, first, first, 1)
 
 
-def _read_limits(given: BakeInput, chosen, request: Request):
+def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Request) -> None:
     """How far the skin may move, and whether this bake finds out what keeps it there; chosen: the settings.
 
     Not what others have to agree with: a part of a shot, a worker of a farm, what the artist has set by hand.
@@ -163,7 +171,7 @@ def _read_limits(given: BakeInput, chosen, request: Request):
         given.rehearsed_from = neutral.frequency
 
 
-def _read_kept(given: BakeInput, obj):
+def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
     """The bake that the frames go into, and the way up to them. Raises SceneError, SinkError."""
     meshes = (obj, *(handle.find() for handle in handles(given.followers)))
     given.before = [read_back(mesh, given.settings.samples) for mesh in meshes]
@@ -197,14 +205,15 @@ class RigReader:
 
     def __init__(self, request: Request, given: BakeInput):
         self.sampling: rig_motion.RigSampling | None = None
-        self._object, self._given = request.object, given
+        self._object, self._given = request.target, given
         self._probe: probe.Probe | None = None  # Blender's own memory
 
-    def begin_chunk(self, done: int):
+    def begin_chunk(self, done: int) -> None:
         """Read on after so many states of the shot. Raises SceneError."""
-        given, settings = self._given, self._given.settings
-        if settings is None:
+        given = self._given
+        if not given.has_shot:
             return
+        settings = given.settings
         first = settings.reached(done)
         chunk = SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
         frames = settings.end - first if given.whole else chunk
@@ -212,9 +221,10 @@ class RigReader:
         self.sampling = rig_motion.RigSampling(self._object.find(), first, end, settings.substeps)
         self.sampling.probe = self._probe
 
-    def advance(self, seconds: float, model) -> bool:
+    def advance(self, seconds: float, model: Model | None) -> bool:
         """Read the chunk for about so long; True when all is read. model: whose cage has the nodes that are probed."""
         sampling, given, obj = self.sampling, self._given, self._object.find()
+        assert sampling is not None  # a chunk has begun
         if given.is_probed and sampling.probe is None:
             sampling.probe = self._probe = probe.Probe(obj, model, given.character)
         return sampling.advance(obj, seconds)
@@ -224,6 +234,6 @@ class RigReader:
         sampling, self.sampling = self.sampling, None
         return sampling
 
-    def free(self):
+    def free(self) -> None:
         """Free Blender's memory, for which Python's collector need not come in time."""
         self._probe = None

@@ -7,6 +7,9 @@ import json
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
 
 from ..core import baked, calibration
 from ..core.errors import SceneError
@@ -19,8 +22,11 @@ from ..write.storage import fit_modes, keep_model, model_path
 from .bake_input import Request, handles
 from .job_data import BakeInput, Outcome, Progress
 
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.model import Model
 
-def write_all(writers: Sequence[Writer]):
+
+def write_all(writers: Sequence[Writer]) -> None:
     """Write what several jobs came to. Whatever is refused or fails, nothing of it stays.
 
     Raises SceneError, SinkError, ModelFileError, OSError.
@@ -41,15 +47,15 @@ def write_all(writers: Sequence[Writer]):
         undo.pop_all()
 
 
-def target(request: Request, given: BakeInput):
+def target(request: Request, given: BakeInput) -> bpy.types.Object:
     """The object that the results are for. Raises SceneError when they do not fit it any more."""
     own = given.character.vertices[given.character.own]
-    meshes = [(request.object, own), *zip(handles(given.followers), (f.vertices for f in given.followers), strict=True)]
+    meshes = [(request.target, own), *zip(handles(given.followers), (f.vertices for f in given.followers), strict=True)]
     for handle, vertices in meshes:
         obj = handle.find()
         if len(obj.data.vertices) != len(vertices):
             raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
-    return request.object.find()
+    return request.target.find()
 
 
 class Writer:
@@ -65,7 +71,7 @@ class Writer:
         self._file: Path | None = None  # where, if not in the .blend
         self._new: list[NewBake] = []
 
-    def check(self):
+    def check(self) -> None:
         """Refuse, before anything is written, what cannot be. Raises SceneError, SinkError, ModelFileError."""
         obj = target(self.request, self.given)
         check_local(obj)
@@ -85,20 +91,20 @@ class Writer:
         if self._packed is not None:
             self._file = model_path(obj.name, self._packed, self.request.folder)
 
-    def save_model(self, undo: ExitStack):
+    def save_model(self, undo: ExitStack) -> None:
         """Write the file of a model that is too large for the .blend. Raises OSError."""
-        if self._file is None:
+        if self._file is None or self._packed is None:
             return
         if not self._file.exists():
             undo.callback(self._file.unlink, missing_ok=True)
         with self.progress.stage("store model"):
             model_file.save(self._file, self._packed)
 
-    def add_keys(self, undo: ExitStack):
+    def add_keys(self, undo: ExitStack) -> None:
         """Write the bakes of all meshes beside those that there are. Raises SinkError."""
         if not self.given.is_bake:
             return
-        obj = self.request.object.find()
+        obj = self.request.target.find()
         with self.progress.stage("write keys"), self.request.scene.as_context():
             for each, (keys, cache) in zip((obj, *self._pieces()), self.outcome.written, strict=True):
                 new = NewBake(each, keys, None if each == obj else obj, cache)
@@ -106,11 +112,11 @@ class Writer:
                 self._new.append(new)
                 self.outcome.size += new.size + (cache.stat().st_size if cache else 0)
 
-    def show_keys(self):
+    def show_keys(self) -> None:
         """Let the new bakes be in the place of the old ones and of Live."""
         if not self.given.is_bake:
             return
-        obj, pieces = self.request.object.find(), self._pieces()
+        obj, pieces = self.request.target.find(), self._pieces()
         with self.progress.stage("write keys"), self.request.scene.as_context():
             if comparison.is_plain(obj):
                 comparison.show(obj, False)
@@ -121,9 +127,9 @@ class Writer:
             for new in self._new:
                 new.replace()
 
-    def store(self):
+    def store(self) -> None:
         """Keep the model, and what was found, with the object."""
-        obj = self.request.object.find()
+        obj = self.request.target.find()
         with self.request.scene.as_context():
             with self.progress.stage("store model"):
                 self._store_model(obj)
@@ -131,21 +137,21 @@ class Writer:
             if self.given.is_bake:
                 self._record(obj)
 
-    def forget_point_caches(self):
+    def forget_point_caches(self) -> None:
         """Remove the files of point caches that nothing plays."""
         for file in self.outcome.new_files:
             file.unlink(missing_ok=True)
 
-    def _pieces(self) -> list:
+    def _pieces(self) -> list[bpy.types.Object]:
         return [handle.find() for handle in handles(self.given.followers)]
 
-    def _store_model(self, obj):
+    def _store_model(self, obj: bpy.types.Object) -> None:
         given, model = self.given, self.outcome.model
         record = obj.dynamorph.model
         if self._packed is not None:
             keep_model(obj, self._packed, self._file)
         if given.reasons:
-            size = f"{len(self._packed) / 2**20:.1f}\u00a0MB, {self.progress.seconds['build']:.1f}\u00a0s"
+            size = f"{len(self._packed or b'') / 2**20:.1f}\u00a0MB, {self.progress.seconds['build']:.1f}\u00a0s"
             record.summary = "" if given.only_cage else f"{model_summary(given, model)}, {size}"
             record.cage = cage_summary(model)
             record.vertices = given.character.own.stop
@@ -157,7 +163,7 @@ class Writer:
             fit_modes(obj, model.summary["modes"])
             self._store_references(obj)
 
-    def _store_materials(self, obj):
+    def _store_materials(self, obj: bpy.types.Object) -> None:
         """What a build or a rehearsal has made of the targets' frequencies."""
         character = self.outcome.character
         for target in obj.dynamorph.targets:
@@ -169,7 +175,7 @@ class Writer:
                     if getattr(target, name) != value:
                         setattr(target, name, value)
 
-    def _store_references(self, obj):
+    def _store_references(self, obj: bpy.types.Object) -> None:
         character, references = self.outcome.character, self.outcome.references
         measured = character.by_method().targets
         for target in obj.dynamorph.targets:
@@ -177,7 +183,7 @@ class Writer:
             bounce, volume = references[index] if index is not None else (0.0, 0.0)
             target.set_references(bounce, volume, measured[index or 0].material.poisson)
 
-    def _record(self, obj):
+    def _record(self, obj: bpy.types.Object) -> None:
         """What the panels say about the bake, and go by."""
         given, outcome = self.given, self.outcome
         record = obj.dynamorph.bake
@@ -213,7 +219,7 @@ def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> st
     return f"{frames} frames in {took:.1f}\u00a0s, {outcome.size / 2**20:.1f}\u00a0MB{error}{gap}{seam}"
 
 
-def model_summary(given: BakeInput, model) -> str:
+def model_summary(given: BakeInput, model: Model) -> str:
     made, targets = model.summary, _authored_targets(given)
     if not made["tets"]:
         return f"{targets}, nothing to simulate"
@@ -229,7 +235,7 @@ def _authored_targets(given: BakeInput) -> str:
     return f"{count} target{'s' * (count > 1)}"
 
 
-def cage_summary(model) -> str:
+def cage_summary(model: Model) -> str:
     made = model.summary
     if not made["tets"]:
         return ""

@@ -8,7 +8,7 @@ all at once, so that it is one undo step and an error before it changes nothing.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class Batch:
     goal: the button's, as in Job, or "BAKE_ALL".
     """
 
-    def __init__(self, jobs: list[Job], goal: str):
+    def __init__(self, jobs: Sequence[Job], goal: str):
         self.jobs = jobs
         self.goal = goal
         self.undone = False  # by the user, since it began
@@ -45,7 +45,7 @@ class Batch:
     def fraction(self) -> float:
         return sum(job.fraction for job in self.jobs) / len(self.jobs)
 
-    def cancel(self):
+    def cancel(self) -> None:
         for job in self.jobs:
             job.cancelled = True
 
@@ -100,7 +100,7 @@ class Batch:
         while not job.wait(pause):
             yield from self._turn()
 
-    def _turn(self, reading=False) -> Iterator[None]:
+    def _turn(self, reading: bool = False) -> Iterator[None]:
         """The window's turn, and what came of it."""
         yield
         if self._at.cancelled:
@@ -108,27 +108,27 @@ class Batch:
         if reading and self.undone:
             raise SceneError(f"The scene was undone while '{self.name}' was read: nothing was written, start again")
 
-    def abandon(self):
+    def abandon(self) -> None:
         """Cancel, and leave the thread to end when the engine notices; what it comes to is dropped."""
         self.cancel()
         winding_down[:] = [thread for thread in (*winding_down, *self._threads()) if thread.is_alive()]
 
-    def stop(self):
+    def stop(self) -> None:
         """Cancel, and wait until the thread has left the engine."""
         self.cancel()
         for thread in self._threads():
             thread.join()
 
     def _threads(self) -> list[threading.Thread]:
-        return [job.thread for job in self.jobs if job.thread and job.thread.is_alive()]
+        return [job.thread for job in self.jobs if job.thread.is_alive()]
 
 
-def run(job: Job, tick=None):
+def run(job: Job, tick: Callable[[Job], object] | None = None) -> None:
     """The whole job at once. tick(job) is called in the main thread about ten times a second."""
     run_all(Batch([job], job.request.goal), tick and (lambda _batch: tick(job)))
 
 
-def run_all(batch: Batch, tick=None):
+def run_all(batch: Batch, tick: Callable[[Batch], object] | None = None) -> None:
     """All jobs at once, or nothing. tick(batch): as in `run`."""
     try:
         for _ in batch.steps():
@@ -146,7 +146,7 @@ def read_rig(job: Job) -> RigSamples:
     return job.take_rig()
 
 
-def stop():
+def stop() -> None:
     """Cancel what runs, and wait until no thread is in the engine: Blender, its file or the add-on goes away."""
     global running
     if running:

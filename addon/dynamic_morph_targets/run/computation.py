@@ -8,21 +8,37 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ..core import baked, calibration, engine, errors, judge, rig_samples
 from ..core.baked import Bake
 from ..core.errors import SceneError, SelfCheckError
+from ..core.judge import Verdict
 from ..core.keys import as_keys, splice
 from ..core.rehearsal import Rehearsal
 from ..core.rig_samples import RigSamples
 from ..io import model_file, paths, point_cache
 from .job_data import BakeInput, Outcome, Progress
 
+if TYPE_CHECKING:  # they need the engine
+    from ..core.character import Character
+    from ..core.model import Model
+    from ..core.settings import OutputSettings
+    from ..core.simulate import Shot
+
 CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
 READ = 0.2  # of a job, the part after which the rig is read
 FADE = 5  # frames in which a part that is baked again goes over into the rest
+
+
+class Sampling(Protocol):
+    """A chunk of the rig that was read of Blender: `rig_motion.RigSampling`."""
+
+    def samples(self) -> RigSamples: ...
 
 
 class Computation:
@@ -36,16 +52,17 @@ class Computation:
 
     def __init__(self, given: BakeInput, progress: Progress):
         self.given, self.progress = given, progress
-        self.outcome = Outcome(
-            given.character, given.model, warnings=list(given.warnings), inputs=copy.deepcopy(given.inputs)
-        )
+        self.outcome = Outcome(given.character, warnings=list(given.warnings), inputs=copy.deepcopy(given.inputs))
+        if given.model is not None:
+            self.outcome.model = given.model
         self.rig: RigSamples | None = None
-        self.shot = None
+        self.shot: Shot | None = None
         self.previous = given.previous  # the model whose cage may serve
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
+        self._needs_model = given.model is None
         self._chunks = 0  # that were simulated
-        self._best: tuple = ()  # what the rehearsal keeps: the character, and its bake, report and verdict
-        self._rehearsal = None  # until it has found out
+        self._best: tuple[Character, Bake, dict, Verdict]  # what the rehearsal keeps; the dictionary is the report
+        self._rehearsal: Rehearsal | None = None  # until it has found out
         if given.rehearsed_from:
             self._rehearsal = Rehearsal(given.rehearsed_from)
             self.outcome.rehearsed = f"Bounce of {given.rehearsed_from:.3g} Hz keeps the skin within Max Displacement"
@@ -53,9 +70,10 @@ class Computation:
     @property
     def needs_cage(self) -> bool:
         """Whether there must be a cage before the rig is read, because Blender is asked how it moves its nodes."""
+        if not self.given.is_probed:
+            return False
         build, _ = engine.engine()
-        given = self.given
-        return given.is_probed and not (self.previous and build.has_cage(self.previous, given.character))
+        return not (self.previous and build.has_cage(self.previous, self.given.character))
 
     @property
     def needs_chunk(self) -> bool:
@@ -68,7 +86,7 @@ class Computation:
         """How many states of the shot are simulated."""
         return self.shot.done if self.shot else len(self.given.resumed.get("coordinates", ()))
 
-    def make_cage(self):
+    def make_cage(self) -> None:
         """What must be there before the rig is read."""
         build, _ = engine.engine()
         with self.progress.stage("build"):
@@ -76,7 +94,7 @@ class Computation:
             self.previous = build.build_cage(self.given.character, progress, self.previous)
         self.read_from = CAGE
 
-    def compute(self, sampling=None):
+    def compute(self, sampling: Sampling | None = None) -> None:
         """All that can be computed before the next chunk is read. sampling: of this one, which was read.
 
         Raises SceneError, SelfCheckError, OSError and what the engine raises.
@@ -92,30 +110,32 @@ class Computation:
             return
         if sampling:
             self.take(sampling.samples())
-        if outcome.model is None:
+        if self._needs_model:
             self._build(simulate)
         if given.is_bake and not self.progress.cancelled and self._simulate(simulate):
             finish(given, outcome, self.progress)
 
-    def take(self, samples: RigSamples):
+    def take(self, samples: RigSamples) -> RigSamples:
         """Check what was read of the rig, and go on with that as `rig`. Raises SceneError."""
         before = self.rig.pose[-1] if self.rig else self.given.resumed.get("pose")
         if before is not None:  # the frame that was the last is the first again
             samples = samples[1:]
-        self.rig, found = samples, []
         if len(samples):
-            self.rig, found = rig_samples.hold_collapsed(samples, self.given.character.skeleton, before)
-        self.outcome.warnings += [text for text in found if text not in self.outcome.warnings]
+            samples, found = rig_samples.hold_collapsed(samples, self.given.character.skeleton, before)
+            self.outcome.warnings += [text for text in found if text not in self.outcome.warnings]
+        self.rig = samples
+        return samples
 
-    def _build(self, simulate):
+    def _build(self, simulate: ModuleType) -> None:
         given, outcome = self.given, self.outcome
         built = 0.95 if given.character.settings.fit_to_shot else 0.7
         with self.progress.stage("build"):
             model = given.shared_model
             if not model:
                 progress = self.progress.part(READ, built if given.is_bake else 1.0)
-                model = simulate.build_for(given.character, self.rig, given.settings, progress, self.previous)
-                if given.shares_model:
+                settings = given.settings if given.has_shot else None
+                model = simulate.build_for(given.character, self.rig, settings, progress, self.previous)
+                if given.share and given.shares_model:
                     given.share.keep_model(model)
         self._take_model(model)
         with self.progress.stage("measure"):
@@ -127,17 +147,18 @@ class Computation:
         self.progress.fraction = built
         outcome.warnings += model.summary["warnings"]
 
-    def _take_model(self, model):
+    def _take_model(self, model: Model) -> None:
         with self.progress.stage("store model"):
             self.outcome.model, self.outcome.packed = model, model_file.pack(*model.to_arrays())
+        self._needs_model = False
 
-    def _simulate(self, simulate) -> bool:
+    def _simulate(self, simulate: ModuleType) -> bool:
         """Play the chunk; True when the shot is complete, and no rehearsal asks for another one."""
         while True:
-            self._play(simulate)
-            if not self.shot.is_complete:
+            shot = self._play(simulate)
+            if not shot.is_complete:
                 return False
-            self._judge()
+            self._judge(shot)
             if not self._rehearse_again():
                 return True
             if self._chunks > 1:  # of the rig the last is left: it is read again
@@ -145,24 +166,27 @@ class Computation:
                 return False
             self._chunks, self.shot = 0, None
 
-    def _play(self, simulate):
+    def _play(self, simulate: ModuleType) -> Shot:
         """The shot, on to the end of the rig that was read."""
-        given, outcome = self.given, self.outcome
+        given, outcome, rig = self.given, self.outcome, self.rig
+        assert rig is not None  # a shot has one
         with self.progress.stage("simulate"):
             if self.shot is None:
                 progress = self.progress.part(self.progress.fraction if given.reasons else READ, 1.0)
                 self.shot = simulate.Shot(outcome.model, outcome.character, given.settings, progress)
-                if given.resumed:
+                if given.first is not None:
                     self.shot.resume(given.resumed, given.first)
-            self.shot.play(self.rig)
+            shot: Shot = self.shot
+            shot.play(rig)
             self._chunks += 1
-        if given.kept and len(self.rig):  # else nothing was left to do
-            given.share.keep(given.kept, self.shot, self.rig.pose[-1])
+        if given.share and given.kept and len(rig):  # else nothing was left to do
+            given.share.keep(given.kept, shot, rig.pose[-1])
+        return shot
 
-    def _judge(self):
+    def _judge(self, shot: Shot) -> None:
         outcome = self.outcome
         with self.progress.stage("simulate"):
-            outcome.bake, outcome.report = self.shot.bake()
+            outcome.bake, outcome.report = shot.bake()
         with self.progress.stage("judge"):
             outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake)
         outcome.report["inverted_volume"] = outcome.verdict.inverted
@@ -191,7 +215,7 @@ class Computation:
         return False
 
 
-def adopt(outcome: Outcome, character):
+def adopt(outcome: Outcome, character: Character) -> None:
     """Go on with other materials, which are stored when the job is written."""
     outcome.character = character
     neutrals = np.cumsum([0, *(len(each.targets) for each in character.target_sets)])
@@ -202,7 +226,7 @@ def adopt(outcome: Outcome, character):
             known |= {key: value for key, value in calibration.stored(target).items() if key in known}
 
 
-def finish(given: BakeInput, outcome: Outcome, progress: Progress):
+def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     """What the simulated shot becomes, and what is to be said about it. Raises SceneError, SelfCheckError, OSError."""
     from ..core import followers  # which needs the engine
 
@@ -216,7 +240,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress):
         if given.before:
             _splice(given, outcome)
         if given.output:
-            _make_keys(given, outcome)
+            _make_keys(given, outcome, given.output)
             outcome.content_id = _content_id(given, outcome)
     outcome.warnings += outcome.report["warnings"]
     settings = given.settings
@@ -228,7 +252,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress):
         outcome.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint Softness")
 
 
-def of_meshes(given: BakeInput, model, bake: Bake) -> list[Bake]:
+def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
     """A bake of the whole body as one of each mesh, if they are in one cage; else it is of one mesh already."""
     character = given.character
     if not character.parts:
@@ -239,7 +263,7 @@ def of_meshes(given: BakeInput, model, bake: Bake) -> list[Bake]:
     return [simulate.part_of(bake, character.own), *carried]
 
 
-def _splice(given: BakeInput, outcome: Outcome):
+def _splice(given: BakeInput, outcome: Outcome) -> None:
     """Make the results parts of the bakes that there were."""
     parts = zip(given.before, (outcome.bake, *outcome.carried), _to_metres(given, outcome), strict=True)
     spliced = [splice(before, part, FADE, to_metres) for before, part, to_metres in parts]
@@ -253,7 +277,7 @@ def _to_metres(given: BakeInput, outcome: Outcome) -> list[np.ndarray]:
     return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in outside)]
 
 
-def _make_keys(given: BakeInput, outcome: Outcome):
+def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> None:
     """What the results become, apart from Blender: shape keys, and the files of point caches."""
     character = given.character
     names = character.name, *(follower.name for follower in given.followers)
@@ -262,23 +286,24 @@ def _make_keys(given: BakeInput, outcome: Outcome):
     wholes = (outcome.bake, *outcome.carried)
     for name, whole, to_metres in zip(names, wholes, _to_metres(given, outcome), strict=False):
         try:
-            keys, error = as_keys(whole, given.output, to_metres)
+            keys, error = as_keys(whole, output, to_metres)
         except errors.ClipError as refusal:
             raise SceneError(f"'{name}': {refusal}") from refusal
         off = max(off, error)
         all_keys += of_meshes(given, outcome.model, keys)
         bakes += of_meshes(given, outcome.model, whole)
     for name, points, bake, keys in zip(names, points_of, bakes, all_keys, strict=True):
-        outcome.written.append((keys, _point_cache(given, outcome, name, points, bake)))
+        file = None
+        if output.sink in point_cache.CACHES:
+            file = _point_cache(given, outcome, output.sink, name, points, bake)
+        outcome.written.append((keys, file))
     outcome.report["keys"] = len(outcome.written[0][0].modes) + len(outcome.written[0][0].details)
     outcome.report["keys_error"] = off
 
 
-def _point_cache(given: BakeInput, outcome: Outcome, name: str, points: np.ndarray, bake: Bake):
-    """The file that plays the bake of the mesh `name`, written, if there is to be one."""
-    sink, fps = given.output.sink, given.settings.fps
-    if sink not in point_cache.CACHES:
-        return None
+def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, points: np.ndarray, bake: Bake) -> Path:
+    """The file that plays the bake of the mesh `name`, written."""
+    fps = given.settings.fps
     default = paths.cache_path(given.caches, name, baked.digest(bake, points, fps), sink)
     file = given.cache_files.get(name, default)
     if not file.exists():

@@ -29,21 +29,21 @@ from .job import Job
 class ClipJob(Job):
     """Simulates one of the clips with the model as it is built, and writes nothing: `outcome` has its bakes."""
 
-    def __init__(self, obj, clip: Clip, clips: Sequence[Clip]):
+    def __init__(self, obj: bpy.types.Object, clip: Clip, clips: Sequence[Clip]):
         name, frames = f"{obj.name}: {clip.name}", (clip.first, clip.last)
         # The clip alone: before its first frame there is nothing to run up on.
         changes = {"loop": clip.cyclic, "preroll_pose": "HELD", "samples": 1}
         super().__init__(obj, "BAKE", frames, name=name, whole=True, stored=False, changes=changes)
-        self.clip, self._clips = clip, clips
+        self._clips = clips
 
-    def read(self):
+    def read(self) -> None:
         super().read()
         if self.reasons:
             why = "; ".join(self.reasons)
             raise SceneError(f"The model of '{self.character.name}' is out of date ({why}): press Build Model first")
 
     def sample(self, seconds: float = np.inf) -> bool:
-        with laid_out(rig_of(self.request.object.find()), self._clips):
+        with laid_out(rig_of(self.request.target.find()), self._clips):
             return super().sample(seconds)
 
 
@@ -107,7 +107,9 @@ class ActionsExport(batch.Batch):
 
     @property
     def warnings(self) -> list[str]:
-        return [f"{job.clip.name}: {warning}" for job in self.jobs for warning in job.warnings]
+        return [
+            f"{clip.name}: {text}" for clip, job in zip(self.clips, self.jobs, strict=True) for text in job.warnings
+        ]
 
     def write(self) -> Iterator[None]:
         yield from super().write()

@@ -4,14 +4,20 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import bpy
 import numpy as np
 
 from ..core import engine
 from ..core.baked import Bake
+from ..core.character import Character
 from ..core.errors import Cancelled
+from ..core.judge import Verdict
 from ..core.rig_samples import RigSamples
+from ..core.settings import SimulationSettings
 from ..scene import rig_motion
 from ..scene.skin import ObjectHandle, SceneHandle
 from . import bake_input, bake_result
@@ -19,6 +25,9 @@ from .bake_input import Request, RigReader
 from .bake_result import Writer
 from .computation import READ, Computation
 from .job_data import BakeInput, Outcome, Progress
+
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.model import Model
 
 
 class Job(Progress):
@@ -28,14 +37,23 @@ class Job(Progress):
     frames, substeps, folder and the other options: as in `Request`. It belongs to the scene that it is made in.
     """
 
-    def __init__(self, obj, goal: str, frames=None, substeps=None, folder: Path | None = None, **options):
+    input: BakeInput  # this and the next are there after `read`
+    computation: Computation
+    _reader: RigReader
+
+    def __init__(
+        self,
+        obj: bpy.types.Object,
+        goal: str,
+        frames: tuple[int, int] | None = None,
+        substeps: int | None = None,
+        folder: Path | None = None,
+        **options: Any,
+    ):
         super().__init__()
         options = {"name": obj.name, "frames": frames, "substeps": substeps, "folder": folder, **options}
         self.request = Request(ObjectHandle.of(obj), SceneHandle.present(), goal=goal, **options)
-        self.input: BakeInput | None = None
-        self.computation: Computation | None = None
-        self.thread: threading.Thread | None = None
-        self._reader: RigReader | None = None
+        self.thread = threading.Thread()  # the last one that was started
         self._error: BaseException | None = None
 
     @property
@@ -47,11 +65,11 @@ class Job(Progress):
         return self.computation.outcome
 
     @property
-    def character(self):
+    def character(self) -> Character:
         return self.outcome.character
 
     @property
-    def settings(self):
+    def settings(self) -> SimulationSettings:
         return self.input.settings
 
     @property
@@ -60,11 +78,11 @@ class Job(Progress):
         return self.input.reasons
 
     @property
-    def model(self):
+    def model(self) -> Model:
         return self.outcome.model
 
     @property
-    def result(self) -> Bake | None:
+    def result(self) -> Bake:
         return self.outcome.bake
 
     @property
@@ -73,7 +91,7 @@ class Job(Progress):
         return self.outcome.report
 
     @property
-    def verdict(self):
+    def verdict(self) -> Verdict:
         return self.outcome.verdict
 
     @property
@@ -86,7 +104,7 @@ class Job(Progress):
 
     # Reading: main thread --------------------------------------------------------------------------------------------
 
-    def read(self):
+    def read(self) -> None:
         """Check and read the character and its settings. Raises as `bake_input.read`."""
         self.message = "Reading the character"
         with self.request.scene.as_context():
@@ -116,16 +134,17 @@ class Job(Progress):
 
     def take_rig(self) -> RigSamples:
         """What was read of the rig, for others than the job. Raises SceneError."""
-        self.computation.take(self._reader.end_chunk().samples())
-        return self.computation.rig
+        sampling = self._reader.end_chunk()
+        assert sampling is not None  # it is asked of a job that reads one
+        return self.computation.take(sampling.samples())
 
     # Computing: a thread ---------------------------------------------------------------------------------------------
 
-    def start_cage(self):
+    def start_cage(self) -> None:
         """Begin to make the cage, in a thread."""
         self._start(self.computation.make_cage)
 
-    def start(self):
+    def start(self) -> None:
         """Begin to compute with what was read, in a thread."""
         self._start(self.computation.compute, self._reader.end_chunk())
 
@@ -140,12 +159,12 @@ class Job(Progress):
             raise self._error
         return True
 
-    def _start(self, work, *args):
+    def _start(self, work: Callable[..., None], *args: object) -> None:
         name = f"dynamorph {self.name}"
         self.thread = threading.Thread(target=self._work, args=[work, *args], name=name, daemon=True)
         self.thread.start()
 
-    def _work(self, work, *args):
+    def _work(self, work: Callable[..., None], *args: object) -> None:
         try:
             work(*args)
         except engine.engine_errors() as error:  # the engine does not know whose cage it works on
@@ -163,13 +182,13 @@ class Job(Progress):
         if rig_motion.render_runs():
             self.message = "Waiting for the render to end"
             return True
-        handles = (self.request.object, *bake_input.handles(self.input.followers))
+        handles = (self.request.target, *bake_input.handles(self.input.followers))
         if self.input.is_bake and any(handle.find().mode == "EDIT" for handle in handles):
             self.message = "Waiting for you to leave Edit Mode"
             return True
         return False
 
-    def target(self):
+    def target(self) -> bpy.types.Object:
         """The object that the results are for. Raises SceneError when they do not fit it any more."""
         return bake_result.target(self.request, self.input)
 

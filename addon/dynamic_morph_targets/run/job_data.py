@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.baked import Bake
 from ..core.character import Character, Follower
@@ -15,17 +17,20 @@ from ..core.rig_samples import RigSamples
 from ..core.settings import OutputSettings, SimulationSettings
 from ..io.cache_dir import Share
 
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.model import Model
+
 
 class Progress:
     """How far a job is, and whether it is to stop: what its thread and the window tell each other."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.fraction = 0.0
         self.message = ""
         self.cancelled = False
         self.seconds: dict[str, float] = {}  # by stage
 
-    def part(self, begin: float, end: float):
+    def part(self, begin: float, end: float) -> Callable[[float, str], bool]:
         """progress(fraction, message) -> bool of a part of the work; False when it is to stop."""
 
         def progress(fraction: float, message: str) -> bool:
@@ -36,14 +41,14 @@ class Progress:
         return progress
 
     @contextmanager
-    def stage(self, name: str):
+    def stage(self, name: str) -> Iterator[None]:
         """Count the seconds that it takes."""
         began = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
 
-@dataclass
+@dataclass(repr=False, eq=False)
 class BakeInput:
     """What was read of Blender for a job, but for the moving rig.
 
@@ -57,15 +62,16 @@ class BakeInput:
     followers: list[Follower] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     # The model.
-    previous: object = None  # the one that the object has, or that another process shares; its cage may serve
-    model: object = None  # that one, if it is up to date
-    shared_model: object = None
+    previous: Model | None = None  # the one that the object has, or that another process shares; its cage may serve
+    model: Model | None = None  # that one, if it is up to date
+    shared_model: Model | None = None
     share: Share | None = None  # where built models and unfinished bakes are kept for other processes
     shares_model: bool = False
     reasons: list[str] = field(default_factory=list)  # why the model is to be built
     built_from: str = ""  # the settings, as JSON
     # The shot.
-    settings: SimulationSettings | None = None
+    has_shot: bool = False  # else a model alone is to be built, for which no rig is read; the next are not set
+    settings: SimulationSettings = field(init=False)
     inputs: dict = field(default_factory=dict)
     whole: bool = True  # it is read as one chunk
     limits: Limits = Limits()  # noqa: RUF009
@@ -76,7 +82,7 @@ class BakeInput:
     first: RigSamples | None = None  # the rig at the first frame, if that was resumed
     # What the result becomes.
     output: OutputSettings | None = None  # None: nothing in Blender
-    caches: Path | None = None  # the folder of the .blend, beside which point caches are written
+    caches: Path = field(init=False)  # the folder of the .blend, beside which point caches are written, if they are
     cache_files: dict[str, Path] = field(default_factory=dict)  # where they are written instead, by mesh
 
     @property
@@ -90,27 +96,27 @@ class BakeInput:
     @property
     def is_probed(self) -> bool:
         """Whether Blender is asked how it moves the nodes of the cage."""
-        return bool(self.settings and self.character.probed and self.character.settings.method != "STATIC")
+        return self.has_shot and self.character.probed and self.character.settings.method != "STATIC"
 
 
-@dataclass
+@dataclass(repr=False, eq=False)
 class Outcome:
-    """What was computed for a job.
+    """What was computed for a job. Of a build there is a model, of a bake all the rest too.
 
     character: with the materials that a build or a rehearsal has found. bake: of the body. carried: of the followers
     that are not in its cage. written: for each mesh its shape keys, and the file of its point cache or None.
     """
 
     character: Character
-    model: object = None
+    model: Model = field(init=False)
     packed: bytes | None = None  # the model, if it was built
     references: list[tuple[float, float]] = field(default_factory=list)  # of it: `calibration.references`
     warnings: list[str] = field(default_factory=list)
     inputs: dict = field(default_factory=dict)
-    bake: Bake | None = None
+    bake: Bake = field(init=False)
     carried: list[Bake] = field(default_factory=list)
     report: dict = field(default_factory=dict)  # of the simulation
-    verdict: Verdict | None = None
+    verdict: Verdict = field(init=False)
     rehearsed: str = ""  # what the rehearsal has set, in a sentence
     content_id: str = ""  # hash of all that the bake was made from
     written: list[tuple[Bake, Path | None]] = field(default_factory=list)

@@ -30,7 +30,7 @@ class Preview:
     Raises SceneError or SinkError.
     """
 
-    def __init__(self, obj, operator: type[Operator]):
+    def __init__(self, obj: bpy.types.Object, operator: type[Operator]):
         rig_motion.check_not_rendering()
         self.name, self.label = operator.bl_idname, operator.bl_label
         self.object = skin.ObjectHandle.of(obj)
@@ -69,7 +69,7 @@ class Preview:
 class _Mover:
     """Moves an object by its delta transform, which is neither keyed nor changed by changing the frame."""
 
-    def __init__(self, obj):
+    def __init__(self, obj: bpy.types.Object):
         self.object = skin.ObjectHandle.of(obj)
         self.before = [getattr(obj, name).copy() for name in DELTAS]
         self.basis = obj.matrix_basis.copy()  # with the deltas

@@ -108,7 +108,7 @@ class Surface:
 
     def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
         self.object = handle
-        self.written = None
+        self.written: np.ndarray | None = None
         self._rest = vertices.astype(np.float32).ravel()
         shapes = np.concatenate([modes, details])
         self.shapes = shapes.reshape(len(shapes), -1).astype(np.float32)

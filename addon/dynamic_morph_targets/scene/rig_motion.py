@@ -141,7 +141,8 @@ class RigSampling:
     def __init__(self, obj, start: int, end: int, substeps: int):
         rig = armature_modifier(obj).object
         self.start, self.substeps = start, substeps
-        self.probe = self._nodes = self._held = None
+        self.probe: object | None = None
+        self._nodes = self._held = None
         self.done, self.count = 0, 1 + (end - start) * substeps
         self._unit = unit_scale()
         self._skeleton = rest_skeleton(rig.data)

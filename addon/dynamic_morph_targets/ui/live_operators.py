@@ -75,7 +75,7 @@ class EndsLive(JobOperator):
         request = self.batch.jobs[0].request
         if request.scene.find() != context.scene:  # the artist has gone on in another one
             return
-        obj = request.object.find()
+        obj = request.target.find()
         obstacle = live.obstacle(obj)
         if obstacle:
             raise SceneError(obstacle)
