@@ -130,20 +130,25 @@ def run(job: Job, tick: Callable[[Job], object] | None = None) -> None:
 
 def run_all(batch: Batch, tick: Callable[[Batch], object] | None = None) -> None:
     """All jobs at once, or nothing. tick(batch): as in `run`."""
+    _exhaust(batch, batch.steps(), tick)
+
+
+def read_rig(job: Job) -> RigSamples:
+    """All that a job reads, at once, to be used otherwise: returns the rig."""
+    batch = Batch([job], job.request.goal)
+    _exhaust(batch, batch.read())
+    return job.take_rig()
+
+
+def _exhaust(batch: Batch, steps: Iterator[None], tick: Callable[[Batch], object] | None = None) -> None:
+    """All steps; if one fails, no thread is left."""
     try:
-        for _ in batch.steps():
+        for _ in steps:
             if tick:
                 tick(batch)
     except BaseException:
         batch.stop()
         raise
-
-
-def read_rig(job: Job) -> RigSamples:
-    """All that a job reads, at once, to be used otherwise: returns the rig."""
-    for _ in Batch([job], job.request.goal).read():
-        pass
-    return job.take_rig()
 
 
 def stop() -> None:

@@ -49,14 +49,14 @@ class Flesh:
         self.target_names = [target.name for target in self.character.by_method().targets]
         own, details = self.character.own, self.model.details
         self.skin = Surface(skin.ObjectHandle.of(obj), self.character.vertices[own], modes[:, own], details[:, own])
-        self.followers = []
+        self.followers: list[Surface] = []
         for follower in extract.followers(obj, self.character):
             if follower.members:
                 moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
             else:
-                shapes = carrying.carried(self.model, nodes, follower)
+                moved, kept = carrying.carried(self.model, nodes, follower)
             handle = skin.ObjectHandle(follower.session_uid, follower.name)
-            self.followers.append(Surface(handle, follower.points, *shapes))
+            self.followers.append(Surface(handle, follower.points, moved, kept))
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:
