@@ -54,9 +54,9 @@ class Flesh:
             if follower.members:
                 moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
             else:
-                shapes = carrying.carried(self.model, nodes, follower)
+                moved, kept = carrying.carried(self.model, nodes, follower)
             handle = skin.ObjectHandle(follower.session_uid, follower.name)
-            self.followers.append(Surface(handle, follower.points, *shapes))
+            self.followers.append(Surface(handle, follower.points, moved, kept))
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:
