@@ -243,7 +243,7 @@ class StandInShot:
 
 
 def fingerprint(obj):
-    """All that a bake may change and Free Bake must restore, as comparable data."""
+    """All that a bake may change and Delete Bake must restore, as comparable data."""
     keys = obj.data.shape_keys
     animation = keys.animation_data
     return {

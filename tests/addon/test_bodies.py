@@ -426,7 +426,7 @@ def hard_robot(scene):
 def test_a_wholly_hard_character_is_recognised(scene):
     obj = hard_robot(scene)
     OPS.add_soft_skin()
-    text = "'Merged': nothing soft found: paint Softness"
+    text = "'Merged': nothing soft found: paint the Softness Map"
     assert obj.dynamorph.targets and obj.dynamorph.model.warnings == text
     assert text in " ".join(drawn(obj))
     obj.dynamorph.model.method = "SINGLE"

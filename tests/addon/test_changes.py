@@ -35,14 +35,14 @@ SETTINGS = [
     ("targets[0].mass_damping", 3.0, 'mass damping of "Neutral" changed'),
     ("targets[1].radius", 0.5, 'radius of "flexed" changed'),
     ("targets[1].region", "lower", 'region of "flexed" changed'),
-    ("model.modes", 7, "Modes changed"),
+    ("model.modes", 7, "Detail (Modes) changed"),
     ("model.blending", "FORCES", "Blending changed"),
-    ("soft_group", "lower", "Soft group changed"),
-    ("simulation.substeps", 9, "Substeps changed"),
-    ("simulation.scheme", "EULER", "Scheme changed"),
+    ("soft_group", "lower", "Softness Map changed"),
+    ("simulation.substeps", 9, "Substeps Per Frame changed"),
+    ("simulation.scheme", "EULER", "Integrator changed"),
     ("simulation.gravity", 0.5, "Gravity changed"),
     ("simulation.fields", 0.5, "Force Fields changed"),
-    ("simulation.begin", "REST", "Begin changed"),
+    ("simulation.begin", "REST", "Initial State changed"),
     ("simulation.amount", 0.5, "Amount changed"),
     ("simulation.preroll", 9, "Pre-Roll changed"),
     ("simulation.loop", True, "Loop changed"),
@@ -61,8 +61,8 @@ def test_a_setting_is_named_until_it_is_set_back(baked, path, value, sentence):
 
 
 SCENE = [
-    ("frame_end", 30, "End changed"),
-    ("frame_start", -3, "Start changed"),
+    ("frame_end", 30, "Frame End changed"),
+    ("frame_start", -3, "Frame Start changed"),
     ("render.fps", 24_000, "Frame rate changed"),
     ("use_gravity", False, "Gravity changed"),
 ]
@@ -235,7 +235,7 @@ def test_the_badge_names_three(baked):
     assert 'Out of date: stiffness of "flexed" changed' in " ".join(drawn(baked))
     simulation = baked.dynamorph.simulation
     simulation.substeps, simulation.scheme, simulation.gravity, simulation.loop = 9, "EULER", 0.5, True
-    assert "Substeps changed, Scheme changed, and 2 more" in " ".join(drawn(baked))
+    assert "Substeps Per Frame changed, Integrator changed, and 2 more" in " ".join(drawn(baked))
 
 
 def test_a_bake_is_up_to_date_after_loading(baked, tmp_path):

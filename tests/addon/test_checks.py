@@ -245,7 +245,7 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
         "bone envelopes",
         "rest position",
         "Envelope Multiply",
-        " m long: check the scale",
+        " m long and will move like something of that size: check the scale",
         "3 of the 272 vertices of 'Arm' have no",
     ):
         assert words in warnings
@@ -471,7 +471,7 @@ def test_stiffness_group(soft_arm):
     stiffness = extract.character(soft_arm).stiffness
     np.testing.assert_allclose(stiffness[:5], [1.0, 3.0, 3.0, 9.0, 1.0])
     soft_arm.dynamorph.stiffness_factor = float("nan")
-    with pytest.raises(errors.SceneError, match="Factor of the Stiffness group is not a number"):
+    with pytest.raises(errors.SceneError, match="Stiffness Factor is not a number"):
         extract.character(soft_arm)
     soft_arm.dynamorph.stiffness_group = "Gone"
     soft_arm.dynamorph.stiffness_factor = 4.0
@@ -483,7 +483,7 @@ def test_painting_makes_the_model_old(coarse_arm):
     with_target(coarse_arm)
     OPS.build()
     OPS.paint_group(which="STIFFNESS")
-    assert part("staleness").model_changes(coarse_arm) == ["Stiffness group changed"]
+    assert part("staleness").model_changes(coarse_arm) == ["Stiffness Map changed"]
     OPS.paint_group(which="STIFFNESS")
     OPS.bake()
     assert part("staleness").model_changes(coarse_arm) == []  # nothing is painted

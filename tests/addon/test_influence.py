@@ -188,10 +188,10 @@ def test_frames_outside_and_the_pose_to_add(scene, soft_arm, monkeypatch):
     assert scene.frame_current == 20
     away = degrees(pi / 2 - captured)
     assert said() == [f"Frame 20: {away:.0f} degrees from any target of Arm. New from Pose adds one here"]
-    assert any(text.startswith(f"Outside: {away:.0f}°") for text in drawn(soft_arm))
+    assert any(text.startswith(f"Uncovered: {away:.0f}°") for text in drawn(soft_arm))
     OPS.capture_pose()
-    assert OPS.suggest_pose() == {"FINISHED"} and "no pose is poorly covered" in said()[-1]
-    assert not any(text.startswith("Outside") for text in drawn(soft_arm))
+    assert OPS.suggest_pose() == {"FINISHED"} and "no pose is uncovered" in said()[-1]
+    assert not any(text.startswith("Uncovered") for text in drawn(soft_arm))
 
 
 def reports(monkeypatch):
@@ -503,22 +503,22 @@ def test_bounce_is_the_flesh_s_own(built_arm):
     assert built_arm.dynamorph.model.content_id == content and not built_arm.dynamorph.model.stale
 
 
-def test_settle_is_in_frames_of_the_scene(scene, built_arm):
+def test_settle_time_is_in_seconds_whatever_the_frame_rate(scene, built_arm):
     target = built_arm.dynamorph.targets[1]
     proportion, stiffness = target.mass_damping / target.stiffness_damping, target.stiffness
-    target.settle = 30.0
-    assert bounce(built_arm, target).settle * 24.0 == pytest.approx(30.0, rel=1e-3)
+    target.settle = 1.25
+    assert bounce(built_arm, target).settle == pytest.approx(1.25, rel=1e-3)
     assert target.mass_damping / target.stiffness_damping == pytest.approx(proportion, rel=1e-5)
     assert target.stiffness == stiffness
     scene.render.fps = 60
-    assert target.settle == pytest.approx(75.0, rel=1e-3)
+    assert target.settle == pytest.approx(1.25, rel=1e-3)
 
 
 def test_what_damping_forbids(built_arm):
     target = built_arm.dynamorph.targets[1]
-    target.settle = 0.2
+    target.settle = 0.2 / 24.0
     critical = bounce(built_arm, target)
-    assert critical.frequency < 0.1 and target.settle > 0.2
+    assert critical.frequency < 0.1 and target.settle > 0.2 / 24.0
     target.mass_damping, target.stiffness_damping = 200.0, 0.02  # it creeps at any stiffness
     settle = target.settle
     assert target.bounce == 0.0
@@ -526,8 +526,8 @@ def test_what_damping_forbids(built_arm):
     assert target.bounce == pytest.approx(3.0, rel=1e-3) and target.settle == pytest.approx(settle, rel=1e-3)
     target.mass_damping = target.stiffness_damping = 0.0
     assert target.settle == pytest.approx(1e5)
-    target.settle = 20.0
-    assert target.settle == pytest.approx(20.0, rel=1e-3)
+    target.settle = 0.8
+    assert target.settle == pytest.approx(0.8, rel=1e-3)
 
 
 def test_weight_is_density_by_volume(scene, soft_arm):
@@ -544,6 +544,17 @@ def test_weight_is_density_by_volume(scene, soft_arm):
     flexed.mass_damping = flexed.stiffness_damping = 0.0
     assert flexed.bounce < 0.55 * before
     assert neutral.density == 1000.0
+
+
+def test_mass_is_in_the_unit_that_blender_shows(scene, built_arm):
+    """Blender multiplies what it shows by the cube of the unit scale."""
+    target = built_arm.dynamorph.targets[0]
+    kilograms = target.weight
+    scene.unit_settings.scale_length = 0.01
+    assert 0.01**3 * target.weight == pytest.approx(kilograms, rel=1e-5)
+    target.weight = 2.0 * target.weight
+    scene.unit_settings.scale_length = 1.0
+    assert target.weight == pytest.approx(2.0 * kilograms, rel=1e-5)
 
 
 def volume_of(obj):

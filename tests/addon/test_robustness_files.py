@@ -77,7 +77,7 @@ def test_many_steps_undone_and_redone(skin):
 
 @pytest.fixture
 def asset(skin, tmp_path):
-    """Saves the character, built, baked or live, in a collection: where, how it moves, what Free Bake restores."""
+    """Saves the character, built, baked or live, in a collection: where, how it moves, what Delete Bake restores."""
 
     def save(goal):
         before = fingerprint(skin)
@@ -219,7 +219,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
 
 
 def test_a_mesh_of_its_own_does_not_make_an_override_safe(asset):
-    """The record of the bake would be lost, and Free Bake with it."""
+    """The record of the bake would be lost, and Delete Bake with it."""
     obj = open_override(asset("build"))
     obj.data = obj.data.copy()
     before = fingerprint(obj)

@@ -173,7 +173,7 @@ def test_a_part_that_nothing_holds_stays_with_its_bones():
     model = build(of)
     assert model.summary["held_parts"] == 1
     (warning,) = model.summary["warnings"]
-    assert "222 vertices at 'root'" in warning and "Soft 0" in warning
+    assert "222 vertices at 'root'" in warning and "the Softness Map with 0" in warning
     afloat = of.vertices[:, 2] > 0.3
     moved = pushed(model, of, of.vertices[:, 0] > 0.9)
     assert np.abs(moved[afloat]).max() == 0 and np.abs(moved[~afloat]).max() > 1e-3
@@ -214,7 +214,7 @@ def test_the_cage_leaves_a_rigid_piece_out():
     skin = join(ball(0.2), ball(0.1, nose))
     of = character(skin, lambda v: v[:, 2] > -0.1, np.repeat([0, -1], [222, 222]))
     assert np.linalg.norm(build_cage(of).nodes - nose, axis=1).min() > 0.2
-    with pytest.raises(dynamorph.Error, match="every piece"):
+    with pytest.raises(dynamorph.Error, match="every part of it is rigid"):
         build_cage(replace(of, pieces=np.full(444, -1)))
 
 

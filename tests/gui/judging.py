@@ -127,7 +127,7 @@ def amount():
         assert abs(wobble() - expected * whole) < 0.02 * whole
 
 
-@step("Free Bake")
+@step("Delete Bake")
 def free_bake():
     yield from sidebar.press("dynamorph.free_bake")
     yield from until(lambda: not baked(), "the bake to be freed")

@@ -18,7 +18,7 @@ from .hold import Hold, hold
 Progress = Callable[[float, str], bool]
 GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
 MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
-HELD = 0.05  # nodes softer than this in the Soft group are free
+HELD = 0.05  # nodes whose softness is below this are held
 FEWEST_NODES = 50  # of a piece's own cage
 
 
@@ -73,7 +73,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
             f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint "
-            "Soft 0 where it is attached"
+            "the Softness Map with 0 where it is attached"
         )
     for nodes in adrift:
         pinned[nodes] = True
@@ -124,7 +124,9 @@ def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
             cage=None if piece else character.cage,
         )
     if not cages:
-        raise dynamorph.Error(f"'{character.name}': every piece of it is rigid: let one be simulated with the body")
+        raise dynamorph.Error(
+            f"'{character.name}': every part of it is rigid: choose With Body for at least one attachment"
+        )
     return cages
 
 
@@ -207,7 +209,7 @@ def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.
 
 
 def moved(character: Character) -> np.ndarray:
-    """How far targets move each vertex (V,) at most, 1 where it is farthest: what Cage Grading goes by."""
+    """How far targets move each vertex (V,) at most, 1 where it is farthest: the measure that Cage Adaptivity uses."""
     shapes = np.array([target.shape for target in character.targets]) @ character.to_bind.T
     farthest = np.linalg.norm(shapes, axis=2).max(axis=0)
     return farthest / max(farthest.max(), 1e-300)
@@ -272,7 +274,7 @@ def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes:
     bone = [*character.skeleton.names, "the object"][character.weights[on_it].sum(axis=0).argmax()]
     return (
         f"A part of {int(on_it.sum())} vertices at '{bone}' is held by no bone, so it moves rigidly with its bones: "
-        "paint Soft 0 where it is attached"
+        "paint the Softness Map with 0 where it is attached"
     )
 
 

@@ -97,7 +97,7 @@ def _stiffness_for(model, character: Character, target: int, omega: float, omega
         slope = max((now - reached) / step, 0.05)
         stiffness, reached = stiffness + step, now
     raise ValueError(
-        f"'{character.targets[target].name}' cannot swing at {omega / (2 * pi):.3g} Hz: its size, or the flesh around "
+        f"'{character.targets[target].name}' cannot swing at {omega / (2 * pi):.3g} Hz: its size, or the tissue around "
         "its region, sets the pace"
     )
 
@@ -143,7 +143,7 @@ def _measurements(forces, displacements) -> tuple[np.ndarray, np.ndarray]:
     if not (np.isfinite(forces).all() and np.isfinite(displacements).all()):
         raise ValueError("some forces or displacements are not numbers: remove those rows")
     if not (forces.any() and displacements.any()):
-        raise ValueError("all forces or all displacements are zero: measure at least one push that moves the flesh")
+        raise ValueError("all forces or all displacements are zero: measure at least one push that moves the body")
     order = np.argsort(np.linalg.norm(forces, axis=1))  # each answer helps to find the next
     return forces[order], displacements[order]
 
@@ -218,7 +218,10 @@ def checked(model, character: Character, target: int, patch) -> tuple[Character,
     """
     character = character.by_method()
     if not len(model.tets):
-        raise ValueError(f"'{character.name}': the model has no flesh to fit: choose another Method and build it")
+        raise ValueError(
+            f"'{character.name}': the model simulates nothing, so no material can be fitted: choose another Method "
+            "and build it"
+        )
     if not 0 <= target < len(character.targets):
         raise ValueError(f"target: expected 0 to {len(character.targets) - 1}, got {target}")
     if patch is None:
@@ -251,7 +254,7 @@ def _with_stiffness(character: Character, target: int, stiffness: float) -> Char
     ranges = target_indices(character)
     neutrals = [indices[0] for indices in ranges]
     if character.settings.method == "SHAPE" and target not in neutrals:
-        raise ValueError("with the method Shape the flesh is the neutral target's everywhere: fit that one")
+        raise ValueError("with the Method Shape the material is the neutral target's everywhere: fit that target")
     targets = list(character.targets)
     for index in neutrals if target in neutrals else [target]:
         targets[index] = replace(targets[index], material=replace(targets[index].material, stiffness=stiffness))

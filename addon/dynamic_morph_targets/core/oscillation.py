@@ -55,7 +55,9 @@ def oscillation(times: np.ndarray, positions: np.ndarray) -> Oscillation:
     if squares > 0.5 * np.square(along).sum():
         raise ValueError("no oscillation found: noise or another motion hides it; track a point that swings more")
     if omega * times[-1] < 4 * pi:
-        raise ValueError("fewer than two periods: record longer, or push less damped flesh; the motion hardly swings")
+        raise ValueError(
+            "fewer than two periods: record longer, or lower the damping of the real body; the motion hardly swings"
+        )
     if decay > 0.5 * hypot(decay, omega):
         raise ValueError("too damped: the point hardly swings back; measure force and displacement instead")
     jacobian = _jacobian(times, along, decay, omega)

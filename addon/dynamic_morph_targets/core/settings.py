@@ -24,12 +24,12 @@ class Material:
         return e * nu / ((1 + nu) * (1 - 2 * nu)), e / (2 * (1 + nu))
 
 
-# What targets do to the flesh: the same names in the interface and on the command line.
+# What targets do to the soft tissue: the same names in the interface and on the command line.
 METHODS = {
     "DYNAMIC": ("Dynamic", "Shape, stiffness, damping and density follow the pose"),
-    "SHAPE": ("Shape", "The rest shape follows the pose, the flesh is the neutral one's everywhere"),
-    "SINGLE": ("Single", "The neutral target alone: an ordinary soft body"),
-    "STATIC": ("Static", "Geometric morph targets: the shape follows the pose, nothing moves by itself"),
+    "SHAPE": ("Shape", "The rest shape follows the pose, and the material is the neutral target's everywhere"),
+    "SINGLE": ("Single", "Only the neutral target counts, as in an ordinary soft body"),
+    "STATIC": ("Static", "The shape follows the pose as geometric morph targets do, and nothing moves by itself"),
 }
 POINT_CACHES = ("PC2", "MDD")  # sinks that are files of every vertex at every frame
 # What `dynamorph report` compares: changes of ModelSettings. What they do not name stays the object's own.

@@ -184,7 +184,7 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
     }
     unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
-        report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
+        report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps Per Frame")
     cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
         report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")

@@ -189,7 +189,7 @@ class Job:
         if since:
             self.warnings.append(f"Since the other frames were baked: {since}")
         if settings.loop:
-            self.warnings.append("A part of a bake is no loop: Loop is ignored")
+            self.warnings.append("A part of a bake cannot be a loop: Loop is ignored")
         self.settings = replace(settings, loop=False)
         if run_up:
             self.settings = replace(self.settings, preroll=run_up, preroll_pose="ANIMATED")
@@ -567,7 +567,7 @@ class Job:
             self.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
         found = self.verdict.as_dict(self.limits)
         if not found["ok"]:
-            self.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint Softness")
+            self.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint the Softness Map")
 
     def _to_metres(self) -> list[np.ndarray]:
         """Local to metric space (3, 3) of the body, and of what follows it outside of its cage."""

@@ -35,7 +35,7 @@ def is_on(obj) -> bool:
 def obstacle(obj) -> str:
     """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
     if obj.dynamorph.bake.exists:
-        return "The bake shows the motion already: press Free Bake first"
+        return "The bake shows the motion already: press Delete Bake first"
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 

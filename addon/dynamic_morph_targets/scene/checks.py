@@ -143,7 +143,7 @@ def shared_mesh(obj) -> Iterator[Problem]:
 
 def nothing_soft(obj) -> str:
     """Says that a character is rigid everywhere."""
-    return f"'{obj.name}': nothing soft found: paint Softness"
+    return f"'{obj.name}': nothing soft found: paint the Softness Map"
 
 
 def meshes_on(rig) -> list:
@@ -174,7 +174,9 @@ def follower(obj, piece) -> Iterator[Problem]:
         yield Problem(f"'{piece.name}' is a soft skin of its own: choose Own Cage")
     elif piece.dynamorph.follows not in (None, obj):
         other = piece.dynamorph.follows.name
-        yield Problem(f"'{piece.name}' follows '{other}': free the bake of that first, or turn its Live off")
+        yield Problem(
+            f"'{piece.name}' follows '{other}': delete the bake of that soft skin first, or turn its Live off"
+        )
     if piece.mode == "EDIT":
         yield Problem(f"'{piece.name}' is in Edit Mode: leave it first")
     if not piece.data.vertices:
@@ -269,7 +271,7 @@ def _keys(obj):
     targets = active_targets(obj)
     if keys is None:
         if len(targets) > 1:  # a bake, like Add Soft Skin, makes the Basis that it needs
-            yield Problem(f"'{obj.name}' has no shape keys: add a Basis and one key a target", "ADD_BASIS")
+            yield Problem(f"'{obj.name}' has no shape keys: add a Basis and one key per target", "ADD_BASIS")
         return
     if not keys.use_relative:
         yield Problem(
@@ -333,7 +335,7 @@ def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray)
     """
     size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
     if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
-        yield Problem(f"'{name}' is {size:.3g} m long: check the scale, it will move like something of that size")
+        yield Problem(f"'{name}' is {size:.3g} m long and will move like something of that size: check the scale")
     count = int(left.sum())
     if count:
         yield Problem(

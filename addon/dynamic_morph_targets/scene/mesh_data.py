@@ -101,7 +101,7 @@ def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) ->
 
 
 def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
-    """Weights (V,) of the vertex group that the artist chose for Soft or Stiffness. Raises SceneError."""
+    """Weights (V,) of the vertex group chosen as softness or stiffness map. Raises SceneError."""
     if group not in obj.vertex_groups:
         raise SceneError(f"'{obj.name}': the vertex group '{group}' for {use} is gone: choose another")
     return groups.weights([group])[:, 0].clip(0.0, 1.0)
@@ -117,7 +117,7 @@ def stiffness(obj, groups: VertexGroups) -> np.ndarray:
     if not settings.stiffness_group:
         return np.ones(len(obj.data.vertices))
     if not np.isfinite(settings.stiffness_factor):
-        raise SceneError(f"'{obj.name}': the Factor of the Stiffness group is not a number: set it again")
+        raise SceneError(f"'{obj.name}': the Stiffness Factor is not a number: set it again")
     return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 

@@ -121,7 +121,7 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
     known = {"model": settings.model, "simulation": settings.simulation, "output": settings.output}
-    known |= {"groups": None, "scene": None}
+    known |= {"groups": settings, "scene": None}
     for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
         found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]

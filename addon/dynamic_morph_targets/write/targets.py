@@ -230,7 +230,7 @@ def begin_sculpting(obj, block, mode: str, is_new=False):
     """
     check_can_sculpt(obj)
     if block.mute:
-        raise SceneError(f"Shape key '{block.name}' is muted and would not show: unmute it, or free the bake")
+        raise SceneError(f"Shape key '{block.name}' is muted and would not show: unmute it, or press Delete Bake")
     modifier, remembered = checks.armature_modifier(obj), obj.dynamorph.sculpt
     blocks = obj.data.shape_keys.key_blocks
     remembered.active, remembered.is_new = True, is_new
