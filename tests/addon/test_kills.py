@@ -60,7 +60,7 @@ def kept_at(share):
 def killed(shot, report, share, moments):
     """Goes on with a bake until it is kept, and kills it at a random moment after; False if it was done before."""
     before = kept_at(share)
-    with baking(shot, report, "--share", share) as process:
+    with baking(shot, report, "--cache-dir", share) as process:
         while process.poll() is None and kept_at(share) == before:
             time.sleep(0.01)
         time.sleep(moments.uniform(0.0, 0.1))
@@ -77,7 +77,7 @@ def test_killed_at_any_moment_nothing_is_lost(shot, tmp_path):
     while kills < KILLS and killed(shot, done, share, moments):
         kills += 1
     assert kills > 0
-    found = baked(baking(shot, done, "--share", share), done)
+    found = baked(baking(shot, done, "--cache-dir", share), done)
     assert found["hash"] == undisturbed["hash"]
     assert found["steps"] == undisturbed["steps"]
     assert not list(share.glob("*.unfinished"))  # it is saved now

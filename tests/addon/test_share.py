@@ -102,7 +102,7 @@ def test_what_cannot_be_gone_on_with_is_baked_all_the_same(coarse, tmp_path, fol
     else:
         coarse.modifiers["Armature"].use_deform_preserve_volume = True
     bpy.ops.wm.save_mainfile()
-    arguments = ["bake", "--object", coarse.name, "--share", str(folder), "-o", str(tmp_path / "baked.blend")]
+    arguments = ["bake", "--object", coarse.name, "--cache-dir", str(folder), "-o", str(tmp_path / "baked.blend")]
     assert part("main").main(arguments) == 0
     assert not list(folder.glob("*.unfinished"))
 

@@ -274,7 +274,7 @@ def show_long(found: dict) -> str:
 
 KILLS = """## Killed
 
-A bake of {frames:,} frames with `--share`, ended {count} times by `kill -9` at random moments and begun again each
+A bake of {frames:,} frames with `--cache-dir`, ended {count} times by `kill -9` at random moments and begun again each
 time. It went on after as many frames as it had kept: {kept}.
 
 | | |

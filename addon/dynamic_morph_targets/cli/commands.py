@@ -34,7 +34,7 @@ SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output"
 
 
 def number(setting):
-    """A parser of numbers that Blender would not quietly move into the setting's range."""
+    """A parser that refuses numbers which Blender would silently clamp to the setting's range."""
 
     def parse(text: str):
         value = {"INT": int, "FLOAT": float}[setting.type](text)
@@ -55,18 +55,18 @@ def run_job(args):
     check_substeps(args)
     objects = chosen_objects(args)
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
-    files = sink_files(args, objects, folder)
-    for obj in objects:  # all that may be refused, before any work
+    files = output_files(args, objects, folder)
+    for obj in objects:  # everything that may be refused, before any work
         apply_settings(args, obj)
-    shared = cache_dir.Share(args.share.resolve()) if args.share else None
+    shared = cache_dir.Share(args.cache_dir.resolve()) if args.cache_dir else None
     for obj in objects:
         frames = tuple(args.frames) if args.frames else None
         rebuild = args.goal == "BUILD" and shared is None
-        goal = "BUILD" if args.clips == "actions" else args.goal  # the clips are simulated as they are written
+        goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
         job = Job(obj, goal, frames, args.substeps, folder, rebuild, shared)
         job.cache_files = files
         batch.run(job, Progress(args.progress == "openjd"))
-        if sink_of(args) in exports.FORMATS:
+        if format_of(args) in exports.FORMATS:
             export(args, obj, job, files[obj.name])
         for reason in job.reasons:
             print(f"{job.name}: built: {reason}")
@@ -83,72 +83,73 @@ def run_job(args):
 
 
 def apply_settings(args, obj):
-    """Set on the object what the command line says. Raises InputError."""
+    """Apply the settings of the command line to the object. Raises InputError."""
     for change in args.changes:
         set_property(obj, change)
     for group, names in SETTINGS.items():
         for name in names:
             if (value := getattr(args, name, None)) is not None:
                 setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
-    if args.sink:  # files for other programs are made of the modes
-        obj.dynamorph.output.sink = "MODES" if sink_of(args) in exports.FORMATS else sink_of(args)
+    if args.format:  # files for other programs are made from the modes
+        obj.dynamorph.output.sink = "MODES" if format_of(args) in exports.FORMATS else format_of(args)
 
 
-def sink_of(args) -> str:
-    return (args.sink or "").upper()
+def format_of(args) -> str:
+    return (args.format or "").upper()
 
 
-def sink_names() -> list[str]:
-    """What can play a bake in Blender."""
+def bake_formats() -> list[str]:
+    """The forms in which Blender itself can play a bake."""
     output = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["output"].fixed_type
     return [item.identifier for item in output.properties["sink"].enum_items]
 
 
-def sink_files(args, objects, folder: Path) -> dict[str, Path]:
-    """The files that --sink and --sink-file ask for, by the names of their meshes. Raises InputError, ExportError."""
+def output_files(args, objects, folder: Path) -> dict[str, Path]:
+    """The files that --format and --output-file ask for, by the names of their meshes. Raises InputError, ExportError.
+    """
     if args.goal == "BUILD":
-        if not (args.output or args.in_place or args.share):
-            raise InputError("say where the model goes: --output, --in-place or --share")
+        if not (args.output or args.in_place or args.cache_dir):
+            raise InputError("say where the model goes: --output, --in-place or --cache-dir")
         return {}
-    sink = sink_of(args)
-    chosen = exports.FORMATS.get(sink)
+    chosen_format = format_of(args)
+    chosen = exports.FORMATS.get(chosen_format)
     if args.clips == "actions" and not (chosen and chosen.skins):
-        raise InputError("--clips actions is for --sink gltf and --sink fbx")
+        raise InputError("--clips actions needs --format gltf or --format fbx")
     if args.clips == "actions" and args.frames:
         raise InputError("--clips actions takes the frames of each Action: leave --frames out")
     if not (args.output or args.in_place or chosen):
-        raise InputError("say where the bake goes: --output or --in-place, or --sink with a file for other programs")
-    if args.sink_file and not (chosen or sink in point_cache.CACHES):
-        raise InputError("--sink-file is for a --sink that is a file")
-    if not (args.sink_file or chosen):
+        raise InputError("say where the bake goes: --output or --in-place, or --format with a file for other programs")
+    if args.output_file and not (chosen or chosen_format in point_cache.CACHES):
+        raise InputError("--output-file needs a --format that is a file")
+    if not (args.output_file or chosen):
         return {}
-    suffix = chosen.suffix if chosen else f".{sink.lower()}"
-    pattern = args.sink_file or str(folder / f"{paths.OBJECT}{suffix}")
+    suffix = chosen.suffix if chosen else f".{chosen_format.lower()}"
+    pattern = args.output_file or str(folder / f"{paths.OBJECT}{suffix}")
     if Path(pattern).suffix.lower() != suffix:
-        raise InputError(f"--sink-file {pattern}: a file of {args.sink} ends in {suffix}")
+        raise InputError(f"--output-file {pattern}: a file of {args.format} ends in {suffix}")
     meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else skin.clothes_in(obj)))]
     files = {mesh.name: paths.file_path(pattern, mesh.name) for mesh in meshes}
     if len(set(files.values())) < len(files):
-        raise InputError(f"--sink-file {pattern}: several meshes would share it, put {paths.OBJECT} in its name")
+        raise InputError(f"--output-file {pattern}: several meshes would share it: put {paths.OBJECT} in its name")
     for path in files.values():
         if not path.parent.is_dir():
             raise InputError(f"there is no folder '{path.parent}' to write '{path.name}' to")
     for obj in objects if chosen else ():
-        exports.check_place(obj, sink, files[obj.name])
+        exports.check_place(obj, chosen_format, files[obj.name])
     return files
 
 
 def export(args, obj, job, path: Path):
     """Write the bake for other programs."""
-    sink, takes, tick = sink_of(args), args.clips.upper(), Progress(args.progress == "openjd")
-    job.warnings += losses.losses(obj, sink, takes)
+    chosen, clips, tick = format_of(args), args.clips.upper(), Progress(args.progress == "openjd")
+    job.warnings += losses.losses(obj, chosen, clips)
     first, last = job.result.frames[[0, -1]] if job.bake else (0, 0)
-    job.warnings += export_actions.export(obj, sink, path, (math.ceil(first), math.floor(last)), takes, tick)
+    job.warnings += export_actions.export(obj, chosen, path, (math.ceil(first), math.floor(last)), clips, tick)
     print(f"{job.name}: written to {path.name}")
 
 
 def set_property(obj, change: str):
-    """TARGET.PROPERTY=VALUE, a wedge of a farm; the name of a target may have dots in it. Raises InputError."""
+    """Apply TARGET.PROPERTY=VALUE, a wedge of a farm. The name of a target may contain dots. Raises InputError."""
     where, _, text = change.partition("=")
     name, _, field = where.rpartition(".")
     target = obj.dynamorph.targets.get(name)
@@ -193,7 +194,7 @@ def run_check(args):
             print(f"{obj.name}: can be built")
         in_the_way += len(problems)
     if in_the_way:
-        raise InputError(f"{in_the_way} problem{'s' * (in_the_way > 1)} in the way, listed above")
+        raise InputError(f"{in_the_way} problem{'s' * (in_the_way > 1)} found, listed above: fix them and check again")
 
 
 def run_report(args):
@@ -234,13 +235,13 @@ def run_fit(args):
         target = obj.dynamorph.targets.get(args.target)
         if target is None:
             raise InputError(f"'{obj.name}' has no target named '{args.target}'")
-        if args.patch and args.patch not in obj.vertex_groups:
-            raise InputError(f"'{obj.name}' has no vertex group named '{args.patch}'")
+        if args.vertex_group and args.vertex_group not in obj.vertex_groups:
+            raise InputError(f"'{obj.name}' has no vertex group named '{args.vertex_group}'")
         subject = model_store.fit_input(obj, target)
         patch = None
-        if args.patch:
+        if args.vertex_group:
             patch = np.zeros(len(subject[1].vertices))
-            patch[subject[1].own] = mesh_data.group_weights(obj, [args.patch])[:, 0]
+            patch[subject[1].own] = mesh_data.group_weights(obj, [args.vertex_group])[:, 0]
         if args.oscillation:
             fitted = material_fit.fit_oscillation(*subject, seen.frequency, seen.decay, patch)
         else:
@@ -251,7 +252,7 @@ def run_fit(args):
     save(args)
 
 
-def run_free(args):
+def run_delete_bake(args):
     for obj in chosen_objects(args):
         bake.check(obj)
         baked = obj.dynamorph.bake
