@@ -168,12 +168,22 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     build.set_defaults(goal="BUILD", frames=None, substeps=None, format=None, output_file=None, clips="scene")
     for sub in (bake, build):
         add_settings(sub, "model", MODEL_SETTINGS)
-        sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
-                         # Fmt: skip.
-                         help="set a target's property first, for example Flexed.stiffness=5e4; may be repeated")
-        sub.add_argument("--cache-dir", type=Path, metavar="FOLDER",
-                         # Fmt: skip.
-                         help="keep models and unfinished bakes in this folder, and continue from those that it has")
+        sub.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="TARGET.PROPERTY=VALUE",
+            dest="changes",
+            # Fmt: skip.
+            help="set a target's property first, for example Flexed.stiffness=5e4; may be repeated",
+        )
+        sub.add_argument(
+            "--cache-dir",
+            type=Path,
+            metavar="FOLDER",
+            # Fmt: skip.
+            help="keep models and unfinished bakes in this folder, and continue from those that it has",
+        )
         sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to print progress")
     for sub in (check, bake, build):
         sub.add_argument("--report", type=Path, metavar="FILE", help="write the outcome as JSON, even after a failure")
