@@ -245,7 +245,7 @@ def test_check_lists_what_is_in_the_way(shot, run):
     bpy.data.objects["Leg"].dynamorph.targets[1].pose.clear()
     bpy.ops.wm.save_mainfile()
     code, out, errors = run("check", shot, "--all")
-    assert code == 2 and "Arm: error: 'Arm' is skinned by bone envelopes" in out and "in the way" in errors
+    assert code == 2 and "Arm: error: 'Arm' is skinned by bone envelopes" in out and "2 problems found" in errors
 
 
 def test_wedges_set_what_targets_are_made_of(shot, run, stand_in):

@@ -192,17 +192,17 @@ def test_no_name_is_all_characters_in_one_task(addon, run_template, tmp_path):
 
 
 @needs_openjd
-def test_the_template_knows_every_sink(addon, run_template, tmp_path):
+def test_the_template_knows_every_format(addon, run_template, tmp_path):
     template = (FARM / "dynamorph.openjd.yaml").read_text()
     known = next(line for line in template.splitlines() if "allowedValues" in line)
     files = {format.lower(): of.suffix for format, of in part("exports").FORMATS.items()}
     files |= {cache.lower(): f".{cache.lower()}" for cache in part("point_cache").CACHES}
-    sinks = {sink.lower() for sink in part("commands").sink_names()} | set(files)
-    assert set(known.split("[")[1].split("]")[0].split(", ")) == sinks | {'""'}
-    for sink in sinks:
+    formats = {sink.lower() for sink in part("commands").bake_formats()} | set(files)
+    assert set(known.split("[")[1].split("]")[0].split(", ")) == formats | {'""'}
+    for sink in formats:
         _, bake = run_template(Characters=["Arm"], Sink=sink, Options=["--keys", "8"])[2]
-        assert (bake.sink, bake.keys) == (sink, 8)
-        assert bake.sink_file == (f"{tmp_path}/out/walk {{object}}{files[sink]}" if sink in files else None)
+        assert (bake.format, bake.keys) == (sink, 8)
+        assert bake.output_file == (f"{tmp_path}/out/walk {{object}}{files[sink]}" if sink in files else None)
 
 
 # Flamenco -------------------------------------------------------------------------------------------------------------
@@ -267,6 +267,6 @@ def test_flamenco_collects_the_reports_of_the_job_alone(addon, compiled):
 def test_flamenco_bakes_to_files(addon, compiled):
     bake = flamenco_asks(compiled(sink="alembic", options="--frames 1  20")["bake walk"])
     assert bake.all and bake.frames == [1, 20]
-    assert (bake.sink, bake.sink_file) == ("alembic", "/out/walk {object}.abc")
+    assert (bake.format, bake.output_file) == ("alembic", "/out/walk {object}.abc")
     bake = flamenco_asks(compiled(characters="Arm", sink="modes")["bake walk Arm"])
-    assert (bake.sink, bake.sink_file) == ("modes", None)
+    assert (bake.format, bake.output_file) == ("modes", None)

@@ -21,7 +21,7 @@ def test_through_the_workflow(arm, stand_in, panel):
     texts = drawn(arm, panel)
     assert "dynamorph.free_bake" in texts and arm.dynamorph.model.summary[:40] in " ".join(texts)
     arm.dynamorph.model.modes = 5
-    assert "Out of date: Detail (Modes) changed" in drawn(arm, panel)
+    assert "Out of date: Detail (Modes) changed" in " ".join(drawn(arm, panel))
 
 
 def test_progress_replaces_the_button(soft_arm, stand_in):

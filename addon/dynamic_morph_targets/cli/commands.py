@@ -105,7 +105,7 @@ def bake_formats() -> list[str]:
 
 
 def output_files(args, objects, folder: Path) -> dict[str, Path]:
-    """The files that --format and --output-file ask for, by the names of their meshes. Raises InputError, ExportError."""
+    """The files that --format and --output-file ask for, by mesh name. Raises InputError, ExportError."""
     if args.goal == "BUILD":
         if not (args.output or args.in_place or args.cache_dir):
             raise InputError("say where the model goes: --output, --in-place or --cache-dir")
