@@ -306,7 +306,7 @@ def test_sizes_are_told_in_metres(in_centimetres):
     assert part("transfer_operators").length(0.0123) == "1.23 cm"
     scene.unit_settings.scale_length = 1.0
     (warning,) = extract.warnings(in_centimetres, extract.character(in_centimetres))
-    assert "'Arm' is 217 m long: check the scale" in warning
+    assert "'Arm' is 217 m long and will move like something of that size: check the scale" in warning
 
 
 def test_without_a_unit_system_a_unit_is_a_metre(in_centimetres):
