@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Poses and sculpted shapes of the shoulder: muscles that bulge, and soft tissue that makes room where it would be cut."""
+"""Poses and sculpted shapes of the shoulder: bulging muscles, and soft tissue that makes room where it would be cut."""
 
 from __future__ import annotations
 
