@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Plain data that the modules pass to each other. NumPy only, never bpy.
+"""Plain data that the modules exchange. NumPy only, never bpy.
 
-`extract` fills these from a Blender scene, `build` and `simulate` consume them, `sinks` writes the result back.
-
-Spaces: *local* is the mesh object's own space (what shape keys store), *bind* is local space with the object's scale
-applied, so lengths are metres there, *world* is Blender's world space in metres (`extract.unit_scale`).
+`extract` fills these from a Blender scene, `build` and `simulate` consume them, `write/bake` writes the result back.
+Spaces: *local* is the mesh object's own space (in which shape keys are stored), *bind* is local space with the object's
+scale applied, so its lengths are meters, *world* is Blender's world space in meters (`skin.unit_scale`).
 """
 
 from __future__ import annotations
@@ -32,15 +31,16 @@ class Skeleton:
 
     @cached_property
     def rest_inverse(self) -> np.ndarray:
-        """(B, 4, 4)."""
+        """Inverse rest matrices (B, 4, 4)."""
         return inverse(self.rest)
 
     def local_transforms(self, pose: np.ndarray, bones: np.ndarray | None = None) -> np.ndarray:
-        """Each bone's transform relative to its evaluated parent, rest removed: identity in the rest pose.
+        """Each bone's transform relative to its evaluated parent, with the rest transform removed: the identity in the
+        rest pose.
 
-        pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. bones: indices of those that are asked for, all
-        by default; the others get the identity. Returns (..., B, 4, 4).
-        Uses the evaluated matrices, so constraints and IK count.
+        pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. bones: indices of those that are needed, by
+        default all; the others get the identity. Returns (..., B, 4, 4). The evaluated matrices include constraints and
+        IK.
         """
         asked = np.arange(len(self.rest)) if bones is None else np.array(bones, int)
         unposed = np.broadcast_to(self.rest[asked], (*pose.shape[:-3], len(asked), 4, 4)).copy()
@@ -86,9 +86,9 @@ class Target:
 
 @dataclass(frozen=True)
 class TargetSet:
-    """Targets whose weights sum to one; the first is the neutral. docs/theory.md, Targets.
+    """Targets whose weights sum to one; the first is the neutral one. docs/theory.md, Targets.
 
-    share (V,): how much of the flesh at each vertex follows this set; the shares of all sets sum to one.
+    share (V,): region weight of this set at each vertex; the region weights of all sets sum to one.
     """
 
     name: str
@@ -151,7 +151,7 @@ class Character:
 
     @property
     def own(self) -> slice:
-        """Which of the vertices are those of the soft skin's own mesh."""
+        """The vertices of the soft skin's own mesh."""
         return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
 
     @property
@@ -160,7 +160,7 @@ class Character:
         return [target for target_set in self.target_sets for target in target_set.targets]
 
     def with_settings(self, **changes) -> Character:
-        """The same character, built otherwise."""
+        """The same character with other settings."""
         return replace(self, settings=replace(self.settings, **changes))
 
     def with_materials(self, change) -> Character:
@@ -173,7 +173,9 @@ class Character:
         return replace(self, target_sets=tuple(sets))
 
     def by_method(self) -> Character:
-        """The character that its method simulates: with the neutral target alone, or with the neutral's material."""
+        """The character that its method simulates: with the neutral target alone, or with the neutral target's
+        material.
+        """
         neutral = self.target_sets[0].targets[0]
         if self.settings.method == "SINGLE":
             return replace(self, target_sets=(TargetSet(self.name, (neutral,), np.ones(len(self.vertices))),))
@@ -199,18 +201,18 @@ class SurfaceMap:
     distances: np.ndarray
 
     def carry(self, values: np.ndarray) -> np.ndarray:
-        """The values (V, ...) of the mesh's vertices at the points: (P, ...)."""
+        """Values (V, ...) of the mesh's vertices, interpolated at the points: (P, ...)."""
         return np.einsum("pc,pc...->p...", self.weights, values[self.corners])
 
 
 @dataclass(frozen=True)
 class Follower:
-    """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
+    """Another mesh, of P vertices, that moves with a character's soft tissue: clothes, for example.
 
     session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
-    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own.
-    What moves it is either `skin`, the points of the character's surface nearest to the vertices, or the character's
-    cage, of whose vertices it is the `members`.
+    character's bind space; from_body (3, 3) maps displacements in the character's local space to the mesh's own. It is
+    moved either by `skin`, the points of the character's surface nearest to the vertices, or by the character's cage,
+    of whose vertices it is the `members`.
     """
 
     name: str
