@@ -26,7 +26,7 @@ from .job import Job
 
 
 class ClipJob(Job):
-    """Simulates one of the clips with the model as it is built, and writes nothing: `result` and `carried` are it."""
+    """Simulates one of the clips with the built model, and writes nothing: the result is in `result` and `carried`."""
 
     def __init__(self, obj, clip: Clip, clips: Sequence[Clip]):
         super().__init__(obj, "BAKE", frames=(clip.first, clip.last))
@@ -53,17 +53,17 @@ class ClipJob(Job):
         super()._next_stretch(obj)
 
     def _read_kept(self, obj):
-        """It becomes no part of the bake that there is."""
+        """It does not become a part of the existing bake."""
 
     def _read_output(self, obj):
-        """It becomes nothing in Blender."""
+        """It gets no form in Blender."""
 
     def _make_keys(self):
-        """It becomes keys together with the other clips: `joined`."""
+        """Its keys are made together with those of the other clips: `joined`."""
 
 
 def joined(bakes: Sequence[Bake]) -> Bake:
-    """Bakes of one mesh by the same modes, one after the other in time. Raises SceneError."""
+    """Bakes of one mesh with the same modes, joined one after the other in time. Raises SceneError."""
     first = bakes[0]
     if not all(np.array_equal(bake.modes, first.modes) for bake in bakes):
         raise SceneError("Each clip has modes of its own, which the Full solver makes: choose the Reduced one")

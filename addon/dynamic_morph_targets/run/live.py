@@ -17,12 +17,12 @@ from ..scene.skin import followers, soft_skins
 from ..write import bake, live_key, muting, regions, storage
 from .session import Session, simulation_settings, way_to_skin
 
-SCRUBBED = 0.02  # seconds between two looks whether the artist still drags through the timeline
+SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple] = {}  # why an object does not play, and how its model stood then
+_problems: dict[int, tuple] = {}  # why an object does not play, and the state of its model then
 lent: set[int] = set()  # objects whose live key shows something else for a while
-_any_live: bool | None = None  # whether an object of this file is live; None: to be seen
+_any_live: bool | None = None  # whether an object of this file is live; None: not known yet
 
 
 # On, off, and the present frame ------------------------------------------------------------------------------------
@@ -33,7 +33,8 @@ def is_on(obj) -> bool:
 
 
 def obstacle(obj) -> str:
-    """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
+    """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by `turn_on`.
+    """
     if obj.dynamorph.bake.exists:
         return "The bake shows the motion already: press Delete Bake first"
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
@@ -41,7 +42,7 @@ def obstacle(obj) -> str:
 
 
 def turn_on(obj, scene):
-    """Add the live key and show the present frame. Raises what keeps it from playing, before anything is changed.
+    """Add the live key and show the present frame. Raises what prevents it from playing, before anything is changed.
 
     There must be no `obstacle`.
     """
@@ -61,7 +62,7 @@ def turn_off(obj):
 
 
 def refresh(obj):
-    """Show at once what was changed in the settings of an object, if it is live."""
+    """Show changed settings of an object at once, if it is live."""
     if is_on(obj):
         follow(obj, bpy.context.scene, arrives=False)
 
@@ -77,7 +78,7 @@ def _stated(obj) -> tuple:
 
 
 def follow(obj, scene, arrives=True):
-    """Show what the flesh does at the scene's time. What is in the way is kept, see `problem`."""
+    """Show the state of the soft skin at the scene's time. Problems are recorded, see `problem`."""
     uid, rig = obj.session_uid, references.rig_of(obj)
     if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
         return
@@ -86,12 +87,12 @@ def follow(obj, scene, arrives=True):
         session = sessions.get(uid)
         if session is None or not session.fits(obj, settings):
             session = sessions[uid] = Session(obj, scene)
-            muting.show_target(obj, "")  # a target that came with another build: now Live shows it
+            muting.show_target(obj, "")  # a target of another build, which Live now shows
         if live_key.find(obj, session.flesh.skin.written) is None:
             turn_off(obj)
             return
         session.flesh.show(session.values(obj, settings, scene.frame_float, arrives))
-    except Exception as error:  # whatever it is: raised in a handler, it would be printed at every frame
+    except Exception as error:  # any error: raised in a handler, it would be printed at every frame
         sessions.pop(uid, None)
         expected = isinstance(error, engine.expected_errors())
         text = str(error) if expected else f"{type(error).__name__}: {error}"
@@ -110,9 +111,9 @@ def holds_still(scene) -> bool:
 
 @persistent
 def _frame_changed(scene, _depsgraph=None):
-    """frame_change_pre: what is written before Blender evaluates the frame does not make it do so twice.
+    """frame_change_pre: writing before Blender evaluates the frame does not make it evaluate twice.
 
-    The rig is not read from there but by itself, which changes frames too, in a scene of its own.
+    The rig is not read from there but separately, in a scene of its own, which changes frames too.
     """
     global _any_live
     if _any_live is None:
@@ -132,8 +133,9 @@ def _frame_changed(scene, _depsgraph=None):
 
 
 def is_scrubbing() -> bool:
-    """Whether the artist drags through the timeline of a window. Blender 5.2 crashes when a scene is removed from a
-    handler meanwhile, as reading the rig does.
+    """Whether the artist drags through the timeline of a window.
+
+    Blender 5.2 crashes when a handler removes a scene meanwhile, as reading the rig does.
     """
     return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
 
@@ -186,7 +188,7 @@ def _moves(update) -> bool:
 
 @persistent
 def _undone(*_args):
-    """undo_post, redo_post. What was simulated stays true; how the rig moves may not."""
+    """undo_post, redo_post. The simulated frames stay valid; the motion of the rig may not."""
     global _any_live
     _any_live = None
     _problems.clear()
@@ -196,7 +198,7 @@ def _undone(*_args):
 
 @persistent
 def _loaded(*_args):
-    """load_post: the ids may be those of other objects now."""
+    """load_post: the ids may now belong to other objects."""
     global _any_live
     _any_live = None
     sessions.clear()
@@ -205,7 +207,7 @@ def _loaded(*_args):
 
 @persistent
 def _before_save(*_args):
-    """save_pre: note what the live keys look like, by which they are found after a rename."""
+    """save_pre: record the shapes of the live keys, which identify them after a rename."""
     skins = soft_skins(bpy.data.objects)
     for obj in [each for skin in skins for each in (skin, *followers(skin))]:
         block = live_key.find(obj)
@@ -241,7 +243,7 @@ def unregister():
 
 
 def remove_soft_skin(obj):
-    """Its targets, model and bake; shape keys and settings stay. Raises SinkError."""
+    """Remove its targets, model and bake; shape keys and settings stay. Raises SinkError."""
     turn_off(obj)
     bake.free(obj)
     muting.show_target(obj, "")

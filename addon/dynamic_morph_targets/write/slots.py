@@ -11,7 +11,7 @@ from . import assign
 
 
 def slot_settings(obj) -> dict:
-    """What one slot holds, fit for JSON. Targets are told apart by name; the neutral one is ''."""
+    """The content of one slot, as JSON data. Targets are identified by name; the neutral one is ''."""
     settings = obj.dynamorph
     return {
         "materials": {name: asdict(target.material()) for name, target in skin.named_targets(obj)},
@@ -22,7 +22,7 @@ def slot_settings(obj) -> dict:
 
 
 def put_slot(obj, values: dict):
-    """The inverse of `slot_settings`; targets and modes that came since then stay as they are."""
+    """The inverse of `slot_settings`; targets and modes that were added since then stay as they are."""
     for name, target in skin.named_targets(obj):
         if name in values["materials"]:
             target.set_material(Material(**values["materials"][name]))

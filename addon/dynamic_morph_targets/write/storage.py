@@ -18,11 +18,10 @@ PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 
 def store_model(obj, packed: bytes, folder: Path | None = None):
-    """Keep a packed model with `obj`: in the .blend, or if it is large in a file as the preferences say.
+    """Store a packed model with `obj`: in the .blend, or, if it is large, in a file according to the preferences.
 
-    folder: of the .blend that the model belongs to; by default of the open one.
-    Files are named by their content: a copy of the object shares its file, and a new build never overwrites one that
-    another .blend may use.
+    folder: of the .blend that the model belongs to, by default the open one. Files are named by their content: a copy
+    of the object shares its file, and a new build never overwrites one that another .blend may use.
     """
     content_id = model_file.content_id(packed)
     if len(packed) > PACK_LIMIT:
@@ -47,7 +46,7 @@ def _as_numbers(packed: bytes) -> array:
 
 
 def fit_modes(obj, count: int):
-    """List the modes of a new model; those that there were keep their gain."""
+    """List the modes of a new model; modes that existed before keep their gain."""
     modes = obj.dynamorph.modes
     while len(modes) > count:
         modes.remove(len(modes) - 1)
@@ -57,14 +56,14 @@ def fit_modes(obj, count: int):
 
 
 def forget_model(obj):
-    """Drop the model kept in the .blend. A file stays: another .blend may use it."""
+    """Delete the model in the .blend. A file stays, because another .blend may use it."""
     obj.pop(PACKED, None)
     record = obj.dynamorph.model
     record.content_id = record.summary = record.cage = record.stale = record.warnings = record.built = ""
 
 
 def show_stale(obj):
-    """Look at the mesh, and let the panel say why the model of `obj` is out of date."""
+    """Examine the mesh, and make the panel say why the model of `obj` is out of date."""
     reconcile(obj)
     stale = ""
     if not staleness.model_changes(obj):  # they say enough
