@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in the way is named, and what a button can put right it does; the cage and its painted groups."""
+"""Problems are named, and a button fixes those that it can fix; the cage and its painted groups."""
 
 import bpy
 import numpy as np
@@ -93,7 +93,7 @@ def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
     bpy.ops.ed.undo_push(message="fixed")
     bpy.ops.ed.undo()
-    if fix != "LEAVE_EDIT_MODE":  # Blender undoes within Edit Mode by other steps
+    if fix != "LEAVE_EDIT_MODE":  # Blender uses other undo steps within Edit Mode
         assert fixes(bpy.data.objects["Arm"]) == [fix]
 
 
@@ -181,7 +181,7 @@ def test_problems_come_in_the_order_of_work(soft_arm):
 
 
 def two_armatures_disabled(obj):
-    """Twice the same armature, so that each problem of it is said once."""
+    """The same armature twice, so that each of its problems is reported once."""
     two_armatures(obj)
     obj.modifiers["Second"].show_viewport = False
     rig_of(obj).hide_viewport = True
@@ -250,7 +250,7 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
     ):
         assert words in warnings
     assert len(arm.dynamorph.targets) == 1
-    shown = " ".join(drawn(arm))  # what the reports say stays to be read, each once
+    shown = " ".join(drawn(arm))  # the reports stay readable, each once
     assert (
         shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' is skinned by") == 1
     )
@@ -415,7 +415,7 @@ def test_the_first_stroke_shows(soft_arm, which, first):
     tools = bpy.context.scene.tool_settings
     (getattr(tools.weight_paint, "unified_paint_settings", None) or tools.unified_paint_settings).weight = 0.25
     OPS.paint_group(which=which)
-    assert brush_weight() == 0.25  # once something is painted it is the artist's
+    assert brush_weight() == 0.25  # a painted map belongs to the artist
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: the same work as the button, exit codes, nothing written unless all went well."""
+"""The command line: the same work as the buttons, exit codes, and nothing written unless everything succeeded."""
 
 import json
 import os
@@ -200,7 +200,7 @@ def interrupt(shot, run, stand_in):
 
 
 def test_blenders_own_ctrl_c_handler(shot, run, monkeypatch):
-    """It is set in C: Python calls it None, and does not take None back."""
+    """It is set in C: Python reports it as None, and does not accept None."""
     install = signal.signal
     monkeypatch.setattr(signal, "signal", lambda number, handler: install(number, handler) and None)
     assert run("info", shot)[0] == 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in farm/: the job template, how Slurm runs a task of it, the job type for Flamenco.
+"""What is in farm/: the job template, how Slurm runs one of its tasks, the job type for Flamenco.
 
-`make farm-demo` runs the first two on a real Slurm. Here the schedulers are stand-ins, that record what they are asked.
+`make farm-demo` runs the first two on a real Slurm. Here, stand-ins for the schedulers record how they are called.
 """
 
 import json
@@ -39,7 +39,7 @@ console.log(JSON.stringify(tasks));
 
 
 def program(folder, name, script):
-    """A shell script in the place of a program."""
+    """A shell script that replaces a program."""
     path = folder / name
     path.write_text(f"#!/bin/bash\n{script}\n")
     path.chmod(0o755)
@@ -56,7 +56,7 @@ def understood(arguments, opens_file):
 
 @pytest.fixture
 def try_task(tmp_path):
-    """Runs slurm_task.sh with a task that ends with a code; returns its own code and what scontrol was asked."""
+    """Runs slurm_task.sh with a task that ends with a code; returns its own code and how scontrol was called."""
     (tmp_path / "Bake").mkdir()
     program(tmp_path, "openjd", 'echo "Process pid 1 exited with code: $1 (unsigned)"; echo "$@"; exit $(($1 != 0))')
     program(tmp_path, "scontrol", f'echo "$@" >>"{tmp_path}/asked"')
@@ -151,7 +151,7 @@ def test_what_was_submitted_is_cancelled_when_a_later_step_is_refused(tmp_path):
 
 @pytest.fixture
 def run_template(tmp_path):
-    """Runs all steps with a Python that only records how it is called; returns what the command line makes of it."""
+    """Runs all steps with a Python that only records its calls; returns the parsed command lines."""
     python = program(tmp_path, "python", f'printf "%s\\n" "$@" "" >>"{tmp_path}/called"')
 
     def run(**parameters):
@@ -227,7 +227,7 @@ def compiled():
 
 
 def flamenco_asks(task):
-    """What the command line makes of a task."""
+    """The parsed command line of a task."""
     arguments = task["commands"][0]["parameters"]["args"]
     return understood(arguments[arguments.index("dynamorph") + 1 :], opens_file=False)
 

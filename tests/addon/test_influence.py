@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much each target counts, now and over the frames; what is drawn of it and of the cage; the artist's units."""
+"""How much each target counts, now and over the frames; the drawing of that and of the cage; the artist's units."""
 
 import types
 from math import degrees, pi, radians
@@ -136,7 +136,7 @@ def test_it_knows_when_the_frames_are_to_be_looked_at_again(scene, soft_arm):
     try:
         over(soft_arm, 1, 21)
         bpy.context.view_layer.update()
-        assert not weight_curves._is_old(soft_arm, scene)  # looking at them is no edit
+        assert not weight_curves._is_old(soft_arm, scene)  # reading them is not an edit
         rig_of(soft_arm).pose.bones["upper"].keyframe_insert("rotation_euler", frame=3)
         bpy.context.view_layer.update()
         assert weight_curves._is_old(soft_arm, scene) and bpy.app.timers.is_registered(weight_curves._update)
@@ -195,7 +195,7 @@ def test_frames_outside_and_the_pose_to_add(scene, soft_arm, monkeypatch):
 
 
 def reports(monkeypatch):
-    """What operators report from now on; Blender prints it in the background, and keeps it to itself."""
+    """The reports of operators from now on; in the background Blender prints them and does not store them."""
     kept = []
     suggest = part("weight_operators").DYNAMORPH_OT_suggest_pose._suggest
 
@@ -471,7 +471,7 @@ def test_the_legend_of_the_surface_is_drawn(scene, picture):
 
 
 def test_what_cannot_be_drawn_is_not(soft_arm, monkeypatch):
-    """In the background there is no viewport: both callbacks fail inside, and say nothing."""
+    """In the background there is no viewport: both callbacks fail inside, silently."""
     overlays, overlay_graph, display = part("overlays"), part("overlay_graph"), bpy.context.window_manager.dynamorph
     monkeypatch.setattr(part("weight_curves"), "update_soon", lambda _wait: None)
     display.cage = display.influence = display.heat = True
@@ -489,7 +489,7 @@ def bounce(obj, target):
 
 
 def test_bounce_is_the_flesh_s_own(built_arm):
-    """Shown and set without the model, and yet what the model does."""
+    """Shown and set without the model, and yet equal to its motion."""
     content = built_arm.dynamorph.model.content_id
     for target in built_arm.dynamorph.targets:
         assert target.bounce == pytest.approx(bounce(built_arm, target).frequency, rel=1e-5)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels draw without error and only what exists; how it looks is for the window to show."""
+"""The panels draw without error, and only what exists. Their look is tested in a window."""
 
 import types
 

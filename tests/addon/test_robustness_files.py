@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Undo, save, append, link, library override, the add-on off and on: nothing of a soft skin is lost by them."""
+"""Undo, save, append, link, library override, turning the add-on off and on: a soft skin survives all of them."""
 
 import subprocess
 import sys

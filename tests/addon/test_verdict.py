@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The verdict on a bake: it is read whatever it says, drawn, shown where it looks worst, and mended by one button."""
+"""The verdict on a bake: read whatever it contains, drawn, shown at the worst place, and repaired by one button."""
 
 import json
 

@@ -41,7 +41,8 @@ measures these two.
 
 {commits}
 
-*Body sizes*: of the diagonal of the box around the body at rest.
+*Body sizes*: of the diagonal of the box around the body at rest. Who made the characters:
+[Attribution](attribution.md).
 
 """
 

@@ -101,6 +101,7 @@ The frame of the largest displacement.
 {convergence}## Attribution
 
 {attribution}
+- Sources and licenses: [Attribution](attribution.md).
 """
 
 CONVERGENCE_TEXT = """## The cage converges

@@ -65,6 +65,7 @@ substeps a frame. Where a file has shape keys some are targets; the others are s
 ![Each character at a frame of its bake]({picture})
 
 {attribution}
+- Sources and licenses: [Attribution](attribution.md).
 
 ### Meshes
 

@@ -86,7 +86,7 @@ def heat_toggle():
     yield from sidebar.press(HEAT)
 
 
-@step("A bake that goes too far, and the button that mends it")
+@step("A bake that goes too far, and the button that repairs it")
 def remedy():
     far, before = displacement(), settings().targets[0].frequency
     yield from sidebar.enter("simulation.max_displacement", f"{0.6 * far:.3f}")

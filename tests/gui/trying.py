@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The model's settings, its modes and what it misses; bounce; the flesh in motion without a bake."""
+"""The model's settings, its modes and its errors; bounce; the skin in motion without a bake."""
 
 from __future__ import annotations
 
