@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-# Every chore; each sets up what it needs first.
-.PHONY: setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs \
+# Every chore; each sets up what it needs first. `make help` lists them.
+.PHONY: help setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs \
 	convergence bakes farm-demo fuzz sanitize stubs format lint wheel extension clean
 
+started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
 python = $(firstword $(shell ls -d .venv/3.*/bin/python))
 tools = $(CURDIR)/$(dir $(python))
@@ -14,22 +15,33 @@ c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
 stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
 	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool'
 
+# The packages and the Python environments that the rest needs, in .venv. More is in groups: see tools/setup.sh.
 setup:
 	@tools/setup.sh
 
+# What can be made: each target with the comment above it.
+help:
+	@awk '/^# / { text = text "    " substr($$0, 3) "\n" } \
+		/^[a-z-]+:/ { printf "make %s\n%s", substr($$0, 1, index($$0, ":") - 1), text } \
+		!/^#|\?=/ { text = "" }' Makefile
+
+# The engine with its C++ tests, and its Python module for every Python in .venv.
 build: setup
 	@mkdir -p build
 	@$(tools)cmake -S . -B $(build) -G Ninja -DCMAKE_MAKE_PROGRAM=$(tools)ninja -DDYNAMORPH_TESTS=ON \
 		-DDYNAMORPH_PYTHONS="$(pythons)" --log-level=WARNING >build/configure.log || { cat build/configure.log; exit 1; }
 	@$(tools)cmake --build $(build) -j$(jobs) -- --quiet -k 0
 
+# All tests under every Python in .venv. A change must pass `make lint test`, which says at its end how long it took.
 test: build
-	@$(python) tools/run_tests.py
+	@status=0; $(python) tools/run_tests.py || status=$$?; \
+	echo "make $(MAKECMDGOALS) took $$((($$(date +%s) - $(started) + 30) / 60)) min"; exit $$status
 
 # The interface in a real Blender window, set up in build/gui on first use; skips where that cannot be done.
 gui-test: build
 	@$(python) tools/gui_test.py
 
+# Bakes sample_blends/bulging_cylinder.blend, and renders it to out/.
 demo: build
 	@$(python) sample_blends/demo.py
 
@@ -99,26 +111,34 @@ fuzz: build
 sanitize: setup
 	@tools/sanitize.sh $(python) $(jobs)
 
+# The stubs of the engine's Python module, for editors and type checkers, as it is compiled now.
 stubs: build
 	@$(stubgen) -o cpp/bindings
 
+# Formats the sources, and mends what the linter can.
 format: setup
 	@$(tools)ruff check --quiet --fix .
 	@$(tools)ruff format --quiet .
 	@$(tools)clang-format -i $(c_sources)
 
+# Style, formatting, types, and whether the stubs fit the compiled module.
 lint: build
 	@$(tools)ruff check --quiet .
 	@$(tools)ruff format --quiet --check .
 	@$(tools)clang-format --dry-run -Werror $(c_sources)
+	@if [ -x .venv/3.11/bin/mypy ]; then .venv/3.11/bin/mypy --no-error-summary; \
+	else echo 'lint: types are not checked, which needs Python 3.11'; fi
 	@$(stubgen) -o build/stubs
 	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
 
+# The engine and the add-on as Python wheels in dist/.
 wheel: build
 	@$(python) tools/package.py wheel
 
+# The Blender extension as a zip in dist/.
 extension: build
 	@$(python) tools/package.py extension
 
+# Removes what was built; .venv stays.
 clean:
 	@rm -rf build dist

@@ -1,16 +1,25 @@
 #!/bin/bash
 # SPDX-License-Identifier: GPL-3.0-or-later
 # System packages where they are missing, and one virtual environment for each supported Python that is found.
-# Costs nothing when there is nothing to do. `setup.sh bench` adds what only the benchmarks need, `setup.sh farm` what only
-# the demo of a render farm needs.
+# Costs nothing when there is nothing to do. What few need is in groups, which are installed when they are named, as in
+# `setup.sh emulate farm`:
+#   bench     the benchmarks
+#   emulate   the tests with another processor than this one (tests/engine/test_instruction_sets.py)
+#   farm      the demo of a render farm
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 supported=(3.11 3.13) # Blender 4.5 LTS, Blender 5.2 LTS
-packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev doctest-dev qemu-user
+packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev doctest-dev
           libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
-[[ ${1:-} != bench ]] || packages+=(libbenchmark-dev)
-[[ ${1:-} != farm ]] || packages+=(slurmctld slurmd slurm-client munge)
+for group in "$@"; do
+  case $group in
+    bench) packages+=(libbenchmark-dev) ;;
+    emulate) packages+=(qemu-user) ;;
+    farm) packages+=(slurmctld slurmd slurm-client munge) ;;
+    *) echo "setup: there is no group '$group': there are bench, emulate and farm" >&2 && exit 2 ;;
+  esac
+done
 openjd=openjd-cli==0.8.0
 
 install_packages() {

@@ -4,6 +4,7 @@
 import os
 import shutil
 import sys
+from typing import NoReturn
 
 
 def run() -> int:
@@ -21,7 +22,7 @@ def run() -> int:
     return main.main(sys.argv[1:], opens_file=True)
 
 
-def leave(code: int):
+def leave(code: int) -> NoReturn:
     """End this process, for scripts too: as it tears itself down, bpy 4.5 may wait for ever for a thread of its own."""
     if bpy := sys.modules.get("bpy"):
         shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # which it would have done

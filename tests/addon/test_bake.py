@@ -25,8 +25,8 @@ def shot(soft_arm):
 
 def simulated(shot, rig=None, **settings):
     """Coordinates (F, dofs) of the shot, with other settings."""
-    simulate = part("simulate")
-    frames = simulate.simulate(shot.model, shot.character, rig or shot.rig, replace(shot.settings, **settings))
+    simulate, rig = part("simulate"), rig or shot.computation.rig
+    frames = simulate.simulate(shot.model, shot.character, rig, replace(shot.settings, **settings))
     return np.array([frame.coordinates for frame in frames])
 
 
@@ -36,20 +36,20 @@ def played(player, shot, frames):
     out = []
     for frame in frames:
         first = 1 + (frame - shot.settings.start - 1) * substeps
-        out.append(player.advance(shot.rig[first : first + substeps], frame).coordinates)
+        out.append(player.advance(shot.computation.rig[first : first + substeps], frame).coordinates)
     return np.array(out)
 
 
 def test_playback_frame_by_frame_is_the_bake(shot):
     player = part("player").Player(shot.model, shot.character, shot.settings)
-    begun = player.begin(shot.rig[:2])
+    begun = player.begin(shot.computation.rig[:2])
     assert begun.number == 1 and np.array_equal(begun.coordinates, shot.result.coordinates[0])
     assert np.array_equal(played(player, shot, range(2, 21)), shot.result.coordinates[1:])
 
 
 def test_exchange_goes_on_with_other_materials(shot):
     player = part("player").Player(shot.model, shot.character, shot.settings)
-    player.begin(shot.rig[:2])
+    player.begin(shot.computation.rig[:2])
     before = played(player, shot, range(2, 11))
     same = player.exchange(shot.character)
     sets = shot.character.target_sets[0]
@@ -65,8 +65,8 @@ def test_static_morph_targets_play_too(shot):
     build, simulate = part("engine").engine()
     character = shot.character.with_settings(method="STATIC")
     player = simulate.Player(build.build(character), character, shot.settings)
-    assert player.begin(shot.rig[:2]).weights == pytest.approx([1, 0])
-    frame = player.advance(shot.rig[-shot.settings.substeps :], 2)
+    assert player.begin(shot.computation.rig[:2]).weights == pytest.approx([1, 0])
+    frame = player.advance(shot.computation.rig[-shot.settings.substeps :], 2)
     assert frame.weights == pytest.approx([0, 1]) and player.shown(frame).shape == (0,)
 
 
@@ -87,7 +87,7 @@ def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
     """Even an unreduced one, whose few modes are chosen for the motion."""
     build, simulate = part("engine").engine()
     character = shot.character.with_settings(**change)
-    bake, _ = simulate.bake(build.build(character), character, shot.rig, shot.settings)
+    bake, _ = simulate.bake(build.build(character), character, shot.computation.rig, shot.settings)
     shapes = np.array([target.shape for target in character.targets])
     still = replace(bake, coordinates=bake.dry)
     for k in (0, 10, 19):
@@ -99,7 +99,8 @@ def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
 
 def test_gains_are_baked(shot):
     simulate = part("simulate")
-    bake, _ = simulate.bake(shot.model, shot.character, shot.rig, replace(shot.settings, gains=(0.0,) * 5 + (0.5,) * 9))
+    settings = replace(shot.settings, gains=(0.0,) * 5 + (0.5,) * 9)
+    bake, _ = simulate.bake(shot.model, shot.character, shot.computation.rig, settings)
     motion, before = bake.coordinates - bake.dry, shot.result.coordinates - shot.result.dry
     assert np.allclose(motion, before * [0, 0, 0, 0, 0, 0.5, 0.5, 0.5])
 
@@ -116,7 +117,7 @@ def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change
         targets = tuple(replace(t, influence=value) for t, value in zip(sets.targets, influence, strict=True))
         shown = replace(character, target_sets=(replace(sets, targets=targets),))
         assert build.stale_reasons(model, shown) == []
-        bake, _ = simulate.bake(model, shown, shot.rig, shot.settings)
+        bake, _ = simulate.bake(model, shown, shot.computation.rig, shot.settings)
         return np.tensordot(bake.coordinates - bake.dry, bake.modes, 1), bake.weights
 
     whole, weights = motion(1.0, 1.0)
@@ -132,10 +133,11 @@ def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change
 
 
 def held(shot, frames=20):
-    """The rig held at its pose in the middle of the shot, between the targets, where gravity makes the tissue sag."""
+    """The rig held at its pose in the middle of the shot, between the targets, where gravity sags the flesh."""
     count = 1 + (frames - 1) * shot.settings.substeps
-    middle = shot.rig[len(shot.rig) // 2 :][:1]
-    return type(shot.rig)(*(np.repeat(a, count, axis=0) for a in (middle.pose, middle.rig_world, middle.object_world)))
+    rig = shot.computation.rig
+    middle = rig[len(rig) // 2 :][:1]
+    return type(rig)(*(np.repeat(a, count, axis=0) for a in (middle.pose, middle.rig_world, middle.object_world)))
 
 
 def test_settle_begins_in_balance(shot):
@@ -155,8 +157,8 @@ def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
 
 
 def test_rest_knows_no_motion_before_the_start(shot):
-    """A rig that already moves at the start hits tissue that begins at rest, and carries settled tissue along."""
-    rig, still = shot.rig, dict.fromkeys(["gravity"], (0.0, 0.0, 0.0))
+    """A rig that already moves at the start hits flesh that begins at rest, and carries along flesh that settled."""
+    rig, still = shot.computation.rig, dict.fromkeys(["gravity"], (0.0, 0.0, 0.0))
     world = np.array(rig.rig_world)
     world[:, 0, 3] += 3.0 * np.arange(len(world)) * shot.settings.step  # 3 m/s along x
     moving = replace(held(shot), rig_world=world, object_world=world)
@@ -172,7 +174,7 @@ def test_a_pre_roll_can_be_cancelled(shot):
         shot.model, shot.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
     )
     with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
-        player.begin(shot.rig[:2])
+        player.begin(shot.computation.rig[:2])
     assert len(asked) == 9
 
 
@@ -217,19 +219,19 @@ def test_a_run_up_is_what_came_before(shot, swaying):
 def test_a_run_up_comes_in_stretches_too(shot, swaying, tmp_path, monkeypatch):
     whole = baked(swaying, (50, 60), preroll=20)
     batch, errors, share = part("batch"), part("errors"), part("cache_dir").Share(tmp_path)
-    monkeypatch.setattr(part("job"), "STRETCH", 7)
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 7)
     stretched = baked(swaying, (50, 60), preroll=20)
-    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 7)
+    monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 7)
     job = part("job").Job(swaying, "BAKE", (50, 60), share=share)
     steps = batch.Batch([job], "BAKE").steps()
-    while not (job.shot and job.shot.done == 15):  # two chunks
+    while not (job.computation and job.computation.shot and job.computation.done == 15):  # two chunks
         next(steps)
     job.cancelled = True
     with pytest.raises(errors.Cancelled):
         list(steps)
     resumed = part("job").Job(swaying, "BAKE", (50, 60), share=share)
     batch.run(resumed)
-    assert len(resumed.resumed["coordinates"]) >= 8
+    assert len(resumed.input.resumed["coordinates"]) >= 8
     for job in (stretched, resumed):
         assert np.array_equal(job.result.coordinates, whole.result.coordinates)
         assert job.report["steps"] == whole.report["steps"] == 30 * job.settings.substeps
@@ -250,7 +252,7 @@ def test_extrapolated_curves_run_up_on_their_course(shot, soft_arm):
             point.interpolation = "LINEAR"
     soft_arm.dynamorph.simulation.begin, soft_arm.dynamorph.simulation.gravity = "REST", 0.0
     running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
-    travelled = running.rig.object_world[:, 0, 3]
+    travelled = running.computation.rig.object_world[:, 0, 3]
     assert travelled == pytest.approx(np.linspace(-10.0, travelled[-1], len(travelled)), abs=1e-5)
     calm, jolt = (np.abs(job.result.coordinates - job.result.dry).max() for job in (running, hit))
     assert calm < 1e-3 * jolt and jolt > 0.0
@@ -309,10 +311,10 @@ def test_samples_come_in_stretches_and_run_up_too(shot, swaying, monkeypatch):
     swaying.dynamorph.simulation.samples = 2
     whole = baked(swaying, (30, 50), preroll=15)
     assert whole.result.frames[:3].tolist() == [30.0, 30.5, 31.0] and len(whole.result.coordinates) == 41
-    monkeypatch.setattr(part("job"), "STRETCH", 4)
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 4)
     stretched = baked(swaying, (30, 50), preroll=15)
     assert np.array_equal(stretched.result.coordinates, whole.result.coordinates)
-    assert len(stretched.rig) <= 4 * stretched.settings.substeps
+    assert len(stretched.computation.rig) <= 4 * stretched.settings.substeps
 
 
 @pytest.mark.parametrize("done", [2, 5, 20])
@@ -320,22 +322,22 @@ def test_samples_go_on_where_another_process_was_stopped(shot, done):
     simulate = part("simulate")
     settings = replace(shot.settings, substeps=5, samples=5)
     whole = simulate.Shot(shot.model, shot.character, settings)
-    whole.play(shot.rig)
+    whole.play(shot.computation.rig)
     begun, other = (simulate.Shot(shot.model, shot.character, settings) for _ in range(2))
-    begun.play(shot.rig[: 1 + (done - 1) * 5])
-    other.resume(begun.kept(), shot.rig[:1])
+    begun.play(shot.computation.rig[: 1 + (done - 1) * 5])
+    other.resume(begun.kept(), shot.computation.rig[:1])
     assert settings.reached(other.done) == done
     if not other.is_complete:
-        other.play(shot.rig[1 + (done - 1) * 5 :])
+        other.play(shot.computation.rig[1 + (done - 1) * 5 :])
     (bake, report), (expected, full) = other.bake(), whole.bake()
     assert np.array_equal(bake.coordinates, expected.coordinates) and report["steps"] == full["steps"]
 
 
 def test_warnings_name_whole_frames(shot):
     settings = replace(shot.settings, samples=shot.settings.substeps)
-    world = np.array(shot.rig.rig_world)
+    world = np.array(shot.computation.rig.rig_world)
     world[3 * settings.substeps + 2 :, 0, 3] += 50.0  # a cut between frames 4 and 5
-    cut = replace(shot.rig, rig_world=world, object_world=world)
+    cut = replace(shot.computation.rig, rig_world=world, object_world=world)
     _, report = part("simulate").bake(shot.model, shot.character, cut, settings)
     assert [text for text in report["warnings"] if "jumps" in text] == [
         "The rig jumps at frame 5: the soft skin was carried along"
@@ -399,7 +401,7 @@ def test_a_loop_closes(shot, travel):
 
 
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
-    """The fallback for tissue that is too soft for accelerated passes."""
+    """What flesh that is too soft for accelerated passes falls back to."""
     loops = part("loops")
     rig, settings = cyclic(shot), replace(shot.settings, end=12, loop=True)
     found, steps = [], []
@@ -498,7 +500,7 @@ def test_a_loop_is_what_many_cycles_come_to(shot):
 
 
 def test_a_loop_closes_whatever_its_targets_hide(shot):
-    """Where they hide the motion at the seam, it is periodic nevertheless, because it shows elsewhere."""
+    """Where they hide the motion at the seam, it is periodic all the same: it shows elsewhere."""
     sets = shot.character.target_sets[0]
     hidden = tuple(replace(t, influence=k) for k, t in enumerate(sets.targets))
     character = replace(shot.character, target_sets=(replace(sets, targets=hidden),))
@@ -540,7 +542,7 @@ def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
 def test_a_shot_in_stretches_is_the_shot(soft_arm, shot, frames, monkeypatch):
     """The same bytes, however long the chunks are; the rig is read again for each."""
     batch = part("batch")
-    monkeypatch.setattr(part("job"), "STRETCH", frames)
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", frames)
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.run(job)
     for name in ("frames", "coordinates", "weights", "dry"):
@@ -552,12 +554,12 @@ def test_a_shot_in_stretches_is_the_shot(soft_arm, shot, frames, monkeypatch):
 def test_a_shot_goes_on_where_another_process_was_stopped(shot, done):
     simulate, substeps = part("simulate"), shot.settings.substeps
     begun = simulate.Shot(shot.model, shot.character, shot.settings)
-    begun.play(shot.rig[: 1 + (done - 1) * substeps])
+    begun.play(shot.computation.rig[: 1 + (done - 1) * substeps])
     kept = {name: array.copy() for name, array in begun.kept().items()}
     other = simulate.Shot(shot.model, shot.character, shot.settings)
-    other.resume(kept, shot.rig[:1])
+    other.resume(kept, shot.computation.rig[:1])
     assert other.done == done
-    other.play(shot.rig[1 + (done - 1) * substeps :])
+    other.play(shot.computation.rig[1 + (done - 1) * substeps :])
     bake, report = other.bake()
     assert np.array_equal(bake.coordinates, shot.result.coordinates)
     assert report["steps"] == shot.report["steps"] and report["iterations"] == shot.report["iterations"]
@@ -590,7 +592,7 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
     same = rebaked(soft_arm, 8, 15)
     assert same.report["seam"] < 1e-5
     assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
-    assert len(same.written[0][0].modes) <= len(shot.result.modes) + 2
+    assert len(same.outcome.written[0][0].modes) <= len(shot.result.modes) + 2
 
     lower = rig_of(soft_arm).pose.bones["lower"]
     for frame, angle in ((1, 0.0), (10, 0.0), (12, 0.5), (14, 0.0), (20, 0.0)):
@@ -600,7 +602,7 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
     assert job.settings.run_up == 5  # as far as the bake goes back, a second otherwise
     assert part("staleness").outdated(soft_arm) == []
     mixed = shown_at(soft_arm, range(1, 21))
-    assert [float(frame) for frame in part("bake").read_back(soft_arm).frames] == list(range(1, 21))
+    assert [float(frame) for frame in part("bake_reading").read_back(soft_arm).frames] == list(range(1, 21))
     soft_arm.dynamorph.simulation.keep_outside = False
     soft_arm.dynamorph.simulation.start = 1
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))

@@ -351,8 +351,8 @@ def test_fitting_to_the_shot_needs_no_shot_for_the_cage(coarse_arm):
     with_target(coarse_arm)
     coarse_arm.dynamorph.model.fit_to_shot = True
     job = part("job").Job(coarse_arm, goal="BUILD_CAGE")
-    job.prepare()
-    assert job.rig is None
+    list(part("batch").Batch([job], "BUILD_CAGE").read())
+    assert job.settings is None
 
 
 # Painted groups ----------------------------------------------------------------------------------------------------

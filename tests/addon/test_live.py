@@ -8,7 +8,7 @@ import types
 import bpy
 import numpy as np
 import pytest
-from builders import activate, evaluated_points, fingerprint, part, rig_of
+from builders import activate, evaluated_points, fingerprint, part, refused, rig_of
 from mathutils import Matrix
 from test_operators import Window
 
@@ -28,7 +28,7 @@ def live_arm(soft_arm):
         batch.run(job)
         packed["model"] = model_store.stored_model(soft_arm)
         packed["record"] = part("plain").plain(settings.model)
-    storage.store_model(soft_arm, packed["model"])
+    storage.keep_model(soft_arm, packed["model"])
     part("assign").assign(settings.model, packed["record"])
     settings.model.stale = ""
     storage.fit_modes(soft_arm, 8)
@@ -65,11 +65,8 @@ def session(obj):
 def baked(obj, **settings):
     """The surface (F, V, 3) of a bake of the same scene, which is not written."""
     extract = part("extract")
-    job = part("job").Job(obj, goal="BAKE", **settings)
-    job.prepare()
-    job.start()
-    while not job.wait(1.0):
-        pass
+    job = part("job").Job(obj, goal="BAKE", stored=False, **settings)
+    part("batch").run(job)
     assert job.reasons == []
     rest = extract.character(obj).vertices
     return np.array([rest + job.result.displacement(k) for k in range(len(job.result.frames))])
@@ -678,7 +675,7 @@ def shown(monkeypatch):
 
     def spy(preview, *frame):
         show(preview, *frame)
-        obj = part("skin").find(preview.session_uid)
+        obj = preview.object.find()
         bpy.context.view_layer.update()
         frames.append((surface(obj), tuple(rig_of(obj).matrix_world.translation)))
 
@@ -812,6 +809,48 @@ def test_a_mode_plays_alone(live_arm, shown):
     size = part("session").Flesh(live_arm, bpy.context.scene).player.size
     assert swings.max() == pytest.approx(2.0 * 0.05 * size, rel=0.01)
     assert apart(points[6] - points[0], points[0] - points[18]) < 1e-6  # a sine
+
+
+def test_play_mode_is_refused_while_blender_renders(live_arm, monkeypatch):
+    before = fingerprint(live_arm)
+    monkeypatch.setattr(part("rig_motion"), "render_runs", lambda: True)
+    refused(bpy.ops.dynamorph.play_mode, "Blender is rendering: wait until it is done")
+    assert fingerprint(live_arm) == before
+
+
+def test_a_mode_that_plays_stands_still_while_blender_renders(live_arm, monkeypatch):
+    """A render that begins meanwhile reads what would be written."""
+    live_operators, window, tick = (
+        part("live_operators"),
+        PreviewWindow(live_arm),
+        types.SimpleNamespace(type="TIMER", value="NOTHING"),
+    )
+    play_mode = live_operators.DYNAMORPH_OT_play_mode
+
+    class Button(live_operators.PreviewOperator):
+        bl_idname, bl_label = play_mode.bl_idname, play_mode.bl_label
+        frames, _swinging, passes = play_mode.frames, staticmethod(play_mode._swinging), play_mode.passes
+
+    button = Button()
+    button._begin(window)
+    time.sleep(0.1)
+    assert button.modal(window, tick) == {"RUNNING_MODAL"}
+    swung = surface(live_arm)
+    with monkeypatch.context() as patch:
+        patch.setattr(part("rig_motion"), "render_runs", lambda: True)
+        time.sleep(0.1)
+        assert button.modal(window, tick) == {"RUNNING_MODAL"}
+    assert apart(surface(live_arm), swung) == 0.0
+    part("preview").end_preview()
+    assert button.modal(window, tick) == {"CANCELLED"}
+
+
+class PreviewWindow(Window):
+    """Of a window in which a preview plays."""
+
+    def __init__(self, obj):
+        super().__init__(obj)
+        self.screen, self.is_animation_playing = self, False
 
 
 # Comparing ---------------------------------------------------------------------------------------------------------

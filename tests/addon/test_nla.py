@@ -91,8 +91,8 @@ def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
     key_plainly(rig)
     plain = part("job").Job(obj, "BAKE")
     part("batch").run(plain)
-    assert plain.reasons == [] and np.ptp(plain.rig.rig_world[:, 0, 3]) > 0.05
-    assert plain.rig.pose == pytest.approx(job.rig.pose, abs=1e-6)
+    assert plain.reasons == [] and np.ptp(plain.computation.rig.rig_world[:, 0, 3]) > 0.05
+    assert plain.computation.rig.pose == pytest.approx(job.computation.rig.pose, abs=1e-6)
     largest = np.abs(plain.result.coordinates - plain.result.dry).max()
     assert job.result.coordinates == pytest.approx(plain.result.coordinates, abs=1e-4 * largest)
 

@@ -230,13 +230,15 @@ def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
     stand_in.patience = 5.0
     before = fingerprint(soft_arm)
     job = part("job").Job(soft_arm, goal="BAKE")
-    job.prepare()
-    job.start()
-    time.sleep(0.2)
+    batch = part("batch").Batch([job], "BAKE")
+    steps = batch.steps()
+    while job.message != "Frame 0":
+        next(steps)
     began = time.perf_counter()
     job.cancelled = True
     with pytest.raises(errors.Cancelled):
-        job.wait()
+        list(steps)
+    batch.stop()
     assert time.perf_counter() - began < 1.0
     assert fingerprint(soft_arm) == before
 
@@ -259,30 +261,32 @@ def test_undo_while_a_job_runs(soft_arm, stand_in):
     soft_arm.location.x = 1.0
     bpy.ops.ed.undo_push(message="moved")
     job = part("job").Job(soft_arm, goal="BAKE")
-    job.prepare()
-    job.start()
+    batch = part("batch").Batch([job], "BAKE")
+    list(batch.read())
+    computing = batch.compute(pause=0.0)
+    next(computing, None)
     bpy.ops.ed.undo()
     bpy.data.objects["Arm"].name = "Renamed"
-    job.wait()
-    job.commit()
+    list(computing)
+    list(batch.write())
     assert bpy.data.objects["Renamed"].dynamorph.bake.keys
 
 
 def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
     errors = part("errors")
     job = part("job").Job(soft_arm, goal="BAKE")
-    job.prepare()
-    job.start()
-    job.wait()
+    batch = part("batch").Batch([job], "BAKE")
+    list(batch.read())
+    list(batch.compute())
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.ops.mesh.subdivide()
     bpy.ops.object.mode_set(mode="OBJECT")
     with pytest.raises(errors.SceneError, match="'Arm' changed while the job ran"):
-        job.commit()
+        list(batch.write())
     bpy.data.objects.remove(soft_arm)
-    with pytest.raises(errors.SceneError, match="deleted"):
-        job.commit()
+    with pytest.raises(errors.SceneError, match="'Arm' was deleted while the job ran"):
+        list(batch.write())
 
 
 class Window:
@@ -471,8 +475,9 @@ def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
     batch = part("batch")
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.running = batch.Batch([job], "BAKE")
-    job.prepare()
-    job.start()
+    steps = batch.running.steps()
+    while job.message != "Frame 0":
+        next(steps)
     began = time.perf_counter()
     addon_utils.disable(MODULE)
     assert time.perf_counter() - began < 2.0 and not job.thread.is_alive() and batch.running is None

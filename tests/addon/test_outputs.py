@@ -187,7 +187,7 @@ def test_a_cache_needs_a_saved_file(soft_arm):
 def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, sink):
     bake = smooth_bake(soft_arm)
     written(soft_arm, bake, tmp_path, sink=sink)
-    found = part("bake").read_back(soft_arm)
+    found = part("bake_reading").read_back(soft_arm)
     np.testing.assert_array_equal(found.frames, bake.frames)
     for row in range(len(bake.frames)):
         assert np.abs(found.displacement(row) - bake.displacement(row)).max() < 1e-6

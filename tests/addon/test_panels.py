@@ -25,9 +25,8 @@ def test_through_the_workflow(arm, stand_in, panel):
 
 
 def test_progress_replaces_the_button(soft_arm, stand_in):
-    batch, job = part("batch"), part("job")
-    batch.running = job.Job(soft_arm, goal="BAKE")
-    batch.running.message = "Frame 7"
+    batch, job = part("batch"), part("job").Job(soft_arm, goal="BAKE")
+    batch.running, job.message = batch.Batch([job], "BAKE"), "Frame 7"
     try:
         texts = drawn(soft_arm)
         assert "0%  Frame 7" in texts and "dynamorph.cancel" in texts

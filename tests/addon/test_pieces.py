@@ -84,7 +84,7 @@ def test_a_sleeve_shows_what_the_flesh_around_it_does(dressed):
     stiff = motion(sleeve)
     job = bake(arm)
     assert sleeve.dynamorph.follows == arm and len(sleeve.dynamorph.bake.keys) == len(arm.dynamorph.bake.keys)
-    (follower,) = job.followers
+    (follower,) = job.input.followers
     modes = np.moveaxis(job.result.node_modes, 0, 1)
     engine = pytest.importorskip("dynamorph")
     embedding = engine.embed(engine.TetMesh(job.model.nodes, job.model.tets), follower.vertices)
@@ -99,7 +99,7 @@ def test_a_sleeve_shows_what_the_flesh_around_it_does(dressed):
         moved += np.einsum("pc,pcx->px", shares, details[corners]) @ character.to_bind.T
         local = (follower.vertices + moved) @ np.linalg.inv(character.to_bind).T
         worn = part("character").Character(**{**vars(character), "vertices": local, "weights": weights})
-        expected = skinned(worn, job.rig[(frame - 1) * job.settings.substeps :][:1])[0]
+        expected = skinned(worn, job.computation.rig[(frame - 1) * job.settings.substeps :][:1])[0]
         assert np.abs(shown - expected).max() < 1e-5
         assert frame == 1 or np.abs(shown - before).max() > 0.01
 
@@ -174,11 +174,12 @@ def test_nothing_is_written_unless_all_can_be(dressed):
     arm, sleeve = dressed
     before = fingerprint(arm)
     job = part("job").Job(arm, goal="BAKE")
-    job.prepare()
-    job._compute()
+    batch = part("batch").Batch([job], "BAKE")
+    list(batch.read())
+    list(batch.compute())
     sleeve.data.vertices.add(1)
     with pytest.raises(ValueError, match="'Sleeve' changed while the job ran"):
-        job.target()
+        list(batch.write())
     assert fingerprint(arm) == before and keys_of(sleeve) is None
 
 
@@ -342,7 +343,7 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     parts = part("geometry").connected_parts(job.model.tets, len(job.model.nodes))
     body = parts[job.model.embedding_nodes[job.character.pieces == 0, 0]]
     assert len(np.unique(parts)) > len(np.unique(body))
-    (follower,) = job.followers
+    (follower,) = job.input.followers
     other = np.isin(parts, np.setdiff1d(parts, body))
     modes, _ = part("followers").carried(job.model, job.result.node_modes * other[:, None], follower)
     assert not modes.any()

@@ -113,7 +113,7 @@ def weights_now(obj):
 def motion(obj):
     """How far the skin (F, V) is from its place without motion, after a bake, in meters; the bake is deleted."""
     OPS.bake()
-    bake = part("bake").read_back(obj)
+    bake = part("bake_reading").read_back(obj)
     moved = np.tensordot(bake.coordinates - bake.dry, bake.modes, 1)
     OPS.free_bake()
     return moved

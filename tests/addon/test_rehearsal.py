@@ -75,7 +75,7 @@ def test_the_frequency_is_that_of_the_body(new_arm):
 def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     limit(new_arm, 0.0)
     free = bake(new_arm)
-    assert not free.rehearsed and new_arm.dynamorph.simulation.rehearsed == ""
+    assert not free.outcome.rehearsed and new_arm.dynamorph.simulation.rehearsed == ""
     farthest = free.verdict.displacement
     limit(new_arm, 0.6 * farthest)
     job = bake(new_arm)
@@ -84,11 +84,11 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     assert neutral.frequency > 3.5 and neutral.bounce == pytest.approx(neutral.frequency, rel=1e-3)
     assert neutral.material().stiffness_damping * 2.0 * np.pi * neutral.frequency / 2.0 == pytest.approx(0.2, rel=0.03)
     assert not neutral.by_hand
-    assert new_arm.dynamorph.simulation.rehearsed == job.rehearsed
-    assert f"to {neutral.frequency:.3g} Hz" in job.rehearsed
+    assert new_arm.dynamorph.simulation.rehearsed == job.outcome.rehearsed
+    assert f"to {neutral.frequency:.3g} Hz" in job.outcome.rehearsed
     assert not part("staleness").outdated(new_arm)
     again = bake(new_arm)  # it runs once
-    assert not again.rehearsed and neutral.frequency == job.character.targets[0].frequency
+    assert not again.outcome.rehearsed and neutral.frequency == job.character.targets[0].frequency
     assert np.array_equal(again.result.coordinates, job.result.coordinates)
 
 
@@ -98,7 +98,7 @@ def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
     limit(new_arm, 1e-3)
     job = bake(new_arm)
     assert new_arm.dynamorph.targets[0].frequency > 3.5
-    assert job.rehearsed.endswith("and the skin still moves too far")
+    assert job.outcome.rehearsed.endswith("and the skin still moves too far")
     assert not json.loads(new_arm.dynamorph.bake.verdict)["ok"]
 
 
@@ -111,9 +111,9 @@ def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
     job = bake(new_arm)
     neutral = new_arm.dynamorph.targets[0]
     assert 3.5 < neutral.frequency < 0.8 * 8.0 * 3.5
-    assert 0.5 < job.verdict.excess(job.limits) <= part("judge").SLACK
+    assert 0.5 < job.verdict.excess(job.input.limits) <= part("judge").SLACK
     assert job.character.targets[0].frequency == neutral.frequency
-    assert f"to {neutral.frequency:.3g} Hz" in job.rehearsed
+    assert f"to {neutral.frequency:.3g} Hz" in job.outcome.rehearsed
     again = bake(new_arm)
     assert again.verdict == job.verdict and np.array_equal(again.result.coordinates, job.result.coordinates)
 
@@ -148,9 +148,9 @@ def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
     whole = bake(new_arm)
     new_arm.dynamorph.simulation.rehearsed = ""
     new_arm.dynamorph.targets[0].set_frequency(3.5, part("feel").FEELS["NATURAL"].damping)
-    monkeypatch.setattr(part("job"), "STRETCH", 6)
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 6)
     parts = bake(new_arm)
-    assert parts.rehearsed == whole.rehearsed
+    assert parts.outcome.rehearsed == whole.outcome.rehearsed
     assert parts.result.coordinates == pytest.approx(whole.result.coordinates, rel=1e-4, abs=1e-6)
 
 
@@ -173,7 +173,7 @@ def test_what_others_have_to_agree_with_is_not_rehearsed(new_arm, how, tmp_path)
     before = settings.targets[0].material()
     job = bake(new_arm, **options)
     assert settings.targets[0].material() == before
-    assert not job.rehearsed and settings.simulation.rehearsed == ""
+    assert not job.outcome.rehearsed and settings.simulation.rehearsed == ""
     if how != "unlimited":
         assert not json.loads(settings.bake.verdict)["ok"]
 

@@ -345,7 +345,7 @@ def test_the_nodes_move_with_the_skin(scene, small_arm):
     job = run(small_arm)
     player = part("player").Player(job.model, job.character, job.settings)
     skin = player.posing.skin
-    frames = player.posing.frames(job.rig[-1:])
+    frames = player.posing.frames(job.computation.rig[-1:])
     scene.frame_set(20)
     small_arm.data.shape_keys.key_blocks.foreach_set("mute", [True] * len(small_arm.data.shape_keys.key_blocks))
     apart = np.linalg.norm(skin.posed(frames[0]) - evaluated_points(small_arm), axis=1)[skin.known]
@@ -361,7 +361,7 @@ def test_on_plain_bones_both_ways_are_one(small_arm, monkeypatch, solver):
     dense = run(small_arm)
     monkeypatch.undo()
     plain = run(small_arm)
-    assert dense.rig.nodes is not None and plain.rig.nodes is None and plain.reasons == []
+    assert dense.computation.rig.nodes is not None and plain.computation.rig.nodes is None and plain.reasons == []
     apart = [np.abs(dense.result.displacement(k) - plain.result.displacement(k)).max() for k in range(8)]
     moved_by = max(np.abs(plain.result.displacement(k)).max() for k in range(8))
     assert moved_by > 0.01 and max(apart) < 2e-6
@@ -375,10 +375,10 @@ def test_a_target_is_held_against_gravity_in_its_own_pose(small_arm):
     job = run(small_arm)
     assert any(job.settings.gravity)
     still = replace(job.settings, start=20, end=20)
-    held, _ = part("simulate").bake(job.model, job.character, job.rig[-1:], still)
+    held, _ = part("simulate").bake(job.model, job.character, job.computation.rig[-1:], still)
     shape = job.character.targets[1].shape
     assert np.abs(held.displacement(0) - shape).max() < 1e-5
-    without = replace(job.rig[-1:], held=None)
+    without = replace(job.computation.rig[-1:], held=None)
     with pytest.raises(ValueError, match="sampled without the nodes"):
         part("simulate").bake(job.model, job.character, without, still)
 
@@ -401,11 +401,11 @@ def test_a_loop_a_jump_and_wind(scene, small_arm):
     assert any("rig jumps at frame 10" in text for text in job.warnings)
     assert max(np.abs(job.result.displacement(k)).max() for k in range(20)) < 0.5
     player = part("player").Player(job.model, job.character, job.settings)
-    player.begin(job.rig[:2])
+    player.begin(job.computation.rig[:2])
     rest = job.character.vertices @ job.character.to_bind.T
-    assert player.pose_gap(job.rig[:1]) < 1e-12 and player.pose_gap(job.rig) > 0.1
-    assert player.posing.skinned(job.rig[:1])[0] == pytest.approx(rest[player.posing.skin.known], abs=1e-5)
-    push = player._push(job.rig.fields, 0, player.posing.frames(job.rig[:1])[0])
+    assert player.pose_gap(job.computation.rig[:1]) < 1e-12 and player.pose_gap(job.computation.rig) > 0.1
+    assert player.posing.skinned(job.computation.rig[:1])[0] == pytest.approx(rest[player.posing.skin.known], abs=1e-5)
+    push = player._push(job.computation.rig.fields, 0, player.posing.frames(job.computation.rig[:1])[0])
     assert push.sum(axis=0)[2] == pytest.approx(40.0 * player.posing.skin.areas.sum(), rel=1e-6)
     small_arm.dynamorph.simulation.loop = True
     assert "gap" in run(small_arm).report
@@ -448,10 +448,11 @@ def test_a_cage_is_made_before_the_rig_is_read_and_serves_the_model(small_arm):
     assert seen == sorted(seen) and job.model.summary["seconds"]["meshing"] < 0.01
     stages = {"build", "sample rig", "measure", "simulate", "judge", "make keys", "store model", "write keys"}
     assert set(job.seconds) == stages
-    assert not part("job").Job(small_arm, "BUILD").needs_cage()
-    again = part("job").Job(small_arm, "BAKE")
-    again.read()
-    assert not again.needs_cage() and again.reasons == []
+    for goal in ("BUILD", "BAKE"):
+        again = part("job").Job(small_arm, goal)
+        again.read()
+        assert not again.computation.needs_cage
+    assert again.reasons == []
 
 
 def test_cancelled_while_the_cage_is_made(small_arm):
@@ -472,7 +473,7 @@ def test_other_methods(small_arm, method):
     twisting(small_arm)
     small_arm.dynamorph.model.method = method
     job = run(small_arm)
-    assert (job.rig.nodes is None) == (method == "STATIC")
+    assert (job.computation.rig.nodes is None) == (method == "STATIC")
     assert np.isfinite(job.result.displacement(19)).all()
 
 
@@ -483,23 +484,25 @@ def test_a_body_in_two_cages(small_arm):
     piece = small_arm.dynamorph.pieces.add()
     piece.group, piece.choice = "End", "OWN_CAGE"
     job = run(small_arm)
-    assert len(job.rig.nodes.rest) == job.model.free.sum() and np.abs(job.result.displacement(12)).max() > 0.0
+    assert (
+        len(job.computation.rig.nodes.rest) == job.model.free.sum() and np.abs(job.result.displacement(12)).max() > 0.0
+    )
 
 
 def test_a_shot_in_stretches_is_the_whole_shot(small_arm, monkeypatch):
     twisting(small_arm)
     whole = run(small_arm).result
-    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 6)
+    monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 6)
     job = run(small_arm)
-    assert len(job.rig) < 40 and np.abs(job.result.coordinates - whole.coordinates).max() < 1e-9
+    assert len(job.computation.rig) < 40 and np.abs(job.result.coordinates - whole.coordinates).max() < 1e-9
 
 
 def test_methods_are_compared(small_arm):
     twisting(small_arm)
-    job = part("job").Job(small_arm, "BAKE", frames=(1, 3))
-    job.prepare()
+    job = part("job").Job(small_arm, "BAKE", frames=(1, 3), whole=True, stored=False)
+    rig = part("batch").read_rig(job)
     variants = {name: part("settings").VARIANTS[name] for name in ("DMT StVK reduced", "DMT StVK full")}
-    found = part("compare").compare(job.character, job.rig, job.settings, variants)["variants"]
+    found = part("compare").compare(job.character, rig, job.settings, variants)["variants"]
     assert found["DMT StVK reduced"]["steps"] > 0 and found["DMT StVK reduced"]["error"]["rms_total"] < 1.0
 
 

@@ -142,9 +142,9 @@ def test_a_cage_that_targets_grade_is_made_anew_for_other_targets(small_arm):
 def test_cancelling_the_engine(small_arm):
     errors = part("errors")
     job = part("job").Job(small_arm, goal="BAKE")
-    job.prepare()
+    batch = part("batch").Batch([job], "BAKE")
+    list(batch.read())
     job.cancelled = True
-    job.start()
     with pytest.raises(errors.Cancelled):
-        job.wait()
+        list(batch.compute())
     assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id

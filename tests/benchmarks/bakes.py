@@ -35,7 +35,7 @@ from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core import slider_keys  # noqa: E402
 from dynamic_morph_targets.io import model_file, paths  # noqa: E402
-from dynamic_morph_targets.run import batch, job  # noqa: E402
+from dynamic_morph_targets.run import bake_input, batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 
 
@@ -84,7 +84,7 @@ def round_trips(folder: Path) -> dict:
             "keys": job.report["keys"],
             "said": job.report["keys_error"] / ours.size,
             "error": round_trips.farthest(shown, ours.world) / ours.size,
-            "bytes": job.size,
+            "bytes": job.outcome.size,
             "size": ours.size,
             "frames": len(job.result.frames),
         }
@@ -127,7 +127,7 @@ def long(folder: Path) -> dict:
     command_line("build", shot, "--object", name, "-o", built)
     opened = command_line("info", built, "--object", name)
     rows = [long_bake(built, name, sink, frames) for sink in LONG_SINKS for frames in LENGTHS]
-    return about | {"stretch": job.STRETCH, "opened": opened["memory"], "bakes": rows}
+    return about | {"stretch": bake_input.CHUNK_FRAMES, "opened": opened["memory"], "bakes": rows}
 
 
 def repeat_forever(rig):

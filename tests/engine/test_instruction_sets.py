@@ -109,7 +109,7 @@ def test_engine_tests_pass_with_each(instruction_set):
 def qemu():
     """The words that run an x86-64 program on a processor with SSE2 to SSE3 alone."""
     if shutil.which("qemu-x86_64") is None:
-        pytest.skip("qemu-x86_64 is not installed (Debian: qemu-user)")
+        pytest.skip("qemu-x86_64 is not installed: tools/setup.sh emulate")
     if len(SETS) == 1 or not TESTS.exists():
         pytest.skip("not an x86-64, or the C++ tests were not built")
     return ["qemu-x86_64", "-cpu", "core2duo"]

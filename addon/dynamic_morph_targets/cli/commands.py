@@ -7,6 +7,7 @@ import argparse
 import json
 import math
 import time
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, skin, staleness
 from ..write import bake, exports, losses
 from ..write.reconcile import reconcile
-from .record import Progress, print_table
+from .record import Done, Progress, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
@@ -33,11 +34,11 @@ OUTPUT_SETTINGS = ("keys", "every", "tolerance")
 SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output": OUTPUT_SETTINGS}
 
 
-def number(setting):
+def number(setting: bpy.types.Property) -> Callable[[str], float]:
     """A parser that refuses numbers which Blender would silently clamp to the setting's range."""
 
-    def parse(text: str):
-        value = {"INT": int, "FLOAT": float}[setting.type](text)
+    def parse(text: str) -> float:
+        value: float = {"INT": int, "FLOAT": float}[setting.type](text)
         if not setting.hard_min <= value <= setting.hard_max:
             raise argparse.ArgumentTypeError(f"{text} is not between {setting.hard_min:g} and {setting.hard_max:g}")
         return value
@@ -45,12 +46,12 @@ def number(setting):
     return parse
 
 
-def check_substeps(args):
+def check_substeps(args: argparse.Namespace) -> None:
     if args.substeps is not None and args.substeps < 1:
         raise InputError(f"--substeps is {args.substeps}: give 1 or more")
 
 
-def run_job(args):
+def run_job(args: argparse.Namespace) -> None:
     """bake and build."""
     check_substeps(args)
     objects = chosen_objects(args)
@@ -58,31 +59,46 @@ def run_job(args):
     files = output_files(args, objects, folder)
     for obj in objects:  # everything that may be refused, before any work
         apply_settings(args, obj)
-    shared = cache_dir.Share(args.cache_dir.resolve()) if args.cache_dir else None
     for obj in objects:
-        frames = tuple(args.frames) if args.frames else None
-        rebuild = args.goal == "BUILD" and shared is None
-        goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
-        job = Job(obj, goal, frames, args.substeps, folder, rebuild, shared)
-        job.cache_files = files
-        batch.run(job, Progress(args.progress == "openjd"))
-        if format_of(args) in exports.FORMATS:
-            export(args, obj, job, files[obj.name])
-        for reason in job.reasons:
-            print(f"{job.name}: built: {reason}")
-        if job.rehearsed:
-            print(f"{job.name}: {job.rehearsed}")
-        for warning in job.warnings:
-            print(f"{job.name}: warning: {warning}")
-        args.done.append(job)
+        done = work_on(args, obj, folder, files)
+        say(done)
+        args.done.append(done)
     seconds = save(args) if args.output or args.in_place else 0.0
-    for job in args.done:
+    for job in (done.job for done in args.done):
         print_table(job, seconds)
-        if job.kept:  # it is saved now
-            job.kept.unlink(missing_ok=True)
+        if job.input.kept:  # it is saved now
+            job.input.kept.unlink(missing_ok=True)
 
 
-def apply_settings(args, obj):
+def work_on(args, obj, folder: Path, files: dict[str, Path]) -> Done:
+    """Build or bake one object, and write its file for other programs if that is asked for; folder, files: where what
+    is written goes.
+    """
+    shared = cache_dir.Share(args.cache_dir.resolve()) if args.cache_dir else None
+    rebuild = args.goal == "BUILD" and shared is None
+    goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
+    frames = tuple(args.frames) if args.frames else None
+    job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, share=shared, cache_files=files)
+    tick = Progress(args.progress == "openjd")
+    batch.run(job, tick)
+    warnings = list(job.warnings)
+    if format_of(args) in exports.FORMATS:
+        first, last = job.result.frames[[0, -1]] if job.input.is_bake else (0, 0)
+        warnings += export(args, obj, files[obj.name], (math.ceil(first), math.floor(last)))
+    return Done(job, warnings)
+
+
+def say(done: Done):
+    job = done.job
+    for reason in job.reasons:
+        print(f"{job.name}: built: {reason}")
+    if job.outcome.rehearsed:
+        print(f"{job.name}: {job.outcome.rehearsed}")
+    for warning in done.warnings:
+        print(f"{job.name}: warning: {warning}")
+
+
+def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     """Apply the settings of the command line to the object. Raises InputError."""
     for change in args.changes:
         set_property(obj, change)
@@ -94,7 +110,7 @@ def apply_settings(args, obj):
         obj.dynamorph.output.sink = "MODES" if format_of(args) in exports.FORMATS else format_of(args)
 
 
-def format_of(args) -> str:
+def format_of(args: argparse.Namespace) -> str:
     return (args.format or "").upper()
 
 
@@ -104,7 +120,7 @@ def bake_formats() -> list[str]:
     return [item.identifier for item in output.properties["sink"].enum_items]
 
 
-def output_files(args, objects, folder: Path) -> dict[str, Path]:
+def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], folder: Path) -> dict[str, Path]:
     """The files that --format and --output-file ask for, by mesh name. Raises InputError, ExportError."""
     if args.goal == "BUILD":
         if not (args.output or args.in_place or args.cache_dir):
@@ -138,16 +154,15 @@ def output_files(args, objects, folder: Path) -> dict[str, Path]:
     return files
 
 
-def export(args, obj, job, path: Path):
-    """Write the bake for other programs."""
+def export(args, obj, path: Path, frames: tuple[int, int]) -> list[str]:
+    """Write the bake, or the clips, for other programs; returns warnings."""
     chosen, clips, tick = format_of(args), args.clips.upper(), Progress(args.progress == "openjd")
-    job.warnings += losses.losses(obj, chosen, clips)
-    first, last = job.result.frames[[0, -1]] if job.bake else (0, 0)
-    job.warnings += export_actions.export(obj, chosen, path, (math.ceil(first), math.floor(last)), clips, tick)
-    print(f"{job.name}: written to {path.name}")
+    warnings = [*losses.losses(obj, chosen, clips), *export_actions.export(obj, chosen, path, frames, clips, tick)]
+    print(f"{obj.name}: written to {path.name}")
+    return warnings
 
 
-def set_property(obj, change: str):
+def set_property(obj: bpy.types.Object, change: str) -> None:
     """Apply TARGET.PROPERTY=VALUE, a wedge of a farm. The name of a target may contain dots. Raises InputError."""
     where, _, text = change.partition("=")
     name, _, field = where.rpartition(".")
@@ -163,7 +178,7 @@ def set_property(obj, change: str):
         raise InputError(f"--set {change}: {error}") from error
 
 
-def run_collect(args):
+def run_collect(args: argparse.Namespace) -> None:
     """Raises CollectError when a bake failed or is missing, after the page is written."""
     reports = report_page.read(args.folder)
     wrong = report_page.failures(reports, args.expect)
@@ -174,7 +189,7 @@ def run_collect(args):
         raise errors.CollectError("; ".join(wrong))
 
 
-def run_check(args):
+def run_check(args: argparse.Namespace) -> None:
     """Raises InputError when something is in the way."""
     engine.engine()
     in_the_way = 0
@@ -196,24 +211,24 @@ def run_check(args):
         raise InputError(f"{in_the_way} problem{'s' * (in_the_way > 1)} found, listed above: fix them and check again")
 
 
-def run_report(args):
+def run_report(args: argparse.Namespace) -> None:
     check_substeps(args)
     engine.engine()  # says what is missing
     from ..core import compare
 
-    found = {}
+    found: dict[str, dict] = {}
     for obj in chosen_objects(args):
-        job = Job(obj, "BAKE", frames=tuple(args.frames) if args.frames else None, substeps=args.substeps)
-        job.prepare()
-        tick = Progress()
+        frames = tuple(args.frames) if args.frames else None
+        job = Job(obj, "BAKE", frames, args.substeps, whole=True, stored=False)
+        rig, tick = batch.read_rig(job), Progress()
 
-        def progress(fraction, message, job=job, tick=tick):
+        def progress(fraction: float, message: str, job: Job = job, tick: Progress = tick) -> bool:
             job.fraction, job.message = fraction, message
             tick(job)
             return True
 
         variants = {name: VARIANTS[name] for name in args.methods}
-        found[obj.name] = compare.compare(job.character, job.rig, job.settings, variants, progress)
+        found[obj.name] = compare.compare(job.character, rig, job.settings, variants, progress)
     for name, compared in found.items():
         print(f"\n{name}\n{compare.table(compared)}")
     if args.json:
@@ -221,7 +236,7 @@ def run_report(args):
         print(f"written to {args.json}")
 
 
-def run_fit(args):
+def run_fit(args: argparse.Namespace) -> None:
     path = args.oscillation or args.force_displacement
     if not path.is_file():
         raise InputError(f"there is no file '{path}'")
@@ -236,22 +251,22 @@ def run_fit(args):
             raise InputError(f"'{obj.name}' has no target named '{args.target}'")
         if args.vertex_group and args.vertex_group not in obj.vertex_groups:
             raise InputError(f"'{obj.name}' has no vertex group named '{args.vertex_group}'")
-        subject = model_store.fit_input(obj, target)
+        model, character, index = model_store.fit_input(obj, target)
         patch = None
         if args.vertex_group:
-            patch = np.zeros(len(subject[1].vertices))
-            patch[subject[1].own] = mesh_data.group_weights(obj, [args.vertex_group])[:, 0]
+            patch = np.zeros(len(character.vertices))
+            patch[character.own] = mesh_data.group_weights(obj, [args.vertex_group])[:, 0]
         if args.oscillation:
-            fitted = material_fit.fit_oscillation(*subject, seen.frequency, seen.decay, patch)
+            fitted = material_fit.fit_oscillation(model, character, index, seen.frequency, seen.decay, patch)
         else:
-            fitted = material_fit.fit_force_displacement(*subject, rows[:, :3], rows[:, 3:], patch)
+            fitted = material_fit.fit_force_displacement(model, character, index, rows[:, :3], rows[:, 3:], patch)
         for name, value in asdict(fitted).items():
             print(f"{obj.name}: {target.name}: {name.replace('_', ' ')} {getattr(target, name):.4g} -> {value:.4g}")
         target.set_material(fitted, by_hand=True)
     save(args)
 
 
-def run_delete_bake(args):
+def run_delete_bake(args: argparse.Namespace) -> None:
     for obj in chosen_objects(args):
         bake.check(obj)
         baked = obj.dynamorph.bake
@@ -261,7 +276,7 @@ def run_delete_bake(args):
     save(args)
 
 
-def run_info(args):
+def run_info(args: argparse.Namespace) -> None:
     for obj in chosen_objects(args):
         settings = obj.dynamorph
         print(f"{obj.name}: {', '.join(target.name for target in settings.targets)}")
@@ -280,7 +295,7 @@ def run_info(args):
         print(f"  bake state: {'; '.join(staleness.outdated(obj)) or 'up to date'}")
 
 
-def chosen_objects(args) -> list:
+def chosen_objects(args: argparse.Namespace) -> list[bpy.types.Object]:
     """The objects that --object or --all name."""
     if not args.object:
         found = skin.soft_skins(bpy.context.scene.objects)
@@ -293,13 +308,13 @@ def chosen_objects(args) -> list:
     return _reconciled([bpy.context.scene.objects[name] for name in args.object])
 
 
-def _reconciled(objects: list) -> list:
+def _reconciled(objects: list) -> list[bpy.types.Object]:
     for obj in skin.soft_skins(objects):
         reconcile(obj)
     return objects
 
 
-def save(args) -> float:
+def save(args: argparse.Namespace) -> float:
     """Save the .blend; returns the seconds it took."""
     began = time.perf_counter()
     path = str(args.output.resolve()) if args.output else bpy.data.filepath

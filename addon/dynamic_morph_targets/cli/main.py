@@ -17,7 +17,9 @@ import json
 import signal
 import sys
 import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import FrameType
 
 import bpy
 
@@ -43,7 +45,7 @@ from .commands import (
 from .record import record
 
 COLLECT = "make one page from many reports; fails if one of them is missing or reports a failure"
-# Earlier names, which still work. --help does not show them.
+# The names of 0.1. They still work, but --help does not show them.
 OLD_COMMANDS = {"free": "delete-bake"}
 OLD_OPTIONS = {
     "--sink": "--format",
@@ -58,7 +60,7 @@ OPTION_NAMES = {"every": "frame-step", "begin": "initial-state"}  # settings who
 DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70, 75, 130
 
 
-def main(argv, opens_file: bool = False) -> int:
+def main(argv: Sequence[str], opens_file: bool = False) -> int:
     """Run one command and return its exit code. opens_file: the .blend is an argument, not the one already open."""
     try:
         args = parser(opens_file).parse_args(with_new_names(argv))
@@ -78,7 +80,7 @@ def main(argv, opens_file: bool = False) -> int:
         sys.stdout.flush()
 
 
-def with_new_names(argv) -> list[str]:
+def with_new_names(argv: Sequence[str]) -> list[str]:
     """The arguments with old names of commands and options replaced; each of them is reported as deprecated."""
     found = []
     for i, argument in enumerate(argv):
@@ -94,11 +96,11 @@ class Preempted(BaseException):
     """A scheduler needs the machine for something else."""
 
 
-def _preempted(_number, _frame):
+def _preempted(_number: int, _frame: FrameType | None) -> None:
     raise Preempted
 
 
-def _run(args, opens_file: bool) -> int:
+def _run(args: argparse.Namespace, opens_file: bool) -> int:
     """Run the command and write its report; returns its exit code."""
     args.done, code, error = [], DONE, ""
     try:
@@ -135,7 +137,9 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     )
     commands = root.add_subparsers(title="commands", required=True)
 
-    def command(name, run, text, writes=True):
+    def command(
+        name: str, run: Callable[[argparse.Namespace], None], text: str, writes: bool = True
+    ) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=text)
         sub.set_defaults(run=run)
         if opens_file:
@@ -218,7 +222,7 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
     return root
 
 
-def add_shot(sub):
+def add_shot(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--frames",
         type=int,
@@ -231,7 +235,7 @@ def add_shot(sub):
     )
 
 
-def add_settings(sub, part: str, names):
+def add_settings(sub: argparse.ArgumentParser, part: str, names: Sequence[str]) -> None:
     """Options for the settings of a panel. The values that are given are set on the object first."""
     settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties[part].fixed_type.properties
     for name in names:
@@ -244,10 +248,10 @@ def add_settings(sub, part: str, names):
                 option, choices=[item.identifier.lower() for item in setting.enum_items], help=text, dest=name
             )
         else:
-            sub.add_argument(option, type=number(setting), help=text, dest=name, metavar=setting.type)
+            sub.add_argument(option, type=number(setting), help=text, dest=name)
 
 
-def open_file(args, opens_file: bool):
+def open_file(args: argparse.Namespace, opens_file: bool) -> None:
     """Make sure, before any work, that the .blend is open and that the result can be written."""
     if args.run == run_collect:
         return

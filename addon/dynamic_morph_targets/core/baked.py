@@ -8,18 +8,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 CHUNK = 64  # frames whose surfaces are computed at once, to bound memory
 
 
-def surfaces(bake: Bake, vertices: np.ndarray, chunk: int = CHUNK) -> Iterator[np.ndarray]:
-    """The surface at each frame, a few frames (F', V, 3) at a time; vertices (V, 3): the Basis."""
+def surfaces(bake: Bake, vertices: np.ndarray | float, chunk: int = CHUNK) -> Iterator[np.ndarray]:
+    """The surface at each frame, a few frames (F', V, 3) at a time; vertices (V, 3): the Basis, or 0.0: from it."""
     for first in range(0, len(bake.frames), chunk):
         frames = slice(first, first + chunk)
         yield vertices + displaced(bake.coordinates[frames], bake.weights[frames], bake.modes, bake.details)
 
 
-def digest(bake: Bake, *more) -> str:
+def digest(bake: Bake, *more: ArrayLike) -> str:
     """Identifies a result: SHA-256 of all numbers of a bake, and of more."""
     found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "details", "dry")
     for name, numbers in (*((name, getattr(bake, name)) for name in names), *(("more", each) for each in more)):
@@ -62,7 +63,7 @@ def samples_per_frame(bake: Bake) -> int:
     return round(1.0 / (bake.frames[1] - bake.frames[0])) if len(bake.frames) > 1 else 1
 
 
-def displaced(coordinates, weights, modes, details) -> np.ndarray:
+def displaced(coordinates: np.ndarray, weights: np.ndarray, modes: np.ndarray, details: np.ndarray) -> np.ndarray:
     return np.tensordot(coordinates, modes, 1) + np.tensordot(weights, details, 1)
 
 

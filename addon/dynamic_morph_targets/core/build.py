@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from typing import Any
 
 import dynamorph
 import numpy as np
 
 from . import cage
-from .cage import Progress, Stages
+from .cage import Progress, Report, Stages
 from .character import Character, Target
 from .model import Model, array_hash, engine_hash, morph_targets
 from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS
 
-Rehearsal = Callable[["Model", Callable[[float], bool]], tuple[np.ndarray, np.ndarray]]
+Rehearsal = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which a rehearsal for fitted modes is unreduced
 REHEARSAL_MODES = (
     40,
@@ -104,13 +105,20 @@ def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.Tet
     return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
 
 
-def _reduced(model: Model, full, basis: np.ndarray, report) -> Model:
+def _reduced(model: Model, full: dynamorph.FullModel, basis: np.ndarray, report: Report) -> Model:
     """The model in the modes of `basis` (3 free, r)."""
     tables = dynamorph.reduce(full, basis, report)
     return replace(model, basis=basis, table_lambda=np.array(tables.lame_lambda), table_mu=np.array(tables.lame_mu))
 
 
-def _fitted_basis(model: Model, body, full, character: Character, rehearse, stages: Stages) -> np.ndarray:
+def _fitted_basis(
+    model: Model,
+    body: dynamorph.SoftBody,
+    full: dynamorph.FullModel,
+    character: Character,
+    rehearse: Rehearsal | None,
+    stages: Stages,
+) -> np.ndarray:
     """Modes (3 free, r) for a shot: the targets' shapes exactly, then the largest motion about them in a rehearsal
     (mass-PCA).
 
@@ -162,10 +170,10 @@ def _static_model(character: Character, authored: dict[str, str]) -> Model:
     )
 
 
-def _model(character: Character, authored: dict[str, str], **known) -> Model:
+def _model(character: Character, authored: dict[str, str], **known: Any) -> Model:
     """A model with the `known` fields and those that it takes over from the character; all others are empty."""
     empty = {name: np.zeros((0, 0)) for name in Model.array_names()}
-    taken = {
+    taken: dict[str, Any] = {
         "to_bind": character.to_bind,
         "parents": character.skeleton.parents,
         "rest": character.skeleton.rest,
@@ -177,7 +185,9 @@ def _model(character: Character, authored: dict[str, str], **known) -> Model:
     return Model(**(empty | taken | known))
 
 
-def _with_flesh(character: Character, authored, mesh, stages: Stages) -> tuple[Model, dynamorph.Embedding]:
+def _with_flesh(
+    character: Character, authored: dict[str, str], mesh: dynamorph.TetMesh | None, stages: Stages
+) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
     flesh = cage.volume(character, mesh, stages)
     held = flesh.hold
@@ -203,7 +213,9 @@ def _with_flesh(character: Character, authored, mesh, stages: Stages) -> tuple[M
     return model, flesh.embedding
 
 
-def _shape_targets(model: Model, body, embedding, targets: list[Target]):
+def _shape_targets(
+    model: Model, body: dynamorph.SoftBody, embedding: dynamorph.Embedding, targets: list[Target]
+) -> None:
     """Extends each sculpted shape to the nodes. What the cage cannot represent becomes a residual shape."""
     sculpted = [j for j, target in enumerate(targets) if target.shape.any()]
     if sculpted:
@@ -212,7 +224,7 @@ def _shape_targets(model: Model, body, embedding, targets: list[Target]):
         model.details[sculpted] = shapes - model.surface(model.displacements[sculpted])
 
 
-def _fallbacks(full, targets: list[Target]) -> dict[str, int]:
+def _fallbacks(full: dynamorph.FullModel, targets: list[Target]) -> dict[str, int]:
     """How many tetrahedra each target's sculpt would crush or invert. There they keep the neutral shape."""
     counts = {target.name: full.fallbacks(j) for j, target in enumerate(targets)}
     return {name: count for name, count in counts.items() if count}

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import dynamorph
 import numpy as np
@@ -15,7 +16,9 @@ from .character import Character
 from .geometry import connected_parts
 from .hold import Hold, hold
 
-Progress = Callable[[float, str], bool]
+Progress = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
+Report = Callable[[float], bool]  # of a stage of it
+Step = TypeVar("Step")
 GRID = (
     2.0**-13
 )  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
@@ -95,7 +98,14 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
     return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, held, summary)
 
 
-def _held(character: Character, mesh, surface: np.ndarray, softness, rigidity, fill: np.ndarray) -> Hold:
+def _held(
+    character: Character,
+    mesh: dynamorph.TetMesh,
+    surface: np.ndarray,
+    softness: np.ndarray,
+    rigidity: np.ndarray,
+    fill: np.ndarray,
+) -> Hold:
     soft = (character.pieces[character.triangles] >= 0).all(axis=1)
     thickness = dynamorph.Thickness(surface, character.triangles[soft])
     return hold(mesh, thickness, surface, rigidity, softness if character.painted else None, fill)
@@ -131,12 +141,14 @@ def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
     return cages
 
 
-def _in_turn(steps, report) -> list[tuple]:
+def _in_turn(steps: Iterable[Step], report: Report) -> list[tuple[Step, Report]]:
     """The steps, each with a progress of its own; they take similar times."""
-    steps = list(steps)
-    return [
-        (step, lambda fraction, turn=turn: report((turn + fraction) / len(steps))) for turn, step in enumerate(steps)
-    ]
+    listed = list(steps)
+
+    def of_turn(turn: int) -> Report:
+        return lambda fraction: report((turn + fraction) / len(listed))
+
+    return [(step, of_turn(turn)) for turn, step in enumerate(listed)]
 
 
 @dataclass(frozen=True)
@@ -153,7 +165,7 @@ class _Filled:
     warnings: list[str]
 
 
-def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report) -> _Filled:
+def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, report: Report) -> _Filled:
     mesh, embedding, glued = _parted(cage, mesh, surface)
     fill = dynamorph.fill_fractions(mesh, surface, cage.triangles, progress=report)
     by_bones = cage.settings.hold == "BONES"
@@ -161,7 +173,9 @@ def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, repor
     return _Filled(mesh, embedding, fill, pinned, glued, _outside(cage, embedding))
 
 
-def _together(pieces: np.ndarray, numbers: list[int], cages: list[_Filled]) -> tuple:
+def _together(
+    pieces: np.ndarray, numbers: list[int], cages: list[_Filled]
+) -> tuple[dynamorph.TetMesh, dynamorph.Embedding]:
     """One mesh of all cages, which are not coupled, and the embedding (V,) of each attachment in its own. A vertex of
     an attachment without a cage has no weights: the simulation does not move it.
     """
@@ -184,7 +198,7 @@ def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.
     return dynamorph.Embedding(embedding.nodes[coincident], embedding.weights[coincident])
 
 
-def _tetrahedra(character: Character, surface: np.ndarray, report) -> dynamorph.TetMesh:
+def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dynamorph.TetMesh:
     settings, cage = character.settings, character.cage
     extent = np.ptp(surface[np.unique(character.triangles)], axis=0)
     grid = GRID * 2.0 ** np.floor(np.log2(np.linalg.norm(extent)))
@@ -217,8 +231,7 @@ def moved(character: Character) -> np.ndarray:
 
 
 def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
-    """Reports which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when that is most of it.
-    """
+    """Reports which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when that is most of it."""
     if character.cage is None:
         return []
     size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
@@ -235,7 +248,9 @@ def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
 # Parts that touch ----------------------------------------------------------------------------------------------------
 
 
-def _parted(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> tuple:
+def _parted(
+    cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray
+) -> tuple[dynamorph.TetMesh, dynamorph.Embedding, dict[str, int]]:
     """The mesh, cut where it joins skin that merely touches, the embedding of the skin in it, and the counts."""
     mesh_cut = dynamorph.MeshCut(mesh, surface, cage.triangles)
     tets = int(mesh_cut.glued.sum())
@@ -252,7 +267,7 @@ def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
     return dynamorph.TetMesh(mesh.nodes[kept], np.searchsorted(kept, first[place.ravel()])[mesh.tets])
 
 
-def _glued_warnings(character: Character, glued: dict) -> list[str]:
+def _glued_warnings(character: Character, glued: dict[str, int]) -> list[str]:
     if not glued["tets"] or character.settings.separate:
         return []
     return [
@@ -286,14 +301,16 @@ def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes:
 # ---------------------------------------------------------------------------------------------
 
 
-def _inherited(character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding) -> tuple:
+def _inherited(
+    character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The values that the cage inherits from the skin: stiffness (m,) of the tets, weights (n, B + 1), softness and
     rigidity (n,), and region weights (m, S) of the tets.
     """
     # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and never beyond the painted values.
     painted = np.log(character.stiffness)
-    shares = [target_set.share for target_set in character.target_sets]
-    values = np.column_stack([painted, character.weights, character.softness, character.rigidity, *shares])
+    parts = [target_set.share for target_set in character.target_sets]
+    values = np.column_stack([painted, character.weights, character.softness, character.rigidity, *parts])
     at_nodes = dynamorph.extend_to_nodes(mesh, embedding, values)
     stiffness = np.exp(at_nodes[:, 0].clip(painted.min(), painted.max()))[mesh.tets].mean(axis=1)
     bones = character.weights.shape[1]
@@ -320,7 +337,7 @@ class Stages:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
-    def __call__(self, message: str, share: float):
+    def __call__(self, message: str, share: float) -> Iterator[Report]:
         began, start = time.perf_counter(), self.done
 
         def report(fraction: float) -> bool:

@@ -6,17 +6,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from math import pi, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .character import Character
+from .character import Character, Target
 from .geometry import determinant
-from .material_fit import checked, natural_frequency, target_indices, unreduced
+from .material_fit import checked, full_engine, natural_frequency, target_indices
 from .oscillation import stiffness_for
 from .settings import Material
 
+if TYPE_CHECKING:  # it needs the engine
+    from .model import Model
 
-def references(model, character: Character) -> Iterator[tuple[float, float]]:
+
+def references(model: Model, character: Character) -> Iterator[tuple[float, float]]:
     """For each target: its undamped bounce in Hz per square root of stiffness over density, and the volume of its
     tissue in m^3.
 
@@ -27,7 +31,7 @@ def references(model, character: Character) -> Iterator[tuple[float, float]]:
     if not len(model.tets):
         yield from [(0.0, 0.0)] * len(character.targets)
         return
-    engine = unreduced(model).engine(character)
+    engine = full_engine(model, character)
     corners = model.nodes[model.tets]
     volumes = model.fill * determinant(corners[:, 1:] - corners[:, :1]) / 6.0
     neutral_only = character.settings.method == "SHAPE"
@@ -54,7 +58,7 @@ def calibrated(character: Character, found: list[tuple[float, float]]) -> Charac
     before, after = neutral.material.stiffness, _stiffness_of(neutral, found[0][0])
     neutrals = {indices[0] for indices in target_indices(character)}
 
-    def material(index: int, target) -> Material:
+    def material(index: int, target: Target) -> Material:
         stiffness = target.material.stiffness
         if index in neutrals:
             stiffness = after
@@ -72,7 +76,7 @@ def as_stored(value: float) -> float:
     return float(np.float32(value))
 
 
-def stored(target) -> dict[str, float]:
+def stored(target: Target) -> dict[str, float]:
     """The properties of a target that a build or a rehearsal may change, by name."""
     material = target.material
     return {
@@ -83,7 +87,7 @@ def stored(target) -> dict[str, float]:
     }
 
 
-def _stiffness_of(target, reference: float) -> float:
+def _stiffness_of(target: Target, reference: float) -> float:
     if not (target.frequency and reference):
         return target.material.stiffness
     return stiffness_for(reference, target.material, target.frequency)
@@ -94,7 +98,7 @@ def stiffened(character: Character, factor: float) -> Character:
     ratio stays.
     """
 
-    def material(_index: int, target) -> Material:
+    def material(_index: int, target: Target) -> Material:
         old = target.material
         if target.by_hand or not target.frequency:
             return old

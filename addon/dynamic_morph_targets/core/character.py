@@ -8,9 +8,10 @@ scale applied, so its lengths are meters, *world* is Blender's world space in me
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,7 +35,7 @@ class Skeleton:
         """Inverse rest matrices (B, 4, 4)."""
         return inverse(self.rest)
 
-    def local_transforms(self, pose: np.ndarray, bones: np.ndarray | None = None) -> np.ndarray:
+    def local_transforms(self, pose: np.ndarray, bones: list[int] | None = None) -> np.ndarray:
         """Each bone's transform relative to its evaluated parent, with the rest transform removed: the identity in the
         rest pose.
 
@@ -135,13 +136,13 @@ class Character:
     settings: ModelSettings = field(default_factory=ModelSettings)
     probed: bool = False
     cage: OwnCage | None = None
-    pieces: np.ndarray = None
-    rigidity: np.ndarray = None
+    pieces: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
+    rigidity: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     painted: bool = False
-    coincident: np.ndarray = None
+    coincident: np.ndarray = None  # type: ignore[assignment]  # None until __post_init__
     parts: tuple[Follower, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.pieces is None:
             object.__setattr__(self, "pieces", np.zeros(len(self.vertices), np.int32))
         if self.rigidity is None:
@@ -152,18 +153,19 @@ class Character:
     @property
     def own(self) -> slice:
         """The vertices of the soft skin's own mesh."""
-        return slice(0, self.parts[0].members.start if self.parts else len(self.vertices))
+        first = self.parts[0].members if self.parts else None
+        return slice(0, first.start if first else len(self.vertices))
 
     @property
     def targets(self) -> list[Target]:
         """All targets, set after set: the order of every (..., J) array."""
         return [target for target_set in self.target_sets for target in target_set.targets]
 
-    def with_settings(self, **changes) -> Character:
+    def with_settings(self, **changes: Any) -> Character:
         """The same character with other settings."""
         return replace(self, settings=replace(self.settings, **changes))
 
-    def with_materials(self, change) -> Character:
+    def with_materials(self, change: Callable[[int, Target], Material]) -> Character:
         """The same character with materials change(index, target) -> Material, index into `targets`."""
         sets, index = [], 0
         for target_set in self.target_sets:

@@ -210,7 +210,9 @@ class Statics:
             self.engine = model.engine(character)
             self.simulation = model.stepper(self.engine, 1.0)
 
-    def surface(self, weights: np.ndarray, bones: np.ndarray | None = None, push: np.ndarray | None = None):
+    def surface(
+        self, weights: np.ndarray, bones: np.ndarray | None = None, push: np.ndarray | None = None
+    ) -> np.ndarray:
         """Displacement (V, 3) of the surface, local space, at target weights (J,). bones (B + 1, 3, 4): the pose, which
         matters only with a push; push (V, 3): newtons on the vertices, world space.
         """

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from types import ModuleType
 
 from .errors import NativeMissing, SelfCheckError
 
 
-def engine():
+def engine() -> tuple[ModuleType, ModuleType]:
     """The modules that need the compiled engine: (build, simulate). Raises NativeMissing.
 
     Imported here and not at the top, so that a missing wheel leaves an add-on that can say so.
@@ -49,7 +50,7 @@ def engine_errors() -> tuple[type[Exception], ...]:
     return (dynamorph.Error,)
 
 
-def tell_threads(count: int):
+def tell_threads(count: int) -> None:
     import dynamorph
 
     if hasattr(dynamorph, "set_threads"):  # the engine may be older than the add-on

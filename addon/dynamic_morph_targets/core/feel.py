@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isclose, pi, sqrt
+from typing import Protocol
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,22 @@ FEELS = {
 }
 
 
-def active(neutral, simulation) -> str:
+class NeutralTarget(Protocol):
+    """What of the neutral target's properties a feel sets."""
+
+    by_hand: bool
+    frequency: float
+
+
+class Simulation(Protocol):
+    """What of the simulation's properties a feel sets."""
+
+    rehearsed: bool
+    max_displacement: float
+    max_thickness: float
+
+
+def active(neutral: NeutralTarget, simulation: Simulation) -> str:
     """Which of FEELS the neutral target and the simulation settings of a soft skin match; "" if none.
 
     It is still the same feel when a rehearsal has raised the frequency since.

@@ -19,6 +19,7 @@ def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
     """The same shot for a follower, in the follower's own local space."""
     if follower.members:
         return part_of(bake, follower.members, follower.from_body)
+    assert bake.node_modes is not None  # it becomes keys, which have none, only afterwards
     modes, details = carried(model, bake.node_modes, follower)
     return replace(bake, modes=modes, details=details)
 
@@ -29,6 +30,7 @@ def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.nda
     Returns (r, P, 3) and (J, P, 3) in its local space. Outside the cage, the nearest tetrahedron is extrapolated within
     bounds; the residual shapes are those of the nearest skin.
     """
+    assert follower.skin is not None  # it has no `members`
     details = np.moveaxis(follower.skin.carry(np.moveaxis(model.details, 0, 1)), 1, 0) @ follower.from_body.T
     if not len(model.tets):
         return np.zeros((0, *follower.vertices.shape)), details

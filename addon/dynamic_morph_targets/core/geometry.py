@@ -39,7 +39,7 @@ def inverse(transforms: np.ndarray) -> np.ndarray:
 def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Angle (B,), in radians, between the rotations of two arrays of transforms (B, 4, 4)."""
 
-    def rotation(transforms):
+    def rotation(transforms: np.ndarray) -> np.ndarray:
         u, _, vt = np.linalg.svd(transforms[:, :3, :3])
         return u @ vt
 

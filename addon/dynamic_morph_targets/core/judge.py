@@ -7,13 +7,18 @@ targets' shapes. Lengths are relative to the body's size, the diagonal of its bo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .baked import Bake
 from .character import Character
 from .geometry import determinant
+
+if TYPE_CHECKING:  # it needs the engine
+    from .model import Model
 
 LOOKED_AT = 32  # at most so many frames, those that move most
 CHECKED = 10  # of these, frames whose tetrahedra are checked
@@ -100,7 +105,7 @@ class Verdict:
         return asdict(self) | {"ok": ok, "text": self.text(limits), "remedy": remedy, "factor": factor}
 
 
-def judge(model, character: Character, bake: Bake) -> Verdict:
+def judge(model: Model, character: Character, bake: Bake) -> Verdict:
     """The verdict on a bake of `character` with `model` (model.Model). The bake covers all the character's vertices."""
     triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
     if not len(bake.modes) or not len(triangles):
@@ -146,7 +151,7 @@ class _Skin:
         lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
         kept = lengths > SPLINTER * self.size
         self.edges, self.lengths = edges[kept], lengths[kept]
-        begins = [0, *(part.members.start for part in character.parts)]
+        begins = [0, *(part.members.start for part in character.parts if part.members)]
         mesh = np.searchsorted(begins, self.edges[:, 0], side="right")
         self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # small patches are visible too
         self.thickness = 2.0 * thickness if len(thickness) else np.zeros(0)
@@ -189,7 +194,7 @@ class _Skin:
         return tuple(order[near].tolist())
 
 
-def _inverted(model, bake: Bake, motion: np.ndarray, frames: np.ndarray) -> float:
+def _inverted(model: Model, bake: Bake, motion: np.ndarray, frames: np.ndarray) -> float:
     """The largest share of the filled volume that the motion, and not the sculpt, turns inside out."""
     if bake.node_modes is None or not len(model.tets):
         return 0.0
@@ -208,7 +213,7 @@ def _inverted(model, bake: Bake, motion: np.ndarray, frames: np.ndarray) -> floa
     return worst
 
 
-def _quantiles(values: np.ndarray, weights: np.ndarray, shares) -> list[float]:
+def _quantiles(values: np.ndarray, weights: np.ndarray, shares: Sequence[float]) -> list[float]:
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
     at = np.searchsorted(reached, np.array(shares) * reached[-1]).clip(max=len(values) - 1)

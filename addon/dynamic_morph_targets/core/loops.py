@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A cycle whose last frame continues with its first: finds the start from which it ends as it began. Never touches bpy.
-"""
+"""A cycle whose last frame continues with its first: finds the start from which it ends as it began. Never touches bpy."""
 
 from __future__ import annotations
 
@@ -79,7 +78,8 @@ def _accelerate(loop: _Loop) -> bool:
     For a linear law that is exact once there are as many passes as directions of error (Walker and Ni 2011, Anderson
     acceleration for fixed-point iterations).
     """
-    began, passes = loop.began, []
+    began = loop.began
+    passes: list[tuple[np.ndarray, np.ndarray]] = []
     while loop.passes < ACCELERATED:
         ended = loop(began)
         if loop.is_closed:
@@ -96,7 +96,7 @@ def _accelerate(loop: _Loop) -> bool:
     return False
 
 
-def _newton(loop: _Loop):
+def _newton(loop: _Loop) -> None:
     """Newton's method for the fixed point of a pass. Its tangent is only ever multiplied, by a pass with a slightly
     different start (Knoll and Keyes 2004, Jacobian-free Newton-Krylov methods).
 

@@ -20,12 +20,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import exp, hypot, log, pi
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from .character import Character
 from .oscillation import Oscillation, damped, damping_for, swing
 from .settings import Material
+
+if TYPE_CHECKING:  # they need the engine
+    from dynamorph import FullModel
+
+    from .model import Model
 
 MODES = 8  # modes among which the visible one is sought
 SEARCHED = 24  # the same where many thin parts may swing more slowly
@@ -37,19 +43,19 @@ SOFTEST, STIFFEST = 1.0, 1e9  # Pa, the range in which a stiffness is sought
 # Fitting a target --------------------------------------------------------------------------------------------------
 
 
-def bounce(model, character: Character, target: int, patch: np.ndarray | None = None) -> Oscillation:
+def bounce(model: Model, character: Character, target: int, patch: np.ndarray | None = None) -> Oscillation:
     """How the tissue swings at a target after a push: the slowest visible mode in its pose.
 
     model: model.Model; target: index into character.targets; patch (V,): weights of the observed surface vertices, by
     default the target's region. Raises ValueError or dynamorph.Error.
     """
     character, patch = checked(model, character, target, patch)
-    engine = unreduced(model).engine(character)
+    engine = full_engine(model, character)
     return damped(natural_frequency(model, engine, target, patch), character.targets[target].material)
 
 
 def fit_oscillation(
-    model,
+    model: Model,
     character: Character,
     target: int,
     frequency: float,
@@ -67,7 +73,7 @@ def fit_oscillation(
         raise ValueError(f"frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero")
     character, patch = checked(model, character, target, patch)
     now = character.targets[target].material
-    omega_now = natural_frequency(model, unreduced(model).engine(character), target, patch)
+    omega_now = natural_frequency(model, full_engine(model, character), target, patch)
     if mass_share is None:
         total = now.mass_damping + now.stiffness_damping * omega_now**2
         mass_share = now.mass_damping / total if total else 0.0
@@ -80,7 +86,9 @@ def fit_oscillation(
     )
 
 
-def _stiffness_for(model, character: Character, target: int, omega: float, omega_now: float, patch) -> float:
+def _stiffness_for(
+    model: Model, character: Character, target: int, omega: float, omega_now: float, patch: np.ndarray
+) -> float:
     """Young's modulus with which the tissue at a target swings at omega, rad/s.
 
     omega^2 ~ E where no other region holds the tissue, so the first step is exact. Elsewhere, secant steps on log
@@ -95,7 +103,7 @@ def _stiffness_for(model, character: Character, target: int, omega: float, omega
         if not log(SOFTEST) < stiffness + step < log(STIFFEST):
             break
         stiffer = _with_stiffness(character, target, exp(stiffness + step))
-        now = 2 * log(natural_frequency(model, unreduced(model).engine(stiffer), target, patch))
+        now = 2 * log(natural_frequency(model, full_engine(model, stiffer), target, patch))
         slope = max((now - reached) / step, 0.05)
         stiffness, reached = stiffness + step, now
     raise ValueError(
@@ -105,7 +113,7 @@ def _stiffness_for(model, character: Character, target: int, omega: float, omega
 
 
 def fit_force_displacement(
-    model,
+    model: Model,
     character: Character,
     target: int,
     forces: np.ndarray,
@@ -138,7 +146,7 @@ def fit_force_displacement(
     return replace(now, stiffness=exp(stiffness))
 
 
-def _measurements(forces, displacements) -> tuple[np.ndarray, np.ndarray]:
+def _measurements(forces: np.ndarray, displacements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     forces, displacements = np.atleast_2d(np.asarray(forces, float)), np.atleast_2d(np.asarray(displacements, float))
     if forces.ndim != 2 or forces.shape[1] != 3 or forces.shape != displacements.shape:
         raise ValueError(f"forces and displacements: expected (k, 3) each, got {forces.shape}, {displacements.shape}")
@@ -153,7 +161,7 @@ def _measurements(forces, displacements) -> tuple[np.ndarray, np.ndarray]:
 class _Press:
     """Pushes a patch of the skin in a target's pose: (Young's modulus Pa, forces (k, 3) N) -> displacements (k, 3)."""
 
-    def __init__(self, model, character: Character, target: int, patch: np.ndarray):
+    def __init__(self, model: Model, character: Character, target: int, patch: np.ndarray):
         self.model, self.character, self.target = model, character, target
         self.carriers = np.zeros(len(model.nodes))  # weights of the nodes in the patch, with sum 1
         np.add.at(self.carriers, model.embedding_nodes, model.embedding_weights * patch[:, None])
@@ -165,7 +173,8 @@ class _Press:
         """NaN where no equilibrium is found."""
         engine = self.model.engine(_with_stiffness(self.character, self.target, stiffness))
         simulation = self.model.stepper(engine, 1.0, tolerance=1e-9, max_iterations=100)
-        answers, found = [], []
+        answers: list[np.ndarray] = []
+        found: list[np.ndarray] = []
         for k, force in enumerate([np.zeros(3), *forces]):
             guess = self.guesses[k] if self.guesses else found[-1] if found else None
             at_rest, report = simulation.solve_static(self.bones, self.weights, np.outer(self.carriers, force), guess)
@@ -214,7 +223,7 @@ def with_bounce(reference: float, material: Material, frequency: float) -> Mater
 # What both fits share ----------------------------------------------------------------------------------------------
 
 
-def checked(model, character: Character, target: int, patch) -> tuple[Character, np.ndarray]:
+def checked(model: Model, character: Character, target: int, patch: np.ndarray | None) -> tuple[Character, np.ndarray]:
     """The simulated character, and the weights (V,) of its surface vertices, by default the target's region.
 
     The neutral target belongs to all sets, so its region is the whole body.
@@ -253,8 +262,7 @@ def _at_target(character: Character, target: int) -> np.ndarray:
 
 
 def _with_stiffness(character: Character, target: int, stiffness: float) -> Character:
-    """The character with another Young's modulus at one target. To the artist the neutral targets of all sets are one.
-    """
+    """The character with another Young's modulus at one target. To the artist the neutral targets of all sets are one."""
     ranges = target_indices(character)
     neutrals = [indices[0] for indices in ranges]
     if character.settings.method == "SHAPE" and target not in neutrals:
@@ -269,11 +277,15 @@ def _with_stiffness(character: Character, target: int, stiffness: float) -> Char
     return replace(character, target_sets=sets)
 
 
-def unreduced(model, **settings):
-    return replace(model, settings=replace(model.settings, solver="FULL", **settings))
+def unreduced(model: Model, law: str | None = None) -> Model:
+    return replace(model, settings=replace(model.settings, solver="FULL", law=law or model.settings.law))
 
 
-def natural_frequency(model, engine, target: int, patch: np.ndarray) -> float:
+def full_engine(model: Model, character: Character) -> FullModel:
+    return cast("FullModel", unreduced(model).engine(character))  # as its solver says
+
+
+def natural_frequency(model: Model, engine: FullModel, target: int, patch: np.ndarray) -> float:
     """Undamped angular frequency, rad/s, of the mode that responds most to a push on the patch. engine: the unreduced
     model.
 
@@ -290,7 +302,7 @@ def natural_frequency(model, engine, target: int, patch: np.ndarray) -> float:
     return float(omega[swings][answer.argmax()])
 
 
-def _body_frequency(model, engine, target: int, patch: np.ndarray) -> float:
+def _body_frequency(model: Model, engine: FullModel, target: int, patch: np.ndarray) -> float:
     """`natural_frequency` of a body that is held by thickness: the lowest mode with at least EFFECTIVE of the effective
     mass.
 

@@ -26,7 +26,7 @@ class Preset:
     source: str
 
 
-def _preset(label: str, density: float, loss: float, source: str, *, young=None, shear=None) -> Preset:
+def _preset(label: str, density: float, loss: float, source: str, *, young: float = 0.0, shear: float = 0.0) -> Preset:
     """A preset from Young's or the shear modulus (Pa), density (kg/m^3) and loss factor.
 
     A shear modulus becomes E = 2 mu (1 + nu), so that the engine's mu is the measured one. Tissue loses about the same
@@ -146,7 +146,7 @@ def table() -> str:
     return "\n".join(rows) + "\n"
 
 
-def write_table(path: Path):
+def write_table(path: Path) -> None:
     """Put `table` between the marks of a Markdown file."""
     before, begin, rest = path.read_text(encoding="utf-8").partition(TABLE_BEGIN)
     _, end, after = rest.partition(TABLE_END)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 
 import dynamorph
@@ -11,6 +12,9 @@ import numpy as np
 
 from .character import Character, Skeleton
 from .settings import ModelSettings
+
+EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
+EngineSimulation = dynamorph.ReducedSimulation | dynamorph.FullSimulation
 
 
 @dataclass(frozen=True)
@@ -92,15 +96,15 @@ class Model:
     def soft_body(self, probed: bool = False) -> dynamorph.SoftBody:
         """The engine's body. probed: every free node has a transform of its own."""
         mesh, weights = dynamorph.TetMesh(self.nodes, self.tets), None if probed else self.node_weights
-        held = self.held if len(self.held) else None
-        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, self.pinned, weights, held)
+        held, pinned = self.held if len(self.held) else None, (~self.free).tolist()
+        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, pinned, weights, held)
 
     def at_nodes(self, values: np.ndarray) -> np.ndarray:
         """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; may overshoot slightly."""
         embedding = dynamorph.Embedding(self.embedding_nodes, self.embedding_weights)
         return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), embedding, values)
 
-    def engine(self, character: Character, probed: bool = False) -> dynamorph.ReducedModel | dynamorph.FullModel:
+    def engine(self, character: Character, probed: bool = False) -> EngineModel:
         """The engine's model with the materials and blending of `character`. Raises ValueError if the model is not that
         character's. probed: as for `soft_body`.
         """
@@ -116,11 +120,11 @@ class Model:
         return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
 
     @property
-    def stepper(self) -> type:
+    def stepper(self) -> Callable[..., EngineSimulation]:
         """The engine's simulation of such a model."""
         return dynamorph.FullSimulation if self.settings.solver == "FULL" else dynamorph.ReducedSimulation
 
-    def target_coordinates(self, engine) -> np.ndarray:
+    def target_coordinates(self, engine: EngineModel) -> np.ndarray:
         """Coordinates (J, dofs) of every target's shape."""
         return np.array([engine.target(j) for j in range(len(self.displacements))])
 
@@ -140,7 +144,7 @@ def engine_hash(number: int) -> str:
     return array_hash((np.array([number]),))
 
 
-def morph_targets(character: Character, displacements: np.ndarray) -> list:
+def morph_targets(character: Character, displacements: np.ndarray) -> list[dynamorph.MorphTarget]:
     sets = [s for s, target_set in enumerate(character.target_sets) for _ in target_set.targets]
     shifted = character.settings.method == "SHAPE"
     out = []

@@ -68,7 +68,7 @@ def oscillation(times: np.ndarray, positions: np.ndarray) -> Oscillation:
     return Oscillation(omega / (2 * pi), max(decay, 0.0), omega_error / (2 * pi), decay_error)
 
 
-def _track(times, positions) -> tuple[np.ndarray, np.ndarray]:
+def _track(times: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times from zero (n,), and the motion along its principal direction (n,), centred."""
     times, positions = np.asarray(times, float), np.asarray(positions, float)
     if times.ndim != 1 or len(times) < 10 or positions.ndim > 2 or len(positions) != len(times):

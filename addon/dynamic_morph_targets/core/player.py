@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from .amounts import Amounts
 from .character import Character
-from .model import Model
+from .model import EngineModel, EngineSimulation, Model
 from .posing import Posing
-from .rig_samples import RigSamples
+from .rig_samples import ForceField, RigSamples
 from .settings import SimulationSettings
 
 CHUNK = 32  # frames whose rig becomes matrices at once; bounds memory and amortizes NumPy's call overhead
@@ -30,6 +30,7 @@ STEP = (
     "seconds",
 )  # statistics of a frame's steps
 NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True}
+State = tuple[Sequence[np.ndarray], Sequence[np.ndarray]]  # of the engine: coordinates, bones' transforms
 
 
 @dataclass(frozen=True)
@@ -51,31 +52,37 @@ class Player:
     """
 
     def __init__(
-        self, model: Model, character: Character, settings: SimulationSettings, *, keep_going=None, engine=None
+        self,
+        model: Model,
+        character: Character,
+        settings: SimulationSettings,
+        *,
+        keep_going: Callable[[], bool] | None = None,
+        engine: EngineModel | None = None,
     ):
         self.model = model
         self.settings = settings
         self.number, self.passes = settings.first, 0
-        self.engine = None
+        self.engine: EngineModel | None = None
         self._keep_going = keep_going
         self.character = character.by_method()
         self._first: RigSamples | None = None  # the first sample
         self._shapes = np.zeros((len(self.character.targets), 0))
-        self._simulation = _NothingMoves()
+        self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()
         if model.settings.method != "STATIC":
             self.engine = engine or model.engine(self.character, self.character.probed)
             self._shapes = model.target_coordinates(self.engine)
-            self._simulation = self._stepper()
+            self._simulation = self._stepper(self.engine)
         self.posing = Posing(model, self.character, self.probed)
         self.amounts = Amounts(model, self.character, self._shapes, settings)
 
     @property
-    def state(self):
+    def state(self) -> State:
         """The state from which it continues. It can be kept, and set again to continue from there."""
         return self._simulation.state
 
     @state.setter
-    def state(self, state):
+    def state(self, state: State) -> None:
         self._simulation.state = state
 
     @property
@@ -84,7 +91,7 @@ class Player:
         return np.array(self.state[0])
 
     @past.setter
-    def past(self, coordinates: np.ndarray):
+    def past(self, coordinates: np.ndarray) -> None:
         self.state = list(coordinates), self.state[1]
 
     @property
@@ -113,14 +120,14 @@ class Player:
         else:
             held = self.settings.held > 0
             begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
-        still = [np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights)]
+        still, same = (np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights))
         for _ in range(self.settings.held):
             self._ask()
-            self._simulation.advance(*still, self._push(rig.fields, 0, bones[0]))
+            self._simulation.advance(still, same, self._push(rig.fields, 0, bones[0]))
         self.number = self.settings.first
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
 
-    def resume(self, first: RigSamples, state):
+    def resume(self, first: RigSamples, state: State) -> None:
         """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
         self._hold_targets(first)
         self.state = state
@@ -140,8 +147,7 @@ class Player:
         return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
 
     def pose_gap(self, rig: RigSamples) -> float:
-        """The largest distance, in meters, of the skin of the last pose from that of the first, after a rigid motion.
-        """
+        """The largest distance, in meters, of the skin of the last pose from that of the first, after a rigid motion."""
         first, last = self._ends(rig)
         turn, shift = _rigid_fit(last, first)
         return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
@@ -152,8 +158,8 @@ class Player:
         """
         displacement = np.tensordot(second.weights - first.weights, self.model.details, 1)
         if self.engine is not None:
-            first, second = (self.amounts.with_gains(frame.coordinates, frame.weights) for frame in (first, second))
-            displacement += self.model.surface(self.engine.displacement(second - first))
+            before, after = (self.amounts.with_gains(frame.coordinates, frame.weights) for frame in (first, second))
+            displacement += self.model.surface(self.engine.displacement(after - before))
         return float(np.linalg.norm(displacement @ self.model.to_bind.T, axis=1).max())
 
     def advance(self, rig: RigSamples, number: int) -> Frame:
@@ -161,7 +167,7 @@ class Player:
         *_, frame = self.play(rig, [number])
         return frame
 
-    def play(self, rig: RigSamples, numbers) -> Iterator[Frame]:
+    def play(self, rig: RigSamples, numbers: Sequence[int] | np.ndarray) -> Iterator[Frame]:
         """The frames `numbers`, which follow the last one, and the samples between; rig: settings.substeps samples
         each. Force fields change from frame to frame.
         """
@@ -205,7 +211,7 @@ class Player:
         """The frame's coordinates with `amounts`."""
         return self.amounts.shown(frame.coordinates, frame.weights)
 
-    def _ask(self):
+    def _ask(self) -> None:
         """Raises dynamorph.Cancelled when the caller wants it to stop."""
         if self._keep_going and not self._keep_going():
             raise dynamorph.Cancelled("cancelled")
@@ -214,24 +220,24 @@ class Player:
         """The skin at rest, posed by the first sample and by the last: (2, V, 3), world space."""
         return self.posing.skinned(rig[:: max(1, len(rig) - 1)])[[0, -1]]
 
-    def _stepper(self):
+    def _stepper(self, engine: EngineModel) -> EngineSimulation:
         settings, full = self.settings, self.model.settings.solver == "FULL"
         return self.model.stepper(
-            self.engine,
+            engine,
             settings.step,
             scheme=dynamorph.Scheme.__members__[settings.scheme],
             gravity=settings.gravity,
-            teleport=TELEPORT * self.engine.body.size * settings.step,
+            teleport=TELEPORT * engine.body.size * settings.step,
             keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking
         )
 
-    def _hold_targets(self, first: RigSamples):
+    def _hold_targets(self, first: RigSamples) -> None:
         """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
         self._first = first
         if any(self.settings.gravity):
             self._simulation.hold_targets(self.posing.target_frames(first))
 
-    def _push(self, fields, sample: int, bones: np.ndarray) -> np.ndarray | None:
+    def _push(self, fields: Sequence[ForceField], sample: int, bones: np.ndarray) -> np.ndarray | None:
         """The forces of the force fields on the nodes at the present displacement; None without any."""
         if not fields or self.engine is None:
             return None
@@ -242,15 +248,15 @@ class _NothingMoves:
     """Replaces the engine's simulation for static morph targets, which have no coordinates."""
 
     coordinates = np.zeros(0)
-    state = (), ()
+    state: State = (), ()
 
-    def start(self, _now, _next, _weights) -> dict:
+    def start(self, _now: np.ndarray, _next: np.ndarray, _weights: np.ndarray) -> dict:
         return NO_STEPS
 
-    def advance(self, _bones, _weights, _external=None) -> dict:
+    def advance(self, _bones: np.ndarray, _weights: np.ndarray, _external: np.ndarray | None = None) -> dict:
         return NO_STEPS
 
-    def hold_targets(self, _bones):
+    def hold_targets(self, _bones: np.ndarray) -> None:
         pass
 
 

@@ -5,27 +5,42 @@ bpy.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
+from typing import Protocol
 
 import dynamorph
 import numpy as np
 
-from .character import Character
+from .character import Character, Skeleton, Target, TargetSet
 from .geometry import determinant, inverse
 from .model import Model
-from .rig_samples import RigSamples
+from .rig_samples import ForceField, RigSamples
 
 FLAT = 1e-9  # determinant of a node's transform below which it counts as collapsed
 
 
-def placing_bones(character: Character) -> list[int]:
+class WithTargets(Protocol):
+    """A character, or so much of one that targets have places in its pose space."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def skeleton(self) -> Skeleton: ...
+    @property
+    def target_sets(self) -> tuple[TargetSet, ...]: ...
+    @property
+    def targets(self) -> list[Target]: ...
+
+
+def placing_bones(character: WithTargets) -> list[int]:
     """Indices of the bones whose rotations place targets in pose space; missing bones are left out."""
     names = character.skeleton.names
     placing = {bone for target in character.targets for bone in target.bones}
     return [index for index, name in enumerate(names) if name in placing]
 
 
-def pose_space(character: Character) -> dynamorph.PoseSpace:
+def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
     """Raises dynamorph.Error, naming both, when two targets have the same pose; ValueError on a missing bone."""
     names = character.skeleton.names
     sets = []
@@ -46,8 +61,7 @@ def pose_space(character: Character) -> dynamorph.PoseSpace:
 
 
 class Posing:
-    """A character's poses. probed: whether `RigSamples.nodes` determines where its nodes are, because the bones do not.
-    """
+    """A character's poses. probed: whether `RigSamples.nodes` determines where its nodes are, because the bones do not."""
 
     def __init__(self, model: Model, character: Character, probed: bool):
         self._model = model
@@ -84,8 +98,7 @@ class Posing:
         return self.frames(RigSamples(pose, rig_world, object_world, nodes=rig.held))
 
     def skinned(self, rig: RigSamples) -> np.ndarray:
-        """The skin at rest, posed by the rig: (S, V, 3), world space; of a probed skin, the part whose motion is known.
-        """
+        """The skin at rest, posed by the rig: (S, V, 3), world space; of a probed skin, the part whose motion is known."""
         return np.array([self.skin.posed(frame) for frame in self.frames(rig)])[:, self.skin.known]
 
     @cached_property
@@ -100,7 +113,8 @@ class Skin:
         self.model = model
         self.rest = character.vertices @ character.to_bind.T
         self._weights = character.weights
-        self._carriers, self.known = None, slice(None)
+        self._carriers: np.ndarray | None = None
+        self.known: np.ndarray | slice = slice(None)
         if character.probed and len(model.tets):
             # The bones do not say where it is, the free nodes do: each vertex is moved like those that carry it, on
             # average. What only held nodes carry is not known, but nothing that acts there has an effect.
@@ -114,7 +128,7 @@ class Skin:
         thirds = np.repeat(np.linalg.norm(across, axis=1) / 6.0, 3)
         self.areas = np.bincount(character.triangles.ravel(), thirds, len(self.rest))  # m^2
 
-    def posed(self, frames: np.ndarray, displacement=0.0) -> np.ndarray:
+    def posed(self, frames: np.ndarray, displacement: np.ndarray | float = 0.0) -> np.ndarray:
         """The skin (V, 3), displaced by (V, 3) in bind space, at the transforms that the engine gets (B + 1, 3, 4)."""
         if self._carriers is None:
             matrices = np.tensordot(self._weights, frames, 1)
@@ -122,7 +136,9 @@ class Skin:
             matrices = np.einsum("va,vaij->vij", self._weights, frames[self._carriers])
         return np.einsum("vij,vj->vi", matrices[:, :, :3], self.rest + displacement) + matrices[:, :, 3]
 
-    def push(self, fields, sample: int, frames: np.ndarray, displacement: np.ndarray) -> np.ndarray | None:
+    def push(
+        self, fields: Sequence[ForceField], sample: int, frames: np.ndarray, displacement: np.ndarray
+    ) -> np.ndarray | None:
         """Newtons on the nodes (n, 3), world space; frames as for `posed`, displacement of the nodes (n, 3)."""
         acting = [field for field in fields if field.strength[sample]]
         if not acting:

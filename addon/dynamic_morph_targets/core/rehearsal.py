@@ -31,7 +31,7 @@ class Rehearsal:
         self.asked = asked
         self.tried: dict[float, float] = {}
 
-    def learn(self, frequency: float, excess: float):
+    def learn(self, frequency: float, excess: float) -> None:
         """excess: `judge.Verdict.excess`."""
         self.tried[frequency] = excess
 

@@ -11,7 +11,9 @@ from .character import Skeleton
 from .geometry import inverse, invertible
 
 
-def hold_collapsed(samples: RigSamples, skeleton: Skeleton, before=None) -> tuple[RigSamples, list[str]]:
+def hold_collapsed(
+    samples: RigSamples, skeleton: Skeleton, before: np.ndarray | None = None
+) -> tuple[RigSamples, list[str]]:
     """Bones scaled to zero (a common way to hide parts) follow their parents as they last did; returns warnings that
     name them.
 
@@ -118,15 +120,21 @@ class RigSamples:
     def __getitem__(self, samples: slice) -> RigSamples:
         fields = tuple(field[samples] for field in self.fields)
         nodes = self.nodes and self.nodes[samples]
-        own = (part[samples] for part in (self.pose, self.rig_world, self.object_world))
-        return RigSamples(*own, fields, nodes, self.held)
+        pose, rig_world, object_world = (part[samples] for part in (self.pose, self.rig_world, self.object_world))
+        return RigSamples(pose, rig_world, object_world, fields, nodes, self.held)
 
     def and_then(self, other: RigSamples) -> RigSamples:
         """These samples and others of the same rig, without fields."""
-        parts = zip(*((s.pose, s.rig_world, s.object_world) for s in (self, other)), strict=True)
-        points = self.nodes and np.concatenate([self.nodes.points, other.nodes.points])
-        nodes = self.nodes and replace(self.nodes, points=points)
-        return RigSamples(*map(np.concatenate, parts), nodes=nodes, held=self.held)
+        nodes = self.nodes
+        if nodes and other.nodes:
+            nodes = replace(nodes, points=np.concatenate([nodes.points, other.nodes.points]))
+        return RigSamples(
+            np.concatenate([self.pose, other.pose]),
+            np.concatenate([self.rig_world, other.rig_world]),
+            np.concatenate([self.object_world, other.object_world]),
+            nodes=nodes,
+            held=self.held,
+        )
 
     def moved(self, transforms: np.ndarray) -> RigSamples:
         """The first of these samples, moved rigidly by world transforms (S, 4, 4), without fields."""

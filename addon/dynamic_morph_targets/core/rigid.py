@@ -122,7 +122,7 @@ def heads(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles
 
 
 def head_rigidity(
-    skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray, found
+    skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray, found: list[int]
 ) -> np.ndarray:
     """How rigid (V,) the heads on the bones `found` make the skin: 1 on them, less along the neck, 0 beyond. Arguments
     as for `heads`.
@@ -148,7 +148,15 @@ def _below(skeleton: Skeleton) -> np.ndarray:
     return below
 
 
-def _looking_like_heads(skeleton, below, share, carried, points, triangles, areas) -> list[int]:
+def _looking_like_heads(
+    skeleton: Skeleton,
+    below: np.ndarray,
+    share: np.ndarray,
+    carried: np.ndarray,
+    points: np.ndarray,
+    triangles: np.ndarray,
+    areas: np.ndarray,
+) -> list[int]:
     """The bone with the thickest compact blob at the end of a neck without a twin on the other side, if there is one.
     below: see `_below`; share (B,), carried (V, B): of the area and of each vertex's weight, including descendants.
     """

@@ -101,7 +101,7 @@ class SimulationSettings:
     gains: tuple[float, ...] = ()
     amount: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.substeps % self.samples:
             raise ValueError(f"substeps: expected a multiple of samples ({self.samples}), got {self.substeps}")
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from .baked import Bake
 from .build import build
-from .cage import Progress
+from .cage import Progress, Report
 from .character import Character
 from .geometry import determinant
 from .loops import cycle, loop_warnings
@@ -62,11 +62,14 @@ def build_for(
 ) -> Model:
     """`build.build` for a character and, if its modes are fitted, for this shot."""
 
-    def rehearse(model: Model, report) -> tuple[np.ndarray, np.ndarray]:
+    if rig is None or settings is None:
+        return build(character, progress, previous)
+
+    def rehearse(model: Model, report: Report) -> tuple[np.ndarray, np.ndarray]:
         frames = list(simulate(model, character, rig, settings, lambda fraction, _message: report(fraction)))
         return np.array([frame.coordinates for frame in frames]), np.array([frame.weights for frame in frames])
 
-    model = build(character, progress, previous, rehearse if rig is not None else None)
+    model = build(character, progress, previous, rehearse)
     if "rehearsal" in model.summary["seconds"]:
         model.summary["fitted"] = [settings.start, settings.end]
     return model
@@ -85,7 +88,9 @@ class Shot:
     ):
         self.player = _player(model, character, settings, progress)
         self.done = 0  # number of settings.times
-        self._coordinates, self._weights, self._steps = [], [], []  # one entry per chunk
+        self._coordinates: list[np.ndarray] = []  # one entry per chunk, like the next two
+        self._weights: list[np.ndarray] = []
+        self._steps: list[np.ndarray] = []
         self._loop: dict = {}
         self._warnings: list[str] = []
         self._seconds = 0.0
@@ -94,7 +99,7 @@ class Shot:
     def is_complete(self) -> bool:
         return self.done == len(self.player.settings.times)
 
-    def play(self, rig: RigSamples):
+    def play(self, rig: RigSamples) -> None:
         """Simulates the next chunk: the sample of the first frame, unless that is done, then settings.substeps per
         frame.
         """
@@ -126,7 +131,7 @@ class Shot:
             "bones": np.array(bones),
         }
 
-    def resume(self, kept: dict[str, np.ndarray], first: RigSamples):
+    def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
         """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
@@ -176,6 +181,7 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
     by_name = dict(zip(STEP, steps.T, strict=True))
     moving = by_name["steps"] > 0
     rates = by_name["steps"][moving] / by_name["seconds"][moving]
+    warnings: list[str] = []
     report = {
         "steps": int(by_name["steps"].sum()),
         "engine_seconds": float(by_name["seconds"].sum()),
@@ -185,14 +191,14 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
         "iterations": int(by_name["iterations"].sum()),
         "residual": float(by_name["residual"].max()),  # relative to the largest force
         "energy": float(by_name["energy"].max()),  # elastic, J
-        "warnings": [],
+        "warnings": warnings,
     }
     unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
-        report["warnings"].append(f"Steps did not converge at {_some(unconverged)}: raise Substeps Per Frame")
+        warnings.append(f"Steps did not converge at {_some(unconverged)}: raise Substeps Per Frame")
     cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
-        report["warnings"].append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
+        warnings.append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
     return report
 
 

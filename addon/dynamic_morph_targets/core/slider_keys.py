@@ -39,7 +39,7 @@ def scaled_keys(bake: Bake, basis: np.ndarray) -> list[Key]:
     names = bake.key_names or (*numbered, *(f"Dynamorph Detail {name}" for name in bake.target_names))
     negligible = NEGLIGIBLE * np.ptp(basis, axis=0).max()
 
-    def points(displacement):
+    def points(displacement: np.ndarray) -> np.ndarray:
         return (basis + displacement).astype(np.float32)
 
     for k, mode in enumerate(bake.modes):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
@@ -40,20 +41,20 @@ def parsed(text: str) -> Verdict | None:
         values = None
     if not isinstance(values, dict) or not isinstance(values.get("text"), str):
         return Verdict(False, UNREADABLE)
-    frame, vertices = values.get("frame"), values.get("vertices")
-    factor = _number(values.get("factor"))
+    frame, factor = _number(values.get("frame")), _number(values.get("factor"))
+    vertices = values.get("vertices")
     return Verdict(
         ok=values.get("ok") is True,
         text=values["text"],
         figures=tuple(_figures(values)),
-        frame=round(frame) if _number(frame) is not None else None,
+        frame=round(frame) if frame is not None else None,
         vertices=tuple(v for v in vertices if type(v) is int and v >= 0) if isinstance(vertices, list) else (),
         remedy=next((each for each in REMEDIES if each == values.get("remedy")), ""),
         factor=factor if factor is not None and factor > 1.0 else STIFFER,
     )
 
 
-def _figures(values: dict):
+def _figures(values: dict[str, object]) -> Iterator[tuple[str, str]]:
     """(name, text) of the measures that are there."""
     for name, key, form in (
         ("Displacement", "displacement", "{:.1%} of size"),
@@ -70,10 +71,11 @@ def _figures(values: dict):
         yield "Stretch", f"{ends[0]:.2f} to {ends[1]:.2f}"
 
 
-def _number(value) -> float | None:
+def _number(value: object) -> float | None:
     """A finite number, or None."""
-    fits = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return None
     try:
-        return float(value) if fits and isfinite(value) else None
+        return float(value) if isfinite(value) else None
     except OverflowError:
         return None

@@ -11,11 +11,17 @@ import hashlib
 import json
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core import errors
 from . import model_file
+
+if TYPE_CHECKING:  # they need the engine
+    from ..core.character import Character
+    from ..core.model import Model
+    from ..core.simulate import Shot
 
 VERSION = 1  # version of the content of an unfinished bake
 BLOCK = 2**20
@@ -27,17 +33,19 @@ class Share:
     def __init__(self, folder: Path):
         self.folder = folder
 
-    def built(self, character):
+    def built(self, character: Character) -> Model | None:
         """A model that was built for such a character, or None."""
-        from ..core import build
+        from ..core import build, model
 
         found = self._read(self._model_path(build.dependencies(character)))
-        return found and build.Model.from_arrays(*found)
+        return model.Model.from_arrays(*found) if found else None
 
-    def keep_model(self, model):
+    def keep_model(self, model: Model) -> None:
         model_file.save(self._model_path(model.dependencies), model_file.pack(*model.to_arrays()))
 
-    def bake_path(self, name: str, inputs: dict, character, files: list[Path], blender: tuple[int, int, int]) -> Path:
+    def bake_path(
+        self, name: str, inputs: dict, character: Character, files: list[Path], blender: tuple[int, int, int]
+    ) -> Path:
         """The file of the unfinished bake of the object `name`.
 
         Except for the model, which may not exist yet, it depends on what was authored (`inputs`), on the `files` that
@@ -48,15 +56,13 @@ class Share:
         depends_on = [name, inputs, build.dependencies(character), [_file_hash(file) for file in files]]
         return self.folder / f"{_hash([VERSION, blender, *depends_on])}.unfinished"
 
-    def unfinished(self, path: Path, model) -> dict[str, np.ndarray]:
-        """The arguments of `simulate.Shot.resume`, and the last `pose`, of a bake with this model; empty without one.
-        """
-        arrays, meta = self._read(path) or ({}, {})
-        return arrays if meta.get("model") == _modes_hash(model) else {}
+    def unfinished(self, path: Path, model: Model) -> dict[str, np.ndarray]:
+        """The arguments of `simulate.Shot.resume`, and the last `pose`, of a bake with this model; empty without one."""
+        found = self._read(path)
+        return found[0] if found and found[1].get("model") == _modes_hash(model) else {}
 
-    def keep(self, path: Path, shot, pose: np.ndarray):
-        """Store the finished part of a `simulate.Shot` up to this pose (B, 4, 4), in place of the part stored before.
-        """
+    def keep(self, path: Path, shot: Shot, pose: np.ndarray) -> None:
+        """Store the finished part of a `simulate.Shot` up to this pose (B, 4, 4), in place of the part stored before."""
         meta = {"model": _modes_hash(shot.player.model)}
         model_file.save(path, model_file.pack(shot.kept() | {"pose": pose}, meta))
 
@@ -64,18 +70,18 @@ class Share:
         return self.folder / f"{_hash(dependencies)}.dynamorph"
 
     @staticmethod
-    def _read(path: Path):
+    def _read(path: Path) -> tuple[dict[str, np.ndarray], dict] | None:
         """(arrays, metadata) of a file, or None. A damaged file counts as missing and is written again."""
         with suppress(FileNotFoundError, errors.ModelFileError):
             return model_file.unpack(path.read_bytes())
         return None
 
 
-def _hash(what) -> str:
+def _hash(what: object) -> str:
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def _modes_hash(model) -> str:
+def _modes_hash(model: Model) -> str:
     """A hash of the meaning of a bake's coordinates: modes computed on another machine may have other signs."""
     return hashlib.sha256(model.nodes.tobytes() + model.basis.tobytes()).hexdigest()
 

@@ -20,13 +20,17 @@ import json
 import os
 import secrets
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..core.errors import ModelFileError
+
+if TYPE_CHECKING:  # for type checkers alone: Blender does not have it
+    from typing_extensions import Buffer
 
 FORMAT = "dynamorph model"
 VERSION = 4  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only; 4: stiffness
@@ -61,7 +65,7 @@ def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
     return _header_bytes(tensors, text, json.dumps(hashes)) + b"".join(chunks)
 
 
-def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
+def unpack(buffer: Buffer) -> tuple[dict[str, np.ndarray], dict]:
     """The inverse of `pack`: arrays with their own memory, and the description. Raises ModelFileError.
 
     Files of older versions are converted to this version.
@@ -75,7 +79,7 @@ def unpack(buffer) -> tuple[dict[str, np.ndarray], dict]:
     return arrays, _parse(meta)
 
 
-def save(path, content: bytes | Iterable[bytes]):
+def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None:
     """Writes the file completely or not at all: a crash leaves the old file or the new one."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -100,7 +104,9 @@ def content_id(packed: bytes) -> str:
     return hashlib.sha256(packed).hexdigest()[:32]
 
 
-def _header_bytes(tensors, meta_text, hashes_text, version: str = str(VERSION)) -> bytes:
+def _header_bytes(
+    tensors: Mapping[str, object], meta_text: str, hashes_text: str, version: str = str(VERSION)
+) -> bytes:
     metadata = {"format": FORMAT, "version": version, "meta": meta_text, "hashes": hashes_text, "header_hash": ""}
     header = {**tensors, "__metadata__": metadata}
     metadata["header_hash"] = hashlib.sha256(json.dumps(header).encode()).hexdigest()
@@ -109,7 +115,7 @@ def _header_bytes(tensors, meta_text, hashes_text, version: str = str(VERSION)) 
     return len(text).to_bytes(8, "little") + text
 
 
-def _parse(text) -> dict:
+def _parse(text: str) -> dict:
     try:
         value = json.loads(text)
     except (TypeError, ValueError, RecursionError):

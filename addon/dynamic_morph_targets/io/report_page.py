@@ -6,11 +6,13 @@ from __future__ import annotations
 import html
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 from ..core.errors import CollectError
 
-COLUMNS = {  # title -> content of a cell for (character, bake), if there is a bake
+# Title -> what a cell shows of (character, bake), where there is a bake.
+COLUMNS: dict[str, Callable[[dict, dict], str]] = {
     "Frames": lambda _, bake: f"{bake['frames'][0]}\u2013{bake['frames'][1]}",
     "Largest displacement, mm": lambda _, bake: f"{1000 * bake['max_displacement']:.1f}",
     "Steps/s": lambda _, bake: f"{bake['steps_per_second']:.0f}",

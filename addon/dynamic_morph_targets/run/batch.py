@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build and Bake as one path for the button, the command line and scripts; and where a built model is kept.
+"""Build and Bake as one path for the button, the command line and scripts.
 
-A job has three phases: `prepare` reads Blender, `compute` runs in a thread and never touches bpy, `commit` writes
-Blender all at once, so that it is one undo step and an error before it changes nothing.
+The work has three parts: `read` reads Blender, `compute` runs in threads that never touch bpy, `write` changes Blender
+all at once, so that it is one undo step and an error before it changes nothing.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..core.errors import Cancelled, SceneError
+from ..core.rig_samples import RigSamples
+from .bake_result import write_all
 from .job import Job
 
 running: Batch | None = None  # the work whose progress the panels draw
@@ -51,36 +53,49 @@ class Batch:
         """The work, main thread. Yields when it has held that for about so many seconds, and every `pause` seconds
         while a thread computes. Raises Cancelled, SceneError and what the threads raise.
         """
+        yield from self.read(seconds, pause)
+        yield from self.compute(seconds, pause)
+        yield from self.write()
+
+    def read(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        """The first part of the work: all that the jobs begin with, and the first chunk of their rigs."""
         for job in self.jobs:
             self._at = job
             job.read()
             yield from self._turn(reading=True)
-        for job in filter(Job.needs_cage, self.jobs):
-            self._at = job
-            job.start_cage()
-            while not job.wait(pause):
-                yield from self._turn(reading=True)
         for job in self.jobs:
-            self._at = job
-            while not job.sample(seconds):
-                yield from self._turn(reading=True)
-        for job in self.jobs:
-            self._at = job
-            yield from self._computed(job, pause)
-            while job.go_on():
-                yield from self._turn(reading=True)
-                while not job.sample(seconds):
+            if job.computation.needs_cage:
+                self._at = job
+                job.start_cage()
+                while not job.wait(pause):
                     yield from self._turn(reading=True)
+        for job in self.jobs:
+            yield from self._sampled(job, seconds)
+
+    def compute(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        """The second part, for which the rest of the rigs is read. Nothing is written."""
+        for job in self.jobs:
+            yield from self._computed(job, pause)
+            while job.next_chunk():
+                yield from self._turn(reading=True)
+                yield from self._sampled(job, seconds)
                 yield from self._computed(job, pause)
+
+    def write(self) -> Iterator[None]:
+        """The last part, when all can be written: all of it, or nothing."""
         while waiting := next((job for job in self.jobs if job.must_wait()), None):
             self._at = waiting
             yield from self._turn()
-        for job in self.jobs:
-            job.target()
-        for job in self.jobs:
-            job.commit()
+        writers = [job.writer() for job in self.jobs]
+        write_all([writer for writer in writers if writer.request.stored])
+
+    def _sampled(self, job: Job, seconds: float) -> Iterator[None]:
+        self._at = job
+        while not job.sample(seconds):
+            yield from self._turn(reading=True)
 
     def _computed(self, job: Job, pause: float) -> Iterator[None]:
+        self._at = job
         job.start()
         while not job.wait(pause):
             yield from self._turn()
@@ -105,12 +120,12 @@ class Batch:
             thread.join()
 
     def _threads(self) -> list[threading.Thread]:
-        return [job.thread for job in self.jobs if job.thread.is_alive()]
+        return [job.thread for job in self.jobs if job.thread and job.thread.is_alive()]
 
 
 def run(job: Job, tick=None):
     """The whole job at once. tick(job) is called in the main thread about ten times a second."""
-    run_all(Batch([job], job.goal), tick and (lambda _batch: tick(job)))
+    run_all(Batch([job], job.request.goal), tick and (lambda _batch: tick(job)))
 
 
 def run_all(batch: Batch, tick=None):
@@ -122,6 +137,13 @@ def run_all(batch: Batch, tick=None):
     except BaseException:
         batch.stop()
         raise
+
+
+def read_rig(job: Job) -> RigSamples:
+    """All that a job reads, at once, to be used otherwise: returns the rig."""
+    for _ in Batch([job], job.request.goal).read():
+        pass
+    return job.take_rig()
 
 
 def stop():

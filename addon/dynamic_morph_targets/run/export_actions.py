@@ -3,25 +3,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import bpy
 import numpy as np
 
 from ..core import keys
 from ..core.baked import Bake
 from ..core.errors import ExportError, SceneError
-from ..scene import skin
 from ..scene.references import rig_of
-from ..scene.skin import find
 from ..write import actions, live_key
 from ..write.actions import Clip, laid_out
 from ..write.bake import write_keys
 from ..write.exports import FORMATS, as_it_was, check_bake, check_place, stand_ins, write_file
 from . import batch
+from .bake_input import handles
 from .batch import run_all
+from .computation import of_meshes
 from .job import Job
 
 
@@ -29,37 +30,21 @@ class ClipJob(Job):
     """Simulates one of the clips with the built model, and writes nothing: the result is in `result` and `carried`."""
 
     def __init__(self, obj, clip: Clip, clips: Sequence[Clip]):
-        super().__init__(obj, "BAKE", frames=(clip.first, clip.last))
-        self.name = f"{obj.name}: {clip.name}"
+        name, frames = f"{obj.name}: {clip.name}", (clip.first, clip.last)
+        # The clip alone: before its first frame there is nothing to run up on.
+        changes = {"loop": clip.cyclic, "preroll_pose": "HELD", "samples": 1}
+        super().__init__(obj, "BAKE", frames, name=name, whole=True, stored=False, changes=changes)
         self.clip, self._clips = clip, clips
 
-    def read(self, whole=False):
-        super().read(whole=True)  # it may be a loop
+    def read(self):
+        super().read()
         if self.reasons:
             why = "; ".join(self.reasons)
             raise SceneError(f"The model of '{self.character.name}' is out of date ({why}): press Build Model first")
 
     def sample(self, seconds: float = np.inf) -> bool:
-        with laid_out(rig_of(skin.find(self.session_uid)), self._clips):
+        with laid_out(rig_of(self.request.object.find()), self._clips):
             return super().sample(seconds)
-
-    def commit(self):
-        self._probe = None
-
-    def _next_stretch(self, obj):
-        """The clip alone: before its first frame there is nothing to run up on."""
-        chosen = {"loop": self.clip.cyclic, "preroll_pose": "HELD", "samples": 1}
-        self.settings = replace(self.settings, **chosen)
-        super()._next_stretch(obj)
-
-    def _read_kept(self, obj):
-        """It does not become a part of the existing bake."""
-
-    def _read_output(self, obj):
-        """It gets no form in Blender."""
-
-    def _make_keys(self):
-        """Its keys are made together with those of the other clips: `joined`."""
 
 
 def joined(bakes: Sequence[Bake]) -> Bake:
@@ -74,12 +59,19 @@ def joined(bakes: Sequence[Bake]) -> Bake:
     return replace(first, **together)
 
 
-def export(obj, key: str, path: Path, frames: tuple[int, int], takes="SCENE", tick=None) -> list[str]:
+def export(
+    obj: bpy.types.Object,
+    key: str,
+    path: Path,
+    frames: tuple[int, int],
+    takes: str = "SCENE",
+    tick: Callable[[batch.Batch], object] | None = None,
+) -> list[str]:
     """Write `obj`, with its armature and all meshes on that, to `path`, whole or not at all; returns warnings.
 
     key: of FORMATS. takes: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
     then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
-    ExportError, OSError, and with ACTIONS as `jobs.run`.
+    ExportError, OSError, and with ACTIONS as `batch.run_all`.
     """
     if takes == "ACTIONS":
         batch = ActionsExport(obj, key, path)
@@ -96,10 +88,10 @@ class ActionsExport(batch.Batch):
     to `path`, whole or not at all: an animation for each, by its name, of bones and of shape keys that all clips share.
 
     It needs no bake, and leaves the one that there is as it is. key: of a format that skins. Raises ExportError, and as
-    `actions.clips_of` and `jobs.Batch`.
+    `actions.clips_of` and `batch.Batch`.
     """
 
-    def __init__(self, obj, key: str, path: Path):
+    def __init__(self, obj: bpy.types.Object, key: str, path: Path):
         check_place(obj, key, path)
         if not FORMATS[key].skins:
             raise ExportError(
@@ -117,17 +109,19 @@ class ActionsExport(batch.Batch):
     def warnings(self) -> list[str]:
         return [f"{job.clip.name}: {warning}" for job in self.jobs for warning in job.warnings]
 
-    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
-        yield from super().steps(seconds, pause)
-        self._write_clips()
+    def write(self) -> Iterator[None]:
+        yield from super().write()
+        with self.jobs[0].request.scene.as_context():
+            self._write_clips()
 
-    def _write_clips(self):
+    def _write_clips(self) -> None:
         obj, job = self.jobs[0].target(), self.jobs[0]
-        pieces = [find(follower.session_uid) for follower in job.followers]
-        wholes = [joined(each) for each in zip(*([job.result, *job.carried] for job in self.jobs), strict=True)]
+        pieces = [handle.find() for handle in handles(job.input.followers)]
+        outcomes = [job.outcome for job in self.jobs]
+        wholes = [joined(each) for each in zip(*([o.bake, *o.carried] for o in outcomes), strict=True)]
         budget = obj.dynamorph.output.keys
         wholes = [keys.with_fewer_keys(bake, budget) if budget else bake for bake in wholes]
-        bakes = [bake for whole in wholes for bake in job.of_meshes(whole)]
+        bakes = [bake for whole in wholes for bake in of_meshes(job.input, job.model, whole)]
         with ExitStack() as stack:
             stack.enter_context(as_it_was(obj))
             stack.enter_context(actions.laid_out(rig_of(obj), self.clips))

@@ -14,7 +14,7 @@ import numpy as np
 from ..core import engine
 from ..core.errors import SceneError
 from ..scene import extract, model_store, references, skin
-from ..write import bake
+from ..write import bake_reading
 from . import live
 
 LIMIT = 0.05  # of the body's size; used when Max Displacement is 0
@@ -30,12 +30,12 @@ def colors(values: np.ndarray) -> np.ndarray:
     return np.where((values > 1.0)[:, None], BEYOND, between).astype(np.float32)
 
 
-def limit_of(obj) -> float:
+def limit_of(obj: bpy.types.Object) -> float:
     """The limit of the skin's displacement, of the body's size."""
     return obj.dynamorph.simulation.max_displacement or LIMIT
 
 
-def displacements(obj) -> dict[int, np.ndarray]:
+def displacements(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     """How far the vertices (V,) of the soft skin `obj` and of the meshes that move with it are, at the present frame,
     from where the targets' shapes alone would have them: of what they may be; by session_uid.
 
@@ -57,18 +57,18 @@ def displacements(obj) -> dict[int, np.ndarray]:
     }
 
 
-def _linear(obj) -> np.ndarray:
+def _linear(obj: bpy.types.Object) -> np.ndarray:
     return np.array(obj.matrix_world)[:3, :3]
 
 
-def _baked_motion(obj) -> np.ndarray:
+def _baked_motion(obj: bpy.types.Object) -> np.ndarray:
     """The motion of the vertices (V, 3), local space: the present effect of the bake's keys without that of the shapes
     alone.
     """
     keys = obj.data.shape_keys
     render = bpy.context.scene.render
     time = bpy.context.scene.frame_current_final * render.frame_map_old / render.frame_map_new
-    shapes = bake.shape_curves(obj)
+    shapes = bake_reading.shape_curves(obj)
     basis = references.key_points(keys.reference_key)
     motion = np.zeros_like(basis)
     for reference in obj.dynamorph.bake.keys:
@@ -88,7 +88,7 @@ def _points(session_uid: int, _key_hash: str, name: str) -> np.ndarray:
     return references.key_points(skin.find(session_uid).data.shape_keys.key_blocks[name])
 
 
-def _live_motions(obj) -> dict[int, np.ndarray]:
+def _live_motions(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     """Of the vertices (V, 3), local space, by session_uid. Raises SceneError when Live does not play."""
     session = live.sessions.get(obj.session_uid)
     motions = session.motions() if session else {}
@@ -97,7 +97,7 @@ def _live_motions(obj) -> dict[int, np.ndarray]:
     return motions
 
 
-def holds(obj) -> dict[int, np.ndarray]:
+def holds(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     """How firmly the vertices (V,) of the soft skin `obj`, and of the meshes in its cage, are held: 0 free to 1; by
     session_uid, as the model was built. Raises SceneError when the model does not say, or the mesh has changed.
     """
@@ -126,7 +126,7 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
     return {session_uid: on_skin[character.own]} | {part.session_uid: on_skin[part.members] for part in character.parts}
 
 
-def forget():
+def forget() -> None:
     """Free the cached data of bakes and models."""
     _points.cache_clear()
     _holds.cache_clear()

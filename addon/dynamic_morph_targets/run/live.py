@@ -20,7 +20,7 @@ from .session import Session, simulation_settings, way_to_skin
 SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple] = {}  # why an object does not play, and the state of its model then
+_problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and the state of its model then
 lent: set[int] = set()  # objects whose live key shows something else for a while
 _any_live: bool | None = None  # whether an object of this file is live; None: not known yet
 
@@ -28,20 +28,19 @@ _any_live: bool | None = None  # whether an object of this file is live; None: n
 # On, off, and the present frame ------------------------------------------------------------------------------------
 
 
-def is_on(obj) -> bool:
+def is_on(obj: bpy.types.Object) -> bool:
     return bool(obj.dynamorph.live.key.name) and obj.session_uid not in lent
 
 
-def obstacle(obj) -> str:
-    """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by `turn_on`.
-    """
+def obstacle(obj: bpy.types.Object) -> str:
+    """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by `turn_on`."""
     if obj.dynamorph.bake.exists:
         return "The bake shows the motion already: press Delete Bake first"
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 
 
-def turn_on(obj, scene):
+def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
     """Add the live key and show the present frame. Raises what prevents it from playing, before anything is changed.
 
     There must be no `obstacle`.
@@ -54,30 +53,30 @@ def turn_on(obj, scene):
     follow(obj, scene)
 
 
-def turn_off(obj):
+def turn_off(obj: bpy.types.Object) -> None:
     """Raises SinkError."""
     sessions.pop(obj.session_uid, None)
     _problems.pop(obj.session_uid, None)
     live_key.remove(obj)
 
 
-def refresh(obj):
+def refresh(obj: bpy.types.Object) -> None:
     """Show changed settings of an object at once, if it is live."""
     if is_on(obj):
         follow(obj, bpy.context.scene, arrives=False)
 
 
-def problem(obj) -> str:
+def problem(obj: bpy.types.Object) -> str:
     """Why a live object does not play, or ''."""
     text, model = _problems.get(obj.session_uid, ("", None))
     return text if text and model == _stated(obj) else ""
 
 
-def _stated(obj) -> tuple:
+def _stated(obj: bpy.types.Object) -> tuple[str, ...]:
     return obj.dynamorph.model.content_id, *staleness.model_age(obj)
 
 
-def follow(obj, scene, arrives=True):
+def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) -> None:
     """Show the state of the soft skin at the scene's time. Problems are recorded, see `problem`."""
     uid, rig = obj.session_uid, references.rig_of(obj)
     if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
@@ -100,7 +99,7 @@ def follow(obj, scene, arrives=True):
         events.redraw(events.PANELS)
 
 
-def holds_still(scene) -> bool:
+def holds_still(scene: bpy.types.Scene) -> bool:
     """Whether a render in the window reads what we would write."""
     rendering = not bpy.app.background and bpy.app.is_job_running("RENDER")
     return rendering and not scene.render.use_lock_interface
@@ -110,7 +109,7 @@ def holds_still(scene) -> bool:
 
 
 @persistent
-def _frame_changed(scene, _depsgraph=None):
+def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """frame_change_pre: writing before Blender evaluates the frame does not make it evaluate twice.
 
     The rig is not read from there but separately, in a scene of its own, which changes frames too.
@@ -140,7 +139,7 @@ def is_scrubbing() -> bool:
     return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
 
 
-def _after_scrubbing():
+def _after_scrubbing() -> float | None:
     """By a timer: show the frame that was scrubbed to, when the mouse is up."""
     if is_scrubbing():
         return SCRUBBED  # seconds from now
@@ -150,7 +149,7 @@ def _after_scrubbing():
 
 
 @persistent
-def _edited(scene, depsgraph):
+def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post, which changing the frame does not call."""
     global _any_live
     if depsgraph.id_type_updated("OBJECT"):
@@ -172,13 +171,13 @@ def _edited(scene, depsgraph):
             turn_off(obj)
 
 
-def _may_reskin(update) -> bool:
+def _may_reskin(update: bpy.types.DepsgraphUpdate) -> bool:
     edited = update.id
     is_mesh = isinstance(edited, bpy.types.Object) and edited.type == "MESH" and update.is_updated_geometry
     return is_mesh or isinstance(edited, bpy.types.Armature)
 
 
-def _moves(update) -> bool:
+def _moves(update: bpy.types.DepsgraphUpdate) -> bool:
     """Whether an edit may have changed how rigs move. Posing is one, and so is any object: a rig may follow it."""
     edited = update.id
     if isinstance(edited, bpy.types.Object):
@@ -187,7 +186,7 @@ def _moves(update) -> bool:
 
 
 @persistent
-def _undone(*_args):
+def _undone(*_args: object) -> None:
     """undo_post, redo_post. The simulated frames stay valid; the motion of the rig may not."""
     global _any_live
     _any_live = None
@@ -197,7 +196,7 @@ def _undone(*_args):
 
 
 @persistent
-def _loaded(*_args):
+def _loaded(*_args: object) -> None:
     """load_post: the ids may now belong to other objects."""
     global _any_live
     _any_live = None
@@ -206,7 +205,7 @@ def _loaded(*_args):
 
 
 @persistent
-def _before_save(*_args):
+def _before_save(*_args: object) -> None:
     """save_pre: record the shapes of the live keys, which identify them after a rename."""
     skins = soft_skins(bpy.data.objects)
     for obj in [each for skin in skins for each in (skin, *followers(skin))]:
@@ -229,20 +228,20 @@ HANDLERS = {
 LISTENERS = {events.Event.SHOWN_CHANGED: refresh}
 
 
-def register():
+def register() -> None:
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
     _loaded()
 
 
-def unregister():
+def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
     events.forget(_after_scrubbing)
     _loaded()
 
 
-def remove_soft_skin(obj):
+def remove_soft_skin(obj: bpy.types.Object) -> None:
     """Remove its targets, model and bake; shape keys and settings stay. Raises SinkError."""
     turn_off(obj)
     bake.free(obj)

@@ -9,7 +9,7 @@ from contextlib import suppress
 import bpy
 import numpy as np
 from bpy.types import Operator
-from mathutils import Matrix
+from mathutils import Euler, Matrix
 
 from ..core.errors import SceneError, SinkError
 from ..core.rig_samples import RigSamples
@@ -30,19 +30,20 @@ class Preview:
     """
 
     def __init__(self, obj, operator: type[Operator]):
+        rig_motion.check_not_rendering()
         self.name, self.label = operator.bl_idname, operator.bl_label
-        self.session_uid = obj.session_uid
+        self.object = skin.ObjectHandle.of(obj)
         self.flesh = session.Flesh(obj, bpy.context.scene)
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         self._sculpt = obj.dynamorph.sculpt.shown.name
         if not self._was_live:
             self.flesh.add_keys(obj)
-        live.lent.add(self.session_uid)
+        live.lent.add(self.object.session_uid)
 
-    def show(self, values: np.ndarray, transform: Matrix | None = None):
+    def show(self, values: np.ndarray, transform: Matrix | None = None) -> None:
         """values: see Flesh.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
-        obj = skin.find(self.session_uid)
+        obj = self.object.find()
         if not self.flesh.show(values):
             raise SceneError("The live key was removed: the test stops")
         if transform is not None:
@@ -50,13 +51,13 @@ class Preview:
             for mover in self._movers:
                 mover.move(transform)
 
-    def end(self):
+    def end(self) -> None:
         """Put everything back."""
-        live.lent.discard(self.session_uid)
+        live.lent.discard(self.object.session_uid)
         for mover in self._movers:
             mover.restore()
         with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
-            obj = skin.find(self.session_uid)
+            obj = self.object.find()
             if self._was_live:
                 live.refresh(obj)
             else:
@@ -68,14 +69,14 @@ class _Mover:
     """Moves an object by its delta transform, which is neither keyed nor affected by frame changes."""
 
     def __init__(self, obj):
-        self.session_uid = obj.session_uid
+        self.object = skin.ObjectHandle.of(obj)
         self.before = [getattr(obj, name).copy() for name in DELTAS]
         self.basis = obj.matrix_basis.copy()  # with the deltas
         self.parent = obj.matrix_world @ self.basis.inverted()
 
-    def move(self, transform: Matrix):
+    def move(self, transform: Matrix) -> None:
         """transform: in world space, of the object as it stood."""
-        obj = skin.find(self.session_uid)
+        obj = self.object.find()
         moved = self.parent.inverted() @ transform @ self.parent @ self.basis
         turn = moved.to_quaternion() @ self.basis.to_quaternion().inverted()
         _, euler, quaternion = self.before
@@ -86,21 +87,21 @@ class _Mover:
             turned = turn.to_matrix() @ _matrix(euler, obj.rotation_mode)
             obj.delta_rotation_euler = turned.to_euler(obj.rotation_mode, euler)
 
-    def restore(self):
+    def restore(self) -> None:
         with suppress(SceneError):  # it was deleted
-            obj = skin.find(self.session_uid)
+            obj = self.object.find()
             for name, value in zip(DELTAS, self.before, strict=True):
                 setattr(obj, name, value)
 
 
-def _matrix(euler, order: str) -> Matrix:
+def _matrix(euler: Euler, order: str) -> Matrix:
     """The rotation of an Euler property, which uses the order of the object's own rotation."""
     euler = euler.copy()
     euler.order = order
     return euler.to_matrix()
 
 
-def movers(obj) -> list:
+def movers(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """The objects that a shake test moves: the rig, and the mesh if it does not follow the rig."""
     rig = references.rig_of(obj)
     parent = obj.parent
@@ -116,7 +117,7 @@ def is_running(operator: str) -> bool:
     return preview is not None and preview.name == operator
 
 
-def begin_preview(obj, operator: type[Operator]) -> Preview:
+def begin_preview(obj: bpy.types.Object, operator: type[Operator]) -> Preview:
     """Also ends the running one."""
     global preview
     end_preview()
@@ -124,7 +125,7 @@ def begin_preview(obj, operator: type[Operator]) -> Preview:
     return preview
 
 
-def end_preview():
+def end_preview() -> None:
     global preview
     if preview:
         preview.end()
@@ -134,7 +135,7 @@ def end_preview():
 def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Height, in body sizes, and angle (S,) at these times after the start."""
 
-    def smooth(t):
+    def smooth(t: np.ndarray) -> np.ndarray:
         t = np.clip(t, 0.0, 1.0)
         return t * t * (3.0 - 2.0 * t)
 
@@ -148,7 +149,9 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return HOP * 4.0 * airborne * (1.0 - airborne), none
 
 
-def shaken(obj, flesh, kind: str, seconds: float = SECONDS) -> tuple[RigSamples, np.ndarray]:
+def shaken(
+    obj: bpy.types.Object, flesh: session.Flesh, kind: str, seconds: float = SECONDS
+) -> tuple[RigSamples, np.ndarray]:
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
     still = rig_motion.sample_present(obj, flesh.probe)

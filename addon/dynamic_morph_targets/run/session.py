@@ -6,18 +6,22 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 
 from ..core import engine, errors, rig_samples
-from ..core.character import Character, TargetSet
+from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
 from ..core.rig_samples import RigSamples
 from ..core.settings import Material, SimulationSettings
 from ..scene import extract, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
 from ..write import live_key
 from ..write.reconcile import reconcile
+
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.player import Frame, State
 
 # Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
 # stutter.
@@ -31,7 +35,7 @@ STATE_BYTES = 2**28  # bytes that those may take if each has the transforms of n
 class Flesh:
     """A built soft skin that can be stepped and shown. Raises SceneError when its model is not up to date."""
 
-    def __init__(self, obj, scene):
+    def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
         reconcile(obj)
         self.model, self.character = model_store.current_model(obj)
         if self.model.settings.solver == "FULL":
@@ -46,22 +50,23 @@ class Flesh:
         self.modes = len(modes)
         self.target_names = [target.name for target in self.character.by_method().targets]
         own, details = self.character.own, self.model.details
-        self.skin = Surface(obj, self.character.vertices[own], modes[:, own], details[:, own])
+        self.skin = Surface(skin.ObjectHandle.of(obj), self.character.vertices[own], modes[:, own], details[:, own])
         self.followers = []
         for follower in extract.followers(obj, self.character):
             if follower.members:
-                shapes = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
+                moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
             else:
                 shapes = carrying.carried(self.model, nodes, follower)
-            self.followers.append(Surface(skin.find(follower.session_uid), follower.points, *shapes))
+            handle = skin.ObjectHandle(follower.session_uid, follower.name)
+            self.followers.append(Surface(handle, follower.points, *shapes))
 
     @property
-    def vertices(self) -> dict[int, int]:
+    def vertices(self) -> dict[skin.ObjectHandle, int]:
         """The number of vertices of each mesh that shares the cage, by session_uid."""
-        parts = {part.session_uid: len(part.points) for part in self.character.parts}
-        return {self.skin.session_uid: self.character.own.stop} | parts
+        parts = {skin.ObjectHandle(part.session_uid, part.name): len(part.points) for part in self.character.parts}
+        return {self.skin.object: self.character.own.stop} | parts
 
-    def values(self, frame) -> np.ndarray:
+    def values(self, frame: Frame) -> np.ndarray:
         """What `points` asks for: (r + J,) coordinates as shown, and target weights."""
         return np.concatenate([self.player.shown(frame), frame.weights])
 
@@ -69,9 +74,9 @@ class Flesh:
         """Points (3 V,) of the skin, float32, local space."""
         return self.skin.points(values)
 
-    def add_keys(self, obj):
+    def add_keys(self, obj: bpy.types.Object) -> None:
         """The live keys of the soft skin `obj` and of what follows it. Raises SinkError."""
-        live_key.add(obj, self.target_names, [skin.find(surface.session_uid) for surface in self.followers])
+        live_key.add(obj, self.target_names, [surface.object.find() for surface in self.followers])
 
     def show(self, values: np.ndarray) -> bool:
         """Write the live keys; False when that of the skin is gone."""
@@ -103,8 +108,8 @@ class Surface:
     the key.
     """
 
-    def __init__(self, obj, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
-        self.session_uid = obj.session_uid
+    def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
+        self.object = handle
         self.written = None
         self._rest = vertices.astype(np.float32).ravel()
         shapes = np.concatenate([modes, details])
@@ -116,7 +121,7 @@ class Surface:
 
     def show(self, values: np.ndarray) -> bool:
         """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
-        block = live_key.find(skin.find(self.session_uid), self.written)
+        block = live_key.find(self.object.find(), self.written)
         if block is None or 3 * len(block.points) != len(self._rest):
             return False
         self.written = self.points(values)
@@ -134,35 +139,38 @@ def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
 class Rig:
     """The rig at true sub-frames, as a bake reads it: blocks of frames, of which the latest are kept until an edit."""
 
-    def __init__(self, start: int, substeps: int, skeleton, probe):
+    def __init__(self, start: int, substeps: int, skeleton: Skeleton, probe: probe.Probe | None):
         self.start, self.substeps, self.skeleton, self.probe = start, substeps, skeleton, probe
         self._blocks: dict[int, RigSamples] = {}
 
-    def after(self, obj, frame: int) -> RigSamples:
+    def after(self, obj: bpy.types.Object, frame: int) -> RigSamples:
         """1 + substeps samples, from `frame` to the next one. Raises SceneError."""
         index, offset = divmod(frame - self.start, BLOCK)
         if index not in self._blocks:
             first = self.start + index * BLOCK
             samples = rig_motion.sample_rig(obj, first, first + BLOCK, self.substeps, self.probe)
             before = self._blocks.get(index - 1)
-            self._blocks[index], _ = rig_samples.hold_collapsed(samples, self.skeleton, before and before.pose[-1])
+            self._blocks[index], _ = rig_samples.hold_collapsed(
+                samples, self.skeleton, before.pose[-1] if before else None
+            )
             while len(self._blocks) > max(2, RIG_BYTES // samples.nbytes):
                 del self._blocks[next(iter(self._blocks))]
         return self._blocks[index][offset * self.substeps : (offset + 1) * self.substeps + 1]
 
-    def forget(self):
+    def forget(self) -> None:
         self._blocks.clear()
 
 
 class Session:
     """One object that plays: its simulation since it last began, and the state from which it continues."""
 
-    def __init__(self, obj, scene):
+    def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
         self.flesh = Flesh(obj, scene)
         self.content_id = obj.dynamorph.model.content_id
-        self.first = self.last = self.now = None  # frames: simulated from, to; the one that shows, or just before
-        self._frames: dict[int, object] = {}
-        self._states: dict[int, tuple] = {}
+        self.first = self.last = 0  # frames simulated from and to, while there are any
+        self.now: int | None = None  # the one that shows, or just before
+        self._frames: dict[int, Frame] = {}
+        self._states: dict[int, tuple[int, State]] = {}
         self.skinning = way_to_skin(obj)
         self._placing, self._material = _placing(obj), _materials(obj)
         self._sampled = _sampling(obj)
@@ -171,7 +179,7 @@ class Session:
         self._kept = min(KEPT, max(1, STATE_BYTES // (4 * 96 * moving)))
         self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton, self.flesh.probe)
 
-    def fits(self, obj, settings: SimulationSettings) -> bool:
+    def fits(self, obj: bpy.types.Object, settings: SimulationSettings) -> bool:
         """Whether this is still a session of the object's model, with the same time step."""
         mine = self.flesh.player.settings
         same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
@@ -179,7 +187,7 @@ class Session:
             return False  # the nodes were posed as the targets were captured
         return same and self.content_id == obj.dynamorph.model.content_id
 
-    def values(self, obj, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
+    def values(self, obj: bpy.types.Object, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
         """What `Flesh.show` asks for, at a frame or between two. arrives: the start of the range begins anew, else it
         shows.
 
@@ -187,7 +195,7 @@ class Session:
         """
         self._heed(obj, settings)
         before, share = math.floor(time), time % 1.0
-        if share and before + 1 == self.first:  # a shutter that opens before the first frame
+        if share and self._frames and before + 1 == self.first:  # a shutter that opens before the first frame
             before, share = self.first, 0.0
         elif not share or before not in self._frames:
             self._reach(obj, before, arrives)
@@ -207,28 +215,28 @@ class Session:
         """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone
         would have them: local space, by session_uid. Empty before the first frame.
         """
-        frame, flesh = self._frames.get(self.now), self.flesh
-        if frame is None:
+        flesh = self.flesh
+        if self.now not in self._frames:
             return {}
-        values = flesh.values(frame)
-        return {surface.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
+        values = flesh.values(self._frames[self.now])
+        return {surface.object.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
 
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, has been simulated already."""
         return {math.floor(time), math.ceil(time)} <= self._frames.keys()
 
-    def rig_changed(self):
+    def rig_changed(self) -> None:
         """The rig moves differently from now on."""
         self.rig.forget()
         self._rewind()
 
-    def _heed(self, obj, settings: SimulationSettings):
+    def _heed(self, obj: bpy.types.Object, settings: SimulationSettings) -> None:
         """Apply what the artist has changed; the frames simulated after the one that shows are then dropped."""
         age = staleness.model_age(obj)
         if age:
             raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
-        for uid, count in self.flesh.vertices.items():
-            mesh = skin.find(uid).data
+        for handle, count in self.flesh.vertices.items():
+            mesh = handle.find().data
             if len(mesh.vertices) != count:
                 raise SceneError(
                     f"Mesh '{mesh.name}' has {len(mesh.vertices)} vertices, its model {count}: press Build Model"
@@ -252,9 +260,8 @@ class Session:
         player.amounts.influence = _influence(obj, player.character)
         self.flesh.player = player
 
-    def _reach(self, obj, number: int, arrives: bool):
-        """Simulate up to a frame: from the last one on, or, if playback cannot have come from there, beginning at it.
-        """
+    def _reach(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
+        """Simulate up to a frame: from the last one on, or, if playback cannot have come from there, beginning at it."""
         settings = self.flesh.player.settings
         starts = arrives and number == settings.start
         if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
@@ -266,7 +273,7 @@ class Session:
         while self.last < number:
             self._advance(obj)
 
-    def _run_up(self, obj, number: int):
+    def _run_up(self, obj: bpy.types.Object, number: int) -> None:
         """Begin at a frame as a bake that starts there does."""
         player = self.flesh.player
         first = number - player.settings.run_up
@@ -275,45 +282,46 @@ class Session:
             frame = player.advance(self.rig.after(obj, before)[1:], before + 1)
         self._start(number, frame)
 
-    def _begin_again(self, obj):
+    def _begin_again(self, obj: bpy.types.Object) -> None:
         """From the end of a cycle to its start, without a jump."""
         settings = self.flesh.player.settings
         first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end))
         cycle = first.and_then(last)
         self._start(settings.start, self.flesh.player.begin_again(cycle, self._frames[settings.end]))
 
-    def _start(self, number: int, frame):
+    def _start(self, number: int, frame: Frame) -> None:
         self._frames, self._states = {}, {}
         self.first = number
         self._keep(number, frame)
 
-    def _advance(self, obj):
+    def _advance(self, obj: bpy.types.Object) -> None:
         number = self.last + 1
         self._keep(number, self.flesh.player.advance(self.rig.after(obj, self.last)[1:], number))
 
-    def _keep(self, number: int, frame):
+    def _keep(self, number: int, frame: Frame) -> None:
         self._frames[number], self.last = frame, number
         self._states[number % self._kept] = number, self.flesh.player.state
 
-    def _rewind(self):
+    def _rewind(self) -> None:
         """Drop the frames after the one that shows; if its state is no longer stored, all of them."""
-        if self.now == self.last:
+        now = self.now
+        if now == self.last:
             return
-        number, state = self._states.get(self.now % self._kept, (None, None))
-        if number != self.now:
-            self.first, self._frames = None, {}
+        kept = None if now is None else self._states.get(now % self._kept)
+        if now is None or kept is None or kept[0] != now:
+            self._frames = {}
             return
-        self.flesh.player.state = state
-        self._frames = {k: frame for k, frame in self._frames.items() if k <= self.now}
-        self.last = self.now
+        self.flesh.player.state = kept[1]
+        self._frames = {k: frame for k, frame in self._frames.items() if k <= now}
+        self.last = now
 
 
-def simulation_settings(obj, scene) -> SimulationSettings:
+def simulation_settings(obj: bpy.types.Object, scene: bpy.types.Scene) -> SimulationSettings:
     """`run_settings.simulation_settings` without samples between frames."""
     return replace(run_settings.simulation_settings(obj, scene), samples=1)
 
 
-def _sampling(obj) -> tuple:
+def _sampling(obj: bpy.types.Object) -> tuple[bool, int, int, float]:
     """What the rig's samples depend on besides its animation."""
     render = bpy.context.scene.render
     return obj.dynamorph.simulation.fields, render.frame_map_old, render.frame_map_new, skin.unit_scale()
@@ -324,7 +332,7 @@ def _physics(settings: SimulationSettings) -> SimulationSettings:
     return replace(settings, start=0, end=0, gains=(), amount=1.0)
 
 
-def _gains(obj, count: int) -> np.ndarray:
+def _gains(obj: bpy.types.Object, count: int) -> np.ndarray:
     """Factors (count,) on the modes' motion; of solo modes, if there are any, only theirs is not zero."""
     modes = obj.dynamorph.modes[:count]
     solo = any(mode.solo for mode in modes)
@@ -333,7 +341,7 @@ def _gains(obj, count: int) -> np.ndarray:
     return gains
 
 
-def _influence(obj, character: Character) -> np.ndarray:
+def _influence(obj: bpy.types.Object, character: Character) -> np.ndarray:
     """Of the character's targets (J,), as authored now."""
     by_name = {name: target.influence for name, target in skin.named_targets(obj)}
     return np.array([by_name[name] for target_set in character.target_sets for name in _names(target_set)])
@@ -344,12 +352,12 @@ def _names(target_set: TargetSet) -> tuple[str, ...]:
     return "", *(target.name for target in target_set.targets[1:])
 
 
-def _materials(obj) -> dict[str, Material]:
+def _materials(obj: bpy.types.Object) -> dict[str, Material]:
     """The materials of all targets by name."""
     return {name: target.material() for name, target in skin.named_targets(obj)}
 
 
-def _placing(obj) -> tuple:
+def _placing(obj: bpy.types.Object) -> tuple[str, list[tuple]]:
     """All else that a running simulation takes from the targets: cheap to compare at each frame."""
     targets = [
         (target.name, target.mute, tuple(target.rig_world), target.placing()) for target in obj.dynamorph.targets
@@ -366,7 +374,7 @@ def _with_materials(character: Character, materials: dict[str, Material]) -> Cha
     return replace(character, target_sets=tuple(sets))
 
 
-def way_to_skin(obj) -> tuple:
+def way_to_skin(obj: bpy.types.Object) -> tuple:
     """What the mapping from the rig to the skin depends on besides weights."""
     rig = references.rig_of(obj)
     return rig and references.bones_key(rig.data), skinning.skinning_settings(obj)

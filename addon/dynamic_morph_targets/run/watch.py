@@ -18,20 +18,20 @@ OWNER = object()  # owner of the subscriptions
 
 
 @persistent
-def _before_load(*_args):
+def _before_load(*_args: object) -> None:
     """load_pre: the job's results would have no place to go."""
     batch.stop()
 
 
 @persistent
-def _after_undo(*_args):
+def _after_undo(*_args: object) -> None:
     """undo_post, redo_post: what a job has read so far belongs to another scene, and the curves have changed."""
     if batch.running:
         batch.running.undone = True
     events.soon(_look_at_animations, PATIENCE)
 
 
-def _follow_changes(changed: list, depsgraph):
+def _follow_changes(changed: list, depsgraph: bpy.types.Depsgraph) -> None:
     """Follow renames. A renamed bone updates the Armature, but so does posing."""
     for obj in changed:
         reconcile(obj)
@@ -43,7 +43,7 @@ def _follow_changes(changed: list, depsgraph):
                 reconcile(obj)
 
 
-def changed_objects(depsgraph) -> list:
+def changed_objects(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Object]:
     """Soft skins whose shape keys were edited: sculpted, renamed, moved, or a value was set.
 
     Posing also updates the Key, but only its geometry: an edit of the Key itself has the shading flag too.
@@ -55,7 +55,7 @@ def changed_objects(depsgraph) -> list:
 
 
 @persistent
-def _changed(_scene, depsgraph):
+def _changed(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post."""
     changed = changed_objects(depsgraph)
     _follow_changes(changed, depsgraph)
@@ -65,12 +65,12 @@ def _changed(_scene, depsgraph):
         events.soon(_look_at_animations, PATIENCE)
 
 
-def look_soon():
+def look_soon() -> None:
     """Check a while later whether the models still fit their meshes and cages."""
     events.soon(_look_at_meshes, PATIENCE)
 
 
-def _look_at_meshes():
+def _look_at_meshes() -> float | None:
     if rig_motion.render_runs():
         return PATIENCE  # seconds from now
     for obj in skin.soft_skins(bpy.context.scene.objects):
@@ -79,7 +79,7 @@ def _look_at_meshes():
     return None
 
 
-def _look_at_animations():
+def _look_at_animations() -> None:
     for obj in skin.soft_skins(bpy.context.scene.objects):
         if obj.dynamorph.bake.exists and obj.is_editable:
             staleness.look_at_animation(obj)
@@ -87,7 +87,7 @@ def _look_at_animations():
 
 
 @persistent
-def _leave_pose(scene, depsgraph):
+def _leave_pose(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """frame_change_post: a sculpt belongs to one pose, and the frame may have brought another."""
     if scene != bpy.context.scene or live.holds_still(scene):  # reading a rig changes frames too, elsewhere
         return
@@ -97,13 +97,13 @@ def _leave_pose(scene, depsgraph):
 
 
 @persistent
-def _watch_influence(*_args):
+def _watch_influence(*_args: object) -> None:
     """load_post too: a file that is opened ends all subscriptions."""
     bpy.msgbus.clear_by_owner(OWNER)
     bpy.msgbus.subscribe_rna(key=(bpy.types.NlaStrip, "influence"), owner=OWNER, args=(), notify=_influence_changed)
 
 
-def _influence_changed():
+def _influence_changed() -> None:
     for obj in skin.soft_skins(bpy.data.objects):
         bake_influence.show_influence(obj)
 
@@ -121,13 +121,13 @@ HANDLERS = {
 LISTENERS = {events.Event.CAGE_CHANGED: look_soon}
 
 
-def register():
+def register() -> None:
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
     _watch_influence()
 
 
-def unregister():
+def unregister() -> None:
     batch.stop()
     bpy.msgbus.clear_by_owner(OWNER)
     events.unsubscribe(LISTENERS)

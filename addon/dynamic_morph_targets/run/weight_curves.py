@@ -8,6 +8,7 @@ Distances are joint angles over all bones that place the set's targets (pose_spa
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
@@ -28,7 +29,7 @@ PATIENCE = 0.5  # seconds without an edit before the graph is updated
 SLICE = 0.02  # seconds of reading frames, between which Blender does other things
 
 
-def space_of(obj) -> Space:
+def space_of(obj: bpy.types.Object) -> Space:
     """The pose space of `obj` as it is authored now. Raises errors that tell the artist why there is none."""
     rig = checks.armature_modifier(obj).object
     targets = _placed_targets(obj)
@@ -38,7 +39,7 @@ def space_of(obj) -> Space:
     return _space(obj.session_uid, (bones_key(rig.data), parents, placed))
 
 
-def _placed_targets(obj) -> list:
+def _placed_targets(obj: bpy.types.Object) -> list[bpy.types.PropertyGroup]:
     """The neutral target and, if the method uses them, those that are not muted."""
     neutral, *others = obj.dynamorph.targets
     alone = obj.dynamorph.model.method == "SINGLE"
@@ -52,7 +53,7 @@ def _space(session_uid: int, _authored: tuple) -> Space:
     skeleton = references.rest_skeleton(rig.data)
     neutral, *others = _placed_targets(obj)
 
-    def placed(target) -> Target:
+    def placed(target: bpy.types.PropertyGroup) -> Target:
         local = target.local(skeleton)
         return Target(target.name, np.zeros((0, 3)), target.bone_names(), local, np.eye(4), Material(), target.radius)
 
@@ -68,7 +69,7 @@ def _space(session_uid: int, _authored: tuple) -> Space:
     return Space(obj.name, skeleton, sets, rig_motion.pose_order(rig, skeleton))
 
 
-def weights_now(obj, depsgraph) -> Influence:
+def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Influence:
     """At the evaluated pose, F = 1. Raises the exceptions of `engine.expected_errors`."""
     space = space_of(obj)
     rig = checks.armature_modifier(obj).object.evaluated_get(depsgraph)
@@ -100,7 +101,7 @@ shots: dict[int, Shot] = {}  # by the armature object's session_uid
 class Reading:
     """An armature that is read frame by frame, from start to end, until it is a shot."""
 
-    def __init__(self, obj, start: int, end: int):
+    def __init__(self, obj: bpy.types.Object, start: int, end: int):
         rig = checks.armature_modifier(obj).object
         self.of = (obj.session_uid, start, end)
         self._rig = rig.session_uid
@@ -108,9 +109,8 @@ class Reading:
         self._shot = Shot(start, end, bones_key(rig.data), np.zeros((0, 0, 4, 4)))
         self._sampling: rig_motion.RigSampling | None = None
 
-    def advance(self, obj, seconds: float = np.inf) -> bool:
-        """Reads on for about so many seconds; True when everything is read. Raises SceneError, which the shot records.
-        """
+    def advance(self, obj: bpy.types.Object, seconds: float = np.inf) -> bool:
+        """Reads on for about so many seconds; True when everything is read. Raises SceneError, which the shot records."""
         try:
             if self._sampling is None:
                 self._sampling = rig_motion.RigSampling(obj, self._shot.start, self._shot.end, 1)
@@ -125,16 +125,18 @@ class Reading:
         return True
 
 
-def curves(obj, start: int, end: int) -> Influence:
+def curves(obj: bpy.types.Object, start: int, end: int) -> Influence:
     """At every frame from start to end, F = end - start + 1. Evaluates the rig there, and keeps its poses for `drawn`.
 
     Raises what `jobs.expected_errors` names.
     """
     Reading(obj, start, end).advance(obj)
-    return drawn(obj)[1]
+    found = drawn(obj)
+    assert found is not None  # it has just been read
+    return found[1]
 
 
-def drawn(obj) -> tuple[Shot, Influence] | None:
+def drawn(obj: bpy.types.Object) -> tuple[Shot, Influence] | None:
     """The known frames with the present targets; evaluates nothing. Raises like `weights_now`."""
     rig = checks.armature_modifier(obj).object
     shot = shots.get(rig.session_uid)
@@ -148,7 +150,7 @@ def _over(space: Space, shot: Shot) -> Influence:
     return space.influence(shot.pose)
 
 
-def problem(obj) -> str:
+def problem(obj: bpy.types.Object) -> str:
     """Why the frames of `obj` could not be evaluated, or ''."""
     rig = references.rig_of(obj)
     shot = rig and shots.get(rig.session_uid)
@@ -161,12 +163,12 @@ def problem(obj) -> str:
 _reading: Reading | None = None  # for the graph
 
 
-def update_soon(wait: float = PATIENCE):
+def update_soon(wait: float = PATIENCE) -> None:
     """Update the graph unless something needs it earlier."""
     events.soon(_update, wait)
 
 
-def _update():
+def _update() -> float | None:
     """A timer: seconds until the next try, or None when all is up to date."""
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window):
@@ -181,7 +183,7 @@ def _update():
     return None if _read_on(obj, window.scene.frame_start, window.scene.frame_end) else SLICE
 
 
-def _read_on(obj, start: int, end: int) -> bool:
+def _read_on(obj: bpy.types.Object, start: int, end: int) -> bool:
     """Read the frames for a moment; True when there is no more to read."""
     global _reading
     try:
@@ -196,7 +198,7 @@ def _read_on(obj, start: int, end: int) -> bool:
     return True
 
 
-def _is_old(obj, scene) -> bool:
+def _is_old(obj: bpy.types.Object, scene: bpy.types.Scene) -> bool:
     rig = references.rig_of(obj)
     shot = rig and shots.get(rig.session_uid)
     if not shot:
@@ -206,7 +208,7 @@ def _is_old(obj, scene) -> bool:
 
 
 @persistent
-def _note_changes(_scene, depsgraph):
+def _note_changes(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post: any Action may move the rig; armatures, ranges and the selection are looked at later."""
     if not bpy.context.window_manager.dynamorph.influence:
         return
@@ -222,15 +224,14 @@ def _note_changes(_scene, depsgraph):
 _bars_drawn = False  # since the last change of frame
 
 
-def follow_frames():
-    """Called where bars are drawn: redraws them at the next frame, because Blender plays without redrawing the sidebar.
-    """
+def follow_frames() -> None:
+    """Called where bars are drawn: redraws them at the next frame, because Blender plays without redrawing the sidebar."""
     global _bars_drawn
     _bars_drawn = True
 
 
 @persistent
-def _next_frame(*_args):
+def _next_frame(*_args: object) -> None:
     """frame_change_post."""
     global _bars_drawn
     if _bars_drawn and not bpy.app.is_job_running("RENDER"):  # then another thread is here
@@ -239,7 +240,7 @@ def _next_frame(*_args):
 
 
 @persistent
-def _forget(*_args):
+def _forget(*_args: object) -> None:
     """load_pre."""
     global _reading
     _reading = None
@@ -253,15 +254,15 @@ HANDLERS = {
 }
 
 
-LISTENERS = {events.Event.WEIGHTS_ASKED: partial(update_soon, 0.0)}
+LISTENERS: dict[events.Event, Callable[[], None]] = {events.Event.WEIGHTS_ASKED: partial(update_soon, 0.0)}
 
 
-def register():
+def register() -> None:
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
 
 
-def unregister():
+def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
     events.forget(_update)

@@ -260,8 +260,7 @@ def rig_scene(obj, rig, probe=None):
     That copies the mesh object's transform, which makes the dependency graph evaluate it, with its parents, constraints
     and drivers, but not the mesh. It is empty, or a probe's mesh that is skinned like the body.
     """
-    if render_runs():
-        raise SceneError("Blender is rendering: wait until it is done")
+    check_not_rendering()
     user = bpy.context.scene.render
     scene = bpy.data.scenes.new("Dynamorph Sampling")
     mesh = probe and probe.mesh()
@@ -285,3 +284,9 @@ def rig_scene(obj, rig, probe=None):
 def render_runs() -> bool:
     """Whether Blender renders beside this thread. Adding or removing data then makes it crash."""
     return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")
+
+
+def check_not_rendering():
+    """Raises SceneError while `render_runs`."""
+    if render_runs():
+        raise SceneError("Blender is rendering: wait until it is done")

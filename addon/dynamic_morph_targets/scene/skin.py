@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from dataclasses import dataclass
+
 import bpy
 
 from ..core.errors import SceneError
@@ -15,12 +18,64 @@ def unit_scale() -> float:
     return 1.0 if units.system == "NONE" else units.scale_length
 
 
+@dataclass(frozen=True)
+class ObjectHandle:
+    """Which object is meant: its session id outlives undo and renames; Python references do not.
+
+    name: what it was called when the handle was made, for messages; empty where that is not known.
+    """
+
+    session_uid: int
+    name: str
+
+    @classmethod
+    def of(cls, obj) -> ObjectHandle:
+        return cls(obj.session_uid, obj.name)
+
+    def find(self):
+        """The object. Raises SceneError when it was deleted."""
+        obj = next((obj for obj in bpy.data.objects if obj.session_uid == self.session_uid), None)
+        if obj is None:
+            name = f"'{self.name}'" if self.name else "The object"
+            raise SceneError(f"{name} was deleted while the job ran: nothing was written")
+        return obj
+
+
+@dataclass(frozen=True)
+class SceneHandle:
+    """Which scene and view layer are meant, whatever the window shows meanwhile; as `ObjectHandle`."""
+
+    session_uid: int
+    name: str
+    view_layer: str
+
+    @classmethod
+    def present(cls) -> SceneHandle:
+        scene = bpy.context.scene
+        return cls(scene.session_uid, scene.name, bpy.context.view_layer.name)
+
+    def find(self):
+        """The scene. Raises SceneError when it was deleted."""
+        scene = next((scene for scene in bpy.data.scenes if scene.session_uid == self.session_uid), None)
+        if scene is None:
+            raise SceneError(f"Scene '{self.name}' was deleted while the job ran: nothing was written")
+        return scene
+
+    @contextmanager
+    def as_context(self):
+        """Let `bpy.context` have the scene for a while. Raises SceneError."""
+        scene = self.find()
+        if scene == bpy.context.scene:
+            yield
+            return
+        layer = scene.view_layers.get(self.view_layer) or scene.view_layers[0]
+        with bpy.context.temp_override(scene=scene, view_layer=layer):
+            yield
+
+
 def find(session_uid: int):
-    """The object with this id, which outlives undo and renames; Python references do not. Raises SceneError."""
-    obj = next((obj for obj in bpy.data.objects if obj.session_uid == session_uid), None)
-    if obj is None:
-        raise SceneError("The object was deleted while the job ran: nothing was written")
-    return obj
+    """The object with this session id, where its name is not known. Raises SceneError."""
+    return ObjectHandle(session_uid, "").find()
 
 
 def named_targets(obj) -> list[tuple]:

@@ -113,11 +113,11 @@ class JobOperator(SoftSkinOperator):
 
     def _done(self, batch):
         for job in batch.jobs:
-            built_first = job.bake and job.reasons
+            built_first = job.input.is_bake and job.reasons
             text = rpt_("{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}")
             self.report({"INFO"}, text.format(name=job.name, result=job.summary(), reasons="; ".join(job.reasons)))
-            if job.rehearsed:
-                self.report({"INFO"}, f"{job.name}: {job.rehearsed}")
+            if job.outcome.rehearsed:
+                self.report({"INFO"}, f"{job.name}: {job.outcome.rehearsed}")
         for job in batch.jobs:
             for warning in job.warnings:  # last, because the status bar shows the last report
                 self.report({"WARNING"}, warning)

@@ -72,7 +72,10 @@ class EndsLive(JobOperator):
         return result
 
     def _look(self, context):
-        obj = skin.find(self.batch.jobs[0].session_uid)
+        request = self.batch.jobs[0].request
+        if request.scene.find() != context.scene:  # the artist has gone on in another one
+            return
+        obj = request.object.find()
         obstacle = live.obstacle(obj)
         if obstacle:
             raise SceneError(obstacle)
@@ -154,6 +157,8 @@ class PreviewOperator(FleshOperator):
 
     def _tick(self):
         """Show the frame that is due now. A slow window drops frames, as playback does."""
+        if rig_motion.render_runs():  # which reads what would be written
+            return {"RUNNING_MODAL"}
         due = 1 + int((time.monotonic() - self.began) * self.fps) - self.done
         frames = list(islice(self.left, due))
         self.done += len(frames)

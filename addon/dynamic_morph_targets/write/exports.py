@@ -20,7 +20,7 @@ from ..io import glb, model_file, point_cache
 from ..scene import animation, checks, skin
 from ..scene.references import key_points, rig_of
 from ..scene.skin import followers
-from . import actions, bake
+from . import actions, bake, bake_reading
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _write_usd(_obj, path: Path, frames, _takes):
 def _write_raw(obj, path: Path, _frames, _takes):
     """One row per frame, whatever the bake's samples are, because players count frames."""
     basis = key_points(obj.data.shape_keys.reference_key)
-    model_file.save(path, point_cache.raw(bake.read_back(obj), basis, _fps()))
+    model_file.save(path, point_cache.raw(bake_reading.read_back(obj), basis, _fps()))
 
 
 def _fps() -> float:

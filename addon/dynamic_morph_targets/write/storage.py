@@ -17,26 +17,30 @@ from .reconcile import reconcile
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 
-def store_model(obj, packed: bytes, folder: Path | None = None):
-    """Store a packed model with `obj`: in the .blend, or, if it is large, in a file according to the preferences.
+def model_path(name: str, packed: bytes, folder: Path | None = None) -> Path | None:
+    """The file for a packed model of the object `name` that is too large for the .blend; None for one that is not.
 
-    folder: of the .blend that the model belongs to, by default the open one. Files are named by their content: a copy
-    of the object shares its file, and a new build never overwrites one that another .blend may use.
+    folder: of the .blend that the model belongs to; by default of the open one. Raises SceneError when there is none.
+    Files are named by their content: a copy of the object shares its file, and a new build never overwrites one that
+    another .blend may use.
     """
-    content_id = model_file.content_id(packed)
-    if len(packed) > PACK_LIMIT:
-        folders = preferences.model_folders(folder or blend_folder())
-        if not folders:
-            raise SceneError(
-                f"The model of '{obj.name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
-                ".blend: save the .blend first"
-            )
-        model_file.save(folders[0] / f"{content_id}.dynamorph", packed)
-        obj.pop(PACKED, None)
-    else:
-        obj.pop(PACKED, None)
+    if len(packed) <= PACK_LIMIT:
+        return None
+    folders = preferences.model_folders(folder or blend_folder())
+    if not folders:
+        raise SceneError(
+            f"The model of '{name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
+            ".blend: save the .blend first"
+        )
+    return folders[0] / f"{model_file.content_id(packed)}.dynamorph"
+
+
+def keep_model(obj, packed: bytes, file: Path | None = None):
+    """Note a packed model with `obj`: in the .blend, or that it is in a file, which must be there already."""
+    obj.pop(PACKED, None)
+    if file is None:
         obj[PACKED] = _as_numbers(packed)  # exporters of Blender's own crash on bytes with zeros in them
-    obj.dynamorph.model.content_id = content_id
+    obj.dynamorph.model.content_id = model_file.content_id(packed)
 
 
 def _as_numbers(packed: bytes) -> array:

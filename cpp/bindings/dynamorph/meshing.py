@@ -14,8 +14,9 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -30,6 +31,9 @@ RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
 # only.
 FAULT_VARIABLE = "DYNAMORPH_MESHER_FAULT"
 
+Progress = Callable[[float], bool]  # called with 0..1, returns False to cancel
+Surface = tuple[np.ndarray, np.ndarray]  # vertices (V, 3) and triangles (T, 3)
+
 
 class _MesherFailed(Error):
     """Another cage may work."""
@@ -40,7 +44,7 @@ def mesh_body(
     triangles: np.ndarray,
     target_nodes: int,
     *,
-    cage: tuple[np.ndarray, np.ndarray] | None = None,
+    cage: Surface | None = None,
     thickness: float = 0.0,
     grading: float = 0.0,
     moved: np.ndarray | None = None,
@@ -48,7 +52,7 @@ def mesh_body(
     held: float = 0.4,
     time_limit: float | None = None,
     memory_limit_gb: float = 4.0,
-    progress: Callable[[float], bool] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     """Wraps a closed cage around any triangle soup and fills it with about `target_nodes` nodes.
 
@@ -82,7 +86,9 @@ def mesh_body(
     raise Error(str(failure))
 
 
-def _mesh_in_child(arrays: list[np.ndarray], arguments: list, progress) -> tuple[np.ndarray, np.ndarray, TetMesh]:
+def _mesh_in_child(
+    arrays: list[np.ndarray], arguments: list[float], progress: Progress | None
+) -> tuple[np.ndarray, np.ndarray, TetMesh]:
     with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as answer:
         for array in arrays:
             np.save(request, array, allow_pickle=False)
@@ -93,7 +99,7 @@ def _mesh_in_child(arrays: list[np.ndarray], arguments: list, progress) -> tuple
     return vertices, triangles, TetMesh(nodes, tets)
 
 
-def _closed(cage: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+def _closed(cage: Surface | None) -> Surface:
     """The artist's cage, welded and outward, or an empty one for None. Raises Error when it has holes."""
     if cage is None:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
@@ -135,20 +141,20 @@ def _angle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), np.einsum("mi,mi->m", first, second)))
 
 
-def _checked(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    arrays = np.asarray(vertices, np.float64), np.asarray(triangles, np.int32)
+def _checked(vertices: np.ndarray, triangles: np.ndarray) -> Surface:
+    arrays: Surface = np.asarray(vertices, np.float64), np.asarray(triangles, np.int32)
     for name, array in zip(("vertices", "triangles"), arrays, strict=True):
         if array.ndim != 2 or array.shape[1] != 3:
             raise ValueError(f"{name}: expected shape (any, 3), got {array.shape}")
     return arrays
 
 
-def _run_child(arguments: list, request, answer, progress: Callable[[float], bool] | None) -> None:
+def _run_child(arguments: list[float], request: IO[bytes], answer: IO[bytes], progress: Progress | None) -> None:
     """Runs `_child` on open files. Its standard error carries progress (numbers) and, at the end, a message."""
     time_limit, memory_limit_gb = arguments[1:3]
     # Isolated, with our own paths: the child must not see the artist's Python environment. Inside Blender it runs
     # Blender's bundled Python.
-    paths = [str(Path(module.__file__).absolute().parent.parent) for module in (sys.modules["dynamorph"], np)]
+    paths = [str(Path(file).absolute().parent.parent) for file in (__file__, np.__file__)]
     code = f"import sys; sys.path[:0] = {paths!r}; from dynamorph.meshing import _child; _child()"
     command = [sys.executable, "-I", "-S", "-c", code, *map(str, arguments)]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves memory, and memory is limited
@@ -159,7 +165,9 @@ def _run_child(arguments: list, request, answer, progress: Callable[[float], boo
         )  # fmt: skip
     except OSError as error:
         raise Error(f"The mesher could not be started ({error}). Reinstall the add-on.") from error
-    fraction, message = [0.0], []
+    assert child.stderr is not None  # it is a pipe
+    fraction = [0.0]
+    message: list[str] = []
     reader = threading.Thread(target=_read_reports, args=(child.stderr, fraction, message), daemon=True)
     reader.start()
     deadline = time.monotonic() + time_limit
@@ -178,7 +186,7 @@ def _run_child(arguments: list, request, answer, progress: Callable[[float], boo
     _raise_failure(child.returncode, "\n".join(message), memory_limit_gb)
 
 
-def _read_reports(stream, fraction: list[float], message: list[str]) -> None:
+def _read_reports(stream: Iterable[str], fraction: list[float], message: list[str]) -> None:
     for line in stream:
         try:
             fraction[0] = float(line)
@@ -211,7 +219,7 @@ def _child() -> None:
     _limit_resources(time_limit, memory_limit_gb)
     try:
         _fault(os.environ.get(FAULT_VARIABLE, ""), resolution)
-        body, (moved, bones), cage = _load(2), _load(2), _load(2)
+        body, (moved, bones), cage = _load_pair(), _load_pair(), _load_pair()
         if len(cage[1]):
             wanted = int(_surface_share(target_nodes) * target_nodes)
             cage = _graded(_refined(cage, _coarser(wanted, moved)), wanted, body, moved)
@@ -222,14 +230,14 @@ def _child() -> None:
             np.save(sys.stdout.buffer, array, allow_pickle=False)
     except (Error, ValueError) as error:
         print(error, file=sys.stderr)
-        codes = {_MesherFailed: EXIT_MESHER, Error: EXIT_ERROR}
+        codes: dict[type[Exception], int] = {_MesherFailed: EXIT_MESHER, Error: EXIT_ERROR}
         sys.exit(codes.get(type(error), EXIT_CALLER))
     except MemoryError:
         sys.exit(EXIT_MEMORY)
 
 
-def _load(count: int) -> list[np.ndarray]:
-    return [np.load(sys.stdin.buffer, allow_pickle=False) for _ in range(count)]
+def _load_pair() -> tuple[np.ndarray, np.ndarray]:
+    return np.load(sys.stdin.buffer, allow_pickle=False), np.load(sys.stdin.buffer, allow_pickle=False)
 
 
 def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
@@ -244,10 +252,19 @@ def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
 
 
-def _wrapped(body, moved, bones, held: float, target_nodes: int, thickness: float, resolution: float) -> tuple:
+def _wrapped(
+    body: Surface,
+    moved: np.ndarray,
+    bones: np.ndarray,
+    held: float,
+    target_nodes: int,
+    thickness: float,
+    resolution: float,
+) -> tuple[np.ndarray, ...]:
     """Wraps cages until good tets need about `target_nodes` nodes: neither too many, nor too few for lack of room."""
     cage_vertices = _surface_share(target_nodes) * target_nodes * resolution
-    best, best_error = (), math.inf
+    best: tuple[np.ndarray, ...] = ()
+    best_error = math.inf
     for attempt in range(3):
         progress = functools.partial(_report, attempt)
         wanted = max(int(cage_vertices), 4)
@@ -273,27 +290,27 @@ def _coarser(vertices: int, moved: np.ndarray) -> int:
     return max(int((1 - 0.4 * moved.max(initial=0.0)) * vertices), 4)
 
 
-def _graded(cage, target_vertices: int, body, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _graded(cage: Surface, target_vertices: int, body: Surface, moved: np.ndarray) -> Surface:
     """The same surface with `target_vertices` vertices, denser where the body moves more nearby."""
     return _refined(cage, target_vertices, 1 + 4 * _moved_nearby(cage, body, moved)) if moved.any() else cage
 
 
-def _refined(cage, target_vertices: int, fineness: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def _refined(cage: Surface, target_vertices: int, fineness: np.ndarray | None = None) -> Surface:
     """The same surface with at least `target_vertices` vertices: its longest edge is halved repeatedly.
 
     fineness (C,): a factor at each vertex by which edges there count as longer than they are.
     """
     vertices, triangles = cage
     points = [tuple(point) for point in vertices.tolist()]
-    fineness = [1.0] * len(points) if fineness is None else fineness.tolist()
-    opposite = {}  # the corner opposite a directed edge
+    fineness_of = [1.0] * len(points) if fineness is None else fineness.tolist()
+    opposite: dict[tuple[int, int], int] = {}  # the corner opposite a directed edge
     for a, b, c in triangles.tolist():
         opposite |= {(a, b): c, (b, c): a, (c, a): b}
     if len(opposite) < triangles.size:  # some edge has more than two triangles
         return vertices, triangles
 
     def length(a: int, b: int) -> float:
-        return math.dist(points[a], points[b]) * (fineness[a] + fineness[b])
+        return math.dist(points[a], points[b]) * (fineness_of[a] + fineness_of[b])
 
     heap = [(-length(a, b), a, b) for a, b in opposite if a < b]
     heapq.heapify(heap)
@@ -301,7 +318,7 @@ def _refined(cage, target_vertices: int, fineness: np.ndarray | None = None) -> 
         _, a, b = heapq.heappop(heap)
         c, d, middle = opposite.pop((a, b)), opposite.pop((b, a)), len(points)
         points.append(tuple((p + q) / 2 for p, q in zip(points[a], points[b], strict=True)))
-        fineness.append((fineness[a] + fineness[b]) / 2)
+        fineness_of.append((fineness_of[a] + fineness_of[b]) / 2)
         for p, q, r in ((a, middle, c), (middle, b, c), (b, middle, d), (middle, a, d)):
             opposite |= {(p, q): r, (q, r): p, (r, p): q}
         for end in (a, b, c, d):
@@ -309,7 +326,7 @@ def _refined(cage, target_vertices: int, fineness: np.ndarray | None = None) -> 
     return np.array(points), np.array([(a, b, c) for (a, b), c in opposite.items() if a < min(b, c)], np.int32)
 
 
-def _moved_nearby(cage, body, moved: np.ndarray) -> np.ndarray:
+def _moved_nearby(cage: Surface, body: Surface, moved: np.ndarray) -> np.ndarray:
     """How much the body moves near each vertex (C,) of the cage. This fades out over two cage edges."""
     vertices, triangles = cage
     moving = np.flatnonzero(moved > 0.05)
@@ -322,7 +339,7 @@ def _moved_nearby(cage, body, moved: np.ndarray) -> np.ndarray:
     return nearby
 
 
-def _filled(cage, body, bones, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
+def _filled(cage: Surface, body: Surface, bones: np.ndarray, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
     """The cage, and the nodes and tets that fill it. Raises _MesherFailed."""
     try:
         inner = points_on_bones(*cage, *body, bones[:, 0], bones[:, 1], held)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the phases of a job hand on: plain values, without bpy."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..core.baked import Bake
+from ..core.character import Character, Follower
+from ..core.judge import Limits, Verdict
+from ..core.rig_samples import RigSamples
+from ..core.settings import OutputSettings, SimulationSettings
+from ..io.cache_dir import Share
+
+
+class Progress:
+    """How far a job is, and whether it is to stop: what its thread and the window tell each other."""
+
+    def __init__(self):
+        self.fraction = 0.0
+        self.message = ""
+        self.cancelled = False
+        self.seconds: dict[str, float] = {}  # by stage
+
+    def part(self, begin: float, end: float):
+        """progress(fraction, message) -> bool of a part of the work; False when it is to stop."""
+
+        def progress(fraction: float, message: str) -> bool:
+            self.fraction = begin + (end - begin) * fraction
+            self.message = message
+            return not self.cancelled
+
+        return progress
+
+    @contextmanager
+    def stage(self, name: str):
+        """Count the seconds that it takes."""
+        began = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+
+
+@dataclass
+class BakeInput:
+    """What was read of Blender for a job, but for the moving rig.
+
+    name: of the job, for messages. goal: BUILD, BUILD_CAGE or BAKE. followers: the other meshes that the flesh carries
+    along. inputs: the settings that the bake depends on. before: the bakes that these frames are to become parts of.
+    """
+
+    name: str
+    goal: str
+    character: Character
+    followers: list[Follower] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    # The model.
+    previous: object = None  # the one that the object has, or that another process shares; its cage may serve
+    model: object = None  # that one, if it is up to date
+    shared_model: object = None
+    share: Share | None = None  # where built models and unfinished bakes are kept for other processes
+    shares_model: bool = False
+    reasons: list[str] = field(default_factory=list)  # why the model is to be built
+    built_from: str = ""  # the settings, as JSON
+    # The shot.
+    settings: SimulationSettings | None = None
+    inputs: dict = field(default_factory=dict)
+    whole: bool = True  # it is read as one chunk
+    limits: Limits = Limits()  # noqa: RUF009
+    rehearsed_from: float = 0.0  # the frequency in Hz that a rehearsal begins with; 0: there is none
+    before: list[Bake] = field(default_factory=list)
+    kept: Path | None = None  # the file that keeps it for other processes while it is unfinished
+    resumed: dict = field(default_factory=dict)  # what another process kept there
+    first: RigSamples | None = None  # the rig at the first frame, if that was resumed
+    # What the result becomes.
+    output: OutputSettings | None = None  # None: nothing in Blender
+    caches: Path | None = None  # the folder of the .blend, beside which point caches are written
+    cache_files: dict[str, Path] = field(default_factory=dict)  # where they are written instead, by mesh
+
+    @property
+    def is_bake(self) -> bool:
+        return self.goal == "BAKE"
+
+    @property
+    def only_cage(self) -> bool:
+        return self.goal == "BUILD_CAGE"
+
+    @property
+    def is_probed(self) -> bool:
+        """Whether Blender is asked how it moves the nodes of the cage."""
+        return bool(self.settings and self.character.probed and self.character.settings.method != "STATIC")
+
+
+@dataclass
+class Outcome:
+    """What was computed for a job.
+
+    character: with the materials that a build or a rehearsal has found. bake: of the body. carried: of the followers
+    that are not in its cage. written: for each mesh its shape keys, and the file of its point cache or None.
+    """
+
+    character: Character
+    model: object = None
+    packed: bytes | None = None  # the model, if it was built
+    references: list[tuple[float, float]] = field(default_factory=list)  # of it: `calibration.references`
+    warnings: list[str] = field(default_factory=list)
+    inputs: dict = field(default_factory=dict)
+    bake: Bake | None = None
+    carried: list[Bake] = field(default_factory=list)
+    report: dict = field(default_factory=dict)  # of the simulation
+    verdict: Verdict | None = None
+    rehearsed: str = ""  # what the rehearsal has set, in a sentence
+    content_id: str = ""  # hash of all that the bake was made from
+    written: list[tuple[Bake, Path | None]] = field(default_factory=list)
+    new_files: list[Path] = field(default_factory=list)  # of point caches, which were not there before
+    size: int = 0  # of what was written, in bytes
