@@ -231,7 +231,9 @@ def moved(character: Character) -> np.ndarray:
 
 
 def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
-    """Reports which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when that is most of it."""
+    """Reports which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when that is most of
+    it.
+    """
     if character.cage is None:
         return []
     size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))

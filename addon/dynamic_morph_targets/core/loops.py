@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A cycle whose last frame continues with its first: finds the start from which it ends as it began. Never touches bpy."""
+"""A cycle whose last frame continues with its first: finds the start from which it ends as it began. Never touches
+bpy.
+"""
 
 from __future__ import annotations
 

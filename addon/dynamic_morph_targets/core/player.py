@@ -147,7 +147,9 @@ class Player:
         return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
 
     def pose_gap(self, rig: RigSamples) -> float:
-        """The largest distance, in meters, of the skin of the last pose from that of the first, after a rigid motion."""
+        """The largest distance, in meters, of the skin of the last pose from that of the first, after a rigid
+        motion.
+        """
         first, last = self._ends(rig)
         turn, shift = _rigid_fit(last, first)
         return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))

@@ -61,7 +61,9 @@ def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
 
 
 class Posing:
-    """A character's poses. probed: whether `RigSamples.nodes` determines where its nodes are, because the bones do not."""
+    """A character's poses. probed: whether `RigSamples.nodes` determines where its nodes are, because the bones do
+    not.
+    """
 
     def __init__(self, model: Model, character: Character, probed: bool):
         self._model = model
@@ -98,7 +100,9 @@ class Posing:
         return self.frames(RigSamples(pose, rig_world, object_world, nodes=rig.held))
 
     def skinned(self, rig: RigSamples) -> np.ndarray:
-        """The skin at rest, posed by the rig: (S, V, 3), world space; of a probed skin, the part whose motion is known."""
+        """The skin at rest, posed by the rig: (S, V, 3), world space; of a probed skin, the part whose motion is
+        known.
+        """
         return np.array([self.skin.posed(frame) for frame in self.frames(rig)])[:, self.skin.known]
 
     @cached_property

@@ -57,12 +57,16 @@ class Share:
         return self.folder / f"{_hash([VERSION, blender, *depends_on])}.unfinished"
 
     def unfinished(self, path: Path, model: Model) -> dict[str, np.ndarray]:
-        """The arguments of `simulate.Shot.resume`, and the last `pose`, of a bake with this model; empty without one."""
+        """The arguments of `simulate.Shot.resume`, and the last `pose`, of a bake with this model; empty without
+        one.
+        """
         found = self._read(path)
         return found[0] if found and found[1].get("model") == _modes_hash(model) else {}
 
     def keep(self, path: Path, shot: Shot, pose: np.ndarray) -> None:
-        """Store the finished part of a `simulate.Shot` up to this pose (B, 4, 4), in place of the part stored before."""
+        """Store the finished part of a `simulate.Shot` up to this pose (B, 4, 4), in place of the part stored
+        before.
+        """
         meta = {"model": _modes_hash(shot.player.model)}
         model_file.save(path, model_file.pack(shot.kept() | {"pose": pose}, meta))
 

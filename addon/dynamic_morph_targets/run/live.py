@@ -33,7 +33,9 @@ def is_on(obj: bpy.types.Object) -> bool:
 
 
 def obstacle(obj: bpy.types.Object) -> str:
-    """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by `turn_on`."""
+    """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by
+    `turn_on`.
+    """
     if obj.dynamorph.bake.exists:
         return "The bake shows the motion already: press Delete Bake first"
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]

@@ -261,7 +261,9 @@ class Session:
         self.flesh.player = player
 
     def _reach(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
-        """Simulate up to a frame: from the last one on, or, if playback cannot have come from there, beginning at it."""
+        """Simulate up to a frame: from the last one on, or, if playback cannot have come from there, beginning at
+        it.
+        """
         settings = self.flesh.player.settings
         starts = arrives and number == settings.start
         if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:

@@ -110,7 +110,9 @@ class Reading:
         self._sampling: rig_motion.RigSampling | None = None
 
     def advance(self, obj: bpy.types.Object, seconds: float = np.inf) -> bool:
-        """Reads on for about so many seconds; True when everything is read. Raises SceneError, which the shot records."""
+        """Reads on for about so many seconds; True when everything is read. Raises SceneError, which the shot
+        records.
+        """
         try:
             if self._sampling is None:
                 self._sampling = rig_motion.RigSampling(obj, self._shot.start, self._shot.end, 1)
@@ -225,7 +227,9 @@ _bars_drawn = False  # since the last change of frame
 
 
 def follow_frames() -> None:
-    """Called where bars are drawn: redraws them at the next frame, because Blender plays without redrawing the sidebar."""
+    """Called where bars are drawn: redraws them at the next frame, because Blender plays without redrawing the
+    sidebar.
+    """
     global _bars_drawn
     _bars_drawn = True
 

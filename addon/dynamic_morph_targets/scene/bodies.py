@@ -175,7 +175,9 @@ class _Whole:
 
 
 def _attached(obj, own: Character, groups, meshes: list[_Mesh]) -> tuple[np.ndarray, np.ndarray]:
-    """The attachments (V,) of all meshes, like `Character.pieces`, and which (V,) of them are held. Raises SceneError."""
+    """The attachments (V,) of all meshes, like `Character.pieces`, and which (V,) of them are held. Raises
+    SceneError.
+    """
     pieces, held = [own.pieces.copy()], [_held(parts_in(obj), groups, len(own.vertices))]
     wholly = {piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "HELD"}
     for mesh in meshes:

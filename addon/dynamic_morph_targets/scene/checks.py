@@ -147,7 +147,9 @@ def nothing_soft(obj) -> str:
 
 
 def meshes_on(rig) -> list:
-    """The mesh objects of the scene that an armature moves: those that it skins, and those parented to it or its bones."""
+    """The mesh objects of the scene that an armature moves: those that it skins, and those parented to it or its
+    bones.
+    """
     hanging = set(rig.children_recursive)
     return [
         other

@@ -11,7 +11,9 @@ SKINNING_FIELDS = ("use_deform_preserve_volume", "use_multi_modifier", "vertex_g
 
 
 def beyond_bones(obj) -> str:
-    """What makes Blender's skinning of `obj` more than sums of bone matrices, which the engine supports; '' if nothing."""
+    """What makes Blender's skinning of `obj` more than sums of bone matrices, which the engine supports; '' if
+    nothing.
+    """
     modifiers = armature_modifiers(obj)
     if len(modifiers) > 1:
         return "several Armature modifiers"

@@ -30,7 +30,9 @@ FEWEST_BONES = 3  # bones that carry the parts of a wholly hard character
 
 
 def find(obj) -> list[str]:
-    """Add the attachments of the soft skin `obj` that are not in its list yet; returns their names. Raises SceneError."""
+    """Add the attachments of the soft skin `obj` that are not in its list yet; returns their names. Raises
+    SceneError.
+    """
     if obj.dynamorph.model.one_cage:
         return _find_in_body(obj)
     objects, parts = [(other, _choice(other)) for other in _siblings(obj)], _parts(obj)

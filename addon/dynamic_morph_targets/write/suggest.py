@@ -35,7 +35,9 @@ BENDS = AXES[[0, 2]]  # of a bone, whose length is along y
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A possible target: a shape key, the bones that turn it on, and the pose as returned by `rig_motion.current_pose`."""
+    """A possible target: a shape key, the bones that turn it on, and the pose as returned by
+    `rig_motion.current_pose`.
+    """
 
     key: str
     bones: list[str]
