@@ -68,7 +68,7 @@ class Target:
     name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
-    angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the flesh's
+    angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the tissue's
     motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where the material says it;
     by_hand: whether the artist has set it, so that no rehearsal changes it and it does not follow the neutral target.
     """
@@ -113,7 +113,7 @@ class Character:
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
     deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
-    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
+    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's tissue is. pieces (V,): 0
     with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
     rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
     with the hold by thickness the cage is held there. painted: whether the artist painted `softness`, which then says

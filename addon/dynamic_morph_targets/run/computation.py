@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a job's thread computes of what was read: model, motion, verdict and keys. Neither this nor what it imports
-touches bpy.
+"""What a job's thread computes from its input: model, motion, verdict and keys. Neither this module nor its imports
+touch bpy.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from ..core.rig_samples import RigSamples
 from ..io import model_file, paths, point_cache
 from .job_data import BakeInput, Outcome, Progress
 
-CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
-READ = 0.2  # of a job, the part after which the rig is read
-FADE = 5  # frames in which a part that is baked again goes over into the rest
+CAGE = 0.1  # fraction of a job for a cage that is needed before the rig is read
+READ = 0.2  # fraction of a job after which the rig is read
+FADE = 5  # frames over which a part that is baked again blends into the rest
 
 
 class Computation:
@@ -45,21 +45,21 @@ class Computation:
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
         self._chunks = 0  # that were simulated
         self._best: tuple = ()  # what the rehearsal keeps: the character, and its bake, report and verdict
-        self._rehearsal = None  # until it has found out
+        self._rehearsal = None  # until it has finished
         if given.rehearsed_from:
             self._rehearsal = Rehearsal(given.rehearsed_from)
             self.outcome.rehearsed = f"Bounce of {given.rehearsed_from:.3g} Hz keeps the skin within Max Displacement"
 
     @property
     def needs_cage(self) -> bool:
-        """Whether there must be a cage before the rig is read, because Blender is asked how it moves its nodes."""
+        """Whether a cage must exist before the rig is read, because Blender poses its nodes."""
         build, _ = engine.engine()
         given = self.given
         return given.is_probed and not (self.previous and build.has_cage(self.previous, given.character))
 
     @property
     def needs_chunk(self) -> bool:
-        """Whether there is another chunk to be read and computed, after one is."""
+        """Whether another chunk must be read and computed after one is done."""
         begins_again = self._chunks > 0 and self.shot is None
         return begins_again or (self.shot is not None and not self.shot.is_complete)
 
@@ -69,7 +69,7 @@ class Computation:
         return self.shot.done if self.shot else len(self.given.resumed.get("coordinates", ()))
 
     def make_cage(self):
-        """What must be there before the rig is read."""
+        """Build what must exist before the rig is read."""
         build, _ = engine.engine()
         with self.progress.stage("build"):
             progress = self.progress.part(0.0, CAGE)
@@ -100,7 +100,7 @@ class Computation:
     def take(self, samples: RigSamples):
         """Check what was read of the rig, and go on with that as `rig`. Raises SceneError."""
         before = self.rig.pose[-1] if self.rig else self.given.resumed.get("pose")
-        if before is not None:  # the frame that was the last is the first again
+        if before is not None:  # the last frame becomes the first again
             samples = samples[1:]
         self.rig, found = samples, []
         if len(samples):
@@ -132,7 +132,7 @@ class Computation:
             self.outcome.model, self.outcome.packed = model, model_file.pack(*model.to_arrays())
 
     def _simulate(self, simulate) -> bool:
-        """Play the chunk; True when the shot is complete, and no rehearsal asks for another one."""
+        """Simulate the chunk; True when the shot is complete, and no rehearsal needs another pass."""
         while True:
             self._play(simulate)
             if not self.shot.is_complete:
@@ -146,7 +146,7 @@ class Computation:
             self._chunks, self.shot = 0, None
 
     def _play(self, simulate):
-        """The shot, on to the end of the rig that was read."""
+        """Simulate the shot to the end of the rig that was read."""
         given, outcome = self.given, self.outcome
         with self.progress.stage("simulate"):
             if self.shot is None:
@@ -156,7 +156,7 @@ class Computation:
                     self.shot.resume(given.resumed, given.first)
             self.shot.play(self.rig)
             self._chunks += 1
-        if given.kept and len(self.rig):  # else nothing was left to do
+        if given.kept and len(self.rig):  # otherwise nothing was left to do
             given.share.keep(given.kept, self.shot, self.rig.pose[-1])
 
     def _judge(self):
@@ -168,7 +168,7 @@ class Computation:
         outcome.report["inverted_volume"] = outcome.verdict.inverted
 
     def _rehearse_again(self) -> bool:
-        """Go on with another frequency, if there is a rehearsal and it asks for one; else with the best."""
+        """Continue with another frequency, if a rehearsal asks for one; otherwise with the best."""
         rehearsal, outcome, limits = self._rehearsal, self.outcome, self.given.limits
         if not rehearsal:
             return False
@@ -192,7 +192,7 @@ class Computation:
 
 
 def adopt(outcome: Outcome, character):
-    """Go on with other materials, which are stored when the job is written."""
+    """Continue with other materials, which are stored when the job is written."""
     outcome.character = character
     neutrals = np.cumsum([0, *(len(each.targets) for each in character.target_sets)])
     for index, target in enumerate(character.targets):
@@ -203,7 +203,9 @@ def adopt(outcome: Outcome, character):
 
 
 def finish(given: BakeInput, outcome: Outcome, progress: Progress):
-    """What the simulated shot becomes, and what is to be said about it. Raises SceneError, SelfCheckError, OSError."""
+    """Make the result from the simulated shot, and the messages about it. Raises SceneError, SelfCheckError,
+    OSError.
+    """
     from ..core import followers  # which needs the engine
 
     outside = [] if given.character.parts else given.followers
@@ -229,7 +231,9 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress):
 
 
 def of_meshes(given: BakeInput, model, bake: Bake) -> list[Bake]:
-    """A bake of the whole body as one of each mesh, if they are in one cage; else it is of one mesh already."""
+    """A bake of the whole body divided into one per mesh, if they are in one cage; otherwise it is of one mesh
+    already.
+    """
     character = given.character
     if not character.parts:
         return [bake]
@@ -240,7 +244,7 @@ def of_meshes(given: BakeInput, model, bake: Bake) -> list[Bake]:
 
 
 def _splice(given: BakeInput, outcome: Outcome):
-    """Make the results parts of the bakes that there were."""
+    """Make the results parts of the existing bakes."""
     parts = zip(given.before, (outcome.bake, *outcome.carried), _to_metres(given, outcome), strict=True)
     spliced = [splice(before, part, FADE, to_metres) for before, part, to_metres in parts]
     outcome.bake, *outcome.carried = (bake for bake, _ in spliced)
@@ -254,7 +258,7 @@ def _to_metres(given: BakeInput, outcome: Outcome) -> list[np.ndarray]:
 
 
 def _make_keys(given: BakeInput, outcome: Outcome):
-    """What the results become, apart from Blender: shape keys, and the files of point caches."""
+    """The form of the results apart from Blender: shape keys, and the files of point caches."""
     character = given.character
     names = character.name, *(follower.name for follower in given.followers)
     points_of = character.vertices[character.own], *(follower.points for follower in given.followers)
@@ -275,7 +279,7 @@ def _make_keys(given: BakeInput, outcome: Outcome):
 
 
 def _point_cache(given: BakeInput, outcome: Outcome, name: str, points: np.ndarray, bake: Bake):
-    """The file that plays the bake of the mesh `name`, written, if there is to be one."""
+    """Write the file that plays the bake of the mesh `name`, if there should be one."""
     sink, fps = given.output.sink, given.settings.fps
     if sink not in point_cache.CACHES:
         return None
