@@ -503,22 +503,31 @@ def test_bounce_is_the_flesh_s_own(built_arm):
     assert built_arm.dynamorph.model.content_id == content and not built_arm.dynamorph.model.stale
 
 
-def test_settle_time_is_in_seconds_whatever_the_frame_rate(scene, built_arm):
+def test_settle_is_in_frames_of_the_scene(scene, built_arm):
     target = built_arm.dynamorph.targets[1]
     proportion, stiffness = target.mass_damping / target.stiffness_damping, target.stiffness
-    target.settle = 1.25
-    assert bounce(built_arm, target).settle == pytest.approx(1.25, rel=1e-3)
+    target.settle = 30.0
+    assert bounce(built_arm, target).settle * 24.0 == pytest.approx(30.0, rel=1e-3)
     assert target.mass_damping / target.stiffness_damping == pytest.approx(proportion, rel=1e-5)
     assert target.stiffness == stiffness
     scene.render.fps = 60
-    assert target.settle == pytest.approx(1.25, rel=1e-3)
+    assert target.settle == pytest.approx(75.0, rel=1e-3)
+
+
+def test_settle_time_is_in_seconds_whatever_the_frame_rate(scene, built_arm):
+    target = built_arm.dynamorph.targets[1]
+    target.settle_time = 1.25
+    assert bounce(built_arm, target).settle == pytest.approx(1.25, rel=1e-3)
+    assert target.settle == pytest.approx(30.0, rel=1e-3)
+    scene.render.fps = 60
+    assert target.settle_time == pytest.approx(1.25, rel=1e-3)
 
 
 def test_what_damping_forbids(built_arm):
     target = built_arm.dynamorph.targets[1]
-    target.settle = 0.2 / 24.0
+    target.settle = 0.2
     critical = bounce(built_arm, target)
-    assert critical.frequency < 0.1 and target.settle > 0.2 / 24.0
+    assert critical.frequency < 0.1 and target.settle > 0.2
     target.mass_damping, target.stiffness_damping = 200.0, 0.02  # it creeps at any stiffness
     settle = target.settle
     assert target.bounce == 0.0
@@ -526,8 +535,8 @@ def test_what_damping_forbids(built_arm):
     assert target.bounce == pytest.approx(3.0, rel=1e-3) and target.settle == pytest.approx(settle, rel=1e-3)
     target.mass_damping = target.stiffness_damping = 0.0
     assert target.settle == pytest.approx(1e5)
-    target.settle = 0.8
-    assert target.settle == pytest.approx(0.8, rel=1e-3)
+    target.settle = 20.0
+    assert target.settle == pytest.approx(20.0, rel=1e-3)
 
 
 def test_weight_is_density_by_volume(scene, soft_arm):
@@ -598,7 +607,14 @@ def test_undo(built_arm):
 def test_they_are_kept_in_the_file_but_not_in_set_ups(built_arm, tmp_path):
     before = built_arm.dynamorph.targets[1].bounce
     names = set(part("plain").plain(built_arm.dynamorph.targets[1]))
-    assert "stiffness" in names and not names & {"bounce", "settle", "weight", "bounce_reference", "volume"}
+    assert "stiffness" in names and not names & {
+        "bounce",
+        "settle",
+        "settle_time",
+        "weight",
+        "bounce_reference",
+        "volume",
+    }
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "arm.blend"))
     assert bpy.data.objects["Arm"].dynamorph.targets[1].bounce == before > 0.0

@@ -131,7 +131,7 @@ def draw_material(layout, target):
     row.operator("dynamorph.fit_material", text="Fit Bounce")
     units = column.column(align=True)
     units.enabled = target.is_measured
-    for name in ("bounce", "settle", "weight"):
+    for name in ("bounce", "settle_time", "weight"):
         units.prop(target, name)
     if not target.is_measured:
         column.label(text="Build Model first", icon="INFO")
