@@ -55,6 +55,7 @@ class Flesh:
         for follower in extract.followers(obj, self.character):
             if follower.members:
                 moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
+                shapes = moved, kept
             else:
                 shapes = carrying.carried(self.model, nodes, follower)
             handle = skin.ObjectHandle(follower.session_uid, follower.name)
