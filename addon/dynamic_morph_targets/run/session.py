@@ -208,7 +208,7 @@ class Session:
             values += share * (self.flesh.values(self._frames[before + 1]) - values)
         if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise errors.SelfCheckError(
-                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' influence"
+                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' Motion Amount"
             )
         return values
 

@@ -38,7 +38,8 @@ class DynamorphSettings(PropertyGroup):
     groups: StringProperty(name="Groups", description="Names of the vertex groups, one per line, to follow renames")
     stiffness_group: StringProperty(
         name="Stiffness Map",
-        description="Vertex group of places that are stiffer or softer than the targets say. Factor sets by how much",
+        description="Vertex group of places that are stiffer or softer than the targets say. Stiffness Factor sets by "
+        "how much",
         override=OVERRIDE,
     )
     stiffness_factor: FloatProperty(

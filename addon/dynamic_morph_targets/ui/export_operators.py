@@ -20,7 +20,11 @@ from .base import SoftSkinOperator, guarded, listed
 from .job_operators import JobOperator
 
 LINE = 60  # characters per line in the file browser's sidebar
-FORMATS = [(key, each.label, each.description) for key, each in exports.FORMATS.items() if each.is_available]
+FORMATS = [
+    (key, each.label, each.description, number)
+    for number, (key, each) in enumerate(exports.FORMATS.items())
+    if each.is_available
+]
 SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
 
 

@@ -23,7 +23,7 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
     preset: EnumProperty(
         name="Material",
         description="Measured material of the soft tissue at this target",
-        items=[(key, preset.label, preset.source) for key, preset in material_presets.PRESETS.items()],
+        items=[(key, p.label, p.source, number) for number, (key, p) in enumerate(material_presets.PRESETS.items())],
     )
 
     @classmethod
