@@ -18,14 +18,15 @@ import time
 import urllib.request
 from pathlib import Path
 
+import measured
 import package
 from PIL import Image, ImageChops
 
 ROOT = Path(__file__).resolve().parent.parent
 CHROOT = Path(os.environ.get("DYNAMORPH_GUI", ROOT / "build/gui")).resolve()
 WORK = ROOT / "build/gui-test"
-GUIDE = ROOT / "docs/user_guide.md"
-BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the guide
+PAGE = ROOT / "docs/window_test.md"
+BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the page
 PICTURES = ROOT / "docs/images/guide"
 CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part does without, and says so
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
@@ -198,18 +199,20 @@ def print_table(found: dict):
         print(f"{name:{width}}  {value}")
 
 
-def write_measured(measured: dict[str, str]):
-    """Into the guide, as a table."""
-    before, begin, rest = GUIDE.read_text(encoding="utf-8").partition(BEGIN)
+def write_measured(values: dict[str, str]):
+    """Write the table of the page, and the commit at which it was measured."""
+    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
     if not end:
-        raise Failed(f"{GUIDE.name}: the marks {BEGIN} and {END} are missing")
-    rows = "".join(f"| {name} | {value} |\n" for name, value in measured.items())
-    GUIDE.write_text(f"{before}{begin}\n| | |\n|---|---|\n{rows}{end}{after}", encoding="utf-8")
+        raise Failed(f"{PAGE.name}: the marks {BEGIN} and {END} are missing")
+    rows = "".join(f"| {name} | {value} |\n" for name, value in values.items())
+    PAGE.write_text(f"{before}{begin}\n| | |\n|---|---|\n{rows}{end}{after}", encoding="utf-8")
+    if measured.has_history():
+        measured.stamp(PAGE)
 
 
 def keep_pictures(names: list[str]):
-    """Into the guide, as small files; a picture that looks like the one there stays as it is."""
+    """Write the guide's pictures as small files. A picture that looks like the existing one is not replaced."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name in names:
         kept = PICTURES / f"{name}.png"

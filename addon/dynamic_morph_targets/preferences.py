@@ -27,11 +27,11 @@ class DynamorphPreferences(AddonPreferences):
 
     model_folder: StringProperty(
         name="Model Folder",
-        description="Where models that are too large for the .blend are kept. // is the folder of the .blend",
+        description="Folder for models that are too large for the .blend. // is the folder of the .blend",
         default=MODEL_FOLDER, subtype="DIR_PATH", options={"PATH_SUPPORTS_BLEND_RELATIVE"},
     )  # fmt: skip
     threads: IntProperty(
-        name="Threads", description="How many threads the engine uses; 0 for as many as there are cores",
+        name="Threads", description="How many threads the engine uses. 0 uses as many as there are cores",
         default=0, min=0, max=1024, soft_max=64, update=_threads_changed,
     )  # fmt: skip
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender scenes for the add-on's tests, and what many of them ask about such a scene."""
+"""Blender scenes for the add-on's tests, and common questions about such a scene."""
 
 import hashlib
 import importlib
@@ -159,7 +159,7 @@ def refused(operator, words, **arguments):
 
 
 class StandIn:
-    """Takes the place of the modules build and simulate, to test what surrounds them."""
+    """Replaces the modules build and simulate, to test what surrounds them."""
 
     def __init__(self):
         self.built = 0
@@ -243,7 +243,7 @@ class StandInShot:
 
 
 def fingerprint(obj):
-    """All that a bake may change and Free Bake must restore, as comparable data."""
+    """Everything that a bake may change and Delete Bake must restore, as comparable data."""
     keys = obj.data.shape_keys
     animation = keys.animation_data
     return {

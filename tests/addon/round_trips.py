@@ -338,7 +338,7 @@ FBX, ALEMBIC = by_import("import_scene.fbx", anim_offset=0.0), by_import("wm.ale
 FORMS = (
     Form("Shape Keys", "Blender"),
     Form("Shape Keys, 8", "Blender", keys=8),
-    Form("Shape Key a Frame", "Blender", sink="FRAMES"),
+    Form("Shape Key Per Frame", "Blender", sink="FRAMES"),
     Form("Point Cache (PC2)", "Blender", sink="PC2"),
     Form("PC2, the file", "NumPy", sink="PC2", read=point_cache, local=True),
     Form("Point Cache (MDD)", "Blender", sink="MDD"),

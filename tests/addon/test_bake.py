@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bake simulates: how it begins, how it is resumed, loops, and which modes count how much."""
+"""What a bake simulates: its start, how it resumes, loops, and the effect of gains and influence on the modes."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def simulated(shot, rig=None, **settings):
 
 
 def played(player, shot, frames):
-    """Coordinates of `frames`, asked for one by one as playback does."""
+    """Coordinates of `frames`, requested one by one as playback does."""
     substeps = shot.settings.substeps
     out = []
     for frame in frames:
@@ -84,7 +84,7 @@ def test_gains_scale_the_motion_about_the_targets(shot):
 
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 3}, {"method": "STATIC"}])
 def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
-    """Also an unreduced one, whose few modes are chosen for the motion."""
+    """Even an unreduced one, whose few modes are chosen for the motion."""
     build, simulate = part("engine").engine()
     character = shot.character.with_settings(**change)
     bake, _ = simulate.bake(build.build(character), character, shot.computation.rig, shot.settings)
@@ -107,7 +107,7 @@ def test_gains_are_baked(shot):
 
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 40}, {"method": "STATIC"}])
 def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change):
-    """In their poses, and in between as much of each as its weight is."""
+    """In their poses; in between each contributes by its weight."""
     build, simulate = part("engine").engine()
     character = shot.character.with_settings(**change)
     model = build.build(character)
@@ -202,7 +202,7 @@ def baked(obj, frames, preroll=0, pose="ANIMATED", **job):
 
 
 def test_a_run_up_is_what_came_before(shot, swaying):
-    """From the same first frame on to the last bit; from a later one to a hundredth of the motion, which the slowest
+    """From the same first frame on, to the last bit; from a later one, to a hundredth of the motion, which the slowest
     swing forgets in 40 frames.
     """
     bake = baked(swaying, (1, 60)).result
@@ -239,7 +239,7 @@ def test_a_run_up_comes_in_stretches_too(shot, swaying, tmp_path, monkeypatch):
 
 
 def test_extrapolated_curves_run_up_on_their_course(shot, soft_arm):
-    """Flesh that begins at rest is calm when the shot begins, though the rig moves at three metres a second."""
+    """Tissue that begins at rest is calm when the shot begins, although the rig moves at three meters per second."""
     rig = rig_of(soft_arm)
     soft_arm.parent = rig
     rig.animation_data_clear()
@@ -295,7 +295,7 @@ def test_samples_between_frames_change_nothing_at_the_frames(shot, soft_arm, cha
         assert np.array_equal(getattr(fine.result, name)[::samples], getattr(whole.result, name)), name
     between = fine.result.coordinates[samples // 2 :: samples]
     middle = (whole.result.coordinates[1:] + whole.result.coordinates[:-1]) / 2
-    assert np.abs(between - middle).max() > 1e-3 * np.abs(middle).max()  # no mere interpolation
+    assert np.abs(between - middle).max() > 1e-3 * np.abs(middle).max()  # not merely interpolated
     assert fine.report["steps"] == whole.report["steps"]
     assert fine.summary().startswith("20 frames in ")
 
@@ -420,7 +420,7 @@ def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
 
 
 def test_a_loop_closes_in_velocity_too(shot):
-    """Flesh that springs back undamped crosses its place at the start of a pass long before it does so as fast."""
+    """Undamped tissue crosses its place at the start of a pass long before it does so with the same velocity."""
     rig = cyclic(shot)
     sets = shot.character.target_sets[0]
     springy = {"stiffness": 1e6, "mass_damping": 0.0, "stiffness_damping": 0.0}
@@ -443,7 +443,7 @@ def test_a_loop_closes_in_velocity_too(shot):
 
 
 class Map:
-    """In the place of a loop: an affine map of six numbers."""
+    """Replaces a loop: an affine map of six numbers."""
 
     def __init__(self, factor):
         random = np.random.default_rng(0)
@@ -463,7 +463,7 @@ class Map:
 
 
 def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
-    """Where passes alone would need thousands."""
+    """Passes alone would need thousands."""
     loop = Map(0.999)
     assert part("loops")._accelerate(loop)
     assert loop.passes <= 9
@@ -471,7 +471,7 @@ def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
 
 @pytest.mark.parametrize("factor", [0.999, 1.5, 0.0])
 def test_newtons_method_finds_fixed_points(factor):
-    """That passes alone hardly come nearer to, or leave; or one that they meet at once."""
+    """Some that passes alone hardly approach, or that they leave; or one that they reach at once."""
     loop = Map(factor)
     part("loops")._newton(loop)
     assert loop.is_closed
@@ -541,7 +541,7 @@ def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
 
 @pytest.mark.parametrize("frames", [1, 3, 7, 19])
 def test_a_shot_in_stretches_is_the_shot(soft_arm, shot, frames, monkeypatch):
-    """The same bytes, however long they are; the rig is read again at each."""
+    """The same bytes, however long the chunks are; the rig is read again for each."""
     batch = part("batch")
     monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", frames)
     job = part("job").Job(soft_arm, goal="BAKE")
@@ -619,7 +619,7 @@ def test_frames_that_do_not_adjoin_are_refused(shot, soft_arm):
 
 
 def test_a_bake_is_made_longer(shot, soft_arm):
-    """As if it had been baked in one: there is nothing to blend with."""
+    """As if it had been baked in one piece: there is nothing to blend with."""
     rig_of(soft_arm).pose.bones["lower"].rotation_euler.x = 0.5
     rig_of(soft_arm).pose.bones["lower"].keyframe_insert("rotation_euler", frame=30)
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
@@ -648,7 +648,7 @@ def test_a_range_is_baked_into_other_sinks(shot, soft_arm, tmp_path, sink):
 
 
 def test_numbers_that_are_none_are_refused_before_keys_are_made(shot, soft_arm, tmp_path, monkeypatch):
-    """And before a file of a point cache is written."""
+    """And before the file of a point cache is written."""
     simulate, errors, batch, job = part("simulate"), part("errors"), part("batch"), part("job")
     whole = simulate.Shot.bake
 
@@ -718,7 +718,7 @@ def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
 
 @pytest.mark.parametrize("preserve_volume", [False, True])
 def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume):
-    """What it plays is no part of what it is made from."""
+    """The bake does not depend on the cache that it plays."""
     soft_arm.modifiers["Armature"].use_deform_preserve_volume = preserve_volume
     soft_arm.dynamorph.output.sink = "PC2"
     baked = [part("job").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]

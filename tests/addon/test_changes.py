@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Badges: what has changed since the build and the bake, in sentences that go when the change goes."""
+"""Lists of what has changed since the build and the bake, in sentences that disappear when the change is undone."""
 
 import json
 import time
@@ -35,14 +35,14 @@ SETTINGS = [
     ("targets[0].mass_damping", 3.0, 'mass damping of "Neutral" changed'),
     ("targets[1].radius", 0.5, 'radius of "flexed" changed'),
     ("targets[1].region", "lower", 'region of "flexed" changed'),
-    ("model.modes", 7, "Modes changed"),
+    ("model.modes", 7, "Detail (Modes) changed"),
     ("model.blending", "FORCES", "Blending changed"),
-    ("soft_group", "lower", "Soft group changed"),
-    ("simulation.substeps", 9, "Substeps changed"),
-    ("simulation.scheme", "EULER", "Scheme changed"),
+    ("soft_group", "lower", "Softness Map changed"),
+    ("simulation.substeps", 9, "Substeps Per Frame changed"),
+    ("simulation.scheme", "EULER", "Integrator changed"),
     ("simulation.gravity", 0.5, "Gravity changed"),
     ("simulation.fields", 0.5, "Force Fields changed"),
-    ("simulation.begin", "REST", "Begin changed"),
+    ("simulation.begin", "REST", "Initial State changed"),
     ("simulation.amount", 0.5, "Amount changed"),
     ("simulation.preroll", 9, "Pre-Roll changed"),
     ("simulation.loop", True, "Loop changed"),
@@ -61,8 +61,8 @@ def test_a_setting_is_named_until_it_is_set_back(baked, path, value, sentence):
 
 
 SCENE = [
-    ("frame_end", 30, "End changed"),
-    ("frame_start", -3, "Start changed"),
+    ("frame_end", 30, "Frame End changed"),
+    ("frame_start", -3, "Frame Start changed"),
     ("render.fps", 24_000, "Frame rate changed"),
     ("use_gravity", False, "Gravity changed"),
 ]
@@ -100,7 +100,7 @@ def test_targets_that_come_go_are_renamed_or_muted(scene, baked):
 
 
 def test_another_target_in_the_place_of_one_is_no_rename(scene, baked):
-    """Though the two come and go together, as a renamed one does."""
+    """Although the two change at the same time, as in a rename."""
     baked.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.remove_target()
     scene.frame_set(20)
@@ -112,7 +112,7 @@ def test_another_target_in_the_place_of_one_is_no_rename(scene, baked):
 
 
 def test_records_from_before_know_no_sculpts(baked):
-    """Whoever has gone for another one is taken for renamed, as it was then."""
+    """A target that replaced another one counts as renamed, as it did then."""
     record = baked.dynamorph.model
     built = json.loads(record.built)
     for target in built["targets"].values():
@@ -179,7 +179,7 @@ def test_the_rig_s_animation_is_named_until_it_is_as_before(baked):
     point = curve_of(rig).keyframe_points[1]
     before = point.co.y
     point.co.y += 0.1
-    assert outdated(baked) == []  # drawing does not look
+    assert outdated(baked) == []  # drawing does not examine it
     assert looked(baked) == ['animation of "Arm Rig" changed']
     point.co.y = before
     assert looked(baked) == []
@@ -215,7 +215,7 @@ def test_a_renamed_rig_is_the_same(baked):
 
 
 def test_edits_are_looked_at_soon(baked, monkeypatch):
-    """What the timer does that an edit of an Action starts; there are no timers without a window."""
+    """Runs the action of the timer that an edit of an Action starts; there are no timers without a window."""
     watch, asked = part("watch"), []
     monkeypatch.setattr(watch.events, "soon", lambda look, _seconds: asked.append(look))
     rig_of(baked).keyframe_insert("location", frame=3)
@@ -235,7 +235,7 @@ def test_the_badge_names_three(baked):
     assert 'Out of date: stiffness of "flexed" changed' in " ".join(drawn(baked))
     simulation = baked.dynamorph.simulation
     simulation.substeps, simulation.scheme, simulation.gravity, simulation.loop = 9, "EULER", 0.5, True
-    assert "Substeps changed, Scheme changed, and 2 more" in " ".join(drawn(baked))
+    assert "Substeps Per Frame changed, Integrator changed, and 2 more" in " ".join(drawn(baked))
 
 
 def test_a_bake_is_up_to_date_after_loading(baked, tmp_path):
@@ -266,7 +266,7 @@ def test_drawing_is_cheap(baked):
 
 
 def test_a_bake_says_what_it_was_made_from_and_what_came_of_it(scene, baked):
-    """By hashes that are the same again for the same scene."""
+    """With hashes that are equal for the same scene."""
     record = baked.dynamorph.bake
     before = record.content_id, record.digest
     assert all(len(digest) == 64 for digest in before)

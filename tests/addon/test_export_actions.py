@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A clip for each Action, as games have them: each read back and compared with Blender playing and baking it alone."""
+"""A clip for each Action, as games use them: each read back and compared with Blender playing and baking it alone."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -31,8 +31,9 @@ def new_action(rig, name, bone, axis, keys):
 
 @pytest.fixture
 def game_arm(scene):
-    """The soft arm with a built model, a sleeve, and two clips as artists keep them: "Bend", which is on, and "Wave", a
-    loop of a bone that Bend leaves alone, which is pushed down. Other Actions are none of its clips."""
+    """The soft arm with a built model, a sleeve, and two clips as artists store them: "Bend", which is active, and
+    "Wave", a loop of a bone that Bend does not move, which is pushed down. Other Actions are not its clips.
+    """
     obj = coarse(make_soft(make_arm(scene)))
     rig = rig_of(obj)
     add_sleeve(scene, obj)
@@ -71,7 +72,7 @@ def alone(obj, name, frames, loop):
 
 
 def state(obj):
-    """All that an export could leave behind."""
+    """Everything that an export could leave behind."""
     rig = rig_of(obj)
     animation = rig.animation_data
     bones = [tuple(bone.rotation_euler) for bone in rig.pose.bones]
@@ -100,7 +101,7 @@ def test_gltf_has_a_clip_for_each_action(game_arm, tmp_path, baked):
     pytest.importorskip("pygltflib")
     obj = game_arm
     simulation = obj.dynamorph.simulation
-    if baked:  # of which no clip becomes a part, whatever is asked for a bake
+    if baked:  # no clip becomes a part of it, whatever the settings of the bake
         OPS.bake()
         simulation.keep_outside, simulation.preroll_pose, simulation.preroll, simulation.samples = (
             True,

@@ -39,7 +39,7 @@ READERS = {  # of a posed surface: format, who reads, whether the vertices come 
 
 
 def off(name, path, exact, mesh="Arm"):
-    """How far what a reader sees is from the exact surface."""
+    """The distance between a reader's surface and the exact one."""
     read, same_order = READERS[name]
     try:
         return farthest(read(path, mesh, EVERY), exact, same_order)
@@ -117,7 +117,7 @@ def test_a_raw_clip_is_the_bake(baked, tmp_path, read):
 
 @pytest.mark.parametrize("key", ["ALEMBIC", "USD"])
 def test_a_model_that_is_kept_with_the_object_is_not_exported(baked, tmp_path, key):
-    """On bytes, as which the first versions kept it, Blender would crash."""
+    """Blender would crash on bytes, which the first versions stored."""
     obj, _ = baked
     obj.pop(part("model_store").PACKED, None)
     obj[part("model_store").PACKED] = b"a\0b"
@@ -286,7 +286,7 @@ def test_a_name_keeps_what_only_looks_like_a_suffix():
 
 
 def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
-    """Its exporter takes those of the scene."""
+    """Its exporter uses those of the scene."""
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not for this Python")
     obj, _ = baked
     part("export_actions").export(obj, "USD", tmp_path / "part.usdc", (5, 9))

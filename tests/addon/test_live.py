@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Live shows what a bake would, goes on through edits, and leaves no trace; so do its previews."""
+"""Live shows what a bake would, continues through edits, and leaves no trace; so do its previews."""
 
 import json
 import time
@@ -34,7 +34,7 @@ def live_arm(soft_arm):
     settings.model.stale = ""
     storage.fit_modes(soft_arm, 8)
     settings.simulation.gravity = 0.0
-    part("live")._loaded()  # session ids begin anew with each file
+    part("live")._loaded()  # session ids start over with each file
     return soft_arm
 
 
@@ -382,7 +382,7 @@ def test_plain_skinning_in_the_place_of_live(playing):
     before = fingerprint(playing)
     bpy.ops.dynamorph.show_plain()
     assert key.mute and not flexed.mute and part("comparison").is_plain(playing)
-    play(playing, range(8, 10))  # it goes on unseen
+    play(playing, range(8, 10))  # it continues invisibly
     scene.frame_set(7)
     bpy.ops.dynamorph.show_plain()
     assert apart(surface(playing), soft[-1]) < 1e-6 and fingerprint(playing) == before

@@ -207,7 +207,7 @@ def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
 def test_an_error_in_the_engine_changes_nothing(soft_arm, stand_in):
     bpy.ops.dynamorph.bake()
     before = fingerprint(soft_arm)
-    stand_in.fail = part("errors").SceneError("'Arm': the flesh is too soft: raise its stiffness")
+    stand_in.fail = part("errors").SceneError("'Arm': the tissue is too soft: raise its stiffness")
     refused(bpy.ops.dynamorph.bake, "raise its stiffness")
     assert fingerprint(soft_arm) == before
 

@@ -129,7 +129,7 @@ def test_picture(baked, single):
 
 
 def _keep_outside(clothes, body):
-    """Clothes that are not simulated are pushed out of the flesh under them, as an artist would do."""
+    """Clothes that are not simulated are pushed out of the body under them, as an artist would do."""
     wrap = clothes.modifiers.new("Outside", "SHRINKWRAP")
     wrap.target, wrap.wrap_mode, wrap.offset = body, "OUTSIDE_SURFACE", 0.006
 

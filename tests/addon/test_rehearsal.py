@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""New soft skins: stiffness by frequency, how far the skin may move, and what a bake says of itself."""
+"""New soft skins: stiffness from the frequency, the limits of the motion, and what a bake reports."""
 
 import json
 from dataclasses import replace
@@ -14,7 +14,7 @@ pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 @pytest.fixture
 def new_arm(arm):
-    """The arm after one click, and nothing else; its rig is shaken hard up and down."""
+    """The arm after one click; its rig is shaken hard up and down."""
     activate(arm)
     bpy.ops.dynamorph.add_soft_skin()
     arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 400, 12
@@ -37,7 +37,7 @@ def limit(obj, displacement, thickness=0.0):
 
 
 def test_the_build_gives_the_frequency(new_arm):
-    """At every scale: Bounce is what was asked for, whatever stiffness that takes."""
+    """At every scale: Bounce is as requested, whatever stiffness that takes."""
     found = []
     for scale in (1.0, 10.0):
         rig_of(new_arm).scale = (scale,) * 3
@@ -51,7 +51,7 @@ def test_the_build_gives_the_frequency(new_arm):
         reference = neutral.bounce_reference * np.sqrt(material.stiffness / material.density)
         omega = 2.0 * np.pi * reference
         assert material.stiffness_damping * omega / 2.0 == pytest.approx(0.2, rel=1e-3) and not material.mass_damping
-    assert found[1] == pytest.approx(100.0 * found[0], rel=2e-2)  # the cage is made anew
+    assert found[1] == pytest.approx(100.0 * found[0], rel=2e-2)  # the cage is rebuilt
 
 
 def test_the_frequency_is_that_of_the_body(new_arm):
@@ -103,7 +103,7 @@ def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
 
 
 def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
-    """What goes far too far in the first step comes back, and what is stored and baked belong together."""
+    """A frequency that overshoots in the first step is lowered again, and what is stored and baked match."""
     monkeypatch.setattr(part("rehearsal"), "FACTOR", (8.0, 8.0))
     limit(new_arm, 0.0)
     farthest = bake(new_arm).verdict.displacement
@@ -121,7 +121,7 @@ def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
 @pytest.mark.parametrize("power", [1.0, 2.0, 4.0])
 @pytest.mark.parametrize("needed", [0.5, 3.6, 6.0, 20.0])
 def test_a_rehearsal_finds_the_lowest_frequency(power, needed):
-    """However fast the motion falls with the frequency; never below what was asked for."""
+    """However fast the motion decreases with the frequency; never below the requested one."""
     rehearsal = part("rehearsal").Rehearsal(3.5)
     frequency = 3.5
     while frequency:
@@ -141,7 +141,7 @@ def test_a_rehearsal_of_what_is_no_number_ends():
 
 
 def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
-    """In stretches, of which the rig is not kept."""
+    """In chunks whose rig is not kept."""
     limit(new_arm, 0.0)
     farthest = bake(new_arm).verdict.displacement
     limit(new_arm, 0.6 * farthest)
@@ -194,7 +194,7 @@ def test_targets_follow_the_neutral_unless_set_by_hand(new_arm):
 
 
 def test_old_settings_are_left_alone(new_arm):
-    """Pins, pascals and no limits, as files from before have them: no calibration, no rehearsal."""
+    """Pins, pascals and no limits, as in older files: no calibration, no rehearsal."""
     settings = new_arm.dynamorph
     settings.model.hold = "BONES"
     limit(new_arm, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rigs as artists make them: what is baked on them is what Blender's own evaluation of the rig shows."""
+"""Rigs as artists make them: a bake shows what Blender's own evaluation of the rig shows."""
 
 from math import pi
 

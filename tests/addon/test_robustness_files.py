@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Undo, save, append, link, library override, the add-on off and on: nothing of a soft skin is lost by them."""
+"""Undo, save, append, link, library override, turning the add-on off and on: a soft skin survives all of them."""
 
 import subprocess
 import sys
@@ -77,7 +77,7 @@ def test_many_steps_undone_and_redone(skin):
 
 @pytest.fixture
 def asset(skin, tmp_path):
-    """Saves the character, built, baked or live, in a collection: where, how it moves, what Free Bake restores."""
+    """Saves the character, built, baked or live, in a collection: where, how it moves, what Delete Bake restores."""
 
     def save(goal):
         before = fingerprint(skin)
@@ -236,7 +236,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
 
 
 def test_a_mesh_of_its_own_does_not_make_an_override_safe(asset):
-    """The record of the bake would be lost, and Free Bake with it."""
+    """The record of the bake would be lost, and Delete Bake with it."""
     obj = open_override(asset("build"))
     obj.data = obj.data.copy()
     before = fingerprint(obj)

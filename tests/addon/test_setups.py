@@ -633,7 +633,7 @@ def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monk
         model_store.stored_model(soft_arm)
     OPS.build()
     assert (tmp_path / "shots" / "cache" / "models" / name).is_file()
-    chosen.model_folder = "//elsewhere"  # another user: a model beside the .blend is found all the same
+    chosen.model_folder = "//elsewhere"  # another user: a model beside the .blend is found nevertheless
     (tmp_path / "shots" / "cache" / "models").rename(tmp_path / "shots" / "dynamorph_models")
     assert model_store.stored_model(soft_arm)
     soft_arm.dynamorph.model.content_id = "../../etc/passwd"

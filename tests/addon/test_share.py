@@ -31,7 +31,7 @@ def baked(obj, folder=None, goal="BAKE"):
 
 
 def stopped(obj, folder, monkeypatch, stretches):
-    """A bake that ends after so many stretches; nothing is written."""
+    """A bake that ends after this many chunks; nothing is written."""
     cache_dir, batch, job = part("cache_dir"), part("batch"), part("job")
     keep, left = cache_dir.Share.keep, iter(range(stretches - 1, -1, -1))
 
@@ -59,7 +59,7 @@ def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
 
 
 def test_a_bake_with_other_modes_begins_anew(coarse, folder, monkeypatch):
-    """Models that are built elsewhere from the same may have modes of other signs."""
+    """Models that are built elsewhere from the same scene may have modes with other signs."""
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
     (built,) = folder.glob("*.dynamorph")
@@ -102,7 +102,7 @@ def test_what_cannot_be_gone_on_with_is_baked_all_the_same(coarse, tmp_path, fol
     else:
         coarse.modifiers["Armature"].use_deform_preserve_volume = True
     bpy.ops.wm.save_mainfile()
-    arguments = ["bake", "--object", coarse.name, "--share", str(folder), "-o", str(tmp_path / "baked.blend")]
+    arguments = ["bake", "--object", coarse.name, "--cache-dir", str(folder), "-o", str(tmp_path / "baked.blend")]
     assert part("main").main(arguments) == 0
     assert not list(folder.glob("*.unfinished"))
 
@@ -122,7 +122,7 @@ def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
 
 
 def test_an_undo_between_two_stretches_stops_a_bake(coarse, folder, monkeypatch):
-    """What was read before it is of another scene."""
+    """What was read before it belongs to another scene."""
     monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 5)
     job = part("job").Job(coarse, "BAKE")
     batch = part("batch").Batch([job], "BAKE")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake in Blender moves the mesh as the engine said, and Free Bake leaves no trace."""
+"""A bake in Blender moves the mesh as the engine said, and Delete Bake leaves no trace."""
 
 import time
 from dataclasses import replace

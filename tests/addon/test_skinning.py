@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Skinning that is more than sums of bone matrices: what the engine gets is what Blender shows."""
+"""Skinning that is more than sums of bone matrices: the engine gets what Blender shows."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -176,7 +176,7 @@ def displace(obj, displacement):
 
 
 def flesh_motion(obj) -> np.ndarray:
-    """Displacements (V, 3) as large as those of flesh, local space."""
+    """Displacements (V, 3) as large as those of soft tissue, local space."""
     return np.random.default_rng(3).normal(0.0, 0.03, (len(obj.data.vertices), 3))
 
 
@@ -213,7 +213,7 @@ def test_displaced_flesh_is_carried_as_blender_carries_it(scene, soft_arm, chang
 
 
 def test_bendy_bones_carry_flesh_to_first_order(scene, soft_arm):
-    """What bends a vertex depends on where it is: off by the square of the displacement."""
+    """The bend at a vertex depends on where it is: the error is the square of the displacement."""
     bendy(soft_arm)
     rig_of(soft_arm).location.z = -0.04  # no vertex is where two segments meet: there the derivative jumps
     motion = flesh_motion(soft_arm)
@@ -230,7 +230,7 @@ def test_bendy_bones_carry_flesh_to_first_order(scene, soft_arm):
         error = np.sqrt(np.mean((moved(transforms, rest + factor * motion) - shown) ** 2))
         errors.append(error / np.sqrt(np.mean((shown - still) ** 2)))
     assert errors[0] < 0.1 and errors[1] < 0.4 * errors[0]
-    # Probed where the flesh is, there is nothing to approximate.
+    # Probed at the displaced points, so nothing is approximated.
     probe, there = skin_probe(soft_arm, 0.1 * motion)
     samples = part("rig_motion").sample_rig(soft_arm, 20, 20, 1, probe)
     assert np.abs(moved(samples.nodes.transforms(samples.object_world)[0], there) - shown).max() < 1e-5
@@ -384,7 +384,7 @@ def test_a_target_is_held_against_gravity_in_its_own_pose(small_arm):
 
 
 def test_a_loop_a_jump_and_wind(scene, small_arm):
-    """All that looks at where the skin is, without bones that could say it."""
+    """Everything that depends on where the skin is, which the bones do not determine here."""
     twisting(small_arm)
     rig = rig_of(small_arm)
     small_arm.parent = rig
@@ -478,7 +478,7 @@ def test_other_methods(small_arm, method):
 
 
 def test_a_body_in_two_cages(small_arm):
-    """The nodes that were read are those of the model, though several cages are made anew."""
+    """The nodes that were read are those of the model, although several cages are rebuilt."""
     twisting(small_arm)
     small_arm.vertex_groups.new(name="End").add(list(range(170, 272)), 1.0, "REPLACE")
     piece = small_arm.dynamorph.pieces.add()
@@ -530,7 +530,7 @@ def test_playback_is_the_bake(scene, small_arm):
         assert np.abs(shown - job.result.displacement(k)).max() < 2e-6
     scene.frame_set(20)
     small_arm.dynamorph.active_target_index = 1
-    bpy.ops.dynamorph.capture_pose()  # is probed anew
+    bpy.ops.dynamorph.capture_pose()  # is probed again
     scene.frame_set(21)
     assert part("live").problem(small_arm) == ""
 

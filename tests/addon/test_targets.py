@@ -360,7 +360,7 @@ def make_two_arms(scene):
 
 @pytest.fixture
 def arms(scene):
-    """Two arms, of which the left one has a target."""
+    """Two arms; the left one has a target."""
     obj = make_two_arms(scene)
     OPS.add_soft_skin()
     rig = rig_of(obj)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The verdict on a bake: it is read whatever it says, drawn, shown where it looks worst, and mended by one button."""
+"""The verdict on a bake: read whatever it contains, drawn, shown at the worst place, and repaired by one button."""
 
 import json
 
@@ -165,7 +165,7 @@ def test_a_finer_cage(baked):
     OPS.refine_cage()
     assert baked.dynamorph.model.cage_nodes == 600
     baked.dynamorph.model.cage_nodes = 200_000
-    refused(OPS.refine_cage, "as many nodes as it can have")
+    refused(OPS.refine_cage, "the maximum number of nodes")
 
 
 def test_rehearse_asks_the_job_for_it(baked, monkeypatch):

@@ -4,7 +4,7 @@
     python tests/benchmarks/convergence.py --sizes 2000 4000 8000
 
 Motions stay in build/convergence: with --keep a size that was simulated is not simulated again. The figures go to
-docs/convergence.json, of which believable.py makes a section of its page. The largest cage takes about two minutes.
+docs/convergence.json, from which believable.py makes a section of its page. The largest cage takes about two minutes.
 """
 
 from __future__ import annotations

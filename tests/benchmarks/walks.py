@@ -45,7 +45,7 @@ WALKS = {
     "T-rex, in a circle": Walk(TREX, 0.5, -30.0),
 }
 PICTURED = "Fox"
-ENDLESS = "T-rex"  # its flesh finds no steady motion by itself
+ENDLESS = "T-rex"  # its body finds no steady motion by itself
 
 
 @dataclass(frozen=True)

@@ -237,7 +237,7 @@ def test_bounce_and_fit_are_inverse(limbs):
     fitted = material_fit.fit_oscillation(model, character, 1, seen.frequency, seen.decay, mass_share=mass_share)
     assert astuple(fitted) == pytest.approx(astuple(TRUE), rel=1e-6)
     assert seen.decay == pytest.approx((TRUE.mass_damping + TRUE.stiffness_damping * omega_squared) / 2)
-    # Heavy flesh swings slower: omega ~ sqrt(E / rho).
+    # Heavy tissue swings more slowly: omega ~ sqrt(E / rho).
     heavy = replace(TRUE, density=4 * TRUE.density, mass_damping=0.0, stiffness_damping=0.0)
     light = replace(TRUE, mass_damping=0.0, stiffness_damping=0.0)
     bounces = [material_fit.bounce(model, made_of(character, material), 1) for material in (heavy, light)]
@@ -247,7 +247,7 @@ def test_bounce_and_fit_are_inverse(limbs):
 
 
 def test_a_region_is_fitted_beside_other_flesh(limbs):
-    """The target's flesh is only the outer half: omega^2 ~ E no longer holds, and is met all the same."""
+    """The target has only the outer half: omega^2 ~ E no longer holds, and the fit succeeds nevertheless."""
     model, character = limbs("STABLE_STVK", "REDUCED", True)
     seen = material_fit.bounce(model, made_of(character, WRONG), 2)
     fitted = material_fit.fit_oscillation(model, character, 2, 0.9 * seen.frequency, seen.decay)

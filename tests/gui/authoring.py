@@ -93,7 +93,7 @@ def stop_painting():
 # Influence and new targets -------------------------------------------------------------------------------------------
 
 
-@step("Influence: bars and graph", picture=view)
+@step("Target Weights: bars and graph", picture=view)
 def influence():
     yield from sidebar.unfold("dynamorph.suggest_pose", above="dynamorph.build")
     yield from sidebar.press("dynamorph.influence")
@@ -105,7 +105,7 @@ def influence():
     bpy.context.scene.frame_set((limb.FIRST + limb.FLEXED) // 2)
 
 
-@step("Suggest Pose")
+@step("Find Uncovered Pose")
 def suggest_pose():
     yield from sidebar.press("dynamorph.suggest_pose")
     yield from until(lambda: bpy.context.scene.frame_current == limb.TURNED, "the frame that is furthest from targets")

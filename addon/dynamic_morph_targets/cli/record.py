@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a run says for itself: progress, tables and the JSON record."""
+"""What a run prints and records: progress, tables and the JSON report."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def versions() -> dict:
 
 
 def character_record(done: Done) -> dict:
-    """What a job made, of one character."""
+    """The result of a job for one character."""
     job = done.job
     found = {
         "name": job.name,
@@ -75,7 +75,7 @@ def find_model(name: str) -> bpy.types.PropertyGroup:
 
 
 class Progress:
-    """Prints a line at each tenth, not at each tick; openjd: each hundredth, for Open Job Description's farms."""
+    """Prints a line at each tenth of the work. openjd: at each hundredth, for farms that use Open Job Description."""
 
     def __init__(self, openjd: bool = False):
         self.openjd = openjd

@@ -20,7 +20,7 @@ from .player import STEP, Frame, Player
 from .rig_samples import RigSamples
 from .settings import SimulationSettings
 
-CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
+CHECKED = 10  # frames that are checked for inverted tetrahedra: those with the largest coordinates
 
 
 def simulate(
@@ -30,10 +30,11 @@ def simulate(
     settings: SimulationSettings,
     progress: Progress | None = None,
 ) -> Iterator[Frame]:
-    """Yields one of each of settings.frames, in one pass.
+    """Yields one frame per entry of settings.frames, in one pass. rig: 1 + (end - first) * substeps samples, from
+    settings.first on.
 
-    rig: 1 + (end - first) * substeps samples, from settings.first on. progress(fraction, message) -> bool is asked at
-    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
+    progress(fraction, message) -> bool is asked at every frame, for an unreduced model at every iteration; False raises
+    dynamorph.Cancelled.
     """
     return _player(model, character, settings, progress).run(rig)
 
@@ -44,7 +45,7 @@ def _player(model: Model, character: Character, settings: SimulationSettings, pr
     def keep_going() -> bool:
         done = (player.number - settings.first) / len(settings.simulated)
         message = f"Simulating frame {player.number}"
-        if settings.loop:  # nobody knows how many passes it takes
+        if settings.loop:  # the number of passes is not known
             done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
         return progress is None or progress(done, message)
 
@@ -59,7 +60,7 @@ def build_for(
     progress: Progress | None = None,
     previous: Model | None = None,
 ) -> Model:
-    """`build.build` for a character in a shot, to which its modes are fitted if it says so; else no shot is needed."""
+    """`build.build` for a character and, if its modes are fitted, for this shot."""
 
     if rig is None or settings is None:
         return build(character, progress, previous)
@@ -75,19 +76,19 @@ def build_for(
 
 
 class Shot:
-    """A bake in the making: the moving rig comes in stretches, so that a long shot takes no more memory than a short
-    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch. The run-up is
-    part of the shot, but not of its bake.
+    """A bake in progress. The moving rig comes in chunks, so that a long shot takes no more memory than a short one. It
+    can be kept after each chunk and resumed, also by another process. A loop is one chunk.
 
-    progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
+    The run-up is part of the shot, but not of its bake. progress(fraction, message) -> bool; False raises
+    dynamorph.Cancelled.
     """
 
     def __init__(
         self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
     ):
         self.player = _player(model, character, settings, progress)
-        self.done = 0  # of settings.times
-        self._coordinates: list[np.ndarray] = []  # a stretch each, like the next two
+        self.done = 0  # number of settings.times
+        self._coordinates: list[np.ndarray] = []  # one entry per chunk, like the next two
         self._weights: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
         self._loop: dict = {}
@@ -99,7 +100,9 @@ class Shot:
         return self.done == len(self.player.settings.times)
 
     def play(self, rig: RigSamples) -> None:
-        """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
+        """Simulates the next chunk: the sample of the first frame, unless that is done, then settings.substeps per
+        frame.
+        """
         if self.is_complete:
             return
         began, player = time.perf_counter(), self.player
@@ -118,7 +121,7 @@ class Shot:
         self._seconds += time.perf_counter() - began
 
     def kept(self) -> dict[str, np.ndarray]:
-        """All that `resume` asks for."""
+        """Everything that `resume` needs."""
         coordinates, bones = self.player.state
         return {
             "coordinates": np.concatenate(self._coordinates),
@@ -129,7 +132,7 @@ class Shot:
         }
 
     def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
-        """Go on after the frames of another shot of the same; first: the sample of the first frame."""
+        """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
         self.player.resume(first, (list(kept["past"]), list(kept["bones"])))
@@ -168,13 +171,13 @@ def bake(
 
 
 def part_of(bake: Bake, members: slice, from_body: np.ndarray | None = None) -> Bake:
-    """The same shot of some of its vertices; from_body (3, 3): of a displacement into the space that they are in."""
+    """The same shot for some of its vertices; from_body (3, 3): maps displacements to the space of these vertices."""
     turn = np.eye(3) if from_body is None else from_body
     return replace(bake, modes=bake.modes[:, members] @ turn.T, details=bake.details[:, members] @ turn.T)
 
 
 def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
-    """Of what the steps to each of `frames` (F,) did (F, STEP)."""
+    """Statistics of the steps to each of `frames` (F,), from (F, STEP)."""
     by_name = dict(zip(STEP, steps.T, strict=True))
     moving = by_name["steps"] > 0
     rates = by_name["steps"][moving] / by_name["seconds"][moving]
@@ -182,15 +185,17 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
     report = {
         "steps": int(by_name["steps"].sum()),
         "engine_seconds": float(by_name["seconds"].sum()),
-        "steps_per_second": float(np.median(rates)) if len(rates) else 0.0,  # the median: machines have other work
+        "steps_per_second": float(np.median(rates))
+        if len(rates)
+        else 0.0,  # the median, because machines have other work
         "iterations": int(by_name["iterations"].sum()),
-        "residual": float(by_name["residual"].max()),  # of the largest force
+        "residual": float(by_name["residual"].max()),  # relative to the largest force
         "energy": float(by_name["energy"].max()),  # elastic, J
         "warnings": warnings,
     }
     unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
-        warnings.append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
+        warnings.append(f"Steps did not converge at {_some(unconverged)}: raise Substeps Per Frame")
     cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
         warnings.append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
@@ -198,7 +203,7 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
 
 
 def _whole(frames: np.ndarray) -> list[int]:
-    """The frames that steps, named by where they ended, belong to."""
+    """The frames to which steps belong, given the times at which they ended."""
     return np.unique(np.ceil(frames)).astype(int).tolist()
 
 
@@ -223,7 +228,7 @@ def _worst_elements(player: Player, coordinates: np.ndarray, dry: np.ndarray) ->
         smallest = min(smallest, moved.min())
         inside_out = model.tets[moved <= 0]
         sculpted = _volumes(model.nodes + displacement(dry[k]), inside_out)
-        inverted = max(inverted, int((sculpted > 0).sum()))  # not what the sculpt itself inverts
+        inverted = max(inverted, int((sculpted > 0).sum()))  # without those that the sculpt itself inverts
     return {"smallest_det": float(smallest), "inverted": inverted}
 
 
@@ -245,8 +250,8 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
 def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
 
-    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3 free),
-    and the largest error of `wet` in metres.
+    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3 free), and
+    the largest error of `wet` in meters.
     """
     _, s, modes = np.linalg.svd(wet, full_matrices=False)
     modes = modes[: min(model.settings.modes, len(s))]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The verdict on a bake, as the bake stores it: read here for the panel, whatever the text says. No bpy."""
+"""The verdict on a bake, as stored with the bake. The panel reads it here, whatever the text contains. No bpy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Verdict:
 
 @lru_cache(maxsize=16)
 def parsed(text: str) -> Verdict | None:
-    """None without a verdict. A text that is none is a verdict that says so."""
+    """The verdict in a text; None without a text. An unreadable text gives a verdict that says so."""
     if not text:
         return None
     try:

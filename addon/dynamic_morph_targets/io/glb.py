@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The animation of a binary glTF file as several, one for each part of its time. NumPy only, never bpy.
+"""Splits the animation of a binary glTF file into several, one for each part of its time. NumPy only, never bpy.
 
-A .glb is a header, then chunks: JSON, which says where everything is, and bytes. The parts need no other bytes than the
-whole, only times of their own, which are appended.
+A .glb is a header, then chunks: JSON, which describes the layout, and bytes. The parts need no other bytes than the
+whole, only their own times, which are appended.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: float) -> bytes:
-    """A file whose one animation has a key at each frame, with an animation for each part in its place.
+    """The file with its one animation, which has a key at each frame, replaced by one animation per part.
 
     parts: by name, the first frame and the last, counted from the animation's first. Each begins at time 0.
     """
@@ -50,7 +50,7 @@ def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: floa
             keys = accessors[sampler["input"]]["count"]
             if keys <= last:
                 raise ExportError(f"The animation has {keys} keys, the clip '{name}' is to end with the {last + 1}th")
-            each = output["count"] // keys  # values a key: of weights, one a morph
+            each = output["count"] // keys  # values per key; for weights, one per morph target
             size = SIZES[output["componentType"]] * WIDTHS[output["type"]]
             begin = output.get("byteOffset", 0) + first * each * size
             accessors.append({**output, "byteOffset": begin, "count": len(times) * each})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a job is asked for, and what it reads of Blender: the character and its settings at once, then the moving rig in
+"""The request of a job, and what it reads of Blender: the character and its settings at once, then the moving rig in
 chunks. All of it in the main thread.
 """
 
@@ -87,12 +87,12 @@ def read(request: Request) -> BakeInput:
 
 
 def handles(followers: Sequence[Follower]) -> list[ObjectHandle]:
-    """The objects of the other meshes that the flesh carries along."""
+    """The handles of the other meshes that the soft tissue carries along."""
     return [ObjectHandle(follower.session_uid, follower.name) for follower in followers]
 
 
 def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
-    """What the bake becomes in Blender. Raises SinkError."""
+    """The form of the bake in Blender. Raises SinkError."""
     given.output = run_settings.output_settings(obj)
     if given.output.sink not in point_cache.CACHES:
         return
@@ -107,7 +107,7 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
 
 
 def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bool:
-    """The model that there is, and why another one is to be built; True if that is fitted to the shot."""
+    """The existing model, and why another one must be built; True if that is fitted to the shot."""
     with suppress(errors.ModelFileError):  # then one of the reasons
         given.previous = load_model(obj)
     given.reasons = _reasons(given, obj, request.rebuild)
@@ -125,7 +125,7 @@ def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bo
 
 
 def _reasons(given: BakeInput, obj: bpy.types.Object, rebuild: bool) -> list[str]:
-    """Why something is to be built."""
+    """Why something must be built."""
     if given.only_cage:
         build, _ = engine.engine()
         current = given.previous is not None and build.has_cage(given.previous, given.character)
@@ -134,7 +134,7 @@ def _reasons(given: BakeInput, obj: bpy.types.Object, rebuild: bool) -> list[str
 
 
 def _read_shot(given: BakeInput, obj: bpy.types.Object, request: Request, fits: bool) -> None:
-    """The settings of the simulation, and what there is of its result already."""
+    """The settings of the simulation, and the part of its result that exists already."""
     settings = run_settings.simulation_settings(obj, bpy.context.scene, request.frames, request.substeps)
     given.has_shot, given.settings = True, replace(settings, **request.changes)
     given.inputs = staleness.bake_inputs(obj, given.settings) | {"animation": animation.animation(obj)}
@@ -155,9 +155,10 @@ def _read_shot(given: BakeInput, obj: bpy.types.Object, request: Request, fits: 
 
 
 def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Request) -> None:
-    """How far the skin may move, and whether this bake finds out what keeps it there; chosen: the settings.
+    """How far the skin may move, and whether this bake rehearses the shot; chosen: the settings.
 
-    Not what others have to agree with: a part of a shot, a worker of a farm, what the artist has set by hand.
+    There is no rehearsal where others must agree with the result: for a part of a shot, a worker of a farm, or values
+    that the artist has set by hand.
     """
     given.limits = judge.Limits(chosen.max_displacement, chosen.max_thickness)
     model, neutral = given.character.settings, given.character.targets[0]
@@ -169,7 +170,7 @@ def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Req
 
 
 def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
-    """The bake that the frames go into, and the way up to them. Raises SceneError, SinkError."""
+    """The bake into which the frames go, and the run-up to them. Raises SceneError, SinkError."""
     meshes = (obj, *(handle.find() for handle in handles(given.followers)))
     given.before = [read_back(mesh, given.settings.samples) for mesh in meshes]
     if given.character.parts:
@@ -188,7 +189,7 @@ def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
     if since:
         given.warnings.append(f"Since the other frames were baked: {since}")
     if settings.loop:
-        given.warnings.append("A part of a bake is no loop: Loop is ignored")
+        given.warnings.append("A part of a bake cannot be a loop: Loop is ignored")
     given.settings = replace(settings, loop=False)
     if run_up:
         given.settings = replace(given.settings, preroll=run_up, preroll_pose="ANIMATED")
@@ -206,7 +207,7 @@ class RigReader:
         self._probe: probe.Probe | None = None  # Blender's own memory
 
     def begin_chunk(self, done: int) -> None:
-        """Read on after so many states of the shot. Raises SceneError."""
+        """Continue after this many states of the shot. Raises SceneError."""
         given = self._given
         if not given.has_shot:
             return
@@ -219,7 +220,9 @@ class RigReader:
         self.sampling.probe = self._probe
 
     def advance(self, seconds: float, model: Model | None) -> bool:
-        """Read the chunk for about so long; True when all is read. model: whose cage has the nodes that are probed."""
+        """Read the chunk for about so many seconds; True when everything is read. model: its cage has the nodes that
+        are probed.
+        """
         sampling, given, obj = self.sampling, self._given, self._object.find()
         assert sampling is not None  # a chunk has begun
         if given.is_probed and sampling.probe is None:
@@ -227,10 +230,10 @@ class RigReader:
         return sampling.advance(obj, seconds)
 
     def end_chunk(self) -> rig_motion.RigSampling | None:
-        """What was read of the chunk, for a thread: `samples` of it does not touch Blender."""
+        """The chunk that was read, for a thread: its `samples` does not touch Blender."""
         sampling, self.sampling = self.sampling, None
         return sampling
 
     def free(self) -> None:
-        """Free Blender's memory, for which Python's collector need not come in time."""
+        """Free Blender's memory at once, without waiting for Python's garbage collector."""
         self._probe = None

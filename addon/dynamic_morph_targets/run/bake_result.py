@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What jobs came to -> Blender: all of it or nothing, in the main thread. And what is said to the artist about it."""
+"""The results of jobs -> Blender: all of them or nothing, in the main thread; and the messages for the artist."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ if TYPE_CHECKING:  # it needs the engine
 
 
 def write_all(writers: Sequence[Writer]) -> None:
-    """Write what several jobs came to. Whatever is refused or fails, nothing of it stays.
-
-    Raises SceneError, SinkError, ModelFileError, OSError.
+    """Write the results of several jobs. If anything is refused or fails, nothing of it stays. Raises SceneError,
+    SinkError, ModelFileError, OSError.
     """
     with ExitStack() as undo:
         for writer in writers:
@@ -47,7 +46,7 @@ def write_all(writers: Sequence[Writer]) -> None:
 
 
 def target(request: Request, given: BakeInput) -> bpy.types.Object:
-    """The object that the results are for. Raises SceneError when they do not fit it any more."""
+    """The object for which the results are. Raises SceneError when they do not fit it any more."""
     own = given.character.vertices[given.character.own]
     meshes = [(request.target, own), *zip(handles(given.followers), (f.vertices for f in given.followers), strict=True)]
     for handle, vertices in meshes:
@@ -71,7 +70,7 @@ class Writer:
         self._new: list[NewBake] = []
 
     def check(self) -> None:
-        """Refuse, before anything is written, what cannot be. Raises SceneError, SinkError, ModelFileError."""
+        """Refuse, before anything is written, what cannot be written. Raises SceneError, SinkError, ModelFileError."""
         obj = target(self.request, self.given)
         check_local(obj)
         if self.given.is_bake:
@@ -100,7 +99,7 @@ class Writer:
             model_file.save(self._file, self._packed)
 
     def add_keys(self, undo: ExitStack) -> None:
-        """Write the bakes of all meshes beside those that there are. Raises SinkError."""
+        """Write the bakes of all meshes beside the existing ones. Raises SinkError."""
         if not self.given.is_bake:
             return
         obj = self.request.target.find()
@@ -112,7 +111,7 @@ class Writer:
                 self.outcome.size += new.size + (cache.stat().st_size if cache else 0)
 
     def show_keys(self) -> None:
-        """Let the new bakes be in the place of the old ones and of Live."""
+        """Make the new bakes replace the old ones and Live."""
         if not self.given.is_bake:
             return
         obj, pieces = self.request.target.find(), self._pieces()
@@ -127,7 +126,7 @@ class Writer:
                 new.replace()
 
     def store(self) -> None:
-        """Keep the model, and what was found, with the object."""
+        """Store the model and the findings with the object."""
         obj = self.request.target.find()
         with self.request.scene.as_context():
             with self.progress.stage("store model"):
@@ -163,7 +162,7 @@ class Writer:
             self._store_references(obj)
 
     def _store_materials(self, obj: bpy.types.Object) -> None:
-        """What a build or a rehearsal has made of the targets' frequencies."""
+        """Store what a build or a rehearsal has made of the targets' frequencies."""
         character = self.outcome.character
         for target in obj.dynamorph.targets:
             index = index_in(character, obj, target)
@@ -183,7 +182,7 @@ class Writer:
             target.set_references(bounce, volume, measured[index or 0].material.poisson)
 
     def _record(self, obj: bpy.types.Object) -> None:
-        """What the panels say about the bake, and go by."""
+        """Store what the panels show about the bake."""
         given, outcome = self.given, self.outcome
         record = obj.dynamorph.bake
         record.summary = summary(given, outcome, self.progress.seconds)
@@ -228,7 +227,7 @@ def model_summary(given: BakeInput, model: Model) -> str:
 
 
 def _authored_targets(given: BakeInput) -> str:
-    """How many there are in the panel's list: each set has the neutral one."""
+    """The number of targets in the panel's list; each set has the neutral one."""
     sets = given.character.by_method().target_sets
     count = 1 + sum(len(target_set.targets) - 1 for target_set in sets)
     return f"{count} target{'s' * (count > 1)}"

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a job's thread computes of what was read: model, motion, verdict and keys. Neither this nor what it imports
-touches bpy.
+"""What a job's thread computes from its input: model, motion, verdict and keys. Neither this module nor its imports
+touch bpy.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ if TYPE_CHECKING:  # they need the engine
     from ..core.settings import OutputSettings
     from ..core.simulate import Shot
 
-CAGE = 0.1  # of a job, the part that a cage takes if the rig cannot be read without
-READ = 0.2  # of a job, the part after which the rig is read
-FADE = 5  # frames in which a part that is baked again goes over into the rest
+CAGE = 0.1  # fraction of a job for a cage that is needed before the rig is read
+READ = 0.2  # fraction of a job after which the rig is read
+FADE = 5  # frames over which a part that is baked again blends into the rest
 
 
 class Sampling(Protocol):
@@ -62,14 +62,14 @@ class Computation:
         self._needs_model = given.model is None
         self._chunks = 0  # that were simulated
         self._best: tuple[Character, Bake, dict, Verdict]  # what the rehearsal keeps; the dictionary is the report
-        self._rehearsal: Rehearsal | None = None  # until it has found out
+        self._rehearsal: Rehearsal | None = None  # until it has finished
         if given.rehearsed_from:
             self._rehearsal = Rehearsal(given.rehearsed_from)
             self.outcome.rehearsed = f"Bounce of {given.rehearsed_from:.3g} Hz keeps the skin within Max Displacement"
 
     @property
     def needs_cage(self) -> bool:
-        """Whether there must be a cage before the rig is read, because Blender is asked how it moves its nodes."""
+        """Whether a cage must exist before the rig is read, because Blender poses its nodes."""
         if not self.given.is_probed:
             return False
         build, _ = engine.engine()
@@ -77,7 +77,7 @@ class Computation:
 
     @property
     def needs_chunk(self) -> bool:
-        """Whether there is another chunk to be read and computed, after one is."""
+        """Whether another chunk must be read and computed after one is done."""
         begins_again = self._chunks > 0 and self.shot is None
         return begins_again or (self.shot is not None and not self.shot.is_complete)
 
@@ -87,7 +87,7 @@ class Computation:
         return self.shot.done if self.shot else len(self.given.resumed.get("coordinates", ()))
 
     def make_cage(self) -> None:
-        """What must be there before the rig is read."""
+        """Build what must exist before the rig is read."""
         build, _ = engine.engine()
         with self.progress.stage("build"):
             progress = self.progress.part(0.0, CAGE)
@@ -118,7 +118,7 @@ class Computation:
     def take(self, samples: RigSamples) -> RigSamples:
         """Check what was read of the rig, and go on with that as `rig`. Raises SceneError."""
         before = self.rig.pose[-1] if self.rig else self.given.resumed.get("pose")
-        if before is not None:  # the frame that was the last is the first again
+        if before is not None:  # the last frame becomes the first again
             samples = samples[1:]
         if len(samples):
             samples, found = rig_samples.hold_collapsed(samples, self.given.character.skeleton, before)
@@ -153,7 +153,7 @@ class Computation:
         self._needs_model = False
 
     def _simulate(self, simulate: ModuleType) -> bool:
-        """Play the chunk; True when the shot is complete, and no rehearsal asks for another one."""
+        """Simulate the chunk; True when the shot is complete, and no rehearsal needs another pass."""
         while True:
             shot = self._play(simulate)
             if not shot.is_complete:
@@ -167,7 +167,7 @@ class Computation:
             self._chunks, self.shot = 0, None
 
     def _play(self, simulate: ModuleType) -> Shot:
-        """The shot, on to the end of the rig that was read."""
+        """Simulate the shot to the end of the rig that was read."""
         given, outcome, rig = self.given, self.outcome, self.rig
         assert rig is not None  # a shot has one
         with self.progress.stage("simulate"):
@@ -179,7 +179,7 @@ class Computation:
             shot: Shot = self.shot
             shot.play(rig)
             self._chunks += 1
-        if given.share and given.kept and len(rig):  # else nothing was left to do
+        if given.share and given.kept and len(rig):  # otherwise nothing was left to do
             given.share.keep(given.kept, shot, rig.pose[-1])
         return shot
 
@@ -192,7 +192,7 @@ class Computation:
         outcome.report["inverted_volume"] = outcome.verdict.inverted
 
     def _rehearse_again(self) -> bool:
-        """Go on with another frequency, if there is a rehearsal and it asks for one; else with the best."""
+        """Continue with another frequency, if a rehearsal asks for one; otherwise with the best."""
         rehearsal, outcome, limits = self._rehearsal, self.outcome, self.given.limits
         if not rehearsal:
             return False
@@ -216,7 +216,7 @@ class Computation:
 
 
 def adopt(outcome: Outcome, character: Character) -> None:
-    """Go on with other materials, which are stored when the job is written."""
+    """Continue with other materials, which are stored when the job is written."""
     outcome.character = character
     neutrals = np.cumsum([0, *(len(each.targets) for each in character.target_sets)])
     for index, target in enumerate(character.targets):
@@ -227,7 +227,9 @@ def adopt(outcome: Outcome, character: Character) -> None:
 
 
 def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
-    """What the simulated shot becomes, and what is to be said about it. Raises SceneError, SelfCheckError, OSError."""
+    """Make the result from the simulated shot, and the messages about it. Raises SceneError, SelfCheckError,
+    OSError.
+    """
     from ..core import followers  # which needs the engine
 
     outside = [] if given.character.parts else given.followers
@@ -249,11 +251,13 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         outcome.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
     found = outcome.verdict.as_dict(given.limits)
     if not found["ok"]:
-        outcome.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint Softness")
+        outcome.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint the Softness Map")
 
 
 def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
-    """A bake of the whole body as one of each mesh, if they are in one cage; else it is of one mesh already."""
+    """A bake of the whole body divided into one per mesh, if they are in one cage; otherwise it is of one mesh
+    already.
+    """
     character = given.character
     if not character.parts:
         return [bake]
@@ -264,7 +268,7 @@ def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
 
 
 def _splice(given: BakeInput, outcome: Outcome) -> None:
-    """Make the results parts of the bakes that there were."""
+    """Make the results parts of the existing bakes."""
     parts = zip(given.before, (outcome.bake, *outcome.carried), _to_metres(given, outcome), strict=True)
     spliced = [splice(before, part, FADE, to_metres) for before, part, to_metres in parts]
     outcome.bake, *outcome.carried = (bake for bake, _ in spliced)
@@ -278,7 +282,7 @@ def _to_metres(given: BakeInput, outcome: Outcome) -> list[np.ndarray]:
 
 
 def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> None:
-    """What the results become, apart from Blender: shape keys, and the files of point caches."""
+    """The form of the results apart from Blender: shape keys, and the files of point caches."""
     character = given.character
     names = character.name, *(follower.name for follower in given.followers)
     points_of = character.vertices[character.own], *(follower.points for follower in given.followers)
@@ -302,7 +306,7 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
 
 
 def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, points: np.ndarray, bake: Bake) -> Path:
-    """The file that plays the bake of the mesh `name`, written."""
+    """Write the file that plays the bake of the mesh `name`."""
     fps = given.settings.fps
     default = paths.cache_path(given.caches, name, baked.digest(bake, points, fps), sink)
     file = given.cache_files.get(name, default)

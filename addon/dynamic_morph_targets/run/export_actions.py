@@ -27,7 +27,7 @@ from .job import Job
 
 
 class ClipJob(Job):
-    """Simulates one of the clips with the model as it is built, and writes nothing: `outcome` has its bakes."""
+    """Simulates one of the clips with the built model, and writes nothing: the result is in `result` and `carried`."""
 
     def __init__(self, obj: bpy.types.Object, clip: Clip, clips: Sequence[Clip]):
         name, frames = f"{obj.name}: {clip.name}", (clip.first, clip.last)
@@ -48,7 +48,7 @@ class ClipJob(Job):
 
 
 def joined(bakes: Sequence[Bake]) -> Bake:
-    """Bakes of one mesh by the same modes, one after the other in time. Raises SceneError."""
+    """Bakes of one mesh with the same modes, joined one after the other in time. Raises SceneError."""
     first = bakes[0]
     if not all(np.array_equal(bake.modes, first.modes) for bake in bakes):
         raise SceneError("Each clip has modes of its own, which the Full solver makes: choose the Reduced one")

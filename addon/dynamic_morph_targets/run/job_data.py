@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the phases of a job hand on: plain values, without bpy."""
+"""The plain values that the phases of a job exchange, without bpy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # it needs the engine
 
 
 class Progress:
-    """How far a job is, and whether it is to stop: what its thread and the window tell each other."""
+    """How far a job is, and whether it must stop: shared by its thread and the window."""
 
     def __init__(self) -> None:
         self.fraction = 0.0
@@ -31,7 +31,7 @@ class Progress:
         self.seconds: dict[str, float] = {}  # by stage
 
     def part(self, begin: float, end: float) -> Callable[[float, str], bool]:
-        """progress(fraction, message) -> bool of a part of the work; False when it is to stop."""
+        """progress(fraction, message) -> bool for a part of the work; False when it must stop."""
 
         def progress(fraction: float, message: str) -> bool:
             self.fraction = begin + (end - begin) * fraction
@@ -42,7 +42,7 @@ class Progress:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the seconds that it takes."""
+        """Measure the seconds that it takes."""
         began = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
@@ -50,10 +50,10 @@ class Progress:
 
 @dataclass(repr=False, eq=False)
 class BakeInput:
-    """What was read of Blender for a job, but for the moving rig.
+    """Everything that is read of Blender for a job, except the moving rig.
 
-    name: of the job, for messages. goal: BUILD, BUILD_CAGE or BAKE. followers: the other meshes that the flesh carries
-    along. inputs: the settings that the bake depends on. before: the bakes that these frames are to become parts of.
+    name: of the job, for messages. goal: BUILD, BUILD_CAGE or BAKE. followers: the other meshes that the soft tissue
+    carries along. inputs: the settings that the bake depends on. before: the bakes into which these frames go.
     """
 
     name: str
@@ -67,7 +67,7 @@ class BakeInput:
     shared_model: Model | None = None
     share: Share | None = None  # where built models and unfinished bakes are kept for other processes
     shares_model: bool = False
-    reasons: list[str] = field(default_factory=list)  # why the model is to be built
+    reasons: list[str] = field(default_factory=list)  # why the model must be built
     built_from: str = ""  # the settings, as JSON
     # The shot.
     has_shot: bool = False  # else a model alone is to be built, for which no rig is read; the next are not set
@@ -78,12 +78,12 @@ class BakeInput:
     rehearsed_from: float = 0.0  # the frequency in Hz that a rehearsal begins with; 0: there is none
     before: list[Bake] = field(default_factory=list)
     kept: Path | None = None  # the file that keeps it for other processes while it is unfinished
-    resumed: dict = field(default_factory=dict)  # what another process kept there
+    resumed: dict = field(default_factory=dict)  # what another process stored there
     first: RigSamples | None = None  # the rig at the first frame, if that was resumed
     # What the result becomes.
-    output: OutputSettings | None = None  # None: nothing in Blender
-    caches: Path = field(init=False)  # the folder of the .blend, beside which point caches are written, if they are
-    cache_files: dict[str, Path] = field(default_factory=dict)  # where they are written instead, by mesh
+    output: OutputSettings | None = None  # None: no form in Blender
+    caches: Path = field(init=False)  # the folder of the .blend, beside which point caches are written
+    cache_files: dict[str, Path] = field(default_factory=dict)  # other paths for them, by mesh
 
     @property
     def is_bake(self) -> bool:
@@ -95,7 +95,7 @@ class BakeInput:
 
     @property
     def is_probed(self) -> bool:
-        """Whether Blender is asked how it moves the nodes of the cage."""
+        """Whether Blender poses the nodes of the cage."""
         return self.has_shot and self.character.probed and self.character.settings.method != "STATIC"
 
 
@@ -117,8 +117,8 @@ class Outcome:
     carried: list[Bake] = field(default_factory=list)
     report: dict = field(default_factory=dict)  # of the simulation
     verdict: Verdict = field(init=False)
-    rehearsed: str = ""  # what the rehearsal has set, in a sentence
-    content_id: str = ""  # hash of all that the bake was made from
+    rehearsed: str = ""  # what the rehearsal has changed, in a sentence
+    content_id: str = ""  # hash of everything that the bake was made from
     written: list[tuple[Bake, Path | None]] = field(default_factory=list)
-    new_files: list[Path] = field(default_factory=list)  # of point caches, which were not there before
-    size: int = 0  # of what was written, in bytes
+    new_files: list[Path] = field(default_factory=list)  # new files of point caches
+    size: int = 0  # size of the written data in bytes

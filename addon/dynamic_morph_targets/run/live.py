@@ -17,14 +17,14 @@ from ..scene.skin import followers, soft_skins
 from ..write import bake, live_key, muting, regions, storage
 from .session import Session, simulation_settings, way_to_skin
 
-SCRUBBED = 0.02  # seconds between two looks whether the artist still drags through the timeline
+SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and how its model stood then
+_problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and the state of its model then
 lent: set[int] = set()  # objects whose live key shows something else for a while
 _hidden: list[int] = []  # session ids of the objects whose live key is hidden while their file is saved
-_asleep = True  # whether the add-on was enabled and has not looked yet what is live
-_any_live: bool | None = None  # whether an object of this file is live; None: to be seen
+_asleep = True  # whether the extension was enabled and has not yet looked for what is live
+_any_live: bool | None = None  # whether an object of this file is live; None: not known yet
 
 
 # On, off, and the present frame ------------------------------------------------------------------------------------
@@ -35,15 +35,17 @@ def is_on(obj: bpy.types.Object) -> bool:
 
 
 def obstacle(obj: bpy.types.Object) -> str:
-    """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
+    """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by
+    `turn_on`.
+    """
     if obj.dynamorph.bake.exists:
-        return "The bake shows the motion already: press Free Bake first"
+        return "The bake shows the motion already: press Delete Bake first"
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 
 
 def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
-    """Add the live key and show the present frame. Raises what keeps it from playing, before anything is changed.
+    """Add the live key and show the present frame. Raises what prevents it from playing, before anything is changed.
 
     There must be no `obstacle`.
     """
@@ -63,7 +65,7 @@ def turn_off(obj: bpy.types.Object) -> None:
 
 
 def refresh(obj: bpy.types.Object) -> None:
-    """Show at once what was changed in the settings of an object, if it is live."""
+    """Show changed settings of an object at once, if it is live."""
     if is_on(obj):
         follow(obj, bpy.context.scene, arrives=False)
 
@@ -79,7 +81,7 @@ def _stated(obj: bpy.types.Object) -> tuple[str, ...]:
 
 
 def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) -> None:
-    """Show what the flesh does at the scene's time. What is in the way is kept, see `problem`."""
+    """Show the state of the soft skin at the scene's time. Problems are recorded, see `problem`."""
     uid, rig = obj.session_uid, references.rig_of(obj)
     if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
         return
@@ -88,7 +90,7 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
         session = sessions.get(uid)
         if session is None or not session.fits(obj, settings):
             session = sessions[uid] = Session(obj, scene)
-            muting.show_target(obj, "")  # a target that came with another build: now Live shows it
+            muting.show_target(obj, "")  # a target of another build, which Live now shows
         if live_key.find(obj, session.flesh.skin.written) is None:
             turn_off(obj)
             return
@@ -103,7 +105,7 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
 
 
 def _stop(obj: bpy.types.Object, why: str) -> None:
-    """Let `obj` rest as it is shown now, and the panel say why."""
+    """Stop Live of `obj` at what it shows now; the panel says why."""
     sessions.pop(obj.session_uid, None)
     _problems[obj.session_uid] = why, _stated(obj)
     events.redraw(events.PANELS)
@@ -120,9 +122,9 @@ def holds_still(scene: bpy.types.Scene) -> bool:
 
 @persistent
 def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """frame_change_pre: what is written before Blender evaluates the frame does not make it do so twice.
+    """frame_change_pre: writing before Blender evaluates the frame does not make it evaluate twice.
 
-    The rig is not read from there but by itself, which changes frames too, in a scene of its own.
+    The rig is not read from there but separately, in a scene of its own, which changes frames too.
     """
     global _any_live
     if _asleep:
@@ -144,8 +146,9 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
 
 
 def is_scrubbing() -> bool:
-    """Whether the artist drags through the timeline of a window. Blender 5.2 crashes when a scene is removed from a
-    handler meanwhile, as reading the rig does.
+    """Whether the artist drags through the timeline of a window.
+
+    Blender 5.2 crashes when a handler removes a scene meanwhile, as reading the rig does.
     """
     return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
 
@@ -198,7 +201,7 @@ def _moves(update: bpy.types.DepsgraphUpdate) -> bool:
 
 @persistent
 def _undone(*_args: object) -> None:
-    """undo_post, redo_post. What was simulated stays true; how the rig moves may not."""
+    """undo_post, redo_post. The simulated frames stay valid; the motion of the rig may not."""
     global _any_live
     _any_live = None
     _problems.clear()
@@ -208,16 +211,16 @@ def _undone(*_args: object) -> None:
 
 @persistent
 def _loaded(*_args: object) -> None:
-    """load_post: the ids may be those of other objects now."""
+    """load_post: the ids may now belong to other objects."""
     _forget()
     _wake()
 
 
 @persistent
 def _before_save(*_args: object) -> None:
-    """save_pre: note what the live keys look like, by which they are found after a rename, and hide them.
+    """save_pre: record the shapes of the live keys, which identify them after a rename, and hide the keys.
 
-    In a file that is opened without the add-on the last frame would stand still on the skin.
+    In a file that is opened without the extension, the skin would stay frozen at the last frame.
     """
     skins = soft_skins(bpy.data.objects)
     for obj in [each for skin in skins for each in (skin, *followers(skin))]:
@@ -305,7 +308,7 @@ def _forget() -> None:
 
 
 def remove_soft_skin(obj: bpy.types.Object) -> None:
-    """Its targets, model and bake; shape keys and settings stay. Raises SinkError."""
+    """Remove its targets, model and bake; shape keys and settings stay. Raises SinkError."""
     turn_off(obj)
     bake.free(obj)
     muting.show_target(obj, "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shake tests and single modes: a motion of the armature that nobody keyed, played at once."""
+"""Shake tests and single modes: a motion of the armature without keyframes, played at once."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ DELTAS = ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion")
 
 
 class Preview:
-    """The live key lent to something that shows the flesh in motion for a while; the rig may be moved along.
-
+    """Borrows the live key for something that shows the soft skin in motion for a while; the rig may be moved along.
     Raises SceneError or SinkError.
     """
 
@@ -67,7 +66,7 @@ class Preview:
 
 
 class _Mover:
-    """Moves an object by its delta transform, which is neither keyed nor changed by changing the frame."""
+    """Moves an object by its delta transform, which is neither keyed nor affected by frame changes."""
 
     def __init__(self, obj: bpy.types.Object):
         self.object = skin.ObjectHandle.of(obj)
@@ -96,7 +95,7 @@ class _Mover:
 
 
 def _matrix(euler: Euler, order: str) -> Matrix:
-    """The rotation of an Euler property, which has the order of the object's own rotation whatever it says."""
+    """The rotation of an Euler property, which uses the order of the object's own rotation."""
     euler = euler.copy()
     euler.order = order
     return euler.to_matrix()
@@ -119,7 +118,7 @@ def is_running(operator: str) -> bool:
 
 
 def begin_preview(obj: bpy.types.Object, operator: type[Operator]) -> Preview:
-    """Ends the one that runs."""
+    """Also ends the running one."""
     global preview
     end_preview()
     preview = Preview(obj, operator)

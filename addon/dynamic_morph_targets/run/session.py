@@ -23,11 +23,13 @@ from ..write.reconcile import reconcile
 if TYPE_CHECKING:  # it needs the engine
     from ..core.player import Frame, State
 
-BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
-CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
-RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
-KEPT = 250  # latest frames from which it can go on again, when settings are changed there
-STATE_BYTES = 2**28  # that those may take, where each has the transforms of nodes
+# Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
+# stutter.
+BLOCK = 16
+CATCH_UP = 8  # frames that playback may drop; they are simulated nevertheless
+RIG_BYTES = 2**28  # bytes of the rig's matrices that are kept, because reading them again takes a while
+KEPT = 250  # latest frames from which it can resume after a change of settings
+STATE_BYTES = 2**28  # bytes that those may take if each has the transforms of nodes
 
 
 class Flesh:
@@ -60,7 +62,7 @@ class Flesh:
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:
-        """How many the meshes have that share the cage."""
+        """The number of vertices of each mesh that shares the cage, by session_uid."""
         parts = {skin.ObjectHandle(part.session_uid, part.name): len(part.points) for part in self.character.parts}
         return {self.skin.object: self.character.own.stop} | parts
 
@@ -85,7 +87,7 @@ class Flesh:
         return shown
 
     def moved(self, values: np.ndarray) -> float:
-        """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
+        """The largest distance of a point from where the targets' shapes alone would have it: meters."""
         to_bind, in_cage = self.character.to_bind, zip(self.followers, self.character.parts, strict=False)
         others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in in_cage)
         return max(
@@ -100,10 +102,10 @@ class Flesh:
 
 
 class Surface:
-    """A mesh whose live key shows the flesh: the soft skin's own, or one that follows it.
+    """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
 
-    vertices (V, 3), modes (r, V, 3), details (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): what the key
-    shows.
+    vertices (V, 3), modes (r, V, 3), details (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): the points of
+    the key.
     """
 
     def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
@@ -128,7 +130,9 @@ class Surface:
 
 
 def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """(k,) times (k, 3 V), float32. Not by @, which wakes threads: where they have to wait, a hundred times as long."""
+    """(k,) times (k, 3 V), float32. Not with @, which wakes threads: if they must wait, it takes a hundred times as
+    long.
+    """
     return np.einsum("k,kv->v", values.astype(np.float32), shapes)
 
 
@@ -158,7 +162,7 @@ class Rig:
 
 
 class Session:
-    """One object that plays: what is simulated of it since it last began, and how to go on."""
+    """One object that plays: its simulation since it last began, and the state from which it continues."""
 
     def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
         self.flesh = Flesh(obj, scene)
@@ -176,7 +180,7 @@ class Session:
         self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton, self.flesh.probe)
 
     def fits(self, obj: bpy.types.Object, settings: SimulationSettings) -> bool:
-        """Whether this is still a session of the object's model, with steps as long."""
+        """Whether this is still a session of the object's model, with the same time step."""
         mine = self.flesh.player.settings
         same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
         if self.flesh.probe and _placing(obj) != self._placing:
@@ -201,9 +205,9 @@ class Session:
             if before == self.last:
                 self._advance(obj)
             values += share * (self.flesh.values(self._frames[before + 1]) - values)
-        if not np.isfinite(values).all():  # Python and drivers can set a gain to anything
+        if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise errors.SelfCheckError(
-                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' influence"
+                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' Motion Amount"
             )
         return values
 
@@ -218,16 +222,16 @@ class Session:
         return {surface.object.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
 
     def knows(self, time: float) -> bool:
-        """Whether a frame, or a time between two, is simulated already."""
+        """Whether a frame, or a time between two, has been simulated already."""
         return {math.floor(time), math.ceil(time)} <= self._frames.keys()
 
     def rig_changed(self) -> None:
-        """The rig moves otherwise from here on."""
+        """The rig moves differently from now on."""
         self.rig.forget()
         self._rewind()
 
     def _heed(self, obj: bpy.types.Object, settings: SimulationSettings) -> None:
-        """Take over what the artist has changed; what was simulated beyond the frame that shows is then forgotten."""
+        """Apply what the artist has changed; the frames simulated after the one that shows are then dropped."""
         age = staleness.model_age(obj)
         if age:
             raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
@@ -257,7 +261,9 @@ class Session:
         self.flesh.player = player
 
     def _reach(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
-        """Have a frame simulated: from the last one on, or where playback cannot have come from there, begin at it."""
+        """Simulate up to a frame: from the last one on, or, if playback cannot have come from there, beginning at
+        it.
+        """
         settings = self.flesh.player.settings
         starts = arrives and number == settings.start
         if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
@@ -299,7 +305,7 @@ class Session:
         self._states[number % self._kept] = number, self.flesh.player.state
 
     def _rewind(self) -> None:
-        """Forget the frames after the one that shows; if its state is no longer kept, all of them."""
+        """Drop the frames after the one that shows; if its state is no longer stored, all of them."""
         now = self.now
         if now == self.last:
             return
@@ -313,7 +319,7 @@ class Session:
 
 
 def simulation_settings(obj: bpy.types.Object, scene: bpy.types.Scene) -> SimulationSettings:
-    """As `extract.simulation_settings`, of which whole frames show."""
+    """`run_settings.simulation_settings` without samples between frames."""
     return replace(run_settings.simulation_settings(obj, scene), samples=1)
 
 
@@ -371,6 +377,6 @@ def _with_materials(character: Character, materials: dict[str, Material]) -> Cha
 
 
 def way_to_skin(obj: bpy.types.Object) -> tuple:
-    """What the way from the rig to the skin depends on besides weights."""
+    """What the mapping from the rig to the skin depends on besides weights."""
     rig = references.rig_of(obj)
     return rig and references.bones_key(rig.data), skinning.skinning_settings(obj)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Handlers that notice what ages models and bakes, and what a running job must hear of."""
+"""Handlers that notice edits which outdate models and bakes, and events that concern a running job."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ..write import bake_influence, storage, targets
 from ..write.reconcile import reconcile
 from . import batch, heat, live
 
-PATIENCE = 1.0  # seconds without an edit, after which it is looked at
-OWNER = object()  # of the subscriptions
+PATIENCE = 1.0  # seconds without an edit before the check
+OWNER = object()  # owner of the subscriptions
 
 
 @persistent
 def _before_load(*_args: object) -> None:
-    """load_pre: the job's results would have nowhere to go, and what is kept in memory belongs to nothing any more."""
+    """load_pre: the job's results would have no place to go, and what is kept in memory belongs to nothing any more."""
     batch.stop()
     model_store.forget()
     references.forget()
@@ -28,7 +28,7 @@ def _before_load(*_args: object) -> None:
 
 @persistent
 def _after_undo(*_args: object) -> None:
-    """undo_post, redo_post: what a job has read so far is of another scene, and curves are others again."""
+    """undo_post, redo_post: what a job has read so far belongs to another scene, and the curves have changed."""
     if batch.running:
         batch.running.undone = True
     events.soon(_look_at_animations, PATIENCE)
@@ -69,7 +69,7 @@ def _changed(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def look_soon() -> None:
-    """Look a while later whether the models still fit their meshes and cages."""
+    """Check a while later whether the models still fit their meshes and cages."""
     events.soon(_look_at_meshes, PATIENCE)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the settings refer to by name: shape keys, bones and the rig, and how each is told from others."""
+"""What the settings refer to by name (shape keys, bones and the rig), and how each is distinguished from others."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def rest_skeleton(armature) -> Skeleton:
 
 
 def bones_key(armature) -> tuple:
-    """The bones' names and where they rest, to be compared."""
+    """The bones' names and rest places, for comparison."""
     rest = np.empty(16 * len(armature.bones), np.float32)
     armature.bones.foreach_get("matrix_local", rest)
     return tuple(armature.bones.keys()), rest.tobytes()
@@ -52,12 +52,12 @@ def key_points(block) -> np.ndarray:
 
 
 def key_hash(block) -> str:
-    """Identifies a shape key by what it sculpts, whatever its name or place in the list."""
+    """Identifies a shape key by its shape, whatever its name or place in the list."""
     return _hash("shape", block, _key_shape(block))
 
 
 def basis_hash(blocks) -> str:
-    """Tells when the mesh itself was edited, which changes all its shape keys."""
+    """Detects edits of the mesh itself, which change all its shape keys."""
     return _hash("points", blocks[0], key_points(blocks[0]))
 
 
@@ -93,7 +93,7 @@ def _factors(count: int) -> np.ndarray:
 
 
 def key_reach(block) -> float:
-    """How far a shape key moves a point, at most. Unlike the hash it survives an edit of the Basis."""
+    """The largest displacement by a shape key. Unlike the hash it survives an edit of the Basis."""
     return float(np.abs(_key_shape(block)).max(initial=0.0))
 
 
@@ -108,7 +108,7 @@ class KeyReference:
     key_hash: StringProperty(name="Key Hash", description="Identifies the sculpted shape", override=OVERRIDE)
 
     def refer_to(self, blocks, index: int):
-        """Point at `blocks[index]`. Writes only what changed: a write tags the object for evaluation."""
+        """Point at `blocks[index]`. Writes only what changed, because writing tags the object for evaluation."""
         block = blocks[index]
         for field, value in (("name", block.name), ("key_index", index), ("key_hash", key_hash(block))):
             if getattr(self, field) != value:

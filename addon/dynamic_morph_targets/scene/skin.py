@@ -13,7 +13,7 @@ from .references import rig_of
 
 
 def unit_scale() -> float:
-    """Metres in a Blender unit, as the scene's unit settings say. All that is read of the world is in metres."""
+    """Meters per Blender unit, from the scene's unit settings. Everything that is read of the world is in meters."""
     units = bpy.context.scene.unit_settings
     return 1.0 if units.system == "NONE" else units.scale_length
 
@@ -79,7 +79,7 @@ def find(session_uid: int):
 
 
 def named_targets(obj) -> list[tuple]:
-    """(name, target) of all targets; the neutral's name is empty, because a shape key may be called like it."""
+    """(name, target) of all targets; the neutral target's name is empty, because a shape key may have the same name."""
     return [(target.name if i else "", target) for i, target in enumerate(obj.dynamorph.targets)]
 
 
@@ -89,24 +89,24 @@ def soft_skins(objects):
 
 
 def parts_in(obj) -> list:
-    """The pieces of a soft skin that are parts of its own mesh."""
+    """The attachments of a soft skin that are parts of its own mesh."""
     return parts_of(obj, None)
 
 
 def parts_of(obj, mesh) -> list:
-    """The pieces of a soft skin that are parts of another mesh object; None: of its own."""
+    """The attachments of a soft skin that are parts of another mesh object; None: of its own."""
     return [piece for piece in obj.dynamorph.pieces if piece.group and piece.object == mesh]
 
 
 def clothes_in(obj) -> list:
-    """The other meshes that the flesh of a soft skin is to carry along, without those that are deleted."""
+    """The other meshes that a soft skin should carry along, without deleted ones."""
     choices = {"WITH_BODY", "HELD"} if obj.dynamorph.model.one_cage else {"WITH_BODY"}
     pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice in choices]
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 
 
 def is_shown_on(obj) -> bool:
-    """Whether there are keys of a bake or of Live on a mesh."""
+    """Whether a mesh has keys of a bake or of Live."""
     return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
 
 
@@ -118,12 +118,12 @@ def cache_modifier(obj):
 
 
 def followers(obj) -> list:
-    """The meshes that show the motion of the soft skin `obj` now, by its bake or by Live."""
+    """The meshes that now show the motion of the soft skin `obj`, by its bake or by Live."""
     return [other for other in bpy.data.objects if other.dynamorph.follows == obj]
 
 
 def mesh_in(context):
-    """The mesh object that buttons and panels are about, or None: the active one, of an armature the soft skin on it.
+    """The mesh object that buttons and panels refer to, or None: the active one; for an armature, the soft skin on it.
 
     Of several soft skins on one armature, a selected one; without any, the largest mesh.
     """

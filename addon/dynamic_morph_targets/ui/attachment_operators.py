@@ -17,7 +17,7 @@ from .base import SoftSkinOperator, listed
 
 
 class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
-    """List the other meshes on the armature and the loose parts of this mesh, to choose what moves each"""
+    """List the other meshes on the armature and the loose parts of this mesh, so that you can choose what moves each"""
 
     bl_idname = "dynamorph.find_pieces"
     bl_label = "Find Attachments"
@@ -33,7 +33,7 @@ class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_add_piece(SoftSkinOperator, Operator):
-    """Add the other selected meshes to the list; without any, an attachment whose object or group is then chosen"""
+    """Add the other selected meshes to the list. Without a selection, add an attachment to choose an object for"""
 
     bl_idname = "dynamorph.add_piece"
     bl_label = "Add Attachment"
@@ -49,7 +49,7 @@ class DYNAMORPH_OT_add_piece(SoftSkinOperator, Operator):
 
 
 class PieceOperator(SoftSkinOperator):
-    """Mixin: works on the piece selected in the list."""
+    """Mixin: works on the attachment selected in the list."""
 
     @classmethod
     def obstacle(cls, context):
@@ -60,7 +60,7 @@ class PieceOperator(SoftSkinOperator):
 
 
 class DYNAMORPH_OT_remove_piece(PieceOperator, Operator):
-    """Remove the selected attachment from the list, and its baked keys; the mesh itself stays"""
+    """Remove the selected attachment from the list together with its baked keys. The mesh itself stays"""
 
     bl_idname = "dynamorph.remove_piece"
     bl_label = "Remove Attachment"
@@ -75,7 +75,7 @@ class DYNAMORPH_OT_remove_piece(PieceOperator, Operator):
 
 
 class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
-    """Select the attachment in the viewport: its object, or the vertices of the part in Edit Mode"""
+    """Select the attachment in the viewport: its object, or its vertices in Edit Mode"""
 
     bl_idname = "dynamorph.select_piece"
     bl_label = "Select Attachment"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What all buttons have in common: when they are grey, and how errors are told."""
+"""What all buttons have in common: when they are grayed out, and how errors are reported."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LISTED = 5  # names in a report
 
 
 def guarded(operator, action, *args) -> set[str]:
-    """Call `action`; an error becomes a report, a bug is logged too, and the operator is cancelled."""
+    """Call `action`. An error becomes a report, a bug is also logged, and the operator is cancelled."""
     try:
         return action(*args) or {"FINISHED"}
     except errors.Cancelled:
@@ -46,12 +46,12 @@ class SoftSkinOperator:
 
     @classmethod
     def obstacle(cls, context) -> str:
-        """Why the button is grey, or ''."""
+        """Why the button is grayed out, or ''."""
         obj = skin.mesh_in(context)
         if obj is None:
             return "Select the character's mesh object"
         if obj.library:
-            text = iface_("'{name}' is linked: make a library override to change its materials, else make it local")
+            text = iface_("'{name}' is linked: make a library override to change its materials, or make it local")
             return text.format(name=obj.name)
         if obj.override_library and not cls.on_override:
             text = iface_("'{name}' is a library override, which would lose this when saved: make it local")
@@ -76,14 +76,14 @@ class SoftSkinOperator:
 
 
 def at_work() -> str:
-    """Which job is to be waited for, or ''."""
+    """Which job must end first, or ''."""
     if not batch.running:
         return ""
     return iface_("Wait until '{name}' is done, or cancel it").format(name=batch.running.name)
 
 
 def listed(names: list[str]) -> str:
-    """As many as a report has room for."""
+    """As many names as a report has room for."""
     first, more = ", ".join(names[:LISTED]), len(names) - LISTED
     return rpt_("{names} and {count} more").format(names=first, count=more) if more > 0 else first
 

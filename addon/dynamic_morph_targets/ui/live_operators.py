@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that show the flesh without a bake: Live, shake tests, single modes; and those that compare settings."""
+"""Buttons that show the motion without a bake (Live, shake tests, single modes), and those that compare settings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..write.slots import put_slot, slot_settings
 from .base import SoftSkinOperator, guarded
 from .job_operators import JobOperator, press
 
-FIRST_LOOK = 2.0  # seconds of the hop in which a new soft skin shows itself
+FIRST_LOOK = 2.0  # seconds of the hop that shows a new soft skin
 NAVIGATION = {
     "MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM",
     "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION",
@@ -36,7 +36,7 @@ NAVIGATION = {
 
 
 class FleshOperator(SoftSkinOperator):
-    """Mixin: shows the flesh of the built model, which nothing else may show meanwhile."""
+    """Mixin: shows the motion of the built model, which nothing else may show meanwhile."""
 
     @classmethod
     def obstacle(cls, context):
@@ -44,7 +44,7 @@ class FleshOperator(SoftSkinOperator):
 
 
 class DYNAMORPH_OT_live(FleshOperator, Operator):
-    """Simulate while Blender plays, without a bake; again: stop that"""
+    """Simulate while Blender plays, without a bake. Press again to stop"""
 
     bl_idname = "dynamorph.live"
     bl_label = "Live Soft Skin"
@@ -64,7 +64,7 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
 
 
 class EndsLive(JobOperator):
-    """Mixin: builds a model, and in a window turns Live on then and lets the armature hop."""
+    """Mixin: builds a model. In a window it then turns Live on and lets the armature hop."""
 
     def modal(self, context, event):
         result = super().modal(context, event)
@@ -86,7 +86,7 @@ class EndsLive(JobOperator):
 
 
 class DYNAMORPH_OT_first_look(EndsLive, Operator):
-    """Build a new soft skin, turn Live on and let it hop, so that it shows how it moves; Esc stops"""
+    """Build a new soft skin, turn Live on and let the armature hop to show how the skin moves. Esc stops it"""
 
     bl_idname = "dynamorph.first_look"
     bl_label = "Build Soft Skin"
@@ -94,9 +94,11 @@ class DYNAMORPH_OT_first_look(EndsLive, Operator):
 
 
 class PreviewOperator(FleshOperator):
-    """Mixin: shows a Preview, in a window by and by until it ends or is stopped with Esc, else all frames at once."""
+    """Mixin: shows a Preview. In a window it plays until it ends or Esc stops it; in the background all frames run at
+    once.
+    """
 
-    bl_options = {"REGISTER"}  # nothing stays that could be undone
+    bl_options = {"REGISTER"}  # it leaves nothing that could be undone
 
     def apply(self, obj):
         running = Preview(obj, type(self))
@@ -115,7 +117,7 @@ class PreviewOperator(FleshOperator):
         return guarded(self, self._begin, context)
 
     def modal(self, context, event):
-        if self.running is not preview.preview:  # stopped by its button, by undo, or by what else ends previews
+        if self.running is not preview.preview:  # stopped by its button, by undo or by anything else that ends previews
             return self._end(context)
         if event.type == "ESC" and event.value == "PRESS":
             return self._end(context)
@@ -155,7 +157,7 @@ class PreviewOperator(FleshOperator):
         return {"RUNNING_MODAL"}
 
     def _tick(self):
-        """Show the frame of this moment: a slow window drops some, as playback does."""
+        """Show the frame that is due now. A slow window drops frames, as playback does."""
         if rig_motion.render_runs():  # which reads what would be written
             return {"RUNNING_MODAL"}
         due = 1 + int((time.monotonic() - self.began) * self.fps) - self.done
@@ -178,32 +180,32 @@ class PreviewOperator(FleshOperator):
         return {"CANCELLED"}
 
     def _report(self, largest: float):
-        text = rpt_("The flesh moves by up to {distance:.1f} mm")
+        text = rpt_("The skin moves by up to {distance:.1f} mm")
         self.report({"INFO"}, text.format(distance=1000 * largest))
 
 
 class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
-    """Shake the armature in place, without keyframes, to see how the flesh swings; Esc stops"""
+    """Shake the armature in place, without keyframes, to see how the skin swings. Esc stops it"""
 
     bl_idname = "dynamorph.shake_test"
     bl_label = "Shake Test"
 
     kind: EnumProperty(
         name="Kind",
-        description="How the armature is moved",
+        description="How the test moves the armature",
         items=(
-            ("STOMP", "Stomp", "Rise, drop and stop dead"),
-            ("TWIST", "Twist", "Turn about the vertical, quickly, and back"),
-            ("HOP", "Hop", "Up and down, twice"),
+            ("STOMP", "Stomp", "Rise, drop and stop abruptly", 0),
+            ("TWIST", "Twist", "Turn quickly about the vertical axis and back", 1),
+            ("HOP", "Hop", "Move up and down twice", 2),
         ),
         options={"SKIP_SAVE"},
     )  # fmt: skip
     seconds: FloatProperty(
-        name="Seconds", description="How long the test takes", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
+        name="Seconds", description="Duration of the test", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
     )
 
     def passes(self, event) -> bool:
-        """Not what may be undone: it would remember the rig where it is shaken to."""
+        """Only navigation: an undo step would store the rig in its shaken position."""
         return event.type in NAVIGATION
 
     def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, Matrix]]:
@@ -222,7 +224,7 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
 
 
 class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
-    """Swing the selected mode alone, about the targets' shape in the present pose; again, or Esc: stop"""
+    """Swing only the selected mode about the targets' shape in the current pose. Press again, or Esc, to stop"""
 
     bl_idname = "dynamorph.play_mode"
     bl_label = "Play Mode"
@@ -231,7 +233,7 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
         return True  # to select other modes meanwhile
 
     def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, None]]:
-        """A swing a second; in the background, one."""
+        """One swing per second; in the background, a single swing."""
         if not flesh.modes:
             raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
         weights = flesh.player.begin(rig_motion.sample_present(obj, flesh.probe)).weights
@@ -258,7 +260,7 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
 
 
 class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
-    """Show the mesh as its rig alone moves it, to compare; again, or when the file is saved: show the soft skin"""
+    """Show the mesh as the rig alone moves it, for comparison. Pressing again or saving the file shows the soft skin"""
 
     bl_idname = "dynamorph.show_plain"
     bl_label = "Show Plain Skinning"
@@ -267,7 +269,7 @@ class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
     def obstacle(cls, context):
         obstacle = super().obstacle(context)
         if not obstacle and not comparison.can_show(skin.mesh_in(context)):
-            return "Turn Live on or bake first: there is only plain skinning to be seen"
+            return "Turn Live on or bake first: only plain skinning exists so far"
         return obstacle
 
     def apply(self, obj):
@@ -276,7 +278,7 @@ class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
-    """Set the gain of all modes to 1, and none solo"""
+    """Set the gain of all modes to 1, and turn solo off"""
 
     bl_idname = "dynamorph.reset_gains"
     bl_label = "Reset Gains"
@@ -287,7 +289,7 @@ class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
-    """Measure how far the soft skin at rest, in each target's pose, is from what was sculpted for it"""
+    """Measure how far the soft skin at rest in each target's pose is from the sculpted shape"""
 
     bl_idname = "dynamorph.check_targets"
     bl_label = "Check Targets"
@@ -302,10 +304,10 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
-    """Go to the other of two sets of settings, to compare them: materials, simulation, gains of modes"""
+    """Switch to the other of two sets of settings to compare them: materials, simulation and gains of modes"""
 
     bl_idname = "dynamorph.swap_slot"
-    bl_label = "Swap A and B"
+    bl_label = "Compare A and B"
 
     def apply(self, obj):
         record = obj.dynamorph.live
@@ -317,7 +319,7 @@ class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
-    """Make the other set of settings the same as this one"""
+    """Copy this set of settings to the other one"""
 
     bl_idname = "dynamorph.copy_slot"
     bl_label = "Copy to Other Slot"
@@ -328,17 +330,17 @@ class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
 
 @persistent
 def _before_change(*_args):
-    """What a preview moves must not be saved, nor stay where undo passes by."""
+    """What a preview moves must neither be saved nor end up in an undo step."""
     end_preview()
 
 
 @persistent
 def _before_save(*_args):
-    """save_pre: a file that is opened or rendered elsewhere shows the soft skin."""
+    """save_pre: a saved file shows the soft skin wherever it is opened or rendered."""
     _before_change()
     for obj in skin.soft_skins(bpy.data.objects):
         if obj.library is None and comparison.is_plain(obj):
-            with suppress(SinkError):  # in Edit Mode the panel goes on saying it
+            with suppress(SinkError):  # in Edit Mode the panel keeps saying that plain skinning is shown
                 comparison.show(obj, False)
 
 

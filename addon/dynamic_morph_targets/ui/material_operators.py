@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons of a target's material: presets and fits to what was seen."""
+"""Buttons of a target's material: presets, and fits to observations."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
 
     preset: EnumProperty(
         name="Material",
-        description="What the flesh is made of at this target",
-        items=[(key, preset.label, preset.source) for key, preset in material_presets.PRESETS.items()],
+        description="Measured material of the soft tissue at this target",
+        items=[(key, p.label, p.source, number) for number, (key, p) in enumerate(material_presets.PRESETS.items())],
     )
 
     @classmethod
@@ -36,7 +36,7 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
-    """Set stiffness and damping of the selected target so that the flesh swings as observed, on the cage as built"""
+    """Set stiffness and damping of the selected target so that the built skin swings as observed"""
 
     bl_idname = "dynamorph.fit_material"
     bl_label = "Fit Bounce"
@@ -44,11 +44,17 @@ class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
     on_override = True
 
     frequency: FloatProperty(
-        name="Bounce (Hz)", description="Swings a second after a push", default=3.0, min=0.01, max=1000.0
+        name="Bounce",
+        description="Observed natural frequency, in swings per second after a push",
+        default=3.0,
+        min=0.01,
+        max=1000.0,
+        subtype="FREQUENCY",
     )
     settle: FloatProperty(
-        name="Settle (s)",
-        description="Seconds until a twentieth of the swing is left",
+        name="Settle Time",
+        description="Observed time until a twentieth of the swing is left",
+        subtype="TIME_ABSOLUTE",
         default=1.0,
         min=0.001,
         max=1000.0,

@@ -64,11 +64,11 @@ def draw_problems(layout, obj):
 
 
 def draw_feel(layout, obj):
-    """How soft the skin feels: the presets, how much of the motion shows, and how far it may go."""
+    """How soft the skin feels: the presets, how much of the motion shows, and its limits."""
     simulation = obj.dynamorph.simulation
     sliders = layout.column()
     sliders.enabled = batch.running is None
-    sliders.use_property_split = False  # beside them there is no room for the names
+    sliders.use_property_split = False  # there is no room for the names beside them
     column = sliders.column(align=True)
     row = column.row(align=True)
     chosen = feel.active(obj.dynamorph.targets[0], simulation)
@@ -103,7 +103,7 @@ def draw_cage(layout, context, obj):
     column.prop(settings.model, "separate")
     column.prop(settings.model, "one_cage")
     draw_painted_group(column, obj, "SOFT")
-    pair = column.column(align=True)  # side by side their names are cut
+    pair = column.column(align=True)  # side by side, their names would be cut off
     pair.use_property_split = False
     pair.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
     pair.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
@@ -130,7 +130,7 @@ def draw_painted_group(layout, obj, which: str):
 
 
 def draw_status(header, _context):
-    """What runs, at the left of the status bar; of every window, wherever it was started."""
+    """What runs, at the left of the status bar of every window, wherever it was started."""
     work = batch.running
     if work:
         text = iface_("{done:.0%}  {message}    Esc: cancel")

@@ -44,7 +44,7 @@ class SavesPreset(AddPresetBase):
 
 
 class DYNAMORPH_OT_material_preset(SavesPreset, Operator):
-    """Save the selected target's properties as a preset, or remove one"""
+    """Save the selected target's properties as a preset, or remove a preset"""
 
     bl_idname = "dynamorph.material_preset"
     bl_label = "Add Material Preset"
@@ -55,7 +55,7 @@ class DYNAMORPH_OT_material_preset(SavesPreset, Operator):
 
 
 class DYNAMORPH_OT_setup_preset(SavesPreset, Operator):
-    """Save the settings of model and simulation as a preset, or remove one. Targets and frames are no part of it"""
+    """Save the settings of model and simulation as a preset, or remove a preset. Targets and frames are not included"""
 
     bl_idname = "dynamorph.setup_preset"
     bl_label = "Add Setup Preset"
@@ -73,7 +73,7 @@ class DYNAMORPH_OT_setup_preset(SavesPreset, Operator):
 
 
 class DYNAMORPH_OT_load_preset(SoftSkinOperator, Operator):
-    """Use this preset"""
+    """Apply this preset"""
 
     bl_idname = "dynamorph.load_preset"
     bl_label = "Load Soft Skin Preset"
@@ -86,17 +86,17 @@ class DYNAMORPH_OT_load_preset(SoftSkinOperator, Operator):
         try:
             with bpy.context.temp_override(object=obj):
                 bpy.ops.script.execute_preset(filepath=self.filepath, menu_idname=self.menu_idname)
-        except RuntimeError as error:  # its file is gone, or no script
+        except RuntimeError as error:  # its file is gone or is not a script
             raise SceneError(str(error).strip()) from error
 
 
 class PresetList(PresetPanel):
-    """Mixin: a pop-up that lists presets, each with a button to remove it, and adds one."""
+    """Mixin: a pop-up that lists presets, with buttons to remove each and to add one."""
 
     preset_operator = "dynamorph.load_preset"
 
     def path_menu(self, folders, *args, **options):
-        # An iterator is true though empty: no complaint about missing folders before the first preset is saved.
+        # An empty iterator is true, so Blender does not report missing folders before the first preset is saved.
         Menu.path_menu(self, folders or iter(()), *args, **options)
 
 

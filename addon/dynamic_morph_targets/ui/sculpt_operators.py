@@ -18,16 +18,16 @@ from .pose_operators import go_to_pose
 
 SCULPT_MODE = EnumProperty(
     name="Mode",
-    description="Where the shape key is edited, in the pose as it is",
+    description="The mode in which the shape key is edited in the current pose",
     items=(
-        ("SCULPT", "Sculpt Mode", "Sculpt it with brushes", "SCULPTMODE_HLT", 0),
-        ("EDIT", "Edit Mode", "Move its vertices", "EDITMODE_HLT", 1),
+        ("SCULPT", "Sculpt Mode", "Sculpt the shape with brushes", "SCULPTMODE_HLT", 0),
+        ("EDIT", "Edit Mode", "Move the vertices of the shape", "EDITMODE_HLT", 1),
     ),
 )
 
 
 class SculptOperator:
-    """Mixin, before the other: begins to sculpt, which must not have begun already."""
+    """Mixin, listed first: begins to sculpt, unless a target is being sculpted already."""
 
     @classmethod
     def obstacle(cls, context):
@@ -38,12 +38,12 @@ class SculptOperator:
 
 
 class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
-    """Make a target for the pose as it is, with a shape key that starts as the other targets look there; sculpt it"""
+    """Create a target for the current pose and sculpt it. Its shape starts as the blend of the other targets"""
 
     bl_idname = "dynamorph.new_from_pose"
     bl_label = "New from Pose"
 
-    key: StringProperty(name="Name", description="Of the shape key and target", options={"SKIP_SAVE"})
+    key: StringProperty(name="Name", description="Name of the shape key and of the target", options={"SKIP_SAVE"})
     mode: SCULPT_MODE
 
     def invoke(self, context, _event):
@@ -66,7 +66,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         targets.begin_sculpting(obj, block, self.mode, is_new=True)
 
     def _check(self, obj):
-        """The pose as it is. Raises SceneError if there can be no new target."""
+        """The current pose. Raises SceneError if it cannot have a new target."""
         targets.check_can_sculpt(obj)
         skeleton, local, rig_world = rig_motion.current_pose(obj)
         bones = rig_motion.bones_turned(obj, skeleton, obj.dynamorph.targets[0].local(skeleton), local)
@@ -75,7 +75,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         other = targets.at_pose_of(obj, skeleton, local, bones)
         # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
         if other and (obj.dynamorph.model.hold != "THICKNESS" or set(bones) <= {*other.bone_names()}):
-            raise SceneError(f"The armature is in the pose of '{other.name}': pose it otherwise, or sculpt that target")
+            raise SceneError(f"The armature is in the pose of '{other.name}': change the pose, or sculpt that target")
         return skeleton, local, rig_world
 
     def _default_name(self, obj) -> str:
@@ -84,7 +84,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
-    """Sculpt the selected target in its pose"""
+    """Pose the armature as captured for the selected target, and sculpt its shape key there"""
 
     bl_idname = "dynamorph.sculpt_target"
     bl_label = "Sculpt Target"
@@ -99,7 +99,7 @@ class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
-    """Leave the mode, show all shape keys again, and choose bones and region by what was sculpted"""
+    """Leave the sculpting mode, show all shape keys again, and choose the target's bones and region from the sculpt"""
 
     bl_idname = "dynamorph.finish_sculpt"
     bl_label = "Finish Sculpting"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that make a mesh a soft skin, put right what is in the way, and prepare its cage."""
+"""Buttons that make a mesh a soft skin, fix its problems and prepare its cage."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .job_operators import JobOperator, StartsJob
 
 
 class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
-    """Make the active mesh a soft skin, which is then built and shown in Live, with a hop of its armature; Esc stops"""
+    """Make the active mesh a soft skin, build it and show it in Live while the armature hops. Esc stops it"""
 
     bl_idname = "dynamorph.add_soft_skin"
     bl_label = "Add Soft Skin"
@@ -38,11 +38,11 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         chosen = _body_meant(obj)
         if chosen != obj:
             self.report(
-                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
+                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has the largest soft surface on its armature"
             )
         obj = chosen
         if obj.dynamorph.targets:
-            raise SceneError(f"'{obj.name}' has a soft skin already")
+            raise SceneError(f"'{obj.name}' is a soft skin already: press Bake, or add targets")
         in_the_way = extract.first_look(obj)
         rig = references.rig_of(obj)
         skeleton, rig_world = references.rest_skeleton(rig.data), rig_motion.world_now(rig)
@@ -61,7 +61,9 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
 
 
 def _body_meant(obj):
-    """The mesh that is to become a soft skin, which is made active, when `obj`, a helmet say, or its armature is."""
+    """The mesh that becomes a soft skin, and becomes active, when `obj` (a helmet, for example) or its armature is
+    active.
+    """
     active = bpy.context.object
     if "EDIT" in (obj.mode, active.mode):  # what is edited cannot be read
         return obj
@@ -74,7 +76,7 @@ def _body_meant(obj):
 
 
 def _find_attachments(obj) -> list[str]:
-    """List what belongs to the body of `obj`, in one cage with it. Returns what is in the way of that."""
+    """List what belongs to the body of `obj`, in one cage with it. Returns the problems with that."""
     obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
     problem = next(checks.problems(obj), None)
     if problem:  # which is told already
@@ -88,7 +90,7 @@ def _find_attachments(obj) -> list[str]:
 
 
 class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
-    """Put right what is in the way of a soft skin"""
+    """Fix a problem that prevents a soft skin"""
 
     bl_idname = "dynamorph.fix"
     bl_label = "Fix"
@@ -98,8 +100,8 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
 
     problem: EnumProperty(
         name="Problem",
-        description="What to put right",
-        items=[(key, fix.label, fix.tooltip) for key, fix in FIXES.items()],
+        description="The problem to fix",
+        items=[(key, fix.label, fix.tooltip, number) for number, (key, fix) in enumerate(FIXES.items())],
     )
 
     @classmethod
@@ -116,7 +118,7 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_build_cage(JobOperator, Operator):
-    """Build only the cage of tetrahedra and what the bones hold of it, to look at; Build Model goes on from there"""
+    """Build only the cage of tetrahedra with the nodes that are held, so that you can look at it before Build Model"""
 
     bl_idname = "dynamorph.build_cage"
     bl_label = "Build Cage"

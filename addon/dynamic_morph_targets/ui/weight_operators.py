@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons about how much each target counts over the frames."""
+"""Buttons about the targets' weights over the frames."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .base import SoftSkinOperator, guarded
 
 
 class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
-    """Evaluate the armature at every frame of the scene again, for the graph of the targets' influence"""
+    """Evaluate the armature again at every frame of the scene for the graph of the targets' weights"""
 
     bl_idname = "dynamorph.update_influence"
-    bl_label = "Update Influence"
+    bl_label = "Update Target Weights"
     bl_options = {"REGISTER"}
 
     def execute(self, context):
@@ -29,10 +29,10 @@ class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
-    """Go to the frame whose pose is furthest from all targets: the place for another one"""
+    """Go to the frame whose pose is farthest from all targets, where another target helps most"""
 
     bl_idname = "dynamorph.suggest_pose"
-    bl_label = "Suggest Pose"
+    bl_label = "Find Uncovered Pose"
 
     @classmethod
     def obstacle(cls, context):
@@ -48,7 +48,7 @@ class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
         found = weight_curves.curves(obj, scene.frame_start, scene.frame_end)
         worst = found.worst()
         if worst is None:
-            self.report({"INFO"}, rpt_("Every frame is near a target: no pose is poorly covered"))
+            self.report({"INFO"}, rpt_("Every frame is near a target: no pose is uncovered"))
             return
         pose, s = worst
         scene.frame_set(scene.frame_start + pose)

@@ -28,13 +28,13 @@ from .bake_reading import baked_names
 from .muting import mute_targets, unmute_targets
 from .reconcile import reconcile
 
-LINEAR = 1  # Keyframe.interpolation as foreach_set knows it
+LINEAR = 1  # the value of Keyframe.interpolation for foreach_set
 
 
 def check(obj, needs_keys=True):
     """Refuse, before any work, data to which a bake cannot be written. Raises SinkError.
 
-    needs_keys: there must be a Basis already, unless the neutral target is alone: then it is made.
+    needs_keys: a Basis must exist already, unless the neutral target is alone: then it is created.
     """
     if obj.type != "MESH":
         raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
@@ -68,7 +68,7 @@ def check_cache(obj, folder: Path | None):
 
 
 def overwritten_keys(obj) -> list[str]:
-    """The artist's own shape keys that move, over which a point cache plays."""
+    """The artist's own shape keys that move, and that a point cache overrides."""
     own = {target.name for target in obj.dynamorph.targets[1:]} | animation.baked_keys(obj)
     return [name for name in animation.moving_keys(obj) if name not in own]
 
@@ -123,7 +123,7 @@ class NewBake:
         record, has_animation_data = obj.dynamorph.bake, obj.data.shape_keys.animation_data is not None
         self._had_animation_data = record.had_animation_data if record.exists else has_animation_data
         self._keys: list[Key] = []
-        self._names: list[str] = []  # for now: the old bake may have the names that they should have
+        self._names: list[str] = []  # temporary, because the old bake may still use the final names
         self._action = None
         self._is_shown = False
         active_index = obj.active_shape_key_index
@@ -174,13 +174,13 @@ class NewBake:
 
 
 def ensure_basis(obj):
-    """Make the shape key that the others are relative to, unless there is one."""
+    """Create the shape key that the others are relative to, unless it exists."""
     if obj.data.shape_keys is None:
         obj.shape_key_add(name="Basis", from_mix=False)
 
 
 def follow(obj, skin):
-    """Note that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
+    """Record that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
     settings = obj.dynamorph
     if settings.follows != skin:
         settings.had_keys = settings.had_keys if settings.follows else obj.data.shape_keys is not None
@@ -189,7 +189,7 @@ def follow(obj, skin):
 
 
 def leave(obj):
-    """The inverse of `follow`, when the keys are gone."""
+    """The inverse of `follow`, after the keys are removed."""
     settings, keys = obj.dynamorph, obj.data.shape_keys
     if settings.follows is None:
         return
@@ -216,12 +216,12 @@ def free(obj):
 
 def check_free(obj):
     """Refuse, before any work, data of which a bake cannot be removed. Raises SinkError."""
-    if obj.dynamorph.bake.exists and obj.data.shape_keys:  # else the artist has removed all there was
+    if obj.dynamorph.bake.exists and obj.data.shape_keys:  # otherwise the artist has removed everything
         check(obj)
 
 
 def _free(obj, names, keep_cache=False):
-    """keep_cache: the modifier stays for the next one, with the place and the influence that the artist gave it."""
+    """keep_cache: the modifier stays for the next bake, with the place and the influence that the artist gave it."""
     record = obj.dynamorph.bake
     keys = obj.data.shape_keys
     if record.exists and keys:
@@ -262,7 +262,7 @@ def _add_key(obj, key: Key):
 def _add_curves(keys, action, names, frames, values: list[Key]):
     """The curves in a new Action, on NLA tracks above the artist's: without the motion, and with it."""
     render = bpy.context.scene.render
-    times = frames * (render.frame_map_old / render.frame_map_new)  # at frame 10 of a remapped scene it may be time 5
+    times = frames * (render.frame_map_old / render.frame_map_new)  # frame 10 of a remapped scene may be time 5
     animation = keys.animation_data or keys.animation_data_create()
     strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
     for title, curves in ((SHAPES, [key.shapes for key in values]), (MOTION, [key.motion for key in values])):
@@ -277,7 +277,7 @@ def _add_curves(keys, action, names, frames, values: list[Key]):
 
 
 def add_curve(channels, name: str, times, values):
-    """A curve of the value of the key `name`, linear between the times; of equal values the ends count."""
+    """A curve of the value of the key `name`, linear between the times; runs of equal values keep only their ends."""
     points = np.column_stack([times, values]).astype(np.float32)
     same = points[1:, 1] == points[:-1, 1]
     points = points[~(np.r_[False, same] & np.r_[same, False])]
@@ -308,7 +308,7 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
     modifier = cache_modifier(obj)
     if modifier is None:
         modifier = obj.modifiers.new(MOTION, "MESH_CACHE")
-        obj.modifiers.move(len(obj.modifiers) - 1, 0)  # it has the surface that the others deform
+        obj.modifiers.move(len(obj.modifiers) - 1, 0)  # it holds the surface that the others deform
     render, samples = bpy.context.scene.render, baked.samples_per_frame(bake)
     modifier.cache_format = file.suffix[1:].upper()
     modifier.filepath = str(file)
@@ -328,8 +328,8 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
 
 
 def _remove(obj, blocks, action):
-    """Remove shape keys, and the Action with its strips and the tracks that then are empty; also the copies
-    that Blender makes of it for strips that are duplicated.
+    """Remove shape keys, and the Action with its strips and the tracks that become empty; also the copies of the Action
+    that Blender makes for duplicated strips.
     """
     keys = obj.data.shape_keys
     actions = [action] if action else []
@@ -360,7 +360,7 @@ def _moves_only(action, paths: set[str]) -> bool:
 
 
 def _record(obj, names, wanted, action, had_animation_data):
-    """Give the new keys the names they should have, now that the old bake is gone, and note them."""
+    """Give the new keys their final names, now that the old bake is gone, and record them."""
     blocks = obj.data.shape_keys.key_blocks
     record = obj.dynamorph.bake
     for name, want in zip(names, wanted, strict=True):

@@ -51,7 +51,7 @@ def read_back(obj, samples: int = 1) -> Bake:
 
 
 def shape_curves(obj) -> dict:
-    """The curves of the bake of `obj` that play the targets' shapes alone, by path."""
+    """The curves of the bake of `obj` that play only the targets' shapes, by path."""
     return _curves_of(obj.data.shape_keys, obj.dynamorph.bake.action, SHAPES)
 
 

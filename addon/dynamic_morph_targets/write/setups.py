@@ -94,10 +94,10 @@ def authored(group) -> dict:
 
 
 def apply(obj, setup: dict) -> dict[str, list[str]]:
-    """Make the checked `setup` that of `obj`. Returns the names of what `obj` lacks, by kind.
+    """Apply the checked `setup` to `obj`. Returns the names of what `obj` lacks, by kind.
 
     Targets without their shape key, missing bones and vertex groups are left out. Poses are relative to the rest pose,
-    and mean something else to a bone that rests otherwise. Raises SceneError, and then nothing is changed.
+    and differ for a bone with another rest pose. Raises SceneError, and then nothing is changed.
     """
     rig = checks.armature_modifier(obj).object
     checks.check_mesh(obj)
@@ -179,7 +179,7 @@ class _Lacking:
         self.names: dict[str, list[str]] = {}
 
     def present(self, kind: str, names, existing) -> list[str]:
-        """Those of `names` that exist; the others are noted."""
+        """Those of `names` that exist; the others are recorded."""
         for name in names:
             if name not in existing and name not in self.names.get(kind, []):
                 self.names.setdefault(kind, []).append(name)
@@ -196,7 +196,7 @@ class _Lacking:
 
 
 def write(path: Path, setup: dict):
-    """Raises SetupError about values that no setup may have, OSError."""
+    """Raises SetupError for values that no setup may contain, OSError."""
     check(setup)
     text = json.dumps(setup, indent=1)
     # A line for each matrix. JSON escapes line breaks within texts, so that this never touches one.

@@ -11,7 +11,7 @@ from .setups import fits
 
 
 def slot_settings(obj) -> dict:
-    """What one slot holds, fit for JSON. Targets are told apart by name; the neutral one is ''."""
+    """The content of one slot, as JSON data. Targets are identified by name; the neutral one is ''."""
     settings = obj.dynamorph
     return {
         "materials": {name: asdict(target.material()) for name, target in skin.named_targets(obj)},
@@ -22,9 +22,9 @@ def slot_settings(obj) -> dict:
 
 
 def put_slot(obj, values: dict):
-    """The inverse of `slot_settings`; targets and modes that came since then stay as they are.
+    """The inverse of `slot_settings`; targets and modes that were added since then stay as they are.
 
-    values: as `records.slot` reads them. Settings that there are not, or that do not take the value, stay too.
+    values: as `records.slot` reads them. Settings that are unknown, or that do not take the value, stay too.
     """
     for name, target in skin.named_targets(obj):
         if name in values["materials"]:

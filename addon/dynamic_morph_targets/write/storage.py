@@ -50,7 +50,7 @@ def _as_numbers(packed: bytes) -> array:
 
 
 def fit_modes(obj, count: int):
-    """List the modes of a new model; those that there were keep their gain."""
+    """List the modes of a new model; modes that existed before keep their gain."""
     modes = obj.dynamorph.modes
     while len(modes) > count:
         modes.remove(len(modes) - 1)
@@ -60,14 +60,14 @@ def fit_modes(obj, count: int):
 
 
 def forget_model(obj):
-    """Drop the model kept in the .blend. A file stays: another .blend may use it."""
+    """Delete the model in the .blend. A file stays, because another .blend may use it."""
     obj.pop(PACKED, None)
     record = obj.dynamorph.model
     record.content_id = record.summary = record.cage = record.stale = record.warnings = record.built = ""
 
 
 def show_stale(obj):
-    """Look at the mesh, and let the panel say why the model of `obj` is out of date."""
+    """Examine the mesh, and make the panel say why the model of `obj` is out of date."""
     reconcile(obj)
     stale = ""
     if not staleness.model_changes(obj):  # they say enough
