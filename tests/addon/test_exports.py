@@ -2,6 +2,7 @@
 """A baked character in other formats: written, read back by others and by Blender, and compared at each frame."""
 
 import re
+import types
 from functools import partial
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import round_trips
 from builders import fingerprint, hand_made_bake, keys_of, make_arm, make_soft, part, rig_of
+from layout import Layout
 from round_trips import farthest
 
 FRAMES = 1, 20
@@ -307,3 +309,30 @@ def test_refused(baked, tmp_path):
     with pytest.raises(error, match="no bake to export: press Bake"):
         export_actions.export(obj, "GLTF", tmp_path / "arm.glb", FRAMES)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_dialog_reads_no_weights_when_it_draws_again(baked, monkeypatch):
+    obj, _ = baked
+    export_operators, losses = part("export_operators"), part("losses")
+    looked, original = [], losses.losses
+    monkeypatch.setattr(losses, "losses", lambda *args: looked.append(args) or original(*args))
+
+    def drawn(format="GLTF", clips="SCENE"):
+        out = []
+        dialog = types.SimpleNamespace(format=format, clips=clips, chosen_clips=clips, layout=Layout(out))
+        dialog.bl_rna = types.SimpleNamespace(properties=("format", "clips"))
+        dialog.layout.prop = lambda *_args: None
+        export_operators.DYNAMORPH_OT_export.draw(dialog, bpy.context)
+        return " ".join(out)
+
+    for _ in range(5):
+        assert drawn() == ""
+    assert len(looked) == 1
+    drawn("FBX"), drawn("GLTF", "ACTIONS"), drawn("FBX")
+    assert len(looked) == 3
+    obj.modifiers.new("Smooth", "SMOOTH")
+    obj.update_tag()
+    bpy.context.view_layer.update()
+    for _ in range(3):
+        assert "modifier 'Smooth' after" in drawn()
+    assert len(looked) == 4

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
@@ -13,7 +15,8 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..core import errors
 from ..run import export_actions
-from ..scene import skin
+from ..scene import events, skin
+from ..scene.registration import of_classes
 from ..write import comparison, exports, losses
 from . import widgets
 from .base import SoftSkinOperator, guarded, listed
@@ -94,6 +97,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
 
     def _ask(self, context, event):
         """Open the file browser, unless there is nothing to be written. Raises ExportError."""
+        _look_again()
         obj = skin.mesh_in(context)
         if exports.FORMATS[self.format].skins and obj.dynamorph.model.content_id and not obj.dynamorph.bake.exists:
             self.clips = "ACTIONS"  # which needs no bake
@@ -110,7 +114,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         layout.prop(self, "format")
         if exports.FORMATS[self.format].skins:
             layout.prop(self, "clips")
-        draw_losses(layout, losses.losses(skin.mesh_in(context), self.format, self.chosen_clips))
+        draw_losses(layout, _shown_losses(skin.mesh_in(context).session_uid, self.format, self.chosen_clips))
 
     def check(self, _context):
         """The name follows the format."""
@@ -161,6 +165,21 @@ class DYNAMORPH_OT_export_actions(JobOperator, Operator):
         return {"FINISHED"}
 
 
+@lru_cache(maxsize=16)
+def _shown_losses(session_uid: int, format: str, clips: str) -> tuple[str, ...]:
+    """What the file browser says of an export, whenever it draws: it takes all weights of the meshes to know."""
+    return tuple(losses.losses(skin.find(session_uid), format, clips))
+
+
+@persistent
+def _look_again(*_args):
+    """depsgraph_update_post and others: something was edited."""
+    _shown_losses.cache_clear()
+
+
+HANDLERS = dict.fromkeys(("depsgraph_update_post", "undo_post", "redo_post", "load_pre"), _look_again)
+
+
 def report_export(operator, obj, path: Path, clips=()):
     """What was lost, and where the file is; clips: the names of those of Actions."""
     for text in losses.losses(obj, operator.format, "ACTIONS" if clips else "SCENE"):
@@ -169,6 +188,14 @@ def report_export(operator, obj, path: Path, clips=()):
     operator.report({"INFO"}, text.format(name=obj.name, file=path.name, clips=listed(clips)))
 
 
-register, unregister = bpy.utils.register_classes_factory(
-    (DYNAMORPH_OT_export_check, DYNAMORPH_OT_export, DYNAMORPH_OT_export_actions)
-)
+_register, _unregister = of_classes((DYNAMORPH_OT_export_check, DYNAMORPH_OT_export, DYNAMORPH_OT_export_actions))
+
+
+def register():
+    _register()
+    events.add(HANDLERS)
+
+
+def unregister():
+    events.remove(HANDLERS)
+    _unregister()
