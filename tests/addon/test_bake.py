@@ -613,7 +613,8 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
 
 
 def test_frames_that_do_not_adjoin_are_refused(shot, soft_arm):
-    with pytest.raises(ValueError, match="frames 40 to 50 are not next to those of the last bake, 1 to 20"):
+    words = "frames 40 to 50 are not next to those of the last bake, 1 to 20"
+    with pytest.raises(part("errors").SceneError, match=words):
         rebaked(soft_arm, 40, 50)
 
 
@@ -678,7 +679,8 @@ def test_a_loop_that_comes_to_no_numbers_ends(bad):
 def test_too_many_keys_are_refused_by_name(shot, soft_arm, monkeypatch):
     monkeypatch.setattr(part("keys"), "MOST_KEYS", 10)
     soft_arm.dynamorph.output.sink = "FRAMES"
-    with pytest.raises(ValueError, match="'Arm': 20 shape keys are too many, 10 are the most: raise Frame Step"):
+    words = "'Arm': 20 shape keys are too many, 10 are the most: raise Frame Step"
+    with pytest.raises(part("errors").SceneError, match=words):
         part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
 
 
@@ -710,7 +712,7 @@ def test_free_bake_forgets_a_cache_whose_modifier_was_removed(shot, soft_arm, tm
 def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
     soft_arm.dynamorph.output.sink = "PC2"
     part("batch").run(part("job").Job(soft_arm, goal="BAKE", folder=tmp_path))
-    with pytest.raises(ValueError, match="bake to shape keys first"):
+    with pytest.raises(part("errors").SinkError, match="bake to shape keys first"):
         rebaked(soft_arm, 8, 15, folder=tmp_path)
 
 

@@ -261,7 +261,7 @@ def test_nothing_is_written_unless_all_can_be(figure):
     list(batch.read())
     list(batch.compute())
     figure["Top"].data.vertices.add(1)
-    with pytest.raises(ValueError, match="'Top' changed while the job ran"):
+    with pytest.raises(part("errors").SceneError, match="'Top' changed while the job ran"):
         list(batch.write())
 
 

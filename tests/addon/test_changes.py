@@ -6,7 +6,7 @@ import time
 
 import bpy
 import pytest
-from builders import part, rig_of
+from builders import part, refused, rig_of
 from layout import drawn
 
 
@@ -280,3 +280,119 @@ def test_a_bake_says_what_it_was_made_from_and_what_came_of_it(scene, baked):
 def test_another_engine_counts(monkeypatch, baked):
     monkeypatch.setattr(part("staleness"), "ENGINE", 2)
     assert outdated(baked) == ["Engine changed"] == model_changes(baked)
+
+
+# Out of date, or not -----------------------------------------------------------------------------------------------
+
+
+def test_a_range_within_the_baked_one_is_no_change(scene, baked):
+    scene.frame_start, scene.frame_end = 5, 15
+    assert outdated(baked) == []
+    scene.frame_end = 25
+    assert outdated(baked) == ["End changed"]
+    scene.frame_start, scene.frame_end = 0, 15
+    assert outdated(baked) == ["Start changed"]
+    simulation = baked.dynamorph.simulation
+    simulation.use_scene_range, simulation.start, simulation.end = False, 3, 4
+    assert outdated(baked) == []
+
+
+def test_the_range_of_a_loop_is_part_of_it(scene, soft_arm, stand_in):
+    soft_arm.dynamorph.simulation.loop = True
+    bpy.ops.dynamorph.bake()
+    assert outdated(soft_arm) == []
+    scene.frame_start = 5
+    assert outdated(soft_arm) == ["Start changed"]
+
+
+# What the .blend says of itself ------------------------------------------------------------------------------------
+
+
+BAD = [
+    "nonsense", "null", "[]", "{}", "7", '"text"', '{"targets": 3}', '{"targets": {"": []}}', "[" * 100_000,
+    '{"version": 99, "targets": {}, "animation": [], "content_id": ""}',
+    '{"version": "1", "targets": {}, "animation": [], "content_id": ""}',
+    '{"targets": {}, "animation": [[1, 2, 3]], "content_id": ""}',
+    '{"targets": {}, "animation": [], "content_id": 5}',
+    '{"targets": {}, "simulation": [], "animation": [], "content_id": ""}',
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_a_record_of_a_bake_that_cannot_be_read_is_a_sentence(baked, text):
+    unreadable = "The record of the last bake cannot be read: bake again"
+    baked.dynamorph.bake.inputs = text
+    assert outdated(baked) == [unreadable] and unreadable in " ".join(drawn(baked)).replace("  ", " ")
+    bpy.ops.dynamorph.bake()
+    assert outdated(baked) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["nonsense", "null", "{}", "[[1]]", '[["a", "b", "c"]]', '{"animation": 3}', "9" * 999]
+)
+def test_a_record_of_an_animation_that_cannot_be_read_is_a_sentence(baked, text):
+    baked.dynamorph.bake.animation = text
+    assert outdated(baked) == ["The record of the last bake cannot be read: bake again"]
+    assert looked(baked) == []
+
+
+@pytest.mark.parametrize("text", [text for text in BAD if '"targets": {}' not in text or "version" in text])
+def test_a_record_of_a_build_that_cannot_be_read_is_a_sentence(baked, text):
+    unreadable = "The record of the last build cannot be read: press Build Model"
+    baked.dynamorph.model.built = text
+    assert model_changes(baked) == [unreadable] and unreadable in " ".join(drawn(baked))
+    part("storage").show_stale(baked)
+    bpy.ops.dynamorph.build()
+    assert model_changes(baked) == []
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_a_verdict_that_cannot_be_read_is_a_sentence(baked, text):
+    baked.dynamorph.bake.verdict = text
+    assert "The verdict on this bake cannot be read: bake again" in " ".join(drawn(baked))
+
+
+def test_records_have_a_version_and_older_ones_have_none(baked):
+    model, bake = baked.dynamorph.model, baked.dynamorph.bake
+    looked(baked)
+    for record, name in ((model, "built"), (bake, "inputs"), (bake, "animation"), (bake, "verdict")):
+        values = json.loads(getattr(record, name))
+        assert values.pop("version") == 1
+        setattr(record, name, json.dumps(values["animation"] if name == "animation" else values))
+    assert outdated(baked) == [] == model_changes(baked)
+    baked.dynamorph.targets[1].stiffness = 5e5
+    assert outdated(baked) == ['stiffness of "flexed" changed']
+
+
+def test_a_set_of_settings_with_unknown_fields_is_put_without_them(baked):
+    settings = baked.dynamorph
+    bpy.ops.dynamorph.copy_slot()
+    other = json.loads(settings.live.other)
+    assert other["version"] == 1
+    other["materials"]["flexed"] |= {"stiffness": 7e4, "warmth": 3.0, "density": "heavy"}
+    del other["materials"]["flexed"]["poisson"]
+    other["simulation"] |= {"substeps": 9, "speed": 1, "scheme": "RK4", "amount": [1]}
+    settings.live.other = json.dumps(other)
+    before = settings.targets[1].material()
+    bpy.ops.dynamorph.swap_slot()
+    after = settings.targets[1].material()
+    assert after.stiffness == 7e4 and (after.density, after.poisson) == (before.density, before.poisson)
+    simulation = settings.simulation
+    assert (simulation.substeps, simulation.scheme, simulation.amount) == (9, "BDF2", 1.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nonsense", "[]", "{}", '{"version": 99}', '{"materials": [], "simulation": {}, "gains": []}',
+        '{"materials": {}, "simulation": {}, "gains": ["a"]}',
+    ],
+)  # fmt: skip
+def test_a_set_of_settings_that_cannot_be_read_is_refused(baked, text):
+    live = baked.dynamorph.live
+    live.other = text
+    refused(bpy.ops.dynamorph.swap_slot, "The other set of settings cannot be read: press Copy")
+    assert live.slot == "A" and live.other == text
+    bpy.ops.dynamorph.copy_slot()
+    bpy.ops.dynamorph.swap_slot()
+    assert live.slot == "B"

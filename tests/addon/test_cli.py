@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -80,6 +81,7 @@ def test_loops_and_what_is_out_of_date(shot, run, stand_in):
     assert "loop gap 0.03 mm" in arm.dynamorph.bake.summary
     assert (arm.dynamorph.simulation.begin, arm.dynamorph.simulation.preroll) == ("REST", 3)
     assert "bake state: up to date" in run("info", output, "--object", "Arm")[1]
+    assert "files beside the .blend: none" in run("info", output, "--object", "Arm")[1]
     bpy.data.objects["Arm"].dynamorph.targets[1].stiffness = 5e5
     bpy.data.objects["Arm Rig"].keyframe_insert("location", frame=3)
     code, out, _ = run("info", "--object", "Arm", opens_file=False)
@@ -282,7 +284,7 @@ def test_reports(shot, run, stand_in):
     assert arm["bake"]["frames"] == [1, 20] and arm["bake"]["steps"] == 100 and arm["bake"]["max_displacement"] > 0
     assert run(*bake)[0] == 0
     assert json.loads(path.read_text())["characters"][0]["bake"]["hash"] == arm["bake"]["hash"]
-    stand_in.fail = ValueError("it went wrong")
+    stand_in.fail = part("errors").SceneError("it went wrong")
     assert run(*bake)[0] == 2
     found = json.loads(path.read_text())
     assert found["exit_code"] == 2 and "it went wrong" in found["error"] and found["characters"] == []
@@ -379,3 +381,30 @@ def test_a_fault_of_ours_is_reported(shot, run, stand_in):
     code, _, errors = run("bake", shot, "--object", "Arm", "--in-place", "--report", report)
     assert code == 70 and "ZeroDivisionError: a bug" in errors
     assert json.loads(report.read_text())["exit_code"] == 70
+
+
+def test_exit_codes_tell_bugs_from_what_is_expected(shot, run, stand_in):
+    bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
+    for failure, code, words in (
+        (part("errors").SceneError("too soft"), 2, "error: too soft"),
+        (part("errors").SelfCheckError("not numbers"), 3, "error: not numbers"),
+        (ValueError("shapes differ"), 70, "fault: ValueError: shapes differ"),
+        (KeyError("mesh"), 70, "Traceback"),
+        (OSError(28, "No space left"), 75, "No space left.*try again"),
+        (MemoryError(), 75, "not enough memory.*try again"),
+    ):
+        stand_in.fail = failure
+        found, _out, told = run(*bake)
+        assert found == code and re.search(words, told), told
+
+
+def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):
+    """Which no bake deletes: the .blend as it was last saved may still play the one before."""
+    monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
+    for mass_damping in (1, 2):
+        change = f"Neutral.mass_damping={mass_damping}"
+        bake = ("bake", shot, "--object", "Arm", "--sink", "pc2", "--set", change, "--frames", 1, 9 + mass_damping)
+        assert run(*bake, "--in-place")[0] == 0
+    written = {file.name for file in shot.parent.rglob("*") if file.suffix in (".pc2", ".dynamorph")}
+    told = re.search("files beside the .blend: (.*)", run("info", shot, "--object", "Arm")[1])[1].split(", ")
+    assert len(written) == 3 and len(told) == 2 and set(told) < written

@@ -288,7 +288,7 @@ def sculpted(obj):
 )
 def test_refused(game_arm, tmp_path, change, words):
     change(game_arm)
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(part("errors").DynamorphError, match=words):
         exported(game_arm, tmp_path)
     assert list(tmp_path.iterdir()) == []
 

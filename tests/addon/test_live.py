@@ -5,10 +5,11 @@ import json
 import time
 import types
 
+import addon_utils
 import bpy
 import numpy as np
 import pytest
-from builders import activate, evaluated_points, fingerprint, part, refused, rig_of
+from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of
 from mathutils import Matrix
 from test_operators import Window
 
@@ -894,3 +895,62 @@ def test_disabling_the_add_on_forgets_sessions(playing):
     live.register()
     play(playing, [5])
     assert all(list(getattr(bpy.app.handlers, name)).count(handler) == 1 for name, handler in live.HANDLERS.items())
+
+
+# Without the add-on ------------------------------------------------------------------------------------------------
+
+
+def key_mutes(obj) -> dict:
+    return {key.name: key.mute for key in obj.data.shape_keys.key_blocks[1:]}
+
+
+LIVE = {"flexed": True, "smile": False, "Dynamorph Live": False}
+ASLEEP = {"flexed": False, "smile": False, "Dynamorph Live": True}
+
+
+def in_file(path):
+    """The arm as a file has it, linked, so that no handler has seen it."""
+    with bpy.data.libraries.load(str(path), link=True) as (_, wanted):
+        wanted.objects = ["Arm"]
+    return wanted.objects[0]
+
+
+def test_a_saved_file_has_no_frozen_skin(playing, tmp_path):
+    whole = play(playing, range(1, 10))
+    shown, path = evaluated_points(playing), tmp_path / "live.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert key_mutes(playing) == LIVE and apart(evaluated_points(playing), shown) == 0.0
+    play(playing, [10])
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    assert key_mutes(in_file(path)) == ASLEEP
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Arm"]
+    assert key_mutes(obj) == LIVE and part("live").is_on(obj)
+    assert apart(play(obj, range(1, 10)), whole) < 1e-6
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+def test_a_file_that_cannot_be_saved_goes_on_playing(playing, tmp_path):
+    play(playing, range(1, 5))
+    with pytest.raises(RuntimeError):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "no folder" / "live.blend"))
+    assert key_mutes(playing) == LIVE
+    play(playing, [5])
+
+
+def test_a_target_that_the_artist_muted_is_saved_muted(live_arm, tmp_path):
+    live_arm.data.shape_keys.key_blocks["flexed"].mute = True
+    bpy.ops.dynamorph.live()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "live.blend"))
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    assert key_mutes(in_file(tmp_path / "live.blend")) == ASLEEP | {"flexed": True}
+
+
+def test_disabling_the_add_on_leaves_no_frozen_skin(playing):
+    whole = play(playing, range(1, 10))
+    addon_utils.disable(MODULE)
+    assert key_mutes(playing) == ASLEEP
+    addon_utils.enable(MODULE)
+    assert apart(play(playing, range(1, 10)), whole) < 1e-6 and key_mutes(playing) == LIVE

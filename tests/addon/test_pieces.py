@@ -178,7 +178,7 @@ def test_nothing_is_written_unless_all_can_be(dressed):
     list(batch.read())
     list(batch.compute())
     sleeve.data.vertices.add(1)
-    with pytest.raises(ValueError, match="'Sleeve' changed while the job ran"):
+    with pytest.raises(part("errors").SceneError, match="'Sleeve' changed while the job ran"):
         list(batch.write())
     assert fingerprint(arm) == before and keys_of(sleeve) is None
 

@@ -155,7 +155,7 @@ def test_a_failure_puts_the_armature_back(arm, monkeypatch):
     def broken(trial, key):
         calls.append(key)
         if len(calls) > 50:
-            raise ValueError("broken")
+            raise part("errors").SceneError("broken")
         return 0.0
 
     monkeypatch.setattr(part("suggest")._Trial, "value", broken)
@@ -502,7 +502,7 @@ def test_duplicating_a_target(scene, soft_arm, capfd):
     skip = ("name", "key_index", "key_hash")
     assert plain(source, skip) == plain(copy, skip) and source.bone_names() == copy.bone_names()
     assert [plain(bone) for bone in source.pose] == [plain(bone) for bone in copy.pose]
-    with pytest.raises(ValueError, match="have the same pose"):
+    with pytest.raises(part("errors").SceneError, match="have the same pose"):
         part("extract").character(soft_arm)
 
 

@@ -200,7 +200,7 @@ def run_check(args: argparse.Namespace) -> None:
             try:
                 notes = extract.warnings(obj, extract.character(obj))
             except engine.expected_errors() as error:
-                problems = [str(error)]
+                problems = [errors.sentence(error)]
         for kind, texts in (("error", problems), ("warning", notes)):
             for text in texts:
                 print(f"{obj.name}: {kind}: {text}")
@@ -284,8 +284,9 @@ def run_info(args: argparse.Namespace) -> None:
         try:
             reasons = "; ".join(model_store.stale_reasons(obj, extract.character(obj))) or "up to date"
         except engine.expected_errors() as error:
-            reasons = str(error)
+            reasons = errors.sentence(error)
         print(f"  state: {reasons}")
+        print(f"  files beside the .blend: {', '.join(_files(obj)) or 'none'}")
         if not settings.bake.exists:
             print("  bake: none")
             continue
@@ -293,6 +294,13 @@ def run_info(args: argparse.Namespace) -> None:
         print(f"  bake made from {settings.bake.content_id[:12]}, result {settings.bake.digest[:12]}")
         staleness.look_at_animation(obj)
         print(f"  bake state: {'; '.join(staleness.outdated(obj)) or 'up to date'}")
+
+
+def _files(obj: bpy.types.Object) -> list[str]:
+    """The names of the files that a soft skin needs, and what follows it: of its model and of its point caches."""
+    content_id = obj.dynamorph.model.content_id
+    model = [f"{content_id}.dynamorph"] if content_id and model_store.PACKED not in obj else []
+    return model + [each.dynamorph.bake.cache for each in (obj, *skin.followers(obj)) if each.dynamorph.bake.cache]
 
 
 def chosen_objects(args: argparse.Namespace) -> list[bpy.types.Object]:

@@ -5,7 +5,8 @@
     python -m dynamic_morph_targets bake shot.blend --object Body -o baked.blend
 
 Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 70 a fault of this
-program, 75 a file could not be read or written (a full disk, a lost network: try again), 130 Ctrl-C.
+program, 75 a file could not be read or written, or memory was short (a full disk, a lost network, another process: try
+again), 130 Ctrl-C.
 
 --report writes what came of a command as JSON, also when it fails. Its keys: docs/file_format.md.
 """
@@ -89,10 +90,10 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
         code, error = INTERRUPTED, "interrupted, nothing was saved"
     except errors.SelfCheckError as failure:
         code, error = SELF_CHECK_FAILED, f"error: {failure}"
-    except OSError as failure:
-        code, error = TRY_AGAIN, f"error: {failure}: try again"
+    except (OSError, MemoryError) as failure:
+        code, error = TRY_AGAIN, f"error: {errors.sentence(failure)}: try again"
     except engine.expected_errors() as failure:
-        code, error = BAD_INPUT, f"error: {failure}"
+        code, error = BAD_INPUT, f"error: {errors.sentence(failure)}"
     except Exception as fault:  # of ours: the report is written all the same
         traceback.print_exc()
         code, error = FAULT, f"fault: {type(fault).__name__}: {fault}"

@@ -17,6 +17,7 @@ import numpy as np
 from . import cage
 from .cage import Progress, Report, Stages
 from .character import Character, Target
+from .errors import SceneError
 from .model import Model, array_hash, engine_hash, morph_targets
 from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS
 
@@ -44,7 +45,7 @@ def build(
 
     previous: a model of the same character, whose tetrahedra serve again if nothing they depend on has changed.
     rehearse(model, report): coordinates (F, dofs) and target weights (F, J) of the shot that modes are to be fitted to.
-    Raises dynamorph.Error or ValueError with advice when the mesh or the targets cannot be used.
+    Raises dynamorph.Error or SceneError with advice when the mesh or the targets cannot be used.
     """
     authored = dependencies(character)
     character = character.by_method()
@@ -84,7 +85,7 @@ def build_cage(character: Character, progress: Progress | None = None, previous:
     Arguments and errors as for `build`.
     """
     if character.settings.method == "STATIC":
-        raise ValueError(f"'{character.name}' needs no cage: with the Method Static nothing is simulated")
+        raise SceneError(f"'{character.name}' needs no cage: with the Method Static nothing is simulated")
     authored = dependencies(character)
     stages = Stages(progress, CAGE_SHARE)
     mesh = _reusable(previous, authored)

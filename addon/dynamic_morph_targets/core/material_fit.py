@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from .character import Character
+from .errors import FitError
 from .oscillation import Oscillation, damped, damping_for, swing
 from .settings import Material
 
@@ -46,7 +47,7 @@ def bounce(model: Model, character: Character, target: int, patch: np.ndarray | 
     """How the flesh swings at a target after a push: the slowest visible mode at its pose.
 
     target: index into character.targets; patch (V,): weights of the surface vertices that are looked at, default the
-    target's region. Raises ValueError or dynamorph.Error.
+    target's region. Raises FitError or dynamorph.Error.
     """
     character, patch = checked(model, character, target, patch)
     engine = full_engine(model, character)
@@ -68,7 +69,7 @@ def fit_oscillation(
     to 1, default what the target has now. Poisson's ratio and density stay. Other targets' damping is not counted.
     """
     if not (np.isfinite([frequency, decay]).all() and frequency > 0.0 and decay >= 0.0):
-        raise ValueError(f"frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero")
+        raise FitError(f"frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero")
     character, patch = checked(model, character, target, patch)
     now = character.targets[target].material
     omega_now = natural_frequency(model, full_engine(model, character), target, patch)
@@ -104,7 +105,7 @@ def _stiffness_for(
         now = 2 * log(natural_frequency(model, full_engine(model, stiffer), target, patch))
         slope = max((now - reached) / step, 0.05)
         stiffness, reached = stiffness + step, now
-    raise ValueError(
+    raise FitError(
         f"'{character.targets[target].name}' cannot swing at {omega / (2 * pi):.3g} Hz: its size, or the flesh around "
         "its region, sets the pace"
     )
@@ -123,7 +124,7 @@ def fit_force_displacement(
     forces (k, 3) newtons on the patch as a whole, displacements (k, 3) metres of the patch's mean from where it is
     without force; both in bind space, the mesh's own axes before the armature. patch (V,): weights of the surface
     vertices that are pushed. The model's own law and modes answer, so large deflections are right. Poisson's ratio,
-    density and damping stay. Raises ValueError when the measurements cannot be met.
+    density and damping stay. Raises FitError when the measurements cannot be met.
     """
     forces, displacements = _measurements(forces, displacements)
     character, patch = checked(model, character, target, patch)
@@ -134,13 +135,11 @@ def fit_force_displacement(
     answer = linear(now.stiffness, forces)
     along = (answer * displacements).sum()
     if along <= 0.0:
-        raise ValueError("the displacements go against the forces: check signs, axes and units (newtons, metres)")
+        raise FitError("the displacements go against the forces: check signs, axes and units (newtons, metres)")
     start = log(now.stiffness * (answer**2).sum() / along)
     stiffness, misses = _least_squares(lambda log_e: press(exp(log_e), forces) - displacements, start)
     if not (misses**2).sum() <= 0.25 * (displacements**2).sum():  # nor if they are not numbers
-        raise ValueError(
-            "no stiffness meets these displacements: check axes and units (newtons, metres), and the patch"
-        )
+        raise FitError("no stiffness meets these displacements: check axes and units (newtons, metres), and the patch")
     return replace(now, stiffness=exp(stiffness))
 
 
@@ -149,9 +148,9 @@ def _measurements(forces: np.ndarray, displacements: np.ndarray) -> tuple[np.nda
     if forces.ndim != 2 or forces.shape[1] != 3 or forces.shape != displacements.shape:
         raise ValueError(f"forces and displacements: expected (k, 3) each, got {forces.shape}, {displacements.shape}")
     if not (np.isfinite(forces).all() and np.isfinite(displacements).all()):
-        raise ValueError("some forces or displacements are not numbers: remove those rows")
+        raise FitError("some forces or displacements are not numbers: remove those rows")
     if not (forces.any() and displacements.any()):
-        raise ValueError("all forces or all displacements are zero: measure at least one push that moves the flesh")
+        raise FitError("all forces or all displacements are zero: measure at least one push that moves the flesh")
     order = np.argsort(np.linalg.norm(forces, axis=1))  # each answer helps to find the next
     return forces[order], displacements[order]
 
@@ -227,7 +226,7 @@ def checked(model: Model, character: Character, target: int, patch: np.ndarray |
     """
     character = character.by_method()
     if not len(model.tets):
-        raise ValueError(f"'{character.name}': the model has no flesh to fit: choose another Method and build it")
+        raise FitError(f"'{character.name}': the model has no flesh to fit: choose another Method and build it")
     if not 0 <= target < len(character.targets):
         raise ValueError(f"target: expected 0 to {len(character.targets) - 1}, got {target}")
     if patch is None:
@@ -238,7 +237,7 @@ def checked(model: Model, character: Character, target: int, patch: np.ndarray |
     if patch.shape != (len(character.vertices),) or not np.isfinite(patch).all() or (patch < 0.0).any():
         raise ValueError(f"patch: expected a weight of 0 or more for each of {len(character.vertices)} vertices")
     if not patch.any():
-        raise ValueError("the patch is empty: paint the vertices that were measured")
+        raise FitError("the patch is empty: paint the vertices that were measured")
     return character, patch / patch.sum()
 
 
@@ -260,7 +259,7 @@ def _with_stiffness(character: Character, target: int, stiffness: float) -> Char
     ranges = target_indices(character)
     neutrals = [indices[0] for indices in ranges]
     if character.settings.method == "SHAPE" and target not in neutrals:
-        raise ValueError("with the method Shape the flesh is the neutral target's everywhere: fit that one")
+        raise FitError("with the method Shape the flesh is the neutral target's everywhere: fit that one")
     targets = list(character.targets)
     for index in neutrals if target in neutrals else [target]:
         targets[index] = replace(targets[index], material=replace(targets[index].material, stiffness=stiffness))

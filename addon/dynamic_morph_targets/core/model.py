@@ -11,6 +11,7 @@ import dynamorph
 import numpy as np
 
 from .character import Character, Skeleton
+from .errors import ModelFileError, SceneError
 from .settings import ModelSettings
 
 EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
@@ -71,7 +72,7 @@ class Model:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
-        """The inverse of `to_arrays`. Raises ValueError when something is missing."""
+        """The inverse of `to_arrays`. Raises ModelFileError when something is missing."""
         arrays = dict.fromkeys(("held", "hold", "thickness"), np.zeros(0)) | arrays  # older ones have none
         try:
             return cls(
@@ -82,7 +83,7 @@ class Model:
                 summary={"seconds": {}, **meta["summary"]},
             )
         except (KeyError, TypeError) as error:
-            raise ValueError(f"The stored model is incomplete ({error}): build it again") from error
+            raise ModelFileError(f"The stored model is incomplete ({error}): build it again") from error
 
     @property
     def skeleton(self) -> Skeleton:
@@ -105,13 +106,13 @@ class Model:
         return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), embedding, values)
 
     def engine(self, character: Character, probed: bool = False) -> EngineModel:
-        """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another.
+        """The engine's model with the materials and blending of `character`. Raises SceneError if it is of another.
 
         probed: as for `soft_body`.
         """
         character = character.by_method()
         if len(character.targets) != len(self.displacements):
-            raise ValueError(f"'{character.name}' has other targets than its model: build it again")
+            raise SceneError(f"'{character.name}' has other targets than its model: build it again")
         targets = morph_targets(character, self.displacements)
         blending = dynamorph.Blending.__members__[character.settings.blending]
         law = dynamorph.Law.__members__[self.settings.law]

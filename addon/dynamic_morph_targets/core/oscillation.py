@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .errors import FitError
 from .settings import Material
 
 REST = 0.05  # of the amplitude: an oscillation has settled when this much is left
@@ -37,7 +38,7 @@ class Oscillation:
 def decay_of(settle: float) -> float:
     """The decay (1/s) of an oscillation that settles within so many seconds."""
     if not settle > 0.0:
-        raise ValueError(f"the motion settles in {settle} s: give a time above zero")
+        raise FitError(f"the motion settles in {settle} s: give a time above zero")
     return log(1 / REST) / settle
 
 
@@ -47,22 +48,22 @@ def oscillation(times: np.ndarray, positions: np.ndarray) -> Oscillation:
     times (n,) s, increasing, need not be even; positions (n,), (n, 2) or (n, 3), any unit: only the direction in
     which the point moves most is used. Begin where the body is let go, and leave out the first moments if fast ripples
     show. Least squares by variable projection (Golub & Pereyra 1973), from the highest peak of the spectrum. Raises
-    ValueError when there is no oscillation of at least two periods to see.
+    FitError when there is no oscillation of at least two periods to see.
     """
     times, along = _track(times, positions)
     best = min((_refine(times, along, *start) for start in _starts(times, along)), key=lambda fit: fit[2])
     decay, omega, squares = best
     if squares > 0.5 * np.square(along).sum():
-        raise ValueError("no oscillation found: noise or another motion hides it; track a point that swings more")
+        raise FitError("no oscillation found: noise or another motion hides it; track a point that swings more")
     if omega * times[-1] < 4 * pi:
-        raise ValueError("fewer than two periods: record longer, or push less damped flesh; the motion hardly swings")
+        raise FitError("fewer than two periods: record longer, or push less damped flesh; the motion hardly swings")
     if decay > 0.5 * hypot(decay, omega):
-        raise ValueError("too damped: the point hardly swings back; measure force and displacement instead")
+        raise FitError("too damped: the point hardly swings back; measure force and displacement instead")
     jacobian = _jacobian(times, along, decay, omega)
     variance = squares / (len(times) - 5) * np.linalg.inv(jacobian.T @ jacobian).diagonal()
     decay_error, omega_error = np.sqrt(variance[:2])
     if decay < -3 * decay_error:
-        raise ValueError("the motion grows: cut the record where the body is let go")
+        raise FitError("the motion grows: cut the record where the body is let go")
     return Oscillation(omega / (2 * pi), max(decay, 0.0), omega_error / (2 * pi), decay_error)
 
 
@@ -70,15 +71,15 @@ def _track(times: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nda
     """Times from zero (n,), and the motion along its principal direction (n,), centred."""
     times, positions = np.asarray(times, float), np.asarray(positions, float)
     if times.ndim != 1 or len(times) < 10 or positions.ndim > 2 or len(positions) != len(times):
-        raise ValueError(
+        raise FitError(
             f"expected at least 10 times (n,) and positions (n,) or (n, 3), got {times.shape} and {positions.shape}"
         )
     if not (np.isfinite(times).all() and np.isfinite(positions).all()):
-        raise ValueError("some times or positions are not numbers: remove those samples")
+        raise FitError("some times or positions are not numbers: remove those samples")
     if not (np.diff(times) > 0).all():
-        raise ValueError("times must increase from sample to sample: sort them and remove repeated ones")
+        raise FitError("times must increase from sample to sample: sort them and remove repeated ones")
     if not np.ptp(positions, axis=0).any():
-        raise ValueError("the point does not move: track one that swings")
+        raise FitError("the point does not move: track one that swings")
     positions = positions.reshape(len(times), -1)
     centred = positions - positions.mean(axis=0)
     _, size, directions = np.linalg.svd(centred, full_matrices=False)
@@ -133,7 +134,7 @@ def _jacobian(times: np.ndarray, along: np.ndarray, decay: float, omega: float) 
 
 
 def read_columns(path: Path, counts: tuple[int, ...]) -> np.ndarray:
-    """Numbers (n, c) of a CSV file, c one of `counts`; a first line of names is skipped. Raises ValueError, OSError."""
+    """Numbers (n, c) of a CSV file, c one of `counts`; a first line of names is skipped. Raises FitError, OSError."""
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = [row for row in csv.reader(file) if row]
     if rows and not re.match(r"\s*[-+.\d]", rows[0][0]):
@@ -144,7 +145,7 @@ def read_columns(path: Path, counts: tuple[int, ...]) -> np.ndarray:
         table = np.empty(0)
     if table.ndim != 2 or table.shape[1] not in counts:
         wanted = " or ".join(map(str, counts))
-        raise ValueError(f"'{path.name}': expected {wanted} numbers with commas between them in every line")
+        raise FitError(f"'{path.name}': expected {wanted} numbers with commas between them in every line")
     return table
 
 

@@ -14,6 +14,7 @@ import dynamorph
 import numpy as np
 
 from .character import Character, Skeleton, Target, TargetSet
+from .errors import SceneError
 from .geometry import determinant, inverse
 from .model import Model
 from .rig_samples import ForceField, RigSamples
@@ -42,14 +43,14 @@ def placing_bones(character: WithTargets) -> list[int]:
 
 
 def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
-    """Raises dynamorph.Error, naming both, when two targets have the same pose; ValueError on a missing bone."""
+    """Raises dynamorph.Error, naming both, when two targets have the same pose; SceneError on a missing bone."""
     names = character.skeleton.names
     sets = []
     for target_set in character.target_sets:
         named = sorted({bone for target in target_set.targets for bone in target.bones})
         missing = [bone for bone in named if bone not in names]
         if missing:
-            raise ValueError(f"'{character.name}': bone '{missing[0]}' of target set '{target_set.name}' is missing")
+            raise SceneError(f"'{character.name}': bone '{missing[0]}' of target set '{target_set.name}' is missing")
         sets.append(
             dynamorph.TargetSet(
                 [names.index(bone) for bone in named],

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from math import isfinite
+
+from . import records
+from .errors import RecordError
 
 REMEDIES = ("REHEARSE", "STIFFEN", "CAGE", "SOFTNESS")
 UNREADABLE = "The verdict on this bake cannot be read: bake again"
@@ -36,10 +37,8 @@ def parsed(text: str) -> Verdict | None:
     if not text:
         return None
     try:
-        values = json.loads(text)
-    except (ValueError, RecursionError):
-        values = None
-    if not isinstance(values, dict) or not isinstance(values.get("text"), str):
+        values = records.verdict(text)
+    except RecordError:
         return Verdict(False, UNREADABLE)
     frame, factor = _number(values.get("frame")), _number(values.get("factor"))
     vertices = values.get("vertices")
@@ -73,9 +72,4 @@ def _figures(values: dict[str, object]) -> Iterator[tuple[str, str]]:
 
 def _number(value: object) -> float | None:
     """A finite number, or None."""
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
-        return None
-    try:
-        return float(value) if isfinite(value) else None
-    except OverflowError:
-        return None
+    return float(value) if records.is_number(value) else None

@@ -13,6 +13,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..core.errors import ExportError
+
 HEADER, CHUNK = "<4sII", "<I4s"  # magic, version, length; length, kind
 FLOAT = 5126
 SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, FLOAT: 4}  # bytes of a number, by componentType
@@ -47,7 +49,7 @@ def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: floa
             output = accessors[sampler["output"]]
             keys = accessors[sampler["input"]]["count"]
             if keys <= last:
-                raise ValueError(f"The animation has {keys} keys, the clip '{name}' is to end with the {last + 1}th")
+                raise ExportError(f"The animation has {keys} keys, the clip '{name}' is to end with the {last + 1}th")
             each = output["count"] // keys  # values a key: of weights, one a morph
             size = SIZES[output["componentType"]] * WIDTHS[output["type"]]
             begin = output.get("byteOffset", 0) + first * each * size

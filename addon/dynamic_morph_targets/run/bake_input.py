@@ -5,7 +5,6 @@ chunks. All of it in the main thread.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -15,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from .. import preferences
-from ..core import engine, errors, judge
+from ..core import engine, errors, judge, records
 from ..core.character import Follower
 from ..core.errors import SceneError
 from ..core.keys import united
@@ -68,7 +66,6 @@ class Request:
 def read(request: Request) -> BakeInput:
     """Check and read the character and its settings. Raises SceneError, SinkError, ModelFileError, OSError."""
     engine.engine()
-    preferences.use_threads()
     obj = request.target.find()
     check_local(obj)
     if obj.type == "MESH":
@@ -116,7 +113,7 @@ def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bo
     given.reasons = _reasons(given, obj, request.rebuild)
     if not given.reasons:
         given.model = given.previous
-    given.built_from = json.dumps(staleness.model_inputs(obj))
+    given.built_from = records.text(staleness.model_inputs(obj))
     chosen = given.character.settings
     fits = bool(given.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
     given.share = request.share

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..core import baked, calibration
+from ..core import baked, calibration, records
 from ..core.errors import SceneError
 from ..io import model_file
 from ..scene import skin, staleness, target_properties
@@ -189,10 +188,10 @@ class Writer:
         record = obj.dynamorph.bake
         record.summary = summary(given, outcome, self.progress.seconds)
         record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary["warnings"])
-        record.inputs = json.dumps(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
+        record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
         found = outcome.verdict.as_dict(given.limits)
         own = given.character.own
-        record.verdict = json.dumps(found | {"vertices": [v for v in found["vertices"] if v < own.stop]})
+        record.verdict = records.text(found | {"vertices": [v for v in found["vertices"] if v < own.stop]})
         if outcome.rehearsed:
             obj.dynamorph.simulation.rehearsed = outcome.rehearsed
         record.content_id = outcome.content_id

@@ -11,7 +11,7 @@ from functools import lru_cache
 import bpy
 import numpy as np
 
-from ..core import engine
+from ..core import engine, errors
 from ..core.errors import SceneError
 from ..scene import extract, model_store, references, skin
 from ..write import bake_reading
@@ -117,7 +117,7 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
             return f"'{obj.name}' has no model with a hold by thickness: set Hold to Thickness and build"
         character = extract.character(obj)
     except engine.expected_errors() as error:
-        return str(error)
+        return errors.sentence(error)
     on_skin = np.einsum("va,va->v", model.embedding_weights, model.hold[model.embedding_nodes]).clip(0.0, 1.0)
     if len(on_skin) != len(character.vertices):
         return f"'{obj.name}' has other vertices than its model: press Build Model"

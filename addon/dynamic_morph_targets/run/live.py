@@ -11,7 +11,7 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core import engine
+from ..core import engine, errors, logger
 from ..scene import events, references, staleness
 from ..scene.skin import followers, soft_skins
 from ..write import bake, live_key, muting, regions, storage
@@ -22,6 +22,8 @@ AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
 _problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and how its model stood then
 lent: set[int] = set()  # objects whose live key shows something else for a while
+_hidden: list[int] = []  # session ids of the objects whose live key is hidden while their file is saved
+_asleep = True  # whether the add-on was enabled and has not looked yet what is live
 _any_live: bool | None = None  # whether an object of this file is live; None: to be seen
 
 
@@ -90,13 +92,21 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
         if live_key.find(obj, session.flesh.skin.written) is None:
             turn_off(obj)
             return
+        if obj.data.library and live_key.is_hidden(obj):  # it was linked since: as it was saved
+            live_key.hide(obj, False)
         session.flesh.show(session.values(obj, settings, scene.frame_float, arrives))
-    except Exception as error:  # whatever it is: raised in a handler, it would be printed at every frame
-        sessions.pop(uid, None)
-        expected = isinstance(error, engine.expected_errors())
-        text = str(error) if expected else f"{type(error).__name__}: {error}"
-        _problems[uid] = text, _stated(obj)
-        events.redraw(events.PANELS)
+    except engine.expected_errors() as error:
+        _stop(obj, errors.sentence(error))
+    except Exception as bug:  # raised in a handler, it would be printed at every frame
+        logger.log_once(bug)
+        _stop(obj, logger.bug_sentence(bug))
+
+
+def _stop(obj, why: str):
+    """Let `obj` rest as it is shown now, and the panel say why."""
+    sessions.pop(obj.session_uid, None)
+    _problems[obj.session_uid] = why, _stated(obj)
+    events.redraw(events.PANELS)
 
 
 def holds_still(scene: bpy.types.Scene) -> bool:
@@ -115,6 +125,8 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
     The rig is not read from there but by itself, which changes frames too, in a scene of its own.
     """
     global _any_live
+    if _asleep:
+        _wake()
     if _any_live is None:
         _any_live = any(is_on(obj) for obj in soft_skins(bpy.data.objects))
     if not _any_live or scene != bpy.context.scene or holds_still(scene):
@@ -197,21 +209,59 @@ def _undone(*_args: object) -> None:
 @persistent
 def _loaded(*_args: object) -> None:
     """load_post: the ids may be those of other objects now."""
-    global _any_live
-    _any_live = None
-    sessions.clear()
-    _problems.clear()
+    _forget()
+    _wake()
 
 
 @persistent
 def _before_save(*_args: object) -> None:
-    """save_pre: note what the live keys look like, by which they are found after a rename."""
+    """save_pre: note what the live keys look like, by which they are found after a rename, and hide them.
+
+    In a file that is opened without the add-on the last frame would stand still on the skin.
+    """
     skins = soft_skins(bpy.data.objects)
     for obj in [each for skin in skins for each in (skin, *followers(skin))]:
         block = live_key.find(obj)
         if block is not None and obj.library is None:
             blocks = obj.data.shape_keys.key_blocks
             obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
+    _hidden[:] = _hide()
+
+
+@persistent
+def _after_save(*_args):
+    """save_post, save_post_fail: show what was hidden for the file."""
+    for obj in soft_skins(bpy.data.objects):
+        if obj.session_uid in _hidden:
+            live_key.hide(obj, False)
+    _hidden.clear()
+
+
+def _hide() -> list[int]:
+    """Hide Live wherever it shows. Returns the session ids of those objects."""
+    # While add-ons are enabled Blender shows them no data: then there is nothing of ours to hide either.
+    skins = soft_skins(getattr(bpy.data, "objects", ()))
+    shown = [
+        obj for obj in skins if obj.library is None and obj.dynamorph.live.key.name and not live_key.is_hidden(obj)
+    ]
+    for obj in shown:
+        live_key.hide(obj, True)
+    return [obj.session_uid for obj in shown]
+
+
+def _wake():
+    """Show Live again where it was hidden when its file was saved, or when the add-on was disabled."""
+    global _asleep
+    _asleep = False
+    for obj in soft_skins(bpy.data.objects):
+        if obj.dynamorph.live.key.name and live_key.is_hidden(obj):
+            live_key.hide(obj, False)
+
+
+def _wake_late():
+    """By a timer, for when the add-on is enabled: then Blender does not show it its data yet."""
+    if _asleep:
+        _wake()
 
 
 HANDLERS = {
@@ -221,6 +271,8 @@ HANDLERS = {
     "redo_post": _undone,
     "load_post": _loaded,
     "save_pre": _before_save,
+    "save_post": _after_save,
+    "save_post_fail": _after_save,
 }
 
 
@@ -228,16 +280,28 @@ LISTENERS = {events.Event.SHOWN_CHANGED: refresh}
 
 
 def register() -> None:
+    global _asleep
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
-    _loaded()
+    _forget()
+    _asleep = True
+    events.soon(_wake_late, 0.0)
 
 
 def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
-    events.forget(_after_scrubbing)
-    _loaded()
+    for look in (_after_scrubbing, _wake_late):
+        events.forget(look)
+    _forget()
+    _hide()
+
+
+def _forget():
+    global _any_live
+    _any_live = None
+    sessions.clear()
+    _problems.clear()
 
 
 def remove_soft_skin(obj: bpy.types.Object) -> None:

@@ -63,12 +63,12 @@ def load_model(obj):
 @lru_cache(maxsize=4)
 def _load(session_uid: int, _content_id: str):
     build, _ = engine.engine()
-    try:
-        return build.Model.from_arrays(*model_file.unpack(stored_model(find(session_uid))))
-    except errors.ModelFileError:
-        raise
-    except ValueError as error:  # it lacks something, or has what this version does not know
-        raise errors.ModelFileError(str(error)) from error
+    return build.Model.from_arrays(*model_file.unpack(stored_model(find(session_uid))))
+
+
+def forget():
+    """Free the models that are kept in memory: their objects go away."""
+    _load.cache_clear()
 
 
 def stale_reasons(obj, character) -> list[str]:

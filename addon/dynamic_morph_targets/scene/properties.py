@@ -16,6 +16,7 @@ from . import events
 from .bake_properties import DynamorphBake, DynamorphLive, DynamorphOutput, DynamorphSculpt, DynamorphSimulation
 from .model_properties import DynamorphMode, DynamorphModel, DynamorphPiece
 from .references import OVERRIDE, OVERRIDE_LIST
+from .registration import of_classes
 from .target_properties import DynamorphBone, DynamorphBonePose, DynamorphKey, DynamorphTarget
 
 
@@ -138,7 +139,7 @@ CLASSES = (
     DynamorphSettings,
     DynamorphDisplay,
 )
-_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+_register_classes, _unregister_classes = of_classes(CLASSES)
 
 
 def register():
@@ -148,6 +149,7 @@ def register():
 
 
 def unregister():
-    del bpy.types.WindowManager.dynamorph
-    del bpy.types.Object.dynamorph
+    for owner in (bpy.types.WindowManager, bpy.types.Object):
+        if hasattr(owner, "dynamorph"):
+            del owner.dynamorph
     _unregister_classes()

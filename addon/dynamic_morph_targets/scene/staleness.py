@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from functools import lru_cache
 from zlib import crc32
 
 import bpy
 import numpy as np
 
-from ..core.errors import SceneError
+from ..core import records
+from ..core.errors import RecordError, SceneError
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from . import animation, run_settings, skin, skinning
 from .plain import plain
@@ -30,7 +30,7 @@ UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
 def look_at_animation(obj):
     """Look at the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
     record = obj.dynamorph.bake
-    seen = json.dumps(animation.animation(obj)) if record.exists else ""
+    seen = records.animation_text(animation.animation(obj)) if record.exists else ""
     if record.animation != seen:
         record.animation = seen
 
@@ -38,7 +38,10 @@ def look_at_animation(obj):
 def model_changes(obj) -> list[str]:
     """The settings that have changed since the model of `obj` was built. Reads no mesh: fit for drawing."""
     built = obj.dynamorph.model.built
-    return _changes(obj, _parsed(built), model_inputs(obj)) if built else []
+    try:
+        return _changes(obj, records.build_inputs(built), model_inputs(obj)) if built else []
+    except RecordError as error:
+        return [str(error)]
 
 
 def model_age(obj) -> list[str]:
@@ -53,18 +56,16 @@ def outdated(obj) -> list[str]:
     if not (record.exists and record.inputs):
         return []
     try:
+        then, seen = records.bake_inputs(record.inputs), records.animation(record.animation)
         now = bake_inputs(obj, run_settings.simulation_settings(obj, bpy.context.scene))
-    except SceneError as error:
+    except (RecordError, SceneError) as error:
         return [str(error)]
-    then = _parsed(record.inputs)
-    if settings.simulation.is_patch:  # the range is that of the next patch
-        now["simulation"] |= {name: then["simulation"][name] for name in ("start", "end")}
+    now["simulation"] |= _kept_range(then.get("simulation", {}), now["simulation"], settings.simulation.is_patch)
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
         found.append("the model was built again")
     if obj.dynamorph.model.stale:
         found.append(obj.dynamorph.model.stale)
-    seen = _parsed(record.animation or "[]")
     found += _piece_changes(obj)
     found += [
         f'animation of "{name}" changed'
@@ -76,9 +77,14 @@ def outdated(obj) -> list[str]:
     return found
 
 
-@lru_cache(maxsize=64)
-def _parsed(text: str):
-    return json.loads(text)
+def _kept_range(then: dict, now: dict, is_patch: bool) -> dict:
+    """The ends of the range that are as good as those of the bake: it has all frames up to there, unless it is a loop,
+    which its range is part of. is_patch: the range is that of the next patch.
+    """
+    loops = then.get("loop") or now["loop"]
+    covers = {"start": lambda baked: baked <= now["start"], "end": lambda baked: baked >= now["end"]}
+    known = {name: then[name] for name in covers if records.is_number(then.get(name))}
+    return {name: baked for name, baked in known.items() if is_patch or (not loops and covers[name](baked))}
 
 
 def model_inputs(obj) -> dict:

@@ -11,6 +11,7 @@ from bpy.types import Operator
 from ..core.errors import SceneError
 from ..run import live
 from ..scene import skin
+from ..scene.registration import of_classes
 from ..write import attachments, bake
 from .base import SoftSkinOperator, listed
 
@@ -113,4 +114,4 @@ CLASSES = (
     DYNAMORPH_OT_remove_piece,
     DYNAMORPH_OT_select_piece,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core import engine, errors
+from ..core import engine, errors, logger
 from ..run import batch
 from ..scene import skin
 from ..write.reconcile import reconcile
@@ -15,13 +15,16 @@ LISTED = 5  # names in a report
 
 
 def guarded(operator, action, *args) -> set[str]:
-    """Call `action`; what the artist can do something about becomes a report, and the operator is cancelled."""
+    """Call `action`; an error becomes a report, a bug is logged too, and the operator is cancelled."""
     try:
         return action(*args) or {"FINISHED"}
     except errors.Cancelled:
         operator.report({"WARNING"}, "Cancelled: nothing was changed")
     except engine.expected_errors() as error:
-        operator.report({"ERROR"}, str(error))
+        operator.report({"ERROR"}, errors.sentence(error))
+    except Exception as bug:
+        logger.log_bug(bug)
+        operator.report({"ERROR"}, logger.bug_sentence(bug))
     return {"CANCELLED"}
 
 
@@ -32,6 +35,7 @@ class SoftSkinOperator:
 
     needs_soft_skin = True
     on_override = False  # whether a library override keeps what the button changes
+    on_linked_mesh = False  # whether a local object with a linked mesh does
 
     @classmethod
     def poll(cls, context):
@@ -52,15 +56,23 @@ class SoftSkinOperator:
         if obj.override_library and not cls.on_override:
             text = iface_("'{name}' is a library override, which would lose this when saved: make it local")
             return text.format(name=obj.name)
+        if obj.data.library and not (obj.override_library or cls.on_override or cls.on_linked_mesh):
+            text = iface_(
+                "The mesh of '{name}' is linked, so shape keys and weights would be lost when saved: make it local "
+                "(Object > Relations > Make Local > Selected Objects and Data)"
+            )
+            return text.format(name=obj.name)
         if cls.needs_soft_skin and not obj.dynamorph.targets:
             return "Press Add Soft Skin first"
         return at_work()
 
     def execute(self, context):
-        obj = skin.mesh_in(context)
+        return guarded(self, self._apply_reconciled, skin.mesh_in(context))
+
+    def _apply_reconciled(self, obj):
         if obj and obj.dynamorph.targets:
             reconcile(obj)  # a script may have renamed a key just now
-        return guarded(self, self.apply, obj)
+        return self.apply(obj)
 
 
 def at_work() -> str:

@@ -13,6 +13,7 @@ from ..core import verdict
 from ..core.errors import SceneError
 from ..core.feel import FEELS, Feel
 from ..run import job, live
+from ..scene.registration import of_classes
 from .base import SoftSkinOperator
 from .job_operators import JobOperator, StartsJob
 
@@ -154,4 +155,4 @@ CLASSES = (
     DYNAMORPH_OT_stiffen,
     DYNAMORPH_OT_refine_cage,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -13,6 +13,7 @@ from ..run import batch
 from ..run.batch import run_all
 from ..run.job import Job
 from ..scene import events
+from ..scene.registration import of_classes
 from ..scene.skin import is_shown_on, mesh_in, soft_skins
 from ..write import bake, live_key
 from .base import SoftSkinOperator, at_work, guarded
@@ -179,7 +180,9 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
 
 def _own_skins(scene) -> list:
     """The soft skins whose bake would be saved."""
-    return [skin for skin in soft_skins(scene.objects) if not (skin.library or skin.override_library)]
+    return [
+        skin for skin in soft_skins(scene.objects) if not (skin.library or skin.override_library or skin.data.library)
+    ]
 
 
 class DYNAMORPH_OT_cancel(Operator):
@@ -201,4 +204,4 @@ CLASSES = (
     DYNAMORPH_OT_free_bake,
     DYNAMORPH_OT_cancel,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

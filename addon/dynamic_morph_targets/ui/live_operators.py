@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -18,10 +17,12 @@ from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
+from ..core import records
 from ..core.errors import SceneError, SinkError
 from ..run import live, preview
 from ..run.preview import SECONDS, SWING, Preview, end_preview, is_running, movers, shaken
 from ..scene import events, model_store, rig_motion, skin
+from ..scene.registration import of_classes
 from ..write import comparison
 from ..write.slots import put_slot, slot_settings
 from .base import SoftSkinOperator, guarded
@@ -309,8 +310,8 @@ class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
     def apply(self, obj):
         record = obj.dynamorph.live
         left = slot_settings(obj)
-        put_slot(obj, json.loads(record.other) if record.other else left)
-        record.other = json.dumps(left)
+        put_slot(obj, records.slot(record.other) if record.other else left)
+        record.other = records.text(left)
         record.slot = "B" if record.slot == "A" else "A"
         live.refresh(obj)
 
@@ -322,7 +323,7 @@ class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
     bl_label = "Copy to Other Slot"
 
     def apply(self, obj):
-        obj.dynamorph.live.other = json.dumps(slot_settings(obj))
+        obj.dynamorph.live.other = records.text(slot_settings(obj))
 
 
 @persistent
@@ -353,7 +354,7 @@ CLASSES = (
     DYNAMORPH_OT_swap_slot,
     DYNAMORPH_OT_copy_slot,
 )
-_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+_register_classes, _unregister_classes = of_classes(CLASSES)
 
 
 def register():

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import bpy
 from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
 
 from ..core import material_fit, material_presets, oscillation
 from ..scene import model_store, skin
+from ..scene.registration import of_classes
 from .base import TargetOperator, guarded
 
 
@@ -80,4 +80,4 @@ CLASSES = (
     DYNAMORPH_OT_apply_material,
     DYNAMORPH_OT_fit_material,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

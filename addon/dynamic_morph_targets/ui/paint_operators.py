@@ -15,6 +15,7 @@ from ..core import engine
 from ..core.errors import SceneError
 from ..run import heat
 from ..scene import mesh_data, skin
+from ..scene.registration import of_classes
 from ..write import bake, storage
 from ..write.fixes import owned
 from .base import SoftSkinOperator
@@ -160,4 +161,4 @@ CLASSES = (
     DYNAMORPH_OT_paint_group,
     DYNAMORPH_OT_hold_to_group,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

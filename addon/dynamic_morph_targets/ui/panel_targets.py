@@ -7,7 +7,7 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Menu, UIList
 
-from ..core import engine
+from ..core import engine, errors
 from ..run import batch, weight_curves
 from ..scene import checks
 from .widgets import draw_message
@@ -173,7 +173,7 @@ def draw_bars(layout, context, obj):
     try:
         now = weight_curves.weights_now(obj, depsgraph)
     except engine.expected_errors() as error:
-        draw_message(layout, str(error))
+        draw_message(layout, errors.sentence(error))
         return
     shown = now.by_set()
     for s, targets in shown:

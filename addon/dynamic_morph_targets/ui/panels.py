@@ -10,6 +10,7 @@ from bpy.types import Panel
 from ..core import engine, feel
 from ..run import batch, preview
 from ..scene import checks, skin
+from ..scene.registration import of_classes
 from . import paint_operators
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces
 from .panel_bake import DYNAMORPH_UL_modes, draw_bake, draw_live, draw_model, draw_modes, draw_plain, draw_setup
@@ -177,7 +178,7 @@ CLASSES = (
     DYNAMORPH_PT_sidebar,
     DYNAMORPH_PT_object_data,
 )
-_register, _unregister = bpy.utils.register_classes_factory(CLASSES)
+_register, _unregister = of_classes(CLASSES)
 
 
 def register():

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 from bpy.types import Operator
 
 from ..core.errors import SceneError
 from ..scene import checks, rig_motion
+from ..scene.registration import of_classes
 from ..write import muting, regions, targets
 from ..write.targets import capture
 from .base import TargetOperator, listed
@@ -89,4 +89,4 @@ CLASSES = (
     DYNAMORPH_OT_use_selected_bones,
     DYNAMORPH_OT_remove_bone,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -19,6 +19,7 @@ from ..core import material_presets
 from ..core.errors import SceneError
 from ..core.settings import Material
 from ..scene import skin
+from ..scene.registration import of_classes
 from ..scene.skin import mesh_in
 from ..write import setups
 from .base import SoftSkinOperator
@@ -128,4 +129,4 @@ CLASSES = (
     DYNAMORPH_PT_material_presets,
     DYNAMORPH_PT_setup_presets,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-import bpy
 import numpy as np
 from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 
-from ..core import engine
+from ..core import engine, errors
 from ..core.errors import SceneError
 from ..scene import rig_motion, skin
+from ..scene.registration import of_classes
 from ..write import muting, targets
 from ..write.targets import sculpted_key
 from .base import SoftSkinOperator, TargetOperator, guarded
@@ -116,7 +116,7 @@ class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
         try:
             targets.learn_from_sculpt(obj)
         except engine.expected_errors() as error:  # the mode is left in any case
-            self.report({"WARNING"}, str(error))
+            self.report({"WARNING"}, errors.sentence(error))
 
 
 CLASSES = (
@@ -124,4 +124,4 @@ CLASSES = (
     DYNAMORPH_OT_sculpt_target,
     DYNAMORPH_OT_finish_sculpt,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -11,6 +11,7 @@ from bpy.types import Operator
 from ..core.errors import SceneError
 from ..core.feel import FEELS
 from ..scene import checks, extract, references, rig_motion, skin, skinning, target_properties
+from ..scene.registration import of_classes
 from ..write import attachments, bake
 from ..write.fixes import FIXES
 from . import feel_operators
@@ -93,6 +94,7 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
     bl_label = "Fix"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}  # a search would offer only the first problem
     needs_soft_skin = False
+    on_linked_mesh = True  # what is in the way may be of the armature; each fix looks at what it changes
 
     problem: EnumProperty(
         name="Problem",
@@ -126,4 +128,4 @@ CLASSES = (
     DYNAMORPH_OT_fix,
     DYNAMORPH_OT_build_cage,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -13,6 +13,7 @@ from ..core.errors import SceneError
 from ..run.live import remove_soft_skin
 from ..scene import checks, mesh_data, rig_motion, skin
 from ..scene.references import key_points, rest_skeleton
+from ..scene.registration import of_classes
 from ..write import muting, regions, suggest, targets
 from ..write.targets import capture, sculpted_key
 from .base import SoftSkinOperator, TargetOperator, listed
@@ -269,4 +270,4 @@ CLASSES = (
     DYNAMORPH_OT_select_key,
     DYNAMORPH_OT_region_from_sculpt,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

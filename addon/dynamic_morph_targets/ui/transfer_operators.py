@@ -13,6 +13,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..run.live import remove_soft_skin
 from ..scene import skin
+from ..scene.registration import of_classes
 from ..write import setups, storage, transfer
 from .base import SoftSkinOperator, guarded, listed
 
@@ -133,4 +134,4 @@ def length(metres: float) -> str:
 
 
 CLASSES = (DYNAMORPH_OT_save_setup, DYNAMORPH_OT_load_setup, DYNAMORPH_OT_copy_to_selected)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
 from ..run import weight_curves
 from ..scene import events, skin
+from ..scene.registration import of_classes
 from .base import SoftSkinOperator, guarded
 
 
@@ -58,4 +58,4 @@ class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
 
 
 CLASSES = (DYNAMORPH_OT_update_influence, DYNAMORPH_OT_suggest_pose)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -131,7 +131,8 @@ class NewBake:
             self._keys = scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
             for key in self._keys:
                 self._names.append(_add_key(obj, key).name)
-            self._action = _add_curves(obj.data.shape_keys, self._names, bake.frames, self._keys)
+            self._action = bpy.data.actions.new(f"{MOTION} {obj.name}")
+            _add_curves(obj.data.shape_keys, self._action, self._names, bake.frames, self._keys)
         except BaseException:
             obj.active_shape_key_index = active_index
             self.take_back()
@@ -258,12 +259,11 @@ def _add_key(obj, key: Key):
     return block
 
 
-def _add_curves(keys, names, frames, values: list[Key]):
-    """An Action with the curves, on NLA tracks above the artist's: without the motion, and with it. Returns it."""
+def _add_curves(keys, action, names, frames, values: list[Key]):
+    """The curves in a new Action, on NLA tracks above the artist's: without the motion, and with it."""
     render = bpy.context.scene.render
     times = frames * (render.frame_map_old / render.frame_map_new)  # at frame 10 of a remapped scene it may be time 5
     animation = keys.animation_data or keys.animation_data_create()
-    action = bpy.data.actions.new(f"{MOTION} {keys.user.name}")
     strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
     for title, curves in ((SHAPES, [key.shapes for key in values]), (MOTION, [key.motion for key in values])):
         if all(curve is None for curve in curves):
@@ -274,7 +274,6 @@ def _add_curves(keys, names, frames, values: list[Key]):
             if curve is not None:
                 add_curve(channels, name, times, curve)
         _add_track(animation, title, action, slot, times)
-    return action
 
 
 def add_curve(channels, name: str, times, values):

@@ -68,6 +68,25 @@ def _remove(obj):
         bake.leave(obj)
 
 
+def hide(obj, hidden: bool):
+    """Let `obj` and what follows it look as without Live, while the key stays; or as with it again."""
+    for each in (obj, *followers(obj)):
+        block = find(each)
+        if block is None:
+            continue
+        block.mute = hidden
+        blocks = each.data.shape_keys.key_blocks
+        for key in each.dynamorph.live.muted:
+            if key.name in blocks:
+                blocks[key.name].mute = key.was_muted if hidden else True
+
+
+def is_hidden(obj) -> bool:
+    """Whether there is the key, and it shows nothing."""
+    block = find(obj)
+    return block is not None and block.mute
+
+
 def find(obj, written: np.ndarray | None = None):
     """The key, or None. written (3 V,): what was last written to it, by which it is found when it was renamed."""
     reference, keys = obj.dynamorph.live.key, obj.data.shape_keys

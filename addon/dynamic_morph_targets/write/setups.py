@@ -209,7 +209,7 @@ def read(path: Path) -> dict:
     try:
         setup = json.loads(path.read_text(encoding="utf-8-sig"))
         check(setup)
-    except (ValueError, RecursionError) as error:
+    except (SetupError, ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, SetupError) else f"This is not a Dynamorph setup ({error})"
         raise SetupError(f"'{path.name}': {reason}") from error
     return setup
@@ -283,11 +283,12 @@ def _check_values(where: str, kind, values):
         prop = properties[name]
         count = prop.array_length if getattr(prop, "is_array", False) else 0
         whole = isinstance(value, list) and len(value) == count if count else True
-        if not whole or not all(_fits(prop, number) for number in (value if count else [value])):
+        if not whole or not all(fits(prop, number) for number in (value if count else [value])):
             raise SetupError(f"{where}: {name} is {value!r:.40}, but must be {_wanted(prop, count)}")
 
 
-def _fits(prop, value) -> bool:
+def fits(prop, value) -> bool:
+    """Whether a property of a group, or each number of an array, takes the value unchanged."""
     if prop.type == "BOOLEAN":
         return type(value) is bool
     if prop.type == "ENUM":

@@ -7,7 +7,7 @@ from array import array
 from pathlib import Path
 
 from .. import preferences
-from ..core import engine
+from ..core import engine, errors
 from ..core.errors import SceneError
 from ..io import model_file
 from ..scene import extract, staleness
@@ -74,6 +74,6 @@ def show_stale(obj):
         try:
             stale = "; ".join(stale_reasons(obj, extract.character(obj)))
         except engine.expected_errors() as error:
-            stale = str(error)
+            stale = errors.sentence(error)
     if obj.dynamorph.model.stale != stale:
         obj.dynamorph.model.stale = stale
