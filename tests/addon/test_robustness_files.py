@@ -192,6 +192,23 @@ def test_a_linked_character_that_is_live_plays(asset):
         assert not OPS.live.poll() and names(playing)[-1] == "Dynamorph Live"
 
 
+def test_a_local_object_with_a_linked_mesh_is_refused(asset):
+    """Its settings would be saved, and nothing that is made of its mesh."""
+    linked = open_shot(asset("build"), link=True)
+    obj = linked.copy()
+    bpy.context.scene.collection.objects.link(obj)
+    activate(obj)
+    assert obj.library is None and obj.data.library
+    before = state()
+    for name in set(CALLS) - {"apply_feel", "apply_material", "fit_material", "fix"}:
+        assert not getattr(OPS, name).poll(), name
+    told = part("job_operators").DYNAMORPH_OT_bake.obstacle(bpy.context)
+    assert told.startswith(f"The mesh of '{obj.name}' is linked") and "make it local" in told
+    with pytest.raises(part("errors").SinkError, match="Mesh 'Arm' is linked.*make it local"):
+        bake(obj)
+    assert state() == before
+
+
 def test_an_override_keeps_materials_alone(asset, tmp_path):
     saved = asset("build")
     obj = open_override(saved)

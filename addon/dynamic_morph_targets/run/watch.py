@@ -6,12 +6,12 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import events, rig_motion, skin, staleness
+from ..scene import events, model_store, references, rig_motion, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
 from ..write import bake_influence, storage, targets
 from ..write.reconcile import reconcile
-from . import batch, live
+from . import batch, heat, live
 
 PATIENCE = 1.0  # seconds without an edit, after which it is looked at
 OWNER = object()  # of the subscriptions
@@ -19,8 +19,11 @@ OWNER = object()  # of the subscriptions
 
 @persistent
 def _before_load(*_args: object) -> None:
-    """load_pre: the job's results would have nowhere to go."""
+    """load_pre: the job's results would have nowhere to go, and what is kept in memory belongs to nothing any more."""
     batch.stop()
+    model_store.forget()
+    references.forget()
+    heat.forget()
 
 
 @persistent
@@ -128,7 +131,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    batch.stop()
+    _before_load()
     bpy.msgbus.clear_by_owner(OWNER)
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)

@@ -15,7 +15,7 @@ from ..core.character import Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import determinant, invertible, turned
 from ..core.rig_samples import ForceField, RigSamples
-from . import checks, skinning
+from . import checks, events, skinning
 from .checks import armature_modifier, refuse
 from .references import rest_skeleton
 from .skin import unit_scale
@@ -275,7 +275,8 @@ def rig_scene(obj, rig, probe=None):
             probe.dress(follower, obj)
         scene.collection.objects.link(rig)
         scene.collection.objects.link(follower)
-        yield scene, follower
+        with events.unheard():
+            yield scene, follower
     finally:
         bpy.data.scenes.remove(scene)
         bpy.data.objects.remove(follower)

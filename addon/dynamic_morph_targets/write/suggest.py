@@ -17,7 +17,7 @@ import numpy as np
 from mathutils import Quaternion
 
 from ..core.errors import SceneError
-from ..scene import checks, rig_motion
+from ..scene import checks, events, rig_motion
 from . import targets
 
 STEP = np.radians(3.0)
@@ -52,7 +52,7 @@ def suggestions(obj) -> tuple[list[Suggestion], list[str]]:
     if not read:
         raise SceneError(f"'{obj.name}' has no shape key, besides targets, whose driver reads bones of '{rig.name}'")
     found, skipped = [], []
-    with _unchanged_pose(rig), _Trial(obj, rig) as trial:
+    with _unchanged_pose(rig), events.unheard(), _Trial(obj, rig) as trial:
         targets.pose_rig(rig, skeleton, neutral)
         for key, axes in read.items():
             angles, top, turns = _turned_until_on(trial, key, axes)
@@ -123,10 +123,18 @@ class _Trial:
 
     def __init__(self, obj, rig):
         self.rig, self.keys = rig, obj.data.shape_keys
-        self.scene = bpy.data.scenes.new("Dynamorph Drivers")
-        self.probe = bpy.data.objects.new("Dynamorph Drivers", None)
 
     def __enter__(self):
+        self.scene = bpy.data.scenes.new("Dynamorph Drivers")
+        self.probe = bpy.data.objects.new("Dynamorph Drivers", None)
+        try:
+            self._evaluate()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _evaluate(self):
         driver = self.probe.driver_add("location", 0).driver  # of no use but that Blender evaluates the keys' drivers
         target = driver.variables.new().targets[0]
         target.id_type, target.id, target.data_path = "KEY", self.keys, "eval_time"
@@ -136,7 +144,6 @@ class _Trial:
         self.layer = self.scene.view_layers[0]
         self.depsgraph = self.layer.depsgraph
         self.bases = {}
-        return self
 
     def __exit__(self, *_error):
         bpy.data.scenes.remove(self.scene)
