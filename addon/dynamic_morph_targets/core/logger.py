@@ -10,12 +10,12 @@ logger = logging.getLogger("dynamic_morph_targets")  # prints to the console unl
 _told: set[tuple] = set()  # kinds and places of the bugs that `log_once` has logged
 
 
-def log_bug(error: BaseException):
+def log_bug(error: BaseException) -> None:
     """Log an error that nobody expected, with its traceback."""
     logger.error("An unexpected error", exc_info=error)
 
 
-def log_once(error: BaseException):
+def log_once(error: BaseException) -> None:
     """The same, for what is tried again and again: an error of one kind from one place is logged once."""
     where = traceback.extract_tb(error.__traceback__)[-1:]
     bug = type(error), *((frame.filename, frame.lineno) for frame in where)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import lru_cache
 from math import isfinite
+from typing import TypeGuard
 
 from .errors import RecordError
 from .settings import Material
@@ -79,7 +80,7 @@ def slot(record: str) -> dict:
     return values | {"materials": materials, "frequencies": frequencies}
 
 
-def is_number(value) -> bool:
+def is_number(value: object) -> TypeGuard[int | float]:
     """Whether it is a finite number, and none too large for a float."""
     try:
         return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
@@ -93,13 +94,14 @@ def _read(record: str, unreadable: str, needed: dict[str, Callable], known: dict
     unreadable: what RecordError says otherwise.
     """
     values = _parsed(record, unreadable)
-    complete = isinstance(values, dict) and values.keys() >= needed.keys()
-    if not complete or not all(fits(values[name]) for name, fits in {**known, **needed}.items() if name in values):
+    if not isinstance(values, dict) or not values.keys() >= needed.keys():
+        raise RecordError(unreadable)
+    if not all(fits(values[name]) for name, fits in {**known, **needed}.items() if name in values):
         raise RecordError(unreadable)
     return values
 
 
-def _parsed(record: str, unreadable: str):
+def _parsed(record: str, unreadable: str) -> object:
     """JSON of a version that is known. Raises RecordError."""
     try:
         values = json.loads(record)
@@ -111,23 +113,23 @@ def _parsed(record: str, unreadable: str):
     return values
 
 
-def _is_text(value) -> bool:
+def _is_text(value: object) -> bool:
     return isinstance(value, str)
 
 
-def _is_group(value) -> bool:
+def _is_group(value: object) -> bool:
     return isinstance(value, dict)
 
 
-def _are_groups(value) -> bool:
+def _are_groups(value: object) -> bool:
     return isinstance(value, dict) and all(map(_is_group, value.values()))
 
 
-def _are_numbers(value) -> bool:
+def _are_numbers(value: object) -> bool:
     return isinstance(value, list) and all(map(is_number, value))
 
 
-def _is_animation(value) -> bool:
+def _is_animation(value: object) -> TypeGuard[list[list[str]]]:
     return isinstance(value, list) and all(
         isinstance(pair, list) and len(pair) == 2 and all(map(_is_text, pair)) for pair in value
     )

@@ -102,7 +102,7 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
         _stop(obj, logger.bug_sentence(bug))
 
 
-def _stop(obj, why: str):
+def _stop(obj: bpy.types.Object, why: str) -> None:
     """Let `obj` rest as it is shown now, and the panel say why."""
     sessions.pop(obj.session_uid, None)
     _problems[obj.session_uid] = why, _stated(obj)
@@ -229,7 +229,7 @@ def _before_save(*_args: object) -> None:
 
 
 @persistent
-def _after_save(*_args):
+def _after_save(*_args: object) -> None:
     """save_post, save_post_fail: show what was hidden for the file."""
     for obj in soft_skins(bpy.data.objects):
         if obj.session_uid in _hidden:
@@ -249,7 +249,7 @@ def _hide() -> list[int]:
     return [obj.session_uid for obj in shown]
 
 
-def _wake():
+def _wake() -> None:
     """Show Live again where it was hidden when its file was saved, or when the add-on was disabled."""
     global _asleep
     _asleep = False
@@ -258,7 +258,7 @@ def _wake():
             live_key.hide(obj, False)
 
 
-def _wake_late():
+def _wake_late() -> None:
     """By a timer, for when the add-on is enabled: then Blender does not show it its data yet."""
     if _asleep:
         _wake()
@@ -297,7 +297,7 @@ def unregister() -> None:
     _hide()
 
 
-def _forget():
+def _forget() -> None:
     global _any_live
     _any_live = None
     sessions.clear()
