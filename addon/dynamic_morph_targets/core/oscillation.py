@@ -48,7 +48,7 @@ def oscillation(times: np.ndarray, positions: np.ndarray) -> Oscillation:
     times (n,) s, increasing, need not be evenly spaced; positions (n,), (n, 2) or (n, 3), any unit: only the direction
     in which the point moves most is used. Begin at the release, and leave out the first moments if fast ripples show.
     Least squares by variable projection (Golub & Pereyra 1973), from the highest peak of the spectrum. Raises
-    ValueError when there is no visible oscillation of at least two periods.
+    FitError when there is no visible oscillation of at least two periods.
     """
     times, along = _track(times, positions)
     best = min((_refine(times, along, *start) for start in _starts(times, along)), key=lambda fit: fit[2])
