@@ -3,6 +3,9 @@
 
 A .glb is a header, then chunks: JSON, which says where everything is, and bytes. The parts need no other bytes than the
 whole, only times of their own, which are appended.
+
+Blender's exporter can write several animations itself, but not these: it makes one of every Action or NLA track of an
+object, also of muted tracks, leaves out what moves without one of its own, and in 4.5 fails on tracks of shape keys.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 """A soft skin brought to another mesh on the same armature, such as another resolution of the body, or tight clothes.
 
 Both stand in the world as at rest: shape keys and vertex groups go by the nearest point of the source's Basis.
+`object.data_transfer` cannot do this: it carries no shape keys, and it measures from the source as it is posed.
 """
 
 from __future__ import annotations
