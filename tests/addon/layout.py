@@ -4,7 +4,6 @@
 import types
 
 import bpy
-from builders import part
 
 
 def region(width) -> dict:
@@ -14,6 +13,13 @@ def region(width) -> dict:
 
 
 SIDEBAR = region(280)
+
+
+def registered(name, kind):
+    """The class by which Blender draws a panel, a menu or a list: what is not registered it does not draw."""
+    found = getattr(bpy.types, name, None)
+    assert found and issubclass(found, kind), f"{name} is not registered"
+    return found
 
 
 class Layout:
@@ -48,21 +54,20 @@ class Layout:
         self.drawn.append(text)
 
     def template_list(self, kind, _id, data, name, active_data, active_name, **_options):
-        assert hasattr(bpy.types, kind), f"{kind} is not registered, so Blender draws no list"
         assert name in data.bl_rna.properties and active_name in active_data.bl_rna.properties
         for index, item in enumerate(getattr(data, name)):
-            draw = getattr(part("panels"), kind).draw_item
+            draw = registered(kind, bpy.types.UIList).draw_item
             draw(None, self.context, self, data, item, 0, active_data, active_name, index)
 
     def panel(self, _name, default_closed=False):
         return self, self if self.unfolded or not default_closed else None
 
     def menu(self, name, **_options):
-        assert getattr(bpy.types, name)
+        assert registered(name, bpy.types.Menu)
         self.drawn.append(name)
 
     def popover(self, panel, **_options):
-        assert getattr(bpy.types, panel)
+        assert registered(panel, bpy.types.Panel)
         self.drawn.append(panel)
 
     def row(self, **_options):
@@ -80,7 +85,7 @@ class Layout:
 def drawn(obj, panel="DYNAMORPH_PT_sidebar", place=SIDEBAR, unfolded=True):
     """place: see `region`. unfolded: also the sections that are closed at first."""
     out = []
-    panel_class = getattr(part("panels"), panel)
+    panel_class = registered(panel, bpy.types.Panel)
     context = types.SimpleNamespace(
         object=obj,
         view_layer=bpy.context.view_layer,

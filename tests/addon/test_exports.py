@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 import round_trips
-from builders import fingerprint, hand_made_bake, keys_of, make_arm, make_soft, part, rig_of
+from builders import activate, fingerprint, hand_made_bake, keys_of, make_arm, make_soft, part, rig_of
 from layout import Layout
 from round_trips import farthest
 
@@ -63,6 +63,31 @@ def test_what_blender_shows_is_read_back(baked, tmp_path, name):
     assert fingerprint(obj) == before
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
     assert off(name, path, exact) < CLOSE
+
+
+@pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD"])
+def test_an_export_changes_neither_selection_nor_mode(scene, baked, tmp_path, key):
+    obj, _ = baked
+    other = make_arm(scene, "Other")
+    other.select_set(True)
+    activate(rig_of(obj))
+    bpy.ops.object.mode_set(mode="POSE")
+    chosen = [each.name for each in bpy.context.selected_objects]
+    written(obj, key, tmp_path)
+    assert rig_of(obj).mode == "POSE" and bpy.context.object == rig_of(obj)
+    assert [each.name for each in bpy.context.selected_objects] == chosen
+    assert not bpy.data.collections
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_what_stands_beside_the_character_stays_out(scene, baked, tmp_path, name):
+    """Selected or not, and in whatever scenes."""
+    obj, _ = baked
+    make_arm(scene, "Other").select_set(True)
+    bpy.data.scenes.new("Second").collection.objects.link(obj)
+    exact, path = posed("Arm"), written(obj, name.split()[0], tmp_path)
+    assert off(name, path, exact) < CLOSE
+    assert b"Other" not in path.read_bytes()
 
 
 def test_gltf_holds_the_bake_s_shapes_and_values(baked, tmp_path):

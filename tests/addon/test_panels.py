@@ -73,7 +73,7 @@ def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
 
 
 def test_only_for_meshes(soft_arm):
-    panel = part("panels").DYNAMORPH_PT_sidebar
+    panel = bpy.types.DYNAMORPH_PT_sidebar
     assert not panel.poll(types.SimpleNamespace(object=None))
     assert not panel.poll(types.SimpleNamespace(object=bpy.data.objects.new("Empty", None)))
 

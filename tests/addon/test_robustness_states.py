@@ -198,7 +198,7 @@ def press(name):
 
 def draw_panels(*names):
     for name in names:
-        if getattr(part("panels"), name).poll(bpy.context):
+        if getattr(bpy.types, name).poll(bpy.context):
             assert drawn(bpy.context.object, name)
 
 
@@ -291,6 +291,10 @@ def test_panels_refuse_what_does_not_exist(addon):
         Layout([]).prop(bpy.context.scene, "no such property")
     with pytest.raises(KeyError):
         Layout([]).operator("dynamorph.no_such_operator")
+    with pytest.raises(AssertionError, match="is not registered"):
+        Layout([]).menu("DYNAMORPH_MT_no_such_menu")
+    with pytest.raises(AssertionError, match="is not registered"):
+        drawn(bpy.context.object, "DYNAMORPH_PT_no_such_panel")
 
 
 @pytest.mark.parametrize("button", ["live", "remove_target"])

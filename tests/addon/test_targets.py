@@ -546,7 +546,7 @@ def test_renaming_in_the_list_renames_the_key(soft_arm):
 
 def test_the_menu(soft_arm):
     out = []
-    part("panel_targets").DYNAMORPH_MT_targets.draw(types.SimpleNamespace(layout=Layout(out)), bpy.context)
+    bpy.types.DYNAMORPH_MT_targets.draw(types.SimpleNamespace(layout=Layout(out)), bpy.context)
     assert {"dynamorph.suggest_targets", "dynamorph.mirror_target", "dynamorph.duplicate_target"} <= set(out)
 
 

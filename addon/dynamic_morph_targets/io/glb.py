@@ -3,6 +3,9 @@
 
 A .glb is a header, then chunks: JSON, which describes the layout, and bytes. The parts need no other bytes than the
 whole, only their own times, which are appended.
+
+Blender's exporter can write several animations itself, but not these: it makes one of every Action or NLA track of an
+object, including muted tracks, leaves out what moves without one of its own, and in 4.5 fails on tracks of shape keys.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from ..scene.references import rig_of
 from ..write import actions, live_key
 from ..write.actions import Clip, laid_out
 from ..write.bake import write_keys
-from ..write.exports import FORMATS, as_it_was, check_bake, check_place, stand_ins, write_file
+from ..write.exports import FORMATS, check_bake, check_place, frames_kept, stand_ins, write_file
 from . import batch
 from .bake_input import handles
 from .batch import run_all
@@ -125,7 +125,7 @@ class ActionsExport(batch.Batch):
         wholes = [keys.with_fewer_keys(bake, budget) if budget else bake for bake in wholes]
         bakes = [bake for whole in wholes for bake in of_meshes(job.input, job.model, whole)]
         with ExitStack() as stack:
-            stack.enter_context(as_it_was(obj))
+            stack.enter_context(frames_kept())
             stack.enter_context(actions.laid_out(rig_of(obj), self.clips))
             copies = stack.enter_context(stand_ins((obj, *pieces)))
             for copy, bake in zip(copies, bakes, strict=True):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy_extras import anim_utils
 
 from . import skinning
 from .references import rig_of
@@ -15,10 +16,8 @@ from .references import rig_of
 
 def curves(action, slot) -> list:
     """The F-curves of one slot of an Action; either may be None."""
-    if not (action and slot):
-        return []
-    bags = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
-    return [curve for bag in bags if bag for curve in bag.fcurves]
+    channels = anim_utils.action_get_channelbag_for_slot(action, slot)
+    return list(channels.fcurves) if channels else []
 
 
 def keys_of(obj):

@@ -25,9 +25,9 @@ from . import actions, bake, bake_reading
 
 @dataclass(frozen=True)
 class Format:
-    """suffix: of its files; write(obj, path, frames, takes); skins: whether it contains armature and keys, and so a
-    clip for each Action; surface: whether it contains the resulting surface; option: of bpy.app.build_options that it
-    needs.
+    """suffix: of its files; write(obj, collection, path, frames, takes), collection: the name of the one that holds the
+    character; skins: whether it contains armature and keys, and so a clip for each Action; surface: whether it contains
+    the resulting surface; option: of bpy.app.build_options that it needs.
     """
 
     label: str
@@ -63,8 +63,8 @@ def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), wit
     chosen = FORMATS[key]
     partial = path.with_name(f"{path.stem}.part{path.suffix}")  # exporters check the suffix
     try:
-        with as_it_was(obj, without):
-            chosen.write(obj, partial, frames, takes)
+        with frames_kept(), _collected(obj, without) as collection:
+            chosen.write(obj, collection, partial, frames, takes)
         if not partial.is_file():
             raise ExportError(f"Blender's {chosen.label} exporter wrote nothing: its report says why")
         partial.replace(path)
@@ -92,10 +92,10 @@ def check_bake(obj, key: str):
 # Writers -----------------------------------------------------------------------------------------------------------
 
 
-def _write_gltf(obj, path: Path, frames, takes):
+def _write_gltf(obj, collection: str, path: Path, frames, takes):
     with _sampled(obj, frames):
         bpy.ops.export_scene.gltf(
-            filepath=str(path), use_selection=True, export_animation_mode="SCENE", export_force_sampling=True,
+            filepath=str(path), collection=collection, export_animation_mode="SCENE", export_force_sampling=True,
             export_anim_scene_split_object=False,
             export_optimize_animation_size=False, export_morph_normal=False, export_frame_range=True,
         )  # fmt: skip
@@ -104,31 +104,31 @@ def _write_gltf(obj, path: Path, frames, takes):
         path.write_bytes(glb.split_animation(path.read_bytes(), parts, _fps()))
 
 
-def _write_fbx(obj, path: Path, frames, takes):
+def _write_fbx(obj, collection: str, path: Path, frames, takes):
     with _sampled(obj, frames):
         bpy.ops.export_scene.fbx(
-            filepath=str(path), use_selection=True, add_leaf_bones=False, bake_anim_use_nla_strips=bool(takes),
+            filepath=str(path), collection=collection, add_leaf_bones=False, bake_anim_use_nla_strips=bool(takes),
             bake_anim_use_all_actions=False, bake_anim_simplify_factor=0.0, use_mesh_modifiers=False,
         )  # fmt: skip
 
 
-def _write_alembic(_obj, path: Path, frames, _takes):
+def _write_alembic(_obj, collection: str, path: Path, frames, _takes):
     bpy.ops.wm.alembic_export(
-        filepath=str(path), selected=True, start=frames[0], end=frames[1], uvs=True, normals=False,
+        filepath=str(path), collection=collection, start=frames[0], end=frames[1], uvs=True, normals=False,
         as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes such as a model's
     )  # fmt: skip
 
 
-def _write_usd(_obj, path: Path, frames, _takes):
+def _write_usd(_obj, collection: str, path: Path, frames, _takes):
     scene = bpy.context.scene
-    scene.frame_start, scene.frame_end = frames  # until `_as_it_was`
+    scene.frame_start, scene.frame_end = frames  # until `frames_kept`
     bpy.ops.wm.usd_export(
-        filepath=str(path), selected_objects_only=True, export_animation=True, export_armatures=False,
+        filepath=str(path), collection=collection, export_animation=True, export_armatures=False,
         export_shapekeys=False, export_normals=False, export_custom_properties=False,
     )  # fmt: skip
 
 
-def _write_raw(obj, path: Path, _frames, _takes):
+def _write_raw(obj, _collection: str, path: Path, _frames, _takes):
     """One row per frame, whatever the bake's samples are, because players count frames."""
     basis = key_points(obj.data.shape_keys.reference_key)
     model_file.save(path, point_cache.raw(bake_reading.read_back(obj), basis, _fps()))
@@ -199,23 +199,33 @@ def _parents(obj) -> list:
 
 
 @contextmanager
-def as_it_was(obj, without=()):
-    """Select the character alone; afterwards restore selection and frames."""
-    layer, scene, character = bpy.context.view_layer, bpy.context.scene, _together(obj, without)
-    selected = [other for other in layer.objects if other.select_get()]
-    active, frame = layer.objects.active, (scene.frame_current, scene.frame_subframe)
-    ends = scene.frame_start, scene.frame_end
+def frames_kept():
+    """Restore the scene's frame and range afterwards."""
+    scene = bpy.context.scene
+    frame, ends = (scene.frame_current, scene.frame_subframe), (scene.frame_start, scene.frame_end)
     try:
-        for other in layer.objects:
-            other.select_set(other in character)
-        layer.objects.active = obj
         yield
     finally:
-        for other in layer.objects:
-            other.select_set(other in selected)
-        layer.objects.active = active
         scene.frame_start, scene.frame_end = ends
         scene.frame_set(frame[0], subframe=frame[1])
+
+
+@contextmanager
+def _collected(obj, without=()):
+    """The name of a collection with the character alone, for the exporters; it is in no scene.
+
+    `obj` is the active object meanwhile, because the glTF exporter makes the active one leave its mode.
+    """
+    collection, objects = bpy.data.collections.new(obj.name), bpy.context.view_layer.objects
+    active = objects.active
+    try:
+        for each in _together(obj, without):
+            collection.objects.link(each)
+        objects.active = obj
+        yield collection.name
+    finally:
+        objects.active = active
+        bpy.data.collections.remove(collection)
 
 
 @contextmanager
