@@ -321,7 +321,7 @@ def test_go_to_pose_names_bones_that_are_held(soft_arm, capfd):
     limit.owner_space, limit.use_limit_x, limit.max_x = "LOCAL", True, 1.0
     soft_arm.dynamorph.active_target_index = 1
     OPS.go_to_pose()
-    assert "Constraints or drivers hold bones off: lower" in capfd.readouterr().out
+    assert "Constraints or drivers keep bones out of this pose: lower" in capfd.readouterr().out
 
 
 # Mirror ------------------------------------------------------------------------------------------------------------
@@ -493,7 +493,7 @@ def test_duplicating_a_target(scene, soft_arm, capfd):
     keys.key_blocks["flexed"].vertex_group = "lower"
     OPS.duplicate_target()
     assert names(soft_arm) == ["Neutral", "flexed", "flexed copy", "smile"] and settings.active_target_index == 2
-    assert "'flexed copy' has the pose of 'flexed'" in capfd.readouterr().out
+    assert "'flexed copy' has the same pose as 'flexed'" in capfd.readouterr().out
     assert (key_points(soft_arm, "flexed copy") == key_points(soft_arm, "flexed")).all()
     assert (shape(soft_arm, "flexed copy") == shape(soft_arm, "flexed")).all()
     assert keys.key_blocks["flexed copy"].value == 0.0
