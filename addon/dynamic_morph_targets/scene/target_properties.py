@@ -132,8 +132,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     mute: BoolProperty(name="Mute", description="Leave this target out of the model", override=OVERRIDE)
     stiffness: FloatProperty(
         name="Stiffness",
-        description="Young's modulus at this target in pascals. Raise it to make the soft tissue firmer. Measured "
-        "values are in the Material menu",
+        description="Young's modulus at this target in pascals. Raise it to make the soft tissue firmer",
         default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
         override=OVERRIDE, update=_stiffness_set,
     )  # fmt: skip
@@ -167,8 +166,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     )  # fmt: skip
     influence: FloatProperty(
         name="Motion Amount",
-        description="How much of the motion shows in this target's pose, within its region. 0 shows the sculpted "
-        "shape alone",
+        description="How much of the motion shows in this target's pose and region. 0 shows the sculpted shape alone",
         default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     region: StringProperty(
@@ -234,8 +232,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     )  # fmt: skip
     settle: FloatProperty(
         name="Settle (Frames)",
-        description="Settle Time in frames of the scene, for scripts and drivers of earlier files. The panels show "
-        "seconds",
+        description="Settle Time in frames of the scene, for scripts and drivers of earlier files",
         min=0.1, max=NEVER, options={"SKIP_SAVE"}, get=_get_settle, set=_set_settle,
     )  # fmt: skip
     weight: FloatProperty(
