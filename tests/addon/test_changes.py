@@ -289,9 +289,9 @@ def test_a_range_within_the_baked_one_is_no_change(scene, baked):
     scene.frame_start, scene.frame_end = 5, 15
     assert outdated(baked) == []
     scene.frame_end = 25
-    assert outdated(baked) == ["End changed"]
+    assert outdated(baked) == ["Frame End changed"]
     scene.frame_start, scene.frame_end = 0, 15
-    assert outdated(baked) == ["Start changed"]
+    assert outdated(baked) == ["Frame Start changed"]
     simulation = baked.dynamorph.simulation
     simulation.use_scene_range, simulation.start, simulation.end = False, 3, 4
     assert outdated(baked) == []
@@ -302,7 +302,7 @@ def test_the_range_of_a_loop_is_part_of_it(scene, soft_arm, stand_in):
     bpy.ops.dynamorph.bake()
     assert outdated(soft_arm) == []
     scene.frame_start = 5
-    assert outdated(soft_arm) == ["Start changed"]
+    assert outdated(soft_arm) == ["Frame Start changed"]
 
 
 # What the .blend says of itself ------------------------------------------------------------------------------------
