@@ -3,6 +3,7 @@
 
 import hashlib
 import importlib
+import threading
 import time
 from math import pi
 from pathlib import Path
@@ -166,7 +167,9 @@ class StandIn:
         self.bytes = 800  # size of a model
         self.fail = None  # an exception that bake raises
         self.patience = 0.0  # seconds that bake takes unless it is cancelled
-        self.deaf = 0.0  # seconds before it looks whether it is
+        self.hears = None  # an Event that it waits for before it looks whether it is
+        self.looks = 0  # how often it has looked, of 10 times for each bake
+        self.playing = threading.Event()  # bake has begun
 
     class Model:
         tets, thickness = (), np.zeros(0)
@@ -220,8 +223,11 @@ class StandInShot:
             raise engine.fail
         assert len(rig) % settings.substeps == (self.done == 0) % settings.substeps
         self.done += -(-len(rig) // settings.substeps)
-        time.sleep(engine.deaf)
+        engine.playing.set()
+        if engine.hears:
+            engine.hears.wait(60.0)
         for i in range(10):
+            engine.looks += 1
             if not self.progress(i / 10, f"Frame {i}"):
                 raise RuntimeError("cancelled")
             time.sleep(engine.patience / 10)

@@ -2,17 +2,16 @@
 """A clip for each Action, as games use them: each read back and compared with Blender playing and baking it alone."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 import round_trips
 from builders import activate, fingerprint, keys_of, make_arm, make_soft, part, rig_of
+from pressed import Pressed
 from robustness import OPS, coarse, settings
 from round_trips import farthest
 from test_exports import add_sleeve
-from test_operators import Window
 
 BEND, WAVE = range(1, 13), range(5, 18)  # the frames of the Actions
 CLOSE = 2e-5
@@ -214,26 +213,16 @@ def test_the_buttons_write_clips(game_arm, tmp_path, capfd):
 
 def test_in_a_window_the_artist_s_animation_is_there_between_two_turns(game_arm, tmp_path):
     obj = game_arm
-    job_operators, base, button_class = (
-        part("job_operators"),
-        part("base"),
-        part("export_operators").DYNAMORPH_OT_export_actions,
+    before, between = state(obj), []
+    pressed = Pressed(
+        obj,
+        operator="DYNAMORPH_OT_export_actions",
+        before_tick=lambda _batch: between.append(state(obj) == before),
+        format="GLTF",
+        filepath=str(tmp_path / "arm.glb"),
     )
-
-    class Button(job_operators.JobOperator):
-        goal, _batch, _done = button_class.goal, button_class._batch, button_class._done
-        format, filepath, reports = "GLTF", str(tmp_path / "arm.glb"), []
-
-        def report(self, kind, text):
-            self.reports.append((*kind, text))
-
-    before, window, button, ticks = state(obj), Window(obj), Button(), 0
-    result = base.guarded(button, button._begin, window)
-    while result == {"RUNNING_MODAL"}:
-        assert state(obj) == before and part("batch").running is button.batch
-        result, ticks = button.modal(window, SimpleNamespace(type="TIMER", value="NOTHING")), ticks + 1
-    assert result == {"FINISHED"} and ticks > 5 and part("batch").running is None
-    assert button.reports[-1] == ("INFO", "'Arm' written as 'arm.glb': Bend, Wave")
+    assert pressed.result == {"FINISHED"} and len(between) > 5 and all(between)
+    assert pressed.reports[-1] == ("INFO", "'Arm' written as 'arm.glb': Bend, Wave")
     assert state(obj) == before and (tmp_path / "arm.glb").exists()
 
 

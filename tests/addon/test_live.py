@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of
 from mathutils import Matrix
-from test_operators import Window
+from pressed import Pressed
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -584,26 +584,14 @@ def test_rendering_in_the_background_simulates(playing):
 # The first look at a new soft skin -----------------------------------------------------------------------------------
 
 
-class FirstLook:
-    """`first_look` pressed in a window, with timer ticks to its end."""
+class FirstLook(Pressed):
+    """`first_look` pressed in a window; pressed: the buttons that it lets go on from there."""
 
     def __init__(self, obj, monkeypatch, events=()):
+        self.pressed = []
         live_operators = part("live_operators")
-        self.reports, self.pressed = [], []
         monkeypatch.setattr(live_operators, "press", lambda _by, name, **given: self.pressed.append((name, given)))
-
-        class Button(live_operators.EndsLive):
-            def report(_self, kind, text):
-                self.reports.append((*kind, text))
-
-        button, window = Button(), Window(obj)
-        window.scene, window.screen = bpy.context.scene, types.SimpleNamespace(is_animation_playing=False)
-        result = part("base").guarded(button, button._begin, window)
-        events = iter(events)
-        while result in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}):
-            result = button.modal(window, types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS"))
-            time.sleep(0.01)
-        self.result = result
+        super().__init__(obj, events, operator="DYNAMORPH_OT_first_look")
 
 
 @pytest.fixture
@@ -846,12 +834,25 @@ def test_a_mode_that_plays_stands_still_while_blender_renders(live_arm, monkeypa
     assert button.modal(window, tick) == {"CANCELLED"}
 
 
-class PreviewWindow(Window):
-    """Of a window in which a preview plays."""
+class PreviewWindow:
+    """Stands in for the context of a window in which a preview plays: its timers and what it asks of the screen."""
 
     def __init__(self, obj):
-        super().__init__(obj)
-        self.screen, self.is_animation_playing = self, False
+        self.object = obj
+        self.window = self.window_manager = self.workspace = self.screen = self
+        self.is_animation_playing = False
+
+    def event_timer_add(self, _seconds, window):
+        return window
+
+    def event_timer_remove(self, _timer):
+        pass
+
+    def status_text_set(self, _text):
+        pass
+
+    def modal_handler_add(self, _operator):
+        pass
 
 
 # Comparing ---------------------------------------------------------------------------------------------------------

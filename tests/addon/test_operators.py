@@ -4,10 +4,10 @@
 import sys
 import threading
 import time
-import types
 
 import addon_utils
 import bpy
+import numpy as np
 import pytest
 from builders import (
     MODULE,
@@ -21,6 +21,7 @@ from builders import (
     refused,
     rig_of,
 )
+from pressed import Pressed
 
 
 def test_from_mesh_to_bake_and_back(scene, arm, stand_in):
@@ -227,19 +228,18 @@ def test_a_result_that_is_not_a_number_is_refused(soft_arm, stand_in, monkeypatc
 
 def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
     errors = part("errors")
-    stand_in.patience = 5.0
+    stand_in.patience = 2.0
     before = fingerprint(soft_arm)
     job = part("job").Job(soft_arm, goal="BAKE")
     batch = part("batch").Batch([job], "BAKE")
     steps = batch.steps()
     while job.message != "Frame 0":
         next(steps)
-    began = time.perf_counter()
     job.cancelled = True
     with pytest.raises(errors.Cancelled):
         list(steps)
     batch.stop()
-    assert time.perf_counter() - began < 1.0
+    assert stand_in.looks < 10  # it did not play to its end
     assert fingerprint(soft_arm) == before
 
 
@@ -289,60 +289,6 @@ def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
         list(batch.write())
 
 
-class Window:
-    """Stands in for the context of a window: the modal operator needs timers, a cursor and a status line."""
-
-    def __init__(self, obj):
-        self.object = obj
-        self.window = self.window_manager = self.workspace = self
-        self.windows = []
-        self.timers = 0
-        self.status = None
-
-    def event_timer_add(self, _seconds, window):
-        self.timers += 1
-        return window
-
-    def event_timer_remove(self, _timer):
-        self.timers -= 1
-
-    def status_text_set(self, text):
-        self.status = text
-
-    def modal_handler_add(self, _operator):
-        pass
-
-
-class Pressed:
-    """A job's button pressed in a window: `events`, then timer ticks to the end."""
-
-    def __init__(self, obj, events=(), operator="DYNAMORPH_OT_bake", before_tick=None):
-        job_operators = part("job_operators")
-        base = getattr(job_operators, operator)
-
-        class Button(job_operators.JobOperator):
-            goal = base.goal
-            _jobs = base._jobs
-
-            def report(_self, kind, text):
-                self.reports.append((*kind, text))
-
-        self.reports, self.seconds = [], []  # seconds: that each event held the window
-        self.button, window = Button(), Window(obj)
-        result = part("base").guarded(self.button, self.button._begin, window)
-        events = iter(events)
-        while result in ({"RUNNING_MODAL"}, {"PASS_THROUGH"}):
-            assert part("batch").running is self.button.batch and window.timers == 1
-            if before_tick:
-                before_tick(self.button.batch)
-            began = time.perf_counter()
-            result = self.button.modal(window, types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS"))
-            self.seconds.append(time.perf_counter() - began)
-            time.sleep(0.01)
-        self.result = result
-        assert part("batch").running is None and window.timers == 0 and window.status is None
-
-
 def test_modal_bake(soft_arm, stand_in):
     stand_in.patience = 0.1
     pressed = Pressed(soft_arm, ["MOUSEMOVE", "TIMER"])
@@ -351,16 +297,24 @@ def test_modal_bake(soft_arm, stand_in):
 
 
 def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in):
-    batch = part("batch")
-    stand_in.deaf = 3.0
+    batch, hears = part("batch"), threading.Event()
+    stand_in.hears = hears
     before = fingerprint(soft_arm)
-    pressed = Pressed(soft_arm, ["TIMER", "TIMER", "TIMER", "ESC"])
-    assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Cancelled: nothing was changed")]
-    print(f"Esc: {1000 * pressed.seconds[-1]:.1f} ms")
-    assert pressed.seconds[-1] < 0.2 and len(batch.winding_down) == 1
-    stand_in.deaf = 0.0
-    assert Pressed(soft_arm).result == {"FINISHED"}  # while the other thread still computes
-    assert batch.winding_down[0].is_alive() and len(soft_arm.dynamorph.bake.keys) == 3
+
+    def until_the_engine_computes():
+        while not stand_in.playing.is_set():
+            yield "TIMER"
+        yield "ESC"
+
+    try:
+        pressed = Pressed(soft_arm, until_the_engine_computes())
+        assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Cancelled: nothing was changed")]
+        assert [thread.is_alive() for thread in batch.winding_down] == [True]
+        stand_in.hears = None
+        assert Pressed(soft_arm).result == {"FINISHED"}  # while the other thread still computes
+        assert batch.winding_down[0].is_alive() and len(soft_arm.dynamorph.bake.keys) == 3
+    finally:
+        hears.set()
     part("bake").free(soft_arm)
     batch.stop()
     assert not batch.winding_down and fingerprint(soft_arm) == before and not soft_arm.dynamorph.bake.keys
@@ -368,25 +322,27 @@ def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in)
 
 @pytest.fixture
 def slow_rig(monkeypatch):
-    """A rig that takes 5 ms a sample."""
-    sampling = part("rig_motion").RigSampling
+    """A rig that takes 5 ms a sample: a list of the samples that were taken."""
+    sampling, samples = part("rig_motion").RigSampling, []
     read = sampling._read
 
     def slowly(*arguments):
         time.sleep(0.005)
+        samples.append(arguments)
         read(*arguments)
 
     monkeypatch.setattr(sampling, "_read", slowly)
+    return samples
 
 
 def test_reading_the_rig_does_not_hold_the_window(soft_arm, stand_in, slow_rig):
+    """A turn takes 35 ms: seven samples of 5 ms, and one that is under way."""
     shown = []
-    pressed = Pressed(soft_arm, before_tick=lambda batch: shown.append((batch.fraction, batch.message)))
-    assert pressed.result == {"FINISHED"}
-    print(f"slices: {len(pressed.seconds)}, longest {1000 * max(pressed.seconds):.0f} ms")
-    assert max(pressed.seconds) < 0.15 and len(pressed.seconds) > 10  # 96 samples: half a second at once
-    fractions = [fraction for fraction, _ in shown]
-    assert fractions == sorted(fractions) and any(text.startswith("Reading frame ") for _, text in shown)
+    pressed = Pressed(soft_arm, before_tick=lambda batch: shown.append((len(slow_rig), batch.fraction, batch.message)))
+    assert pressed.result == {"FINISHED"} and len(slow_rig) >= 96
+    taken, fractions, messages = zip(*shown, strict=True)
+    assert np.diff(taken).max() <= 8
+    assert list(fractions) == sorted(fractions) and any(text.startswith("Reading frame ") for text in messages)
 
 
 @pytest.mark.parametrize("ending", ["escape", "undo", "load", "an error"])
@@ -406,15 +362,11 @@ def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, endi
             bpy.data.objects["Arm"].modifiers.clear()
         if ending == "load":
             bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
-            assert part("batch").running is None
-            raise KeyboardInterrupt
 
-    if ending == "load":
-        with pytest.raises(KeyboardInterrupt):
-            Pressed(soft_arm, events, before_tick=disturb)
-        assert len(bpy.data.scenes) == 1 and not bpy.data.objects
-        return
     pressed = Pressed(soft_arm, events, before_tick=disturb)
+    if ending == "load":
+        assert pressed.result is None and len(bpy.data.scenes) == 1 and not bpy.data.objects
+        return
     assert pressed.result == {"CANCELLED"}
     words = {"escape": "Cancelled: nothing", "undo": "undone while 'Arm' was read", "an error": "no Armature modifier"}
     assert words[ending] in pressed.reports[-1][1]
@@ -467,7 +419,7 @@ def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
     stand_in.fail = KeyError("bug")
     pressed = Pressed(soft_arm)
     assert pressed.result == {"CANCELLED"} and "KeyError: 'bug'" in pressed.reports[0][1]
-    assert part("batch").running is None
+    assert part("batch").running is None and bpy.ops.dynamorph.bake.poll()
 
 
 def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
@@ -478,9 +430,8 @@ def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
     steps = batch.running.steps()
     while job.message != "Frame 0":
         next(steps)
-    began = time.perf_counter()
     addon_utils.disable(MODULE)
-    assert time.perf_counter() - began < 2.0 and not job.thread.is_alive() and batch.running is None
+    assert stand_in.looks < 10 and not job.thread.is_alive() and batch.running is None
     addon_utils.enable(MODULE)
 
 

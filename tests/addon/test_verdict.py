@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from builders import activate, hand_made_bake, part, refused
 from layout import drawn
-from test_operators import Window
+from pressed import Pressed
 
 OPS = bpy.ops.dynamorph
 
@@ -184,19 +184,11 @@ def test_rehearse_asks_the_job_for_it(baked, monkeypatch):
 
 def test_in_a_window_the_remedy_goes_on_to_a_bake(baked, monkeypatch):
     """`bpy.ops` cannot be pressed in the background as in a window: what is asked of it is looked at."""
-    job_operators, pressed = part("job_operators"), []
-    monkeypatch.setattr(job_operators, "press", lambda _operator, name: pressed.append(name))
-    monkeypatch.setattr(job_operators.bpy, "app", type("App", (), {"background": False}))
-
-    class Button(part("feel_operators").DYNAMORPH_OT_refine_cage.__mro__[1]):
-        job = "dynamorph.bake"
-
-        def apply(_self, obj):
-            obj.dynamorph.model.cage_nodes *= 2
-
+    goes_on = []
+    monkeypatch.setattr(part("job_operators"), "press", lambda _operator, name: goes_on.append(name))
     before = baked.dynamorph.model.cage_nodes
-    assert Button().invoke(Window(baked), None) == {"FINISHED"}
-    assert pressed == ["dynamorph.bake"] and baked.dynamorph.model.cage_nodes == 2 * before
+    assert Pressed(baked, operator="DYNAMORPH_OT_refine_cage").result == {"FINISHED"}
+    assert goes_on == ["dynamorph.bake"] and baked.dynamorph.model.cage_nodes == 2 * before
 
 
 # The heat map ------------------------------------------------------------------------------------------------------
