@@ -115,7 +115,7 @@ def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
         modes=rng.normal(0, 0.01, (modes, vertices, 3)),
         details=details,
         target_names=names,
-        dry=rng.normal(0, 3.0, (len(frames), modes)),
+        static=rng.normal(0, 3.0, (len(frames), modes)),
     )
 
 

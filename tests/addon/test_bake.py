@@ -74,12 +74,12 @@ def test_gains_scale_the_motion_about_the_targets(shot):
     gains = (0.0, 2.0)
     player = part("player").Player(shot.model, shot.character, replace(shot.settings, gains=gains))
     frame = part("player").Frame(9, shot.result.coordinates[8], shot.result.weights[8], {})
-    dry = shot.result.weights[8] @ shot.model.target_coordinates(shot.model.engine(shot.character))
-    motion = frame.coordinates - dry
+    static = shot.result.weights[8] @ shot.model.target_coordinates(shot.model.engine(shot.character))
+    motion = frame.coordinates - static
     assert np.abs(motion).min() > 0
-    assert player.shown(frame) - dry == pytest.approx([0.0, 2 * motion[1], *motion[2:]])
+    assert player.shown(frame) - static == pytest.approx([0.0, 2 * motion[1], *motion[2:]])
     player.amounts.gains = np.zeros(8)
-    assert player.shown(frame) == pytest.approx(dry)
+    assert player.shown(frame) == pytest.approx(static)
 
 
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 3}, {"method": "STATIC"}])
@@ -89,7 +89,7 @@ def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
     character = shot.character.with_settings(**change)
     bake, _ = simulate.bake(build.build(character), character, shot.computation.rig, shot.settings)
     shapes = np.array([target.shape for target in character.targets])
-    still = replace(bake, coordinates=bake.dry)
+    still = replace(bake, coordinates=bake.static)
     for k in (0, 10, 19):
         expected = np.tensordot(bake.weights[k], shapes, 1)
         assert np.abs(still.displacement(k) - expected).max() < 1e-6 * size(shot)
@@ -101,7 +101,7 @@ def test_gains_are_baked(shot):
     simulate = part("simulate")
     settings = replace(shot.settings, gains=(0.0,) * 5 + (0.5,) * 9)
     bake, _ = simulate.bake(shot.model, shot.character, shot.computation.rig, settings)
-    motion, before = bake.coordinates - bake.dry, shot.result.coordinates - shot.result.dry
+    motion, before = bake.coordinates - bake.static, shot.result.coordinates - shot.result.static
     assert np.allclose(motion, before * [0, 0, 0, 0, 0, 0.5, 0.5, 0.5])
 
 
@@ -118,7 +118,7 @@ def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change
         shown = replace(character, target_sets=(replace(sets, targets=targets),))
         assert build.stale_reasons(model, shown) == []
         bake, _ = simulate.bake(model, shown, shot.computation.rig, shot.settings)
-        return np.tensordot(bake.coordinates - bake.dry, bake.modes, 1), bake.weights
+        return np.tensordot(bake.coordinates - bake.static, bake.modes, 1), bake.weights
 
     whole, weights = motion(1.0, 1.0)
     largest = np.abs(whole).max(initial=0.0)
@@ -133,7 +133,7 @@ def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change
 
 
 def held(shot, frames=20):
-    """The rig held at its pose in the middle of the shot, between the targets, where gravity sags the flesh."""
+    """The rig held at its pose in the middle of the shot, between the targets, where gravity sags the tissue."""
     count = 1 + (frames - 1) * shot.settings.substeps
     rig = shot.computation.rig
     middle = rig[len(rig) // 2 :][:1]
@@ -148,7 +148,7 @@ def test_settle_begins_in_balance(shot):
 def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
     player = part("player").Player(shot.model, shot.character, replace(shot.settings, begin="REST"))
     begun = player.begin(held(shot))
-    assert np.array_equal(begun.coordinates, player.dry(begun.weights))
+    assert np.array_equal(begun.coordinates, player.static(begun.weights))
     free, settled = simulated(shot, held(shot), begin="REST"), simulated(shot, held(shot), begin="SETTLE")
     assert np.array_equal(free[0], begun.coordinates)
     assert np.abs(free[-1] - free[0]).max() > 0.1 * np.abs(settled[0] - free[0]).max() > 0
@@ -157,7 +157,7 @@ def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
 
 
 def test_rest_knows_no_motion_before_the_start(shot):
-    """A rig that already moves at the start hits flesh that begins at rest, and carries along flesh that settled."""
+    """A rig that already moves at the start hits tissue that begins at rest, and carries along tissue that settled."""
     rig, still = shot.computation.rig, dict.fromkeys(["gravity"], (0.0, 0.0, 0.0))
     world = np.array(rig.rig_world)
     world[:, 0, 3] += 3.0 * np.arange(len(world)) * shot.settings.step  # 3 m/s along x
@@ -206,7 +206,7 @@ def test_a_run_up_is_what_came_before(shot, swaying):
     swing forgets in 40 frames.
     """
     bake = baked(swaying, (1, 60)).result
-    whole, motion = bake.coordinates, np.abs(bake.coordinates - bake.dry).max()
+    whole, motion = bake.coordinates, np.abs(bake.coordinates - bake.static).max()
     same = baked(swaying, (50, 60), preroll=49)
     assert same.result.frames.tolist() == list(range(50, 61))
     assert np.array_equal(same.result.coordinates, whole[49:])
@@ -255,7 +255,7 @@ def test_extrapolated_curves_run_up_on_their_course(shot, soft_arm):
     running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
     travelled = running.computation.rig.object_world[:, 0, 3]
     assert travelled == pytest.approx(np.linspace(-10.0, travelled[-1], len(travelled)), abs=1e-5)
-    calm, jolt = (np.abs(job.result.coordinates - job.result.dry).max() for job in (running, hit))
+    calm, jolt = (np.abs(job.result.coordinates - job.result.static).max() for job in (running, hit))
     assert calm < 1e-3 * jolt and jolt > 0.0
 
 
@@ -291,7 +291,7 @@ def test_samples_between_frames_change_nothing_at_the_frames(shot, soft_arm, cha
     soft_arm.dynamorph.simulation.samples = samples
     fine = baked(soft_arm, (1, 20), substeps=6)
     assert fine.result.frames == pytest.approx(np.arange(19 * samples + 1) / samples + 1)
-    for name in ("frames", "coordinates", "weights", "dry"):
+    for name in ("frames", "coordinates", "weights", "static"):
         assert np.array_equal(getattr(fine.result, name)[::samples], getattr(whole.result, name)), name
     between = fine.result.coordinates[samples // 2 :: samples]
     middle = (whole.result.coordinates[1:] + whole.result.coordinates[:-1]) / 2
@@ -402,7 +402,7 @@ def test_a_loop_closes(shot, travel):
 
 
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
-    """What flesh that is too soft for accelerated passes falls back to."""
+    """What tissue that is too soft for accelerated passes falls back to."""
     loops = part("loops")
     rig, settings = cyclic(shot), replace(shot.settings, end=12, loop=True)
     found, steps = [], []
@@ -511,7 +511,7 @@ def test_a_loop_closes_whatever_its_targets_hide(shot):
     )
     assert report["gap"] == before["gap"]
     assert np.abs(bake.displacement(11) - bake.displacement(0)).max() < 1e-6 * size(shot)
-    shown = open_.dry + open_.weights[:, 1:] * (open_.coordinates - open_.dry)
+    shown = open_.static + open_.weights[:, 1:] * (open_.coordinates - open_.static)
     assert bake.coordinates == pytest.approx(shown, abs=1e-9)
 
 
@@ -546,7 +546,7 @@ def test_a_shot_in_stretches_is_the_shot(soft_arm, shot, frames, monkeypatch):
     monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", frames)
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.run(job)
-    for name in ("frames", "coordinates", "weights", "dry"):
+    for name in ("frames", "coordinates", "weights", "static"):
         assert np.array_equal(getattr(job.result, name), getattr(shot.result, name)), name
     assert job.report["steps"] == shot.report["steps"] and job.report["energy"] == shot.report["energy"]
 

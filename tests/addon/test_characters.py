@@ -32,7 +32,7 @@ def baked(baked_from):
     return baked_from[1]
 
 
-def test_the_flesh_moves_but_stays_on_the_body(baked):
+def test_the_tissue_moves_but_stays_on_the_body(baked):
     moved = baked.displacements
     assert np.isfinite(moved).all()
     assert 1e-3 * baked.size < np.linalg.norm(moved, axis=2).max() < 0.5 * baked.size

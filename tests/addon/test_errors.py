@@ -50,8 +50,8 @@ def test_a_bug_in_a_button_is_logged_and_told(soft_arm, stand_in, caplog, bug):
 
 
 def test_what_is_expected_is_told_and_not_logged(soft_arm, stand_in, caplog):
-    stand_in.fail = part("errors").SceneError("'Arm': the flesh is too soft")
-    refused(bpy.ops.dynamorph.bake, "^Error: 'Arm': the flesh is too soft")
+    stand_in.fail = part("errors").SceneError("'Arm': the tissue is too soft")
+    refused(bpy.ops.dynamorph.bake, "^Error: 'Arm': the tissue is too soft")
     stand_in.fail = OSError(28, "No space left on device")
     refused(bpy.ops.dynamorph.bake, "No space left on device")
     stand_in.fail = MemoryError()

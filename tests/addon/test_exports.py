@@ -184,7 +184,7 @@ def add_sleeve(scene, obj):
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_what_moves_with_the_flesh_is_exported_too(scene, baked, tmp_path, name):
+def test_what_moves_with_the_tissue_is_exported_too(scene, baked, tmp_path, name):
     obj, _ = baked
     sleeve = add_sleeve(scene, obj)
     part("bake").write_keys(sleeve, hand_made_bake(obj, seed=2), obj)

@@ -175,7 +175,7 @@ def motion(obj, amount, **settings):
     obj.dynamorph.simulation.amount = amount
     job = part("job").Job(obj, "BAKE", stored=False, **settings)
     part("batch").run(job)
-    return np.tensordot(job.result.coordinates - job.result.dry, job.result.modes, 1), job
+    return np.tensordot(job.result.coordinates - job.result.static, job.result.modes, 1), job
 
 
 def test_amount_scales_the_motion_of_a_bake(built_arm):
@@ -185,7 +185,7 @@ def test_amount_scales_the_motion_of_a_bake(built_arm):
     none, _ = motion(built_arm, 0.0)
     np.testing.assert_allclose(half, 0.5 * whole, atol=1e-12)
     assert np.abs(none).max() < 1e-12
-    np.testing.assert_array_equal(job.result.dry, motion(built_arm, 2.0)[1].result.dry)
+    np.testing.assert_array_equal(job.result.static, motion(built_arm, 2.0)[1].result.static)
 
 
 def test_amount_is_out_of_date_in_a_bake_and_unknown_to_old_ones(built_arm):

@@ -488,7 +488,7 @@ def bounce(obj, target):
     return part("material_fit").bounce(*part("model_store").fit_input(obj, target))
 
 
-def test_bounce_is_the_flesh_s_own(built_arm):
+def test_bounce_is_the_tissue_s_own(built_arm):
     """Shown and set without the model, and yet equal to its motion."""
     content = built_arm.dynamorph.model.content_id
     for target in built_arm.dynamorph.targets:

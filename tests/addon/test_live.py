@@ -200,7 +200,7 @@ def test_a_loop_whose_last_frames_are_dropped_goes_on(live_arm):
     bpy.ops.dynamorph.live()
     play(live_arm, range(1, 18))
     play(live_arm, [1])
-    assert session(live_arm).flesh.player.passes == 1
+    assert session(live_arm).tissue.player.passes == 1
     play(live_arm, [2, 9, 1])  # that was no end
     assert session(live_arm)._frames[1].steps["steps"] == 0
 
@@ -247,7 +247,7 @@ def test_of_a_long_shot_the_latest_rig_is_kept(playing, monkeypatch):
 # Changes while it plays --------------------------------------------------------------------------------------------
 
 
-def test_other_materials_go_on_from_where_the_flesh_is(playing):
+def test_other_materials_go_on_from_where_the_tissue_is(playing):
     before = play(playing, range(1, 9))
     play(playing, [9, 10, 8])  # two frames further, and back
     playing.dynamorph.targets[0].stiffness = playing.dynamorph.targets[1].stiffness = 1500.0
@@ -262,10 +262,10 @@ def test_other_materials_go_on_from_where_the_flesh_is(playing):
 
 def test_the_same_settings_written_again_change_nothing(playing):
     play(playing, range(1, 9))
-    player = session(playing).flesh.player
+    player = session(playing).tissue.player
     playing.dynamorph.targets[1].stiffness = playing.dynamorph.targets[1].stiffness
     play(playing, [9])
-    assert session(playing).flesh.player is player
+    assert session(playing).tissue.player is player
 
 
 def test_another_pose_of_a_target_counts_at_once(playing):
@@ -303,14 +303,14 @@ def test_another_frame_map_counts_at_once(playing):
 
 def test_gains_and_solo_show_at_once(playing):
     play(playing, range(1, 9))
-    dry = session(playing).flesh.player.dry(session(playing)._frames[8].weights)
-    modes, flesh = playing.dynamorph.modes, session(playing).flesh
+    static = session(playing).tissue.player.static(session(playing)._frames[8].weights)
+    modes, tissue = playing.dynamorph.modes, session(playing).tissue
     assert [mode.name for mode in modes][:2] == ["Mode 01", "Mode 02"] and len(modes) == 8
     modes[2].solo = True
     modes[2].gain = 2.0
-    alone = dry.copy()
-    alone[2] += 2.0 * (session(playing)._frames[8].coordinates - dry)[2]
-    expected = flesh.points(np.concatenate([alone, session(playing)._frames[8].weights])).reshape(-1, 3)
+    alone = static.copy()
+    alone[2] += 2.0 * (session(playing)._frames[8].coordinates - static)[2]
+    expected = tissue.points(np.concatenate([alone, session(playing)._frames[8].weights])).reshape(-1, 3)
     assert apart(surface(playing), expected) < 1e-7
     assert bpy.ops.dynamorph.reset_gains() == {"FINISHED"}
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
@@ -319,11 +319,12 @@ def test_gains_and_solo_show_at_once(playing):
 def test_influence_of_a_target_shows_at_once_and_as_in_the_bake(playing):
     whole = play(playing, range(1, 21))
     playing.dynamorph.targets["flexed"].influence = 0.0
-    bake, dry = baked(playing), session(playing).flesh.player.dry
+    bake, static = baked(playing), session(playing).tissue.player.static
     assert apart(surface(playing), bake[-1]) < 1e-6 < apart(whole[-1], bake[-1])
     weights = session(playing)._frames[20].weights
     assert (
-        apart(surface(playing).ravel(), session(playing).flesh.points(np.concatenate([dry(weights), weights]))) < 1e-6
+        apart(surface(playing).ravel(), session(playing).tissue.points(np.concatenate([static(weights), weights])))
+        < 1e-6
     )
     assert apart(play(playing, range(1, 21)), bake) < 1e-6
     playing.dynamorph.targets["flexed"].influence = 1.0
@@ -524,7 +525,7 @@ def test_a_model_that_ages_stops_it_until_it_is_built(playing):
     stopped(playing, "out of date")
     part("batch").run(part("job").Job(playing, goal="BUILD"))
     play(playing, range(5, 7))
-    assert len(playing.dynamorph.modes) == 6 and session(playing).flesh.modes == 6
+    assert len(playing.dynamorph.modes) == 6 and session(playing).tissue.modes == 6
 
 
 def test_what_else_stops_it_says_so(playing):
@@ -673,7 +674,7 @@ def shown(monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["STOMP", "TWIST", "HOP"])
-def test_a_shake_test_moves_the_flesh_and_nothing_stays(live_arm, shown, kind):
+def test_a_shake_test_moves_the_tissue_and_nothing_stays(live_arm, shown, kind):
     rig = rig_of(live_arm)
     live_arm.parent = rig
     rig.delta_location, rig.delta_rotation_euler = (0.1, 0.0, 0.2), (0.3, 0.0, 0.0)
@@ -694,8 +695,8 @@ def test_a_twist_turns_a_tilted_rig_about_the_vertical(live_arm):
     live_arm.parent = rig
     rig.rotation_euler = (1.5, 0.2, 0.0)
     bpy.context.view_layer.update()
-    flesh = part("session").Flesh(live_arm, bpy.context.scene)
-    _, transforms = part("preview").shaken(live_arm, flesh, "TWIST")
+    tissue = part("session").Tissue(live_arm, bpy.context.scene)
+    _, transforms = part("preview").shaken(live_arm, tissue, "TWIST")
     assert transforms[:, 2, :] == pytest.approx(np.broadcast_to((0.0, 0.0, 1.0, 0.0), (len(transforms), 4)), abs=1e-9)
     assert transforms[:, 0, 0].min() == pytest.approx(0.5, abs=1e-6)
 
@@ -795,7 +796,7 @@ def test_a_mode_plays_alone(live_arm, shown):
     sculpted = part("references").key_points(live_arm.data.shape_keys.key_blocks["flexed"])
     assert apart(points[0], sculpted) < 1e-5  # in its pose
     swings = np.linalg.norm(points - points[0], axis=2).max(axis=1)
-    size = part("session").Flesh(live_arm, bpy.context.scene).player.size
+    size = part("session").Tissue(live_arm, bpy.context.scene).player.size
     assert swings.max() == pytest.approx(2.0 * 0.05 * size, rel=0.01)
     assert apart(points[6] - points[0], points[0] - points[18]) < 1e-6  # a sine
 
@@ -867,12 +868,12 @@ def test_slots_swap_and_come_back(playing):
     bpy.ops.dynamorph.swap_slot()
     now = settings.live.slot, settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain
     assert now == ("A", 2e4, 0.0, 1.0)
-    assert session(playing).flesh.player.amounts.gains[3] == 1.0
+    assert session(playing).tissue.player.amounts.gains[3] == 1.0
     bpy.ops.dynamorph.swap_slot()
     now = settings.live.slot, settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain
     assert now == ("B", 5e3, 0.5, 1.5)
-    assert session(playing).flesh.player.amounts.gains[3] == 1.5
-    assert session(playing).flesh.character.targets[0].material.stiffness == 5e3
+    assert session(playing).tissue.player.amounts.gains[3] == 1.5
+    assert session(playing).tissue.character.targets[0].material.stiffness == 5e3
     bpy.ops.dynamorph.copy_slot()
     bpy.ops.dynamorph.swap_slot()
     assert settings.targets[0].stiffness == 5e3 and json.loads(settings.live.other)["gains"][3] == 1.5

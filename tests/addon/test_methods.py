@@ -148,7 +148,7 @@ def test_influence_of_a_target_ends_with_its_region(two_regions, solver, leak):
         two_regions.dynamorph.targets["tip"].influence = influence
         job = run(two_regions)
         bake = job.result
-        motion.append(np.tensordot(bake.coordinates - bake.dry, bake.modes, 1))
+        motion.append(np.tensordot(bake.coordinates - bake.static, bake.modes, 1))
     assert job.reasons == [] and bake.weights[:, 3] == pytest.approx(1.0)
     height = job.character.vertices[:, 2]
     inside, outside = height > 1.9, height < 1.1

@@ -93,7 +93,7 @@ def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
     part("batch").run(plain)
     assert plain.reasons == [] and np.ptp(plain.computation.rig.rig_world[:, 0, 3]) > 0.05
     assert plain.computation.rig.pose == pytest.approx(job.computation.rig.pose, abs=1e-6)
-    largest = np.abs(plain.result.coordinates - plain.result.dry).max()
+    largest = np.abs(plain.result.coordinates - plain.result.static).max()
     assert job.result.coordinates == pytest.approx(plain.result.coordinates, abs=1e-4 * largest)
 
 
@@ -136,8 +136,8 @@ def displacement(bake, time, influence=1.0) -> np.ndarray:
     def at(rows):
         return np.array([np.interp(time, bake.frames, column) for column in rows.T])
 
-    dry = at(bake.dry)
-    moved = dry + influence * (at(bake.coordinates) - dry)
+    static = at(bake.static)
+    moved = static + influence * (at(bake.coordinates) - static)
     return np.tensordot(moved, bake.modes, 1) + np.tensordot(at(bake.weights), bake.details, 1)
 
 

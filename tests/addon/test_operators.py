@@ -54,7 +54,7 @@ def test_a_mesh_without_keys_gets_a_basis(arm):
 
 
 def test_add_target_refusals(soft_arm):
-    refused(bpy.ops.dynamorph.add_soft_skin, "has a soft skin already")
+    refused(bpy.ops.dynamorph.add_soft_skin, "is a soft skin already")
     refused(bpy.ops.dynamorph.add_target, "'flexed' is a target already", key="flexed")
     refused(bpy.ops.dynamorph.add_target, "neutral target", key="Basis")
     refused(bpy.ops.dynamorph.add_target, "no shape key 'nope'", key="nope")

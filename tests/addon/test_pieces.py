@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clothes, eyes and other pieces of a character: other meshes that the flesh carries along, and parts of the mesh."""
+"""Clothes, eyes and other pieces of a character: other meshes that the tissue carries along, and parts of the mesh."""
 
 from itertools import pairwise
 
@@ -78,7 +78,7 @@ def motion(obj, frames=(1, 9, 20)):
 # Other meshes ------------------------------------------------------------------------------------------------------
 
 
-def test_a_sleeve_shows_what_the_flesh_around_it_does(dressed):
+def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
     """Blender's sleeve is the embedded displacement, skinned by the sleeve's own weights."""
     arm, sleeve = dressed
     stiff = motion(sleeve)

@@ -59,7 +59,7 @@ def test_targets_are_the_file_s_driven_keys(baked):
     assert max(stiffness) >= 4 * min(stiffness)
 
 
-def test_flesh_moves_and_knows_its_pose(baked, single):
+def test_tissue_moves_and_knows_its_pose(baked, single):
     _, job = baked
     moved = displacements(job.result)
     assert np.isfinite(moved).all()

@@ -114,7 +114,7 @@ def motion(obj):
     """How far the skin (F, V) is from its place without motion, after a bake, in meters; the bake is deleted."""
     OPS.bake()
     bake = part("bake_reading").read_back(obj)
-    moved = np.tensordot(bake.coordinates - bake.dry, bake.modes, 1)
+    moved = np.tensordot(bake.coordinates - bake.static, bake.modes, 1)
     OPS.free_bake()
     return moved
 

@@ -202,7 +202,7 @@ def test_a_local_object_with_a_linked_mesh_is_refused(asset):
     before = state()
     for name in set(CALLS) - {"apply_feel", "apply_material", "fit_material", "fix"}:
         assert not getattr(OPS, name).poll(), name
-    told = part("job_operators").DYNAMORPH_OT_bake.obstacle(bpy.context)
+    told = part("job_operators").DYNAMORPH_OT_bake.disabled_reason(bpy.context)
     assert told.startswith(f"The mesh of '{obj.name}' is linked") and "make it local" in told
     with pytest.raises(part("errors").SinkError, match="Mesh 'Arm' is linked.*make it local"):
         bake(obj)

@@ -246,7 +246,7 @@ def test_live_in_remapped_time_is_the_bake(scene, skin):
     assert np.abs(motion(skin, frames) - baked).max() < 1e-5
 
 
-def test_time_remapped_after_the_bake_keeps_rig_and_flesh_together(scene, skin):
+def test_time_remapped_after_the_bake_keeps_rig_and_tissue_together(scene, skin):
     job = bake(skin)
     scene.render.frame_map_new = 200
     for frame in (3, 9, 19):

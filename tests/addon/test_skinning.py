@@ -197,7 +197,7 @@ def test_the_probe_is_posed_as_blender_poses_the_mesh(scene, soft_arm, change):
 
 
 @pytest.mark.parametrize("change", [*LINEAR, *QUATERNIONS], ids=lambda change: change.__name__)
-def test_displaced_flesh_is_carried_as_blender_carries_it(scene, soft_arm, change):
+def test_displaced_tissue_is_carried_as_blender_carries_it(scene, soft_arm, change):
     """For weights that are fixed the transform is exact, however far from rest."""
     change(soft_arm)
     motion = flesh_motion(soft_arm)
@@ -212,7 +212,7 @@ def test_displaced_flesh_is_carried_as_blender_carries_it(scene, soft_arm, chang
         assert np.abs(posed[frame - 1] - theirs).max() < 1e-5 * np.ptp(theirs, axis=0).max()
 
 
-def test_bendy_bones_carry_flesh_to_first_order(scene, soft_arm):
+def test_bendy_bones_carry_tissue_to_first_order(scene, soft_arm):
     """The bend at a vertex depends on where it is: the error is the square of the displacement."""
     bendy(soft_arm)
     rig_of(soft_arm).location.z = -0.04  # no vertex is where two segments meet: there the derivative jumps
@@ -555,9 +555,9 @@ def test_another_way_of_skinning_counts_at_once(scene, small_arm):
     part("live")._loaded()
     bpy.ops.dynamorph.live()
     session = part("live").sessions[small_arm.session_uid]
-    assert session.flesh.probe is None
+    assert session.tissue.probe is None
     small_arm.modifiers["Armature"].use_deform_preserve_volume = True
     bpy.context.view_layer.update()
     scene.frame_set(2)
     session = part("live").sessions[small_arm.session_uid]
-    assert session.flesh.probe is not None and part("live").problem(small_arm) == ""
+    assert session.tissue.probe is not None and part("live").problem(small_arm) == ""

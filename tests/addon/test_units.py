@@ -352,7 +352,7 @@ def test_what_is_drawn_is_in_blender_units(in_centimetres):
 def test_a_shake_moves_the_rig_in_blender_units(in_centimetres):
     batch, job, preview = part("batch"), part("job"), part("preview")
     batch.run(job.Job(in_centimetres, goal="BUILD"))
-    flesh = part("session").Flesh(in_centimetres, bpy.context.scene)
-    samples, transforms = preview.shaken(in_centimetres, flesh, "HOP")
+    tissue = part("session").Tissue(in_centimetres, bpy.context.scene)
+    samples, transforms = preview.shaken(in_centimetres, tissue, "HOP")
     assert np.ptp(samples.rig_world[:, 2, 3]) == pytest.approx(0.12 * 2.17, rel=0.05)
     np.testing.assert_allclose(transforms[:, 2, 3], 100.0 * samples.rig_world[:, 2, 3], rtol=1e-5, atol=1e-6)

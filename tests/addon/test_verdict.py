@@ -210,7 +210,7 @@ def test_a_bake_is_as_hot_as_it_moves(scene, soft_arm, frame):
     soft_arm.scale = (2.0, 1.0, 1.0)
     scene.frame_set(frame)
     rest = part("mesh_data").rest_points(soft_arm)
-    moved = np.tensordot(bake.coordinates[frame - 1] - bake.dry[frame - 1], bake.modes, 1)
+    moved = np.tensordot(bake.coordinates[frame - 1] - bake.static[frame - 1], bake.modes, 1)
     size = np.linalg.norm(np.ptp(rest * [2.0, 1.0, 1.0], axis=0))
     expected = np.linalg.norm(moved * [2.0, 1.0, 1.0], axis=1) / size
     for limit, allowed in ((0.0, 0.05), (0.1, 0.1)):

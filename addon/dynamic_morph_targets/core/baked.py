@@ -22,7 +22,7 @@ def surfaces(bake: Bake, vertices: np.ndarray | float, chunk: int = CHUNK) -> It
 
 def digest(bake: Bake, *more: ArrayLike) -> str:
     """Identifies a result: SHA-256 of all numbers of a bake, and of more."""
-    found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "details", "dry")
+    found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "details", "static")
     for name, numbers in (*((name, getattr(bake, name)) for name in names), *(("more", each) for each in more)):
         array = np.ascontiguousarray(numbers)
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
@@ -45,7 +45,7 @@ def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
         modes=np.concatenate([bake.modes, other.modes]),
         details=np.concatenate([bake.details, other.details]),
         target_names=(),
-        dry=np.zeros((len(bake.frames), 0)),
+        static=np.zeros((len(bake.frames), 0)),
     )
     return reach(difference, to_bind)
 
@@ -54,7 +54,7 @@ def at_rows(bake: Bake, rows: np.ndarray) -> Bake:
     """Some frames of a bake."""
     return replace(
         bake, frames=bake.frames[rows], coordinates=bake.coordinates[rows], weights=bake.weights[rows],
-        dry=bake.dry[rows],
+        static=bake.static[rows],
     )  # fmt: skip
 
 
@@ -72,9 +72,9 @@ class Bake:
     """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
 
     frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
-    details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). dry (F, r): the coordinates
-    of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind space, for
-    what else moves with the flesh. key_names (r + J,): of the shape keys that modes and details become; empty:
+    details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). static (F, r): the
+    coordinates of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind space, for
+    what else moves with the tissue. key_names (r + J,): of the shape keys that modes and details become; empty:
     numbered, and by the targets.
     """
 
@@ -84,7 +84,7 @@ class Bake:
     modes: np.ndarray
     details: np.ndarray
     target_names: tuple[str, ...]
-    dry: np.ndarray
+    static: np.ndarray
     node_modes: np.ndarray | None = None
     key_names: tuple[str, ...] = ()
 

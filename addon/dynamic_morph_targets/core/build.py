@@ -56,7 +56,7 @@ def build(
     if character.settings.method == "STATIC":
         return _static_model(character, authored)
     stages = Stages(progress)
-    model, embedding = _with_flesh(character, authored, _reusable(previous, authored), stages)
+    model, embedding = _with_tissue(character, authored, _reusable(previous, authored), stages)
     body = model.soft_body()
     with stages("Target shapes", 0.10):
         _shape_targets(model, body, embedding, character.targets)
@@ -93,7 +93,7 @@ def build_cage(character: Character, progress: Progress | None = None, previous:
     stages = Stages(progress, CAGE_SHARE)
     mesh = _reusable(previous, authored)
     of_cage = {name: authored[name] for name in CAGE_DEPENDENCIES if name in authored}
-    model, _ = _with_flesh(character.by_method(), of_cage, mesh, stages)
+    model, _ = _with_tissue(character.by_method(), of_cage, mesh, stages)
     model.summary.update(modes=0, seconds=stages.seconds)
     return model
 
@@ -186,32 +186,32 @@ def _model(character: Character, authored: dict[str, str], **known: Any) -> Mode
     return Model(**(empty | taken | known))
 
 
-def _with_flesh(
+def _with_tissue(
     character: Character, authored: dict[str, str], mesh: dynamorph.TetMesh | None, stages: Stages
 ) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
-    flesh = cage.volume(character, mesh, stages)
-    held = flesh.hold
+    tissue = cage.volume(character, mesh, stages)
+    held = tissue.hold
     model = _model(
         character,
         authored,
-        nodes=flesh.mesh.nodes,
-        tets=flesh.mesh.tets,
-        fill=flesh.fill,
-        stiffness=flesh.stiffness,
-        shares=flesh.shares,
-        pinned=flesh.pinned,
+        nodes=tissue.mesh.nodes,
+        tets=tissue.mesh.tets,
+        fill=tissue.fill,
+        stiffness=tissue.stiffness,
+        shares=tissue.shares,
+        pinned=tissue.pinned,
         held=held.held if held else np.zeros(0),
         hold=held.phi if held else np.zeros(0),
         thickness=held.thickness if held else np.zeros(0),
-        node_weights=flesh.node_weights,
-        embedding_nodes=flesh.embedding.nodes,
-        embedding_weights=flesh.embedding.weights,
-        displacements=np.zeros((len(character.targets), len(flesh.mesh.nodes), 3)),
+        node_weights=tissue.node_weights,
+        embedding_nodes=tissue.embedding.nodes,
+        embedding_weights=tissue.embedding.weights,
+        displacements=np.zeros((len(character.targets), len(tissue.mesh.nodes), 3)),
         details=np.zeros((len(character.targets), len(character.vertices), 3)),
-        summary=flesh.summary,
+        summary=tissue.summary,
     )
-    return model, flesh.embedding
+    return model, tissue.embedding
 
 
 def _shape_targets(

@@ -7,20 +7,20 @@ import sys
 from functools import lru_cache
 from types import ModuleType
 
-from .errors import DynamorphError, NativeMissing
+from .errors import DynamorphError, EngineNotFoundError
 
 _threads, _told = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
 
 
 def engine() -> tuple[ModuleType, ModuleType]:
-    """The modules that need the compiled engine: (build, simulate). Raises NativeMissing.
+    """The modules that need the compiled engine: (build, simulate). Raises EngineNotFoundError.
 
     Imported here and not at the top, so that a missing wheel leaves an add-on that can say so.
     """
     try:
         import dynamorph  # noqa: F401
     except Exception as error:  # a wheel for another system fails in many ways
-        raise NativeMissing(
+        raise EngineNotFoundError(
             f"The engine cannot be loaded ({error}). Install the Dynamorph extension made for this Blender and system "
             "from its .zip, or with pip the package 'dynamorph', and restart"
         ) from error
@@ -35,7 +35,7 @@ def engine_problem() -> str:
     """Why the engine cannot be loaded, or ''."""
     try:
         engine()
-    except NativeMissing as error:
+    except EngineNotFoundError as error:
         return str(error)
     return ""
 

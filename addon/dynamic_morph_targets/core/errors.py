@@ -34,7 +34,7 @@ class Cancelled(DynamorphError):
     """The user stopped the job."""
 
 
-class NativeMissing(DynamorphError):
+class EngineNotFoundError(DynamorphError):
     """The compiled engine cannot be imported. The message says why and what to do."""
 
 

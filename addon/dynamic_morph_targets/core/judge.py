@@ -111,7 +111,7 @@ def judge(model: Model, character: Character, bake: Bake) -> Verdict:
     if not len(bake.modes) or not len(triangles):
         return Verdict(frame=float(bake.frames[0]))
     skin = _Skin(character, triangles, model.thickness)
-    motion = bake.coordinates - bake.dry
+    motion = bake.coordinates - bake.static
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
     reach = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
     chosen = np.sort(np.argsort(-reach)[:LOOKED_AT])
@@ -206,7 +206,7 @@ def _inverted(model: Model, bake: Bake, motion: np.ndarray, frames: np.ndarray) 
             determinant(at[:, 1:] - at[:, :1])
             for at in (
                 corners + np.tensordot(coordinates, bake.node_modes, 1)[model.tets]
-                for coordinates in (bake.coordinates[frame], bake.dry[frame])
+                for coordinates in (bake.coordinates[frame], bake.static[frame])
             )
         )
         worst = max(worst, float(filled[(moved <= 0.0) & (sculpted > 0.0)].sum() / filled.sum()))

@@ -57,13 +57,13 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
     squares, axes = np.linalg.eigh(shapes @ shapes.T)
     kept = squares > 1e-14 * squares[-1]
     lengths, axes = np.sqrt(squares[kept]), axes[:, kept]
-    wet = np.hstack([bake.coordinates, bake.weights])
-    dry = np.hstack([bake.dry, bake.weights])
-    _, _, best = np.linalg.svd(np.vstack([wet, dry]) @ axes * lengths, full_matrices=False)
+    dynamic = np.hstack([bake.coordinates, bake.weights])
+    static = np.hstack([bake.static, bake.weights])
+    _, _, best = np.linalg.svd(np.vstack([dynamic, static]) @ axes * lengths, full_matrices=False)
     best = best[:budget]
     onto = axes * lengths @ best.T  # (r + J, budget)
     modes = best / lengths @ axes.T @ shapes
-    coordinates, without = wet @ onto, dry @ onto
+    coordinates, without = dynamic @ onto, static @ onto
     if budget is None:
         reached = np.abs(np.vstack([coordinates, without])).max(axis=0) * np.abs(modes).max(axis=1)
         seen = reached > NOISE * reached.max()
@@ -71,7 +71,7 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
     return replace(
         bake,
         coordinates=coordinates,
-        dry=without,
+        static=without,
         weights=np.zeros((len(bake.frames), 0)),
         modes=modes.reshape(-1, *bake.modes.shape[1:]),
         details=np.zeros((0, *bake.modes.shape[1:])),
@@ -90,9 +90,9 @@ def united(bakes: list[Bake], to_body: list[np.ndarray]) -> Bake:
     for bake, turn, end in zip(bakes, to_body, np.cumsum(counts), strict=True):
         places = [names.index(name) for name in bake.key_names]
         modes[places, end - bake.modes.shape[1] : end] = bake.modes @ turn.T
-        rows[:, :, places] = bake.coordinates, bake.dry
+        rows[:, :, places] = bake.coordinates, bake.static
     details = np.zeros((0, sum(counts), 3))
-    return replace(bakes[0], coordinates=rows[0], dry=rows[1], modes=modes, details=details, key_names=tuple(names))
+    return replace(bakes[0], coordinates=rows[0], static=rows[1], modes=modes, details=details, key_names=tuple(names))
 
 
 def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[Bake, float]:
@@ -126,7 +126,7 @@ def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[B
         modes=np.concatenate([bake.modes, bake.details, patch.modes, patch.details]),
         details=np.zeros((0, *bake.modes.shape[1:])),
         target_names=patch.target_names,
-        dry=mixed(np.hstack([bake.dry, bake.weights]), np.hstack([patch.dry, patch.weights])),
+        static=mixed(np.hstack([bake.static, bake.weights]), np.hstack([patch.static, patch.weights])),
     )
     return with_fewer_keys(both), _apart(bake, patch, to_bind)
 
@@ -154,16 +154,16 @@ def targets_alone(bake: Bake) -> Bake:
     """The targets' shapes as residual shapes, without motion. If the bake does not distinguish them, their blend."""
     nothing = np.zeros((len(bake.frames), 0))
     if not bake.weights.shape[1]:
-        still = with_fewer_keys(replace(bake, coordinates=bake.dry))
-        details, weights = still.modes, still.dry
+        still = with_fewer_keys(replace(bake, coordinates=bake.static))
+        details, weights = still.modes, still.static
         names = tuple(f"Dynamorph Shape {k + 1:02d}" for k in range(len(details)))
     else:
-        onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.dry, rcond=None)
+        onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.static, rcond=None)
         details, weights = np.tensordot(onto_modes, bake.modes, 1) + bake.details, bake.weights
         names = tuple(f"Dynamorph Target {name}" for name in bake.target_names)
     modes = np.zeros((0, *bake.modes.shape[1:]))
     return replace(
-        bake, coordinates=nothing, dry=nothing, weights=weights, modes=modes, details=details, key_names=names
+        bake, coordinates=nothing, static=nothing, weights=weights, modes=modes, details=details, key_names=names
     )
 
 
@@ -177,12 +177,12 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
     moved = np.empty((keys, *bake.modes.shape[1:]), np.float32)
     for first, chunk in zip(range(0, keys, CHUNK), surfaces(at_rows(bake, kept), 0.0), strict=True):
         moved[first : first + CHUNK] = chunk
-    coordinates, dry = np.zeros((2, count, keys + len(used)), np.float32)
+    coordinates, static = np.zeros((2, count, keys + len(used)), np.float32)
     for k, row in enumerate(kept):
         before, after = kept[max(k - 1, 0)], kept[min(k + 1, keys - 1)]
         near, heights = slice(before, after + 1), [k == 0, 1, k == keys - 1]
         coordinates[near, k] = np.interp(bake.frames[near], bake.frames[[before, row, after]], heights)
-    dry[:, keys:] = shapes.weights[:, used]
+    static[:, keys:] = shapes.weights[:, used]
     names = [f"Dynamorph Frame {frame:g}" for frame in at]
     return Bake(
         frames=bake.frames,
@@ -191,7 +191,7 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
         modes=np.concatenate([moved, shapes.details[used]]),
         details=np.zeros((0, *bake.modes.shape[1:])),
         target_names=bake.target_names,
-        dry=dry,
+        static=static,
         key_names=(*names, *(shapes.key_names[j] for j in used)),
     )
 

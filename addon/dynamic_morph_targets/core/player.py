@@ -115,7 +115,7 @@ class Player:
         self._hold_targets(rig[:1])
         bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
         if self.settings.begin == "REST":
-            self.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
+            self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
         else:
             held = self.settings.held > 0
@@ -205,7 +205,7 @@ class Player:
             other.state = self.state
         return other
 
-    def dry(self, weights: np.ndarray) -> np.ndarray:
+    def static(self, weights: np.ndarray) -> np.ndarray:
         """Coordinates (..., dofs) of the targets' shapes blended by the weights (..., J): the static part."""
         return weights @ self._shapes
 

@@ -123,7 +123,7 @@ class RigSamples:
         pose, rig_world, object_world = (part[samples] for part in (self.pose, self.rig_world, self.object_world))
         return RigSamples(pose, rig_world, object_world, fields, nodes, self.held)
 
-    def and_then(self, other: RigSamples) -> RigSamples:
+    def concatenate(self, other: RigSamples) -> RigSamples:
         """These samples and others of the same rig, without fields."""
         nodes = self.nodes
         if nodes and other.nodes:

@@ -143,18 +143,18 @@ class Shot:
         model, character, settings = player.model, player.character, player.settings
         kept = slice(settings.run_up * settings.samples, None)
         coordinates, weights = (np.concatenate(rows)[kept] for rows in (self._coordinates, self._weights))
-        dry = player.dry(weights)
+        static = player.static(weights)
         report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
-        report.update(_worst_elements(player, coordinates, dry))
+        report.update(_worst_elements(player, coordinates, static))
         coordinates, free = player.amounts.shown(coordinates, weights), model.basis.T
         if model.settings.solver == "FULL" and player.engine is not None:
-            coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
+            coordinates, static, free, report["compression_error"] = _compress(model, coordinates, static)
         modes = node_modes(model, free)
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
         names = tuple(target.name for target in character.targets)
-        return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+        return Bake(settings.frames, coordinates, weights, surface, model.details, names, static, modes), report
 
 
 def bake(
@@ -212,22 +212,22 @@ def _some(numbers: list[int]) -> str:
     return f"frame{'s' * (len(numbers) > 1)} {listed}"
 
 
-def _worst_elements(player: Player, coordinates: np.ndarray, dry: np.ndarray) -> dict:
+def _worst_elements(player: Player, coordinates: np.ndarray, static: np.ndarray) -> dict:
     """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames.
 
-    coordinates, dry (F, dofs): with and without motion.
+    coordinates, static (F, dofs): with and without motion.
     """
     if player.engine is None:
         return {"smallest_det": 1.0, "inverted": 0}
     model, displacement = player.model, player.engine.displacement
-    strength = np.abs(coordinates - dry).max(axis=1, initial=0.0)
+    strength = np.abs(coordinates - static).max(axis=1, initial=0.0)
     rest = _volumes(model.nodes, model.tets)
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
         moved = _volumes(model.nodes + displacement(coordinates[k]), model.tets) / rest
         smallest = min(smallest, moved.min())
         inside_out = model.tets[moved <= 0]
-        sculpted = _volumes(model.nodes + displacement(dry[k]), inside_out)
+        sculpted = _volumes(model.nodes + displacement(static[k]), inside_out)
         inverted = max(inverted, int((sculpted > 0).sum()))  # without those that the sculpt itself inverts
     return {"smallest_det": float(smallest), "inverted": inverted}
 
@@ -247,16 +247,18 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
     return modes
 
 
-def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+def _compress(
+    model: Model, dynamic: np.ndarray, static: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
 
-    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3 free), and
-    the largest error of `wet` in meters.
+    dynamic, static (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3
+    free), and the largest error of `dynamic` in meters.
     """
-    _, s, modes = np.linalg.svd(wet, full_matrices=False)
+    _, s, modes = np.linalg.svd(dynamic, full_matrices=False)
     modes = modes[: min(model.settings.modes, len(s))]
-    _, s, others = np.linalg.svd(dry - dry @ modes.T @ modes, full_matrices=False)
-    modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(dry)]])
-    coordinates = wet @ modes.T
-    error = float(np.abs(wet - coordinates @ modes).max())
-    return coordinates, dry @ modes.T, modes, error
+    _, s, others = np.linalg.svd(static - static @ modes.T @ modes, full_matrices=False)
+    modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(static)]])
+    coordinates = dynamic @ modes.T
+    error = float(np.abs(dynamic - coordinates @ modes).max())
+    return coordinates, static @ modes.T, modes, error

@@ -43,7 +43,7 @@ def scaled_keys(bake: Bake, basis: np.ndarray) -> list[Key]:
         return (basis + displacement).astype(np.float32)
 
     for k, mode in enumerate(bake.modes):
-        motion, shapes = bake.coordinates[:, k], bake.dry[:, k]
+        motion, shapes = bake.coordinates[:, k], bake.static[:, k]
         largest = max(np.abs(motion).max(), np.abs(shapes).max()) or 1.0
         needed = np.abs(mode).max() * np.abs(shapes).max() > negligible
         without = shapes / largest if needed else None

@@ -47,7 +47,7 @@ def raw(bake: Bake, vertices: np.ndarray, fps: float) -> bytes:
         "details": bake.details,
         "coordinates": bake.coordinates,
         "weights": bake.weights,
-        "dry": bake.dry,
+        "dry": bake.static,
         "frames": bake.frames,
         "fps": [fps],
     }

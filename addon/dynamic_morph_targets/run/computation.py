@@ -234,7 +234,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
 
     outside = [] if given.character.parts else given.followers
     outcome.carried = [followers.follow(outcome.model, outcome.bake, follower) for follower in outside]
-    for name in ("coordinates", "weights", "modes", "details", "dry"):
+    for name in ("coordinates", "weights", "modes", "details", "static"):
         if not all(np.isfinite(getattr(bake, name)).all() for bake in (outcome.bake, *outcome.carried)):
             raise SelfCheckError(f"'{given.name}': the engine's {name} are not numbers: nothing was written")
     progress.message = "Making keys"

@@ -54,7 +54,7 @@ def joined(bakes: Sequence[Bake]) -> Bake:
         raise SceneError("Each clip has modes of its own, which the Full solver makes: choose the Reduced one")
     together = {
         name: np.concatenate([getattr(bake, name) for bake in bakes])
-        for name in ("frames", "coordinates", "weights", "dry")
+        for name in ("frames", "coordinates", "weights", "static")
     }
     return replace(first, **together)
 

@@ -34,7 +34,7 @@ def is_on(obj: bpy.types.Object) -> bool:
     return bool(obj.dynamorph.live.key.name) and obj.session_uid not in lent
 
 
-def obstacle(obj: bpy.types.Object) -> str:
+def disabled_reason(obj: bpy.types.Object) -> str:
     """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by
     `turn_on`.
     """
@@ -47,11 +47,11 @@ def obstacle(obj: bpy.types.Object) -> str:
 def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
     """Add the live key and show the present frame. Raises what prevents it from playing, before anything is changed.
 
-    There must be no `obstacle`.
+    There must be no `disabled_reason`.
     """
     global _any_live
     session = Session(obj, scene)
-    session.flesh.add_keys(obj)
+    session.tissue.add_keys(obj)
     sessions[obj.session_uid], _any_live = session, True
     _problems.pop(obj.session_uid, None)
     follow(obj, scene)
@@ -91,12 +91,12 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
         if session is None or not session.fits(obj, settings):
             session = sessions[uid] = Session(obj, scene)
             muting.show_target(obj, "")  # a target of another build, which Live now shows
-        if live_key.find(obj, session.flesh.skin.written) is None:
+        if live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
             return
         if obj.data.library and live_key.is_hidden(obj):  # it was linked since: as it was saved
             live_key.hide(obj, False)
-        session.flesh.show(session.values(obj, settings, scene.frame_float, arrives))
+        session.tissue.show(session.values(obj, settings, scene.frame_float, arrives))
     except engine.expected_errors() as error:
         _stop(obj, errors.sentence(error))
     except Exception as bug:  # raised in a handler, it would be printed at every frame
@@ -181,7 +181,7 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             session.rig_changed()
         if reskinned and way_to_skin(obj) != session.skinning:
             del sessions[obj.session_uid]
-        if is_on(obj) and live_key.find(obj, session.flesh.skin.written) is None:
+        if is_on(obj) and live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
 
 

@@ -33,18 +33,18 @@ class Preview:
         rig_motion.check_not_rendering()
         self.name, self.label = operator.bl_idname, operator.bl_label
         self.object = skin.ObjectHandle.of(obj)
-        self.flesh = session.Flesh(obj, bpy.context.scene)
+        self.tissue = session.Tissue(obj, bpy.context.scene)
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         self._sculpt = obj.dynamorph.sculpt.shown.name
         if not self._was_live:
-            self.flesh.add_keys(obj)
+            self.tissue.add_keys(obj)
         live.lent.add(self.object.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None) -> None:
-        """values: see Flesh.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
+        """values: see Tissue.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
         obj = self.object.find()
-        if not self.flesh.show(values):
+        if not self.tissue.show(values):
             raise SceneError("The live key was removed: the test stops")
         if transform is not None:
             self._movers = self._movers or [_Mover(moved) for moved in movers(obj)]
@@ -150,19 +150,19 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shaken(
-    obj: bpy.types.Object, flesh: session.Flesh, kind: str, seconds: float = SECONDS
+    obj: bpy.types.Object, tissue: session.Tissue, kind: str, seconds: float = SECONDS
 ) -> tuple[RigSamples, np.ndarray]:
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
-    still = rig_motion.sample_present(obj, flesh.probe)
+    still = rig_motion.sample_present(obj, tissue.probe)
     rig_world = still.rig_world[0]
-    settings = flesh.player.settings
+    settings = tissue.player.settings
     count = 1 + round(seconds * settings.fps) * settings.substeps
     heights, angles = shake(kind, np.arange(count) * settings.step)
     transforms = np.array([Matrix.Rotation(angle, 4, "Z") for angle in angles])
     origin = rig_world[:3, 3]
     transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
-    transforms[:, 2, 3] += heights * flesh.player.size
+    transforms[:, 2, 3] += heights * tissue.player.size
     samples = still.moved(transforms)
     transforms[:, :3, 3] /= skin.unit_scale()
     return samples, transforms

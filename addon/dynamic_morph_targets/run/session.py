@@ -32,7 +32,7 @@ KEPT = 250  # latest frames from which it can resume after a change of settings
 STATE_BYTES = 2**28  # bytes that those may take if each has the transforms of nodes
 
 
-class Flesh:
+class Tissue:
     """A built soft skin that can be stepped and shown. Raises SceneError when its model is not up to date."""
 
     def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
@@ -97,7 +97,7 @@ class Flesh:
 
     def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:
         """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""
-        motion = values[: self.modes] - self.player.dry(values[self.modes :])
+        motion = values[: self.modes] - self.player.static(values[self.modes :])
         return _blended(motion, surface.shapes[: self.modes]).reshape(-1, 3)
 
 
@@ -165,7 +165,7 @@ class Session:
     """One object that plays: its simulation since it last began, and the state from which it continues."""
 
     def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
-        self.flesh = Flesh(obj, scene)
+        self.tissue = Tissue(obj, scene)
         self.content_id = obj.dynamorph.model.content_id
         self.first = self.last = 0  # frames simulated from and to, while there are any
         self.now: int | None = None  # the one that shows, or just before
@@ -174,37 +174,37 @@ class Session:
         self.skinning = way_to_skin(obj)
         self._placing, self._material = _placing(obj), _materials(obj)
         self._sampled = _sampling(obj)
-        settings = self.flesh.player.settings
-        moving = len(self.flesh.probe.rest) if self.flesh.probe else 1
+        settings = self.tissue.player.settings
+        moving = len(self.tissue.probe.rest) if self.tissue.probe else 1
         self._kept = min(KEPT, max(1, STATE_BYTES // (4 * 96 * moving)))
-        self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton, self.flesh.probe)
+        self.rig = Rig(settings.start, settings.substeps, self.tissue.character.skeleton, self.tissue.probe)
 
     def fits(self, obj: bpy.types.Object, settings: SimulationSettings) -> bool:
         """Whether this is still a session of the object's model, with the same time step."""
-        mine = self.flesh.player.settings
+        mine = self.tissue.player.settings
         same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
-        if self.flesh.probe and _placing(obj) != self._placing:
+        if self.tissue.probe and _placing(obj) != self._placing:
             return False  # the nodes were posed as the targets were captured
         return same and self.content_id == obj.dynamorph.model.content_id
 
     def values(self, obj: bpy.types.Object, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
-        """What `Flesh.show` asks for, at a frame or between two. arrives: the start of the range begins anew, else it
+        """What `Tissue.show` asks for, at a frame or between two. arrives: the start of the range begins anew, else it
         shows.
 
         Raises SceneError.
         """
-        self._heed(obj, settings)
+        self._sync_settings(obj, settings)
         before, share = math.floor(time), time % 1.0
         if share and self._frames and before + 1 == self.first:  # a shutter that opens before the first frame
             before, share = self.first, 0.0
         elif not share or before not in self._frames:
             self._reach(obj, before, arrives)
         self.now = before
-        values = self.flesh.values(self._frames[before])
+        values = self.tissue.values(self._frames[before])
         if share:  # as Blender goes between the keyframes of a bake
             if before == self.last:
                 self._advance(obj)
-            values += share * (self.flesh.values(self._frames[before + 1]) - values)
+            values += share * (self.tissue.values(self._frames[before + 1]) - values)
         if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise errors.SelfCheckError(
                 f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' Motion Amount"
@@ -215,11 +215,13 @@ class Session:
         """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone
         would have them: local space, by session_uid. Empty before the first frame.
         """
-        flesh = self.flesh
+        tissue = self.tissue
         if self.now not in self._frames:
             return {}
-        values = flesh.values(self._frames[self.now])
-        return {surface.object.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
+        values = tissue.values(self._frames[self.now])
+        return {
+            surface.object.session_uid: tissue.motion(values, surface) for surface in (tissue.skin, *tissue.followers)
+        }
 
     def knows(self, time: float) -> bool:
         """Whether a frame, or a time between two, has been simulated already."""
@@ -230,41 +232,41 @@ class Session:
         self.rig.forget()
         self._rewind()
 
-    def _heed(self, obj: bpy.types.Object, settings: SimulationSettings) -> None:
+    def _sync_settings(self, obj: bpy.types.Object, settings: SimulationSettings) -> None:
         """Apply what the artist has changed; the frames simulated after the one that shows are then dropped."""
         age = staleness.model_age(obj)
         if age:
             raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
-        for handle, count in self.flesh.vertices.items():
+        for handle, count in self.tissue.vertices.items():
             mesh = handle.find().data
             if len(mesh.vertices) != count:
                 raise SceneError(
                     f"Mesh '{mesh.name}' has {len(mesh.vertices)} vertices, its model {count}: press Build Model"
                 )
         placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
-        player = self.flesh.player
+        player = self.tissue.player
         changed = (placing, materials) != (self._placing, self._material)
         if changed or _physics(settings) != _physics(player.settings):
             self._rewind()
             if placing != self._placing:
-                _, self.flesh.character = model_store.current_model(obj)
+                _, self.tissue.character = model_store.current_model(obj)
             else:
-                self.flesh.character = _with_materials(self.flesh.character, materials)
+                self.tissue.character = _with_materials(self.tissue.character, materials)
             self._placing, self._material = placing, materials
-            player = player.exchange(self.flesh.character, settings)
+            player = player.exchange(self.tissue.character, settings)
         if sampled != self._sampled:
             self._sampled = sampled
             self.rig_changed()
         player.settings, player.amounts.amount = settings, settings.amount
-        player.amounts.gains = _gains(obj, self.flesh.modes)
+        player.amounts.gains = _gains(obj, self.tissue.modes)
         player.amounts.influence = _influence(obj, player.character)
-        self.flesh.player = player
+        self.tissue.player = player
 
     def _reach(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
         """Simulate up to a frame: from the last one on, or, if playback cannot have come from there, beginning at
         it.
         """
-        settings = self.flesh.player.settings
+        settings = self.tissue.player.settings
         starts = arrives and number == settings.start
         if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
             while self.last < settings.end:
@@ -277,7 +279,7 @@ class Session:
 
     def _run_up(self, obj: bpy.types.Object, number: int) -> None:
         """Begin at a frame as a bake that starts there does."""
-        player = self.flesh.player
+        player = self.tissue.player
         first = number - player.settings.run_up
         frame = player.begin(self.rig.after(obj, first))
         for before in range(first, number):
@@ -286,10 +288,10 @@ class Session:
 
     def _begin_again(self, obj: bpy.types.Object) -> None:
         """From the end of a cycle to its start, without a jump."""
-        settings = self.flesh.player.settings
+        settings = self.tissue.player.settings
         first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end))
-        cycle = first.and_then(last)
-        self._start(settings.start, self.flesh.player.begin_again(cycle, self._frames[settings.end]))
+        cycle = first.concatenate(last)
+        self._start(settings.start, self.tissue.player.begin_again(cycle, self._frames[settings.end]))
 
     def _start(self, number: int, frame: Frame) -> None:
         self._frames, self._states = {}, {}
@@ -298,11 +300,11 @@ class Session:
 
     def _advance(self, obj: bpy.types.Object) -> None:
         number = self.last + 1
-        self._keep(number, self.flesh.player.advance(self.rig.after(obj, self.last)[1:], number))
+        self._keep(number, self.tissue.player.advance(self.rig.after(obj, self.last)[1:], number))
 
     def _keep(self, number: int, frame: Frame) -> None:
         self._frames[number], self.last = frame, number
-        self._states[number % self._kept] = number, self.flesh.player.state
+        self._states[number % self._kept] = number, self.tissue.player.state
 
     def _rewind(self) -> None:
         """Drop the frames after the one that shows; if its state is no longer stored, all of them."""
@@ -313,7 +315,7 @@ class Session:
         if now is None or kept is None or kept[0] != now:
             self._frames = {}
             return
-        self.flesh.player.state = kept[1]
+        self.tissue.player.state = kept[1]
         self._frames = {k: frame for k, frame in self._frames.items() if k <= now}
         self.last = now
 

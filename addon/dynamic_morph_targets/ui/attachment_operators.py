@@ -52,11 +52,11 @@ class PieceOperator(SoftSkinOperator):
     """Mixin: works on the attachment selected in the list."""
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and skin.mesh_in(context).dynamorph.active_piece is None:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and skin.mesh_in(context).dynamorph.active_piece is None:
             return "Select an attachment in the list first"
-        return obstacle
+        return disabled_reason
 
 
 class DYNAMORPH_OT_remove_piece(PieceOperator, Operator):

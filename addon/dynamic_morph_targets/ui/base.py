@@ -14,7 +14,7 @@ from ..write.reconcile import reconcile
 LISTED = 5  # names in a report
 
 
-def guarded(operator, action, *args) -> set[str]:
+def report_errors(operator, action, *args) -> set[str]:
     """Call `action`. An error becomes a report, a bug is also logged, and the operator is cancelled."""
     try:
         return action(*args) or {"FINISHED"}
@@ -39,13 +39,13 @@ class SoftSkinOperator:
 
     @classmethod
     def poll(cls, context):
-        obstacle = cls.obstacle(context)
-        if obstacle:
-            cls.poll_message_set(iface_(obstacle))
-        return not obstacle
+        disabled_reason = cls.disabled_reason(context)
+        if disabled_reason:
+            cls.poll_message_set(iface_(disabled_reason))
+        return not disabled_reason
 
     @classmethod
-    def obstacle(cls, context) -> str:
+    def disabled_reason(cls, context) -> str:
         """Why the button is grayed out, or ''."""
         obj = skin.mesh_in(context)
         if obj is None:
@@ -67,7 +67,7 @@ class SoftSkinOperator:
         return at_work()
 
     def execute(self, context):
-        return guarded(self, self._apply_reconciled, skin.mesh_in(context))
+        return report_errors(self, self._apply_reconciled, skin.mesh_in(context))
 
     def _apply_reconciled(self, obj):
         if obj and obj.dynamorph.targets:
@@ -94,11 +94,11 @@ class TargetOperator(SoftSkinOperator):
     neutral_too = False
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        settings = not obstacle and skin.mesh_in(context).dynamorph
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        settings = not disabled_reason and skin.mesh_in(context).dynamorph
         if settings and settings.active_target is None:
             return "Select a target in the list"
         if settings and settings.active_target_index == 0 and not cls.neutral_too:
             return "Select a target other than the neutral one"
-        return obstacle
+        return disabled_reason

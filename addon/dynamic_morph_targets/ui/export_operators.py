@@ -19,7 +19,7 @@ from ..scene import events, skin
 from ..scene.registration import of_classes
 from ..write import comparison, exports, losses
 from . import widgets
-from .base import SoftSkinOperator, guarded, listed
+from .base import SoftSkinOperator, listed, report_errors
 from .job_operators import JobOperator
 
 LINE = 60  # characters per line in the file browser's sidebar
@@ -40,9 +40,9 @@ class BakedOperator(SoftSkinOperator):
     """Mixin: works on a soft skin with a bake."""
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        return obstacle or ("" if skin.mesh_in(context).dynamorph.bake.exists else "Press Bake first")
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        return disabled_reason or ("" if skin.mesh_in(context).dynamorph.bake.exists else "Press Bake first")
 
 
 class DYNAMORPH_OT_export_check(BakedOperator, Operator):
@@ -94,14 +94,14 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
     )  # fmt: skip
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and comparison.is_plain(skin.mesh_in(context)):
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and comparison.is_plain(skin.mesh_in(context)):
             return "Plain skinning is shown and would be exported: press Show Soft Skin first"
-        return obstacle
+        return disabled_reason
 
     def invoke(self, context, event):
-        return guarded(self, self._ask, context, event)
+        return report_errors(self, self._ask, context, event)
 
     def _ask(self, context, event):
         """Open the file browser if there is something to write. Raises ExportError."""

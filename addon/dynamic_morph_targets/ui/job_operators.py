@@ -16,7 +16,7 @@ from ..scene import events
 from ..scene.registration import of_classes
 from ..scene.skin import is_shown_on, mesh_in, soft_skins
 from ..write import bake, live_key
-from .base import SoftSkinOperator, at_work, guarded
+from .base import SoftSkinOperator, at_work, report_errors
 
 TICK = 0.05  # seconds from one turn of a job to the next
 SLICE = 0.035  # seconds of a turn that may block the window, approximately
@@ -31,10 +31,10 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
     needs_soft_skin = False
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if obstacle:
-            return obstacle
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if disabled_reason:
+            return disabled_reason
         obj = mesh_in(context)
         return "" if obj.dynamorph.targets or is_shown_on(obj) else "Press Add Soft Skin first"
 
@@ -66,7 +66,7 @@ class JobOperator(SoftSkinOperator):
     def invoke(self, context, _event):
         if bpy.app.background:
             return self.execute(context)
-        return guarded(self, self._begin, context)
+        return report_errors(self, self._begin, context)
 
     def modal(self, context, event):
         if event.type == "ESC" and event.value == "PRESS":  # not passed on: it must not also stop the playback
@@ -75,7 +75,7 @@ class JobOperator(SoftSkinOperator):
             return {"PASS_THROUGH"}
         result = {"CANCELLED"}
         try:
-            result = guarded(self, self._tick, context)
+            result = report_errors(self, self._tick, context)
         finally:
             if result != {"RUNNING_MODAL"}:
                 self._end(context)
@@ -171,7 +171,7 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
     goal = "BAKE_ALL"
 
     @classmethod
-    def obstacle(cls, context):
+    def disabled_reason(cls, context):
         if not _own_skins(context.scene):
             return "The scene has no soft skin of its own: press Add Soft Skin first, or make a linked one local"
         return at_work()

@@ -25,7 +25,7 @@ from ..scene import events, model_store, rig_motion, skin
 from ..scene.registration import of_classes
 from ..write import comparison
 from ..write.slots import put_slot, slot_settings
-from .base import SoftSkinOperator, guarded
+from .base import SoftSkinOperator, report_errors
 from .job_operators import JobOperator, press
 
 FIRST_LOOK = 2.0  # seconds of the hop that shows a new soft skin
@@ -35,25 +35,25 @@ NAVIGATION = {
 }  # fmt: skip
 
 
-class FleshOperator(SoftSkinOperator):
+class TissueOperator(SoftSkinOperator):
     """Mixin: shows the motion of the built model, which nothing else may show meanwhile."""
 
     @classmethod
-    def obstacle(cls, context):
-        return super().obstacle(context) or live.obstacle(skin.mesh_in(context))
+    def disabled_reason(cls, context):
+        return super().disabled_reason(context) or live.disabled_reason(skin.mesh_in(context))
 
 
-class DYNAMORPH_OT_live(FleshOperator, Operator):
+class DYNAMORPH_OT_live(TissueOperator, Operator):
     """Simulate while Blender plays, without a bake. Press again to stop"""
 
     bl_idname = "dynamorph.live"
     bl_label = "Live Soft Skin"
 
     @classmethod
-    def obstacle(cls, context):
+    def disabled_reason(cls, context):
         obj = skin.mesh_in(context)
         playing = obj is not None and live.is_on(obj)
-        return super(FleshOperator, cls).obstacle(context) if playing else super().obstacle(context)
+        return super(TissueOperator, cls).disabled_reason(context) if playing else super().disabled_reason(context)
 
     def apply(self, obj):
         end_preview()
@@ -69,7 +69,7 @@ class EndsLive(JobOperator):
     def modal(self, context, event):
         result = super().modal(context, event)
         if result == {"FINISHED"}:
-            guarded(self, self._look, context)
+            report_errors(self, self._look, context)
         return result
 
     def _look(self, context):
@@ -77,9 +77,9 @@ class EndsLive(JobOperator):
         if request.scene.find() != context.scene:  # the artist has gone on in another one
             return
         obj = request.target.find()
-        obstacle = live.obstacle(obj)
-        if obstacle:
-            raise SceneError(obstacle)
+        disabled_reason = live.disabled_reason(obj)
+        if disabled_reason:
+            raise SceneError(disabled_reason)
         live.turn_on(obj, context.scene)
         if skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
             press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK)
@@ -93,7 +93,7 @@ class DYNAMORPH_OT_first_look(EndsLive, Operator):
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
 
-class PreviewOperator(FleshOperator):
+class PreviewOperator(TissueOperator):
     """Mixin: shows a Preview. In a window it plays until it ends or Esc stops it; in the background all frames run at
     once.
     """
@@ -104,9 +104,9 @@ class PreviewOperator(FleshOperator):
         running = Preview(obj, type(self))
         try:
             moved = []
-            for values, transform in self.frames(obj, running.flesh):
+            for values, transform in self.frames(obj, running.tissue):
                 running.show(values, transform)
-                moved.append(running.flesh.moved(values))
+                moved.append(running.tissue.moved(values))
         finally:
             running.end()
         self._report(max(moved))
@@ -114,7 +114,7 @@ class PreviewOperator(FleshOperator):
     def invoke(self, context, _event):
         if bpy.app.background:
             return self.execute(context)
-        return guarded(self, self._begin, context)
+        return report_errors(self, self._begin, context)
 
     def modal(self, context, event):
         if self.running is not preview.preview:  # stopped by its button, by undo or by anything else that ends previews
@@ -125,7 +125,7 @@ class PreviewOperator(FleshOperator):
             return {"PASS_THROUGH"} if self.passes(event) else {"RUNNING_MODAL"}
         result = {"CANCELLED"}
         try:
-            result = guarded(self, self._tick)
+            result = report_errors(self, self._tick)
         finally:
             if result != {"RUNNING_MODAL"}:
                 self._end(context)
@@ -145,11 +145,11 @@ class PreviewOperator(FleshOperator):
         self.running = preview.begin_preview(obj, type(self))
         self.largest = 0.0
         try:
-            self.left = self.frames(obj, self.running.flesh)
+            self.left = self.frames(obj, self.running.tissue)
         except BaseException:
             end_preview()
             raise
-        self.fps = self.running.flesh.player.settings.fps
+        self.fps = self.running.tissue.player.settings.fps
         self.began, self.done = time.monotonic(), 0
         self.timer = context.window_manager.event_timer_add(1.0 / self.fps, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -164,7 +164,7 @@ class PreviewOperator(FleshOperator):
         frames = list(islice(self.left, due))
         self.done += len(frames)
         for values, _ in frames:
-            self.largest = max(self.largest, self.running.flesh.moved(values))
+            self.largest = max(self.largest, self.running.tissue.moved(values))
         if frames:
             self.running.show(*frames[-1])
         if len(frames) == due:
@@ -208,19 +208,19 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
         """Only navigation: an undo step would store the rig in its shaken position."""
         return event.type in NAVIGATION
 
-    def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, Matrix]]:
+    def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, Matrix]]:
         for moved in movers(obj):
             if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
                 raise SceneError(f"'{moved.name}' rotates by Axis Angle: choose another rotation mode to twist it")
-        return self._played(flesh, *shaken(obj, flesh, self.kind, self.seconds))
+        return self._played(tissue, *shaken(obj, tissue, self.kind, self.seconds))
 
     @staticmethod
-    def _played(flesh, samples, transforms):
-        player, substeps = flesh.player, flesh.player.settings.substeps
+    def _played(tissue, samples, transforms):
+        player, substeps = tissue.player, tissue.player.settings.substeps
         count = len(samples) // substeps
-        yield flesh.values(player.begin(samples[:2])), Matrix(transforms[0])
+        yield tissue.values(player.begin(samples[:2])), Matrix(transforms[0])
         for k, frame in enumerate(player.play(samples[1:], range(1, count + 1)), 1):
-            yield flesh.values(frame), Matrix(transforms[k * substeps])
+            yield tissue.values(frame), Matrix(transforms[k * substeps])
 
 
 class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
@@ -232,27 +232,27 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
     def passes(self, _event) -> bool:
         return True  # to select other modes meanwhile
 
-    def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, None]]:
+    def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, None]]:
         """One swing per second; in the background, a single swing."""
-        if not flesh.modes:
+        if not tissue.modes:
             raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
-        weights = flesh.player.begin(rig_motion.sample_present(obj, flesh.probe)).weights
-        return self._swinging(obj.session_uid, flesh, weights)
+        weights = tissue.player.begin(rig_motion.sample_present(obj, tissue.probe)).weights
+        return self._swinging(obj.session_uid, tissue, weights)
 
     @staticmethod
-    def _swinging(session_uid: int, flesh, weights):
-        fps = flesh.player.settings.fps
-        dry = np.concatenate([flesh.player.dry(weights), weights])
+    def _swinging(session_uid: int, tissue, weights):
+        fps = tissue.player.settings.fps
+        static = np.concatenate([tissue.player.static(weights), weights])
         k = 0
         while k < fps or not bpy.app.background:
             settings = skin.find(session_uid).dynamorph
-            index = min(settings.active_mode_index, flesh.modes - 1)
-            mode = np.zeros_like(dry)
+            index = min(settings.active_mode_index, tissue.modes - 1)
+            mode = np.zeros_like(static)
             mode[index] = 1.0
-            amplitude = SWING * flesh.player.size / flesh.moved(dry + mode)
+            amplitude = SWING * tissue.player.size / tissue.moved(static + mode)
             if index < len(settings.modes):
                 amplitude *= settings.modes[index].gain
-            yield dry + amplitude * math.sin(2.0 * math.pi * k / fps) * mode, None
+            yield static + amplitude * math.sin(2.0 * math.pi * k / fps) * mode, None
             k += 1
 
 
@@ -266,11 +266,11 @@ class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
     bl_label = "Show Plain Skinning"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not comparison.can_show(skin.mesh_in(context)):
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not comparison.can_show(skin.mesh_in(context)):
             return "Turn Live on or bake first: only plain skinning exists so far"
-        return obstacle
+        return disabled_reason
 
     def apply(self, obj):
         end_preview()

@@ -9,7 +9,7 @@ from bpy.types import Operator
 from ..core import material_fit, material_presets, oscillation
 from ..scene import model_store, skin
 from ..scene.registration import of_classes
-from .base import TargetOperator, guarded
+from .base import TargetOperator, report_errors
 
 
 class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
@@ -61,14 +61,14 @@ class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
     )
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not skin.mesh_in(context).dynamorph.model.content_id:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not skin.mesh_in(context).dynamorph.model.content_id:
             return "Press Build Model first: the bounce is measured on its cage"
-        return obstacle
+        return disabled_reason
 
     def invoke(self, context, _event):
-        return guarded(self, self._ask, context)
+        return report_errors(self, self._ask, context)
 
     def _ask(self, context):
         obj = skin.mesh_in(context)

@@ -149,11 +149,11 @@ class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
     bl_label = "Softness from Hold"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not skin.mesh_in(context).dynamorph.model.content_id:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not skin.mesh_in(context).dynamorph.model.content_id:
             return "Press Build Model first: it computes the hold"
-        return obstacle
+        return disabled_reason
 
     def apply(self, obj):
         bake.check_not_edited(obj)

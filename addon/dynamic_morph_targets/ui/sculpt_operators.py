@@ -13,7 +13,7 @@ from ..scene import rig_motion, skin
 from ..scene.registration import of_classes
 from ..write import muting, targets
 from ..write.targets import sculpted_key
-from .base import SoftSkinOperator, TargetOperator, guarded
+from .base import SoftSkinOperator, TargetOperator, report_errors
 from .pose_operators import go_to_pose
 
 SCULPT_MODE = EnumProperty(
@@ -30,11 +30,11 @@ class SculptOperator:
     """Mixin, listed first: begins to sculpt, unless a target is being sculpted already."""
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and skin.mesh_in(context).dynamorph.sculpt.active:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and skin.mesh_in(context).dynamorph.sculpt.active:
             return "Press Finish Sculpting first"
-        return obstacle
+        return disabled_reason
 
 
 class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
@@ -47,7 +47,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
     mode: SCULPT_MODE
 
     def invoke(self, context, _event):
-        return guarded(self, self._ask, context)
+        return report_errors(self, self._ask, context)
 
     def _ask(self, context):
         obj = skin.mesh_in(context)
@@ -105,11 +105,11 @@ class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
     bl_label = "Finish Sculpting"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not skin.mesh_in(context).dynamorph.sculpt.active:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not skin.mesh_in(context).dynamorph.sculpt.active:
             return "No target is being sculpted"
-        return obstacle
+        return disabled_reason
 
     def apply(self, obj):
         targets.finish_sculpting(obj)

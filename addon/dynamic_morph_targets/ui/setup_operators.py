@@ -28,11 +28,11 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
     job = "dynamorph.first_look"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle, obj = super().obstacle(context), skin.mesh_in(context)
-        if not obstacle and not skinning.armature_modifiers(obj) and not attachments.carried_by(obj):
+    def disabled_reason(cls, context):
+        disabled_reason, obj = super().disabled_reason(context), skin.mesh_in(context)
+        if not disabled_reason and not skinning.armature_modifiers(obj) and not attachments.carried_by(obj):
             return "The mesh needs an Armature modifier with an armature"
-        return obstacle
+        return disabled_reason
 
     def apply(self, obj):
         chosen = _body_meant(obj)

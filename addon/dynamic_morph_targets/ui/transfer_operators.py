@@ -15,7 +15,7 @@ from ..run.live import remove_soft_skin
 from ..scene import skin
 from ..scene.registration import of_classes
 from ..write import setups, storage, transfer
-from .base import SoftSkinOperator, guarded, listed
+from .base import SoftSkinOperator, listed, report_errors
 
 FAR = 0.03  # of the source's size; meshes that are farther apart were probably not intended
 
@@ -74,11 +74,11 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
     )
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not others(context):
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not others(context):
             return "Select the other meshes first, then the soft skin"
-        return obstacle
+        return disabled_reason
 
     def invoke(self, context, _event):
         """Ask only where there is something to replace or to overwrite."""
@@ -90,7 +90,7 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
         return self.execute(context)
 
     def execute(self, context):
-        return guarded(self, self._copy, skin.mesh_in(context), others(context))
+        return report_errors(self, self._copy, skin.mesh_in(context), others(context))
 
     def _copy(self, source, others):
         transfer.check(source, others, self.replace)

@@ -10,7 +10,7 @@ from bpy.types import Operator
 from ..run import weight_curves
 from ..scene import events, skin
 from ..scene.registration import of_classes
-from .base import SoftSkinOperator, guarded
+from .base import SoftSkinOperator, report_errors
 
 
 class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
@@ -21,7 +21,7 @@ class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
     bl_options = {"REGISTER"}
 
     def execute(self, context):
-        return guarded(self, self._update, skin.mesh_in(context), context.scene)
+        return report_errors(self, self._update, skin.mesh_in(context), context.scene)
 
     def _update(self, obj, scene):
         weight_curves.curves(obj, scene.frame_start, scene.frame_end)
@@ -35,14 +35,14 @@ class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
     bl_label = "Find Uncovered Pose"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and len(skin.mesh_in(context).dynamorph.targets) < 2:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and len(skin.mesh_in(context).dynamorph.targets) < 2:
             return "Add a target first"
-        return obstacle
+        return disabled_reason
 
     def execute(self, context):
-        return guarded(self, self._suggest, skin.mesh_in(context), context.scene)
+        return report_errors(self, self._suggest, skin.mesh_in(context), context.scene)
 
     def _suggest(self, obj, scene):
         found = weight_curves.curves(obj, scene.frame_start, scene.frame_end)

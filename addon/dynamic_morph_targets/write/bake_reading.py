@@ -22,10 +22,10 @@ def read_back(obj, samples: int = 1) -> Bake:
     """
     record, keys = obj.dynamorph.bake, obj.data.shape_keys
     reconcile(obj)
-    wet, dry = _curves_of(keys, record.action, MOTION), _curves_of(keys, record.action, SHAPES)
+    dynamic, static = _curves_of(keys, record.action, MOTION), _curves_of(keys, record.action, SHAPES)
     blocks = [keys.key_blocks[name] for name in baked_names(obj)] if keys else []
     paths = [f"{block.path_from_id()}.value" for block in blocks]
-    curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
+    curves = [curve for curve in (*map(dynamic.get, paths), *map(static.get, paths)) if curve]
     if not curves or record.cache:
         raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
     render = bpy.context.scene.render
@@ -40,12 +40,12 @@ def read_back(obj, samples: int = 1) -> Bake:
     basis = key_points(keys.reference_key).astype(np.float64)
     return Bake(
         frames=frames,
-        coordinates=np.array([values(wet.get(path) or dry.get(path)) for path in paths]).T,
+        coordinates=np.array([values(dynamic.get(path) or static.get(path)) for path in paths]).T,
         weights=np.zeros((len(frames), 0)),
         modes=np.array([key_points(block) - basis for block in blocks]),
         details=np.zeros((0, *basis.shape)),
         target_names=tuple(target.name for target in obj.dynamorph.targets),
-        dry=np.array([values(dry.get(path)) for path in paths]).T,
+        static=np.array([values(static.get(path)) for path in paths]).T,
         key_names=tuple(block.name for block in blocks),
     )
 
