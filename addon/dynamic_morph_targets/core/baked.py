@@ -73,9 +73,9 @@ class Bake:
 
     frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
     details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). static (F, r): the
-    coordinates of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind space, for
-    what else moves with the tissue. key_names (r + J,): of the shape keys that modes and details become; empty:
-    numbered, and by the targets.
+    coordinates of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind
+    space, for what else moves with the tissue. key_names (r + J,): of the shape keys that modes and details become;
+    empty: numbered, and by the targets.
     """
 
     frames: np.ndarray
