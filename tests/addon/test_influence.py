@@ -373,7 +373,8 @@ def picture(monkeypatch):
     except SystemError as error:
         pytest.skip(f"no graphics context without a screen: {error}")
 
-    monkeypatch.setattr(part("gpu_drawing"), "pixels", lambda length: length)  # without a window there is no resolution
+    for module in ("gpu_drawing", "overlay_graph", "overlays"):  # without a window there is no resolution
+        monkeypatch.setattr(part(module), "pixels", lambda length: length)
 
     def picture(draw):
         target = gpu.types.GPUOffScreen(400, 200)

@@ -90,6 +90,32 @@ def stop_painting():
     yield from sidebar.fold("dynamorph.build_cage")
 
 
+@step("Attachments: find another mesh, and remove it from the list", picture=sidebar)
+def attachments():
+    cuff = add_a_cuff()  # not by hand
+    yield from sidebar.unfold("dynamorph.find_pieces", above="dynamorph.new_from_pose")
+    yield from sidebar.press("dynamorph.find_pieces")
+    listed = lambda: [piece.object for piece in settings().pieces]  # noqa: E731
+    yield from until(lambda: cuff in listed(), "the cuff in the list")
+    settings().active_piece_index = listed().index(cuff)
+    yield from driver.drawn()
+    yield from sidebar.press("dynamorph.remove_piece")
+    yield from until(lambda: cuff not in listed(), "the cuff to be out of the list")
+    yield from sidebar.fold("dynamorph.find_pieces")
+    bpy.data.objects.remove(cuff)
+
+
+def add_a_cuff():
+    """A second mesh on the armature: a copy of the arm's, without its keys."""
+    cuff = skin().copy()
+    cuff.data = skin().data.copy()
+    cuff.name = "Cuff"
+    cuff.shape_key_clear()
+    cuff.dynamorph.targets.clear()
+    bpy.context.scene.collection.objects.link(cuff)
+    return cuff
+
+
 # Influence and new targets -------------------------------------------------------------------------------------------
 
 
