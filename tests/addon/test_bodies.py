@@ -258,7 +258,8 @@ def test_a_build_notices_what_has_changed_in_any_mesh(figure):
 def test_nothing_is_written_unless_all_can_be(figure):
     job = part("job").Job(figure["Body"], goal="BAKE")
     job.prepare()
-    job._compute()
+    job.start()
+    job.wait()
     figure["Top"].data.vertices.add(1)
     with pytest.raises(ValueError, match="'Top' changed while the job ran"):
         job.target()

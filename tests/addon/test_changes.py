@@ -5,7 +5,7 @@ import json
 
 import bpy
 import pytest
-from builders import part, rig_of
+from builders import part, rig_of, soon
 from costs import cost
 from layout import drawn
 
@@ -214,14 +214,11 @@ def test_a_renamed_rig_is_the_same(baked):
     assert looked(baked) == []
 
 
-def test_edits_are_looked_at_soon(baked, monkeypatch):
-    """What the timer does that an edit of an Action starts; there are no timers without a window."""
-    watch, asked = part("watch"), []
-    monkeypatch.setattr(watch.events, "soon", lambda look, _seconds: asked.append(look))
-    rig_of(baked).keyframe_insert("location", frame=3)
-    bpy.context.view_layer.update()
-    assert asked == [watch._look_at_animations]
-    asked[0]()
+def test_edits_are_looked_at_soon(baked):
+    with soon():
+        rig_of(baked).keyframe_insert("location", frame=3)
+        bpy.context.view_layer.update()
+        assert outdated(baked) == []
     assert outdated(baked) == ['animation of "Arm Rig" changed']
 
 

@@ -583,8 +583,9 @@ def test_nearest_points_of_triangles_whose_corners_are_in_a_line():
     start, along = rng.uniform(-1.0, 1.0, (2000, 3)), 0.1 * rng.normal(size=(2000, 3))
     corners = np.stack([start, start + along, start + 0.5 * along], axis=1)
     points = start + rng.uniform(0.0, 1.0, (2000, 1)) * along
-    weights = part("nearest")._closest(points, corners)
-    np.testing.assert_allclose(np.einsum("pc,pcx->px", weights, corners), points, atol=1e-14)
+    for point, triangle in zip(points, corners, strict=True):
+        found = part("nearest").nearest(point[None], triangle, np.array([[0, 1, 2]]))
+        np.testing.assert_allclose(found.carry(triangle), point[None], atol=1e-14)
 
 
 def test_the_nearest_points_cost_little_more_than_to_find_their_triangles(addon):
