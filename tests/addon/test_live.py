@@ -31,7 +31,6 @@ def live_arm(soft_arm):
     settings.model.stale = ""
     storage.fit_modes(soft_arm, 8)
     settings.simulation.gravity = 0.0
-    part("live")._loaded()  # session ids begin anew with each file
     return soft_arm
 
 
@@ -600,7 +599,6 @@ def new_arm(arm):
     bpy.ops.dynamorph.add_soft_skin()
     arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 200, 8
     arm.dynamorph.model.method = "SINGLE"
-    part("live")._loaded()
     return arm
 
 
