@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Flamenco job type: bakes the open file's soft skins, a task for each character and wedge. It goes into the folder
+// Flamenco job type: bakes the open file's soft skins, one task per character and wedge. It goes into the folder
 // `scripts` beside flamenco-manager; docs/farm.md says more. A task is one whole simulation, never a part of its frames.
 
 const JOB_TYPE = {
@@ -10,29 +10,29 @@ const JOB_TYPE = {
             key: "characters", type: "string", default: "",
             eval: "', '.join(o.name for o in C.scene.objects if o.type == 'MESH' and len(o.dynamorph.targets))",
             evalInfo: { showLinkButton: true, description: "Soft skins of the scene" },
-            description: "Names of the objects, with commas between them. Empty: all soft skins in one task",
+            description: "Names of the objects, separated by commas. If empty, one task bakes all soft skins",
         },
         {
             key: "wedges", type: "string", default: "",
-            description: "TARGET.PROPERTY=VALUE, with commas between them: a bake for each. Empty: one as it is",
+            description: "TARGET.PROPERTY=VALUE, separated by commas. Each gets a bake. If empty, the file is baked as it is",
         },
         {
             key: "sink", type: "string", default: "",
-            description: "modes, frames, pc2, mdd, gltf, fbx, alembic, usd or raw. Empty: as each object says",
+            description: "modes, frames, pc2, mdd, gltf, fbx, alembic, usd or raw. If empty, each object uses its own setting",
         },
         {
             key: "options", type: "string", default: "",
-            description: "More of bake's command line, with spaces between words, as --keys 8",
+            description: "More options of bake, separated by spaces, for example --keys 8",
         },
         {
             key: "output", type: "string", subtype: "dir_path", required: true,
-            description: "Folder for the baked files, and one with the reports of each job. It must be there",
+            description: "Existing folder for the baked files and for a folder of reports per job",
         },
         {
             key: "share", type: "string", subtype: "dir_path", required: true,
             description: "Folder for models and checkpoints, the same for all shots of a character",
         },
-        { key: "blendfile", type: "string", required: true, visible: "web", description: "The .blend to bake" },
+        { key: "blendfile", type: "string", required: true, visible: "web", description: "The .blend file to bake" },
     ],
 };
 
@@ -42,7 +42,7 @@ function compileJob(job) {
     const settings = job.settings;
     const shot = settings.blendfile.split(/[\\/]/).pop().replace(/(\.flamenco)?\.blend$/, "");
     const characters = namesOrNone(settings.characters), wedges = namesOrNone(settings.wedges);
-    const reports = `${settings.output}/${shot} ${formatTimestampLocal(job.created)}`;  // nothing of other jobs in it
+    const reports = `${settings.output}/${shot} ${formatTimestampLocal(job.created)}`;  // contains no reports of other jobs
     const expected = String(characters.length * wedges.length);
     const collect = authorTask(
         "collect", ["collect", reports, "-o", `${reports}/index.html`, "--expect", expected]);
@@ -50,7 +50,7 @@ function compileJob(job) {
         const who = character ? ["--object", character] : ["--all"];
         const check = authorTask(`check ${character || "all"}`, ["check", ...who], settings.blendfile);
         const build = authorTask(
-            `build ${character || "all"}`, ["build", ...who, "--share", settings.share], settings.blendfile);
+            `build ${character || "all"}`, ["build", ...who, "--cache-dir", settings.share], settings.blendfile);
         build.addDependency(check);
         job.addTask(check);
         job.addTask(build);
@@ -68,20 +68,20 @@ function authorBake(settings, shot, character, wedge, reports) {
     const name = joined(shot, character, wedge);
     return authorTask(`bake ${name}`, [
         "bake", ...(character ? ["--object", character] : ["--all"]), ...(wedge ? ["--set", wedge] : []),
-        ...sinkOf(settings, shot, wedge), ...settings.options.split(/\s+/).filter(Boolean), "--share", settings.share,
+        ...sinkOf(settings, shot, wedge), ...settings.options.split(/\s+/).filter(Boolean), "--cache-dir", settings.share,
         "-o", `${settings.output}/${name}.blend`, "--report", `${reports}/${name}.json`,
     ], settings.blendfile);
 }
 
-// A file is beside the baked .blend. For {object} Dynamorph puts a mesh's name: clothes have a point cache each.
+// A file is beside the baked .blend. Dynamorph replaces {object} with a mesh's name: each piece of clothing has its own point cache.
 function sinkOf(settings, shot, wedge) {
     if (!settings.sink) return [];
     const ending = ENDINGS[settings.sink];
-    const file = ending ? ["--sink-file", `${settings.output}/${joined(shot, "{object}", wedge)}.${ending}`] : [];
-    return ["--sink", settings.sink, ...file];
+    const file = ending ? ["--output-file", `${settings.output}/${joined(shot, "{object}", wedge)}.${ending}`] : [];
+    return ["--format", settings.sink, ...file];
 }
 
-// With "exec" and not "blender-render": nothing is rendered, and all that is after -c belongs to Dynamorph.
+// With "exec" and not "blender-render": nothing is rendered, and everything after -c belongs to Dynamorph.
 function authorTask(name, command, ...blendfile) {
     const task = author.Task(name, "blender");
     const args = ["-b", ...blendfile, "-c", "dynamorph", ...command];
@@ -93,7 +93,7 @@ function joined(...names) {
     return names.filter(Boolean).join(" ");
 }
 
-// [""] where there is no name: one task for all characters, or one bake as it is.
+// [""] without names: one task for all characters, or one bake of the file as it is.
 function namesOrNone(list) {
     const names = list.split(",").map((name) => name.trim()).filter(Boolean);
     return names.length ? names : [""];

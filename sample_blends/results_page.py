@@ -22,9 +22,9 @@ CLOSE = 0.05  # RMS error, relative to the motion, up to which two motions are c
 
 OPENING = """# Results
 
-The table and the figures of N. Galoppo's thesis (chapter 5) again, from the scenes in `sample_blends`, with what they
-claim as numbers. `make figures` writes this page, its pictures and [results.json](results.json); nothing here is
-written by hand. Which of the thesis's figures shows what is our own reading: its pictures were not at hand.
+The table and the figures of N. Galoppo's thesis (chapter 5), made again from the scenes in `sample_blends`, with their
+claims as numbers. `make figures` writes this page, its pictures and [results.json](results.json); nothing here is
+written by hand. Which of the thesis's figures shows what is our own reading, because its pictures were not available.
 
 Methods, as in the Model panel and on the command line: *plain skinning* (bones alone), *static morphs* (geometric morph
 targets), *single material* (the neutral target alone), *pose-dependent shape* (the shape follows the pose, the material
@@ -109,15 +109,16 @@ def table(machine: str, tables: dict[str, dict]) -> list[str]:
         counts = [then[key] for key in ("bones", "dofs", "modes", "targets")]
         rows.append(("thesis", *counts, *(then.get(kind, "") for kind in TABLE_COLUMNS), f"{then['precompute']} s"))
     note = f"""\
-Steps a second *without > with* dynamic morph targets: frames a second at one step a frame, nothing drawn. Without is
+Steps a second *without → with* dynamic morph targets: frames a second at one step a frame, nothing drawn. Without is
 the neutral target alone. Medians over the frames of a bake; {machine}. The thesis
-measured on a 2.4 GHz Core 2 Duo. Precompute: from mesh to polynomials, of the reduced StVK model.
+measured on a 2.4 GHz Core 2 Duo. Precompute: from mesh to polynomials, of the reduced StVK model; the row of
+[performance.md](performance.md) starts from the tetrahedra and uses all cores.
 """
     return [grid(head, rows), note, *marginal(tables)]
 
 
 def without_with(variants: dict, kind: str) -> str:
-    return " > ".join(f"{variants[f'{material} {kind}']['steps_per_second']:,.0f}" for material in ("single", "DMT"))
+    return " → ".join(f"{variants[f'{material} {kind}']['steps_per_second']:,.0f}" for material in ("single", "DMT"))
 
 
 def marginal(tables: dict[str, dict]) -> list[str]:

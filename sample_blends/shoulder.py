@@ -59,7 +59,7 @@ SHAKES = (176, 234)  # the same shake twice: of the folded arm and of the relaxe
 SHAKE = (0.0, 2.0, -2.0, 2.0, -2.0, 0.0)  # degrees that the stand turns, a key every other frame
 FRAMES = 260
 
-SOFT, ELBOW = "Soft", "Elbow"  # vertex groups: 1 soft, 0 held by the bones; the elbow's share of the flesh
+SOFT, ELBOW = "Soft", "Elbow"  # vertex groups: 1 soft, 0 held by the bones; the elbow's region weights
 SKIN_COLOUR, CUT_COLOUR = (0.42, 0.19, 0.115), (0.03, 0.028, 0.03)
 
 # Stiffness in Pa and the two Rayleigh dampings of each target; the frame at which its pose is captured.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Poses and sculpted shapes of the shoulder: muscles that bulge, and flesh that makes room where it would be cut."""
+"""Poses and sculpted shapes of the shoulder: bulging muscles, and soft tissue that makes room where it would be cut."""
 
 from __future__ import annotations
 
@@ -232,7 +232,9 @@ def shoulder_shapes(bust: Bust) -> dict[str, np.ndarray]:
 
 
 def elbow_shapes(bust: Bust) -> dict[str, np.ndarray]:
-    """Half fold and Folded: the biceps bulges, the forearm's flesh goes sideways, the crook keeps clear of itself."""
+    """Half fold and Folded: the biceps bulges, the forearm's soft tissue goes sideways, the crook keeps clear of
+    itself.
+    """
     half = lumps(
         bust,
         (1, 0, -0.12, 0.05, 0.012),

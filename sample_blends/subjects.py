@@ -70,8 +70,8 @@ CYLINDER = Subject(
     name="bulging_cylinder",
     title="Bulging cylinder",
     object="Limb",
-    thesis={"bones": "4", "dofs": "918", "modes": "13", "targets": "4", "linear full": "28 > 25",
-            "linear reduced": "93 > 89", "StVK reduced": "90 > 64", "precompute": "21.2"},
+    thesis={"bones": "4", "dofs": "918", "modes": "13", "targets": "4", "linear full": "28 → 25",
+            "linear reduced": "93 → 89", "StVK reduced": "90 → 64", "precompute": "21.2"},
     overview=(16, 32, 44, 91),
     sheets=(
         Sheet("5.3", "The limb bulges as it bends", {16: "bent back", 22: "bending", 32: "half bent", 44: "flexed"}),
@@ -92,8 +92,8 @@ SHOULDER = Subject(
     name="shoulder",
     title="Shoulder",
     object="Shoulder",
-    thesis={"bones": "4", "dofs": "4899", "modes": "19", "targets": "6", "linear full": "3 > 3",
-            "linear reduced": "87 > 85", "StVK reduced": "30 > 22", "precompute": "661"},
+    thesis={"bones": "4", "dofs": "4899", "modes": "19", "targets": "6", "linear full": "3 → 3",
+            "linear reduced": "87 → 85", "StVK reduced": "30 → 22", "precompute": "661"},
     overview=(36, 76, 142, 185),
     sheets=(
         Sheet(
@@ -115,8 +115,8 @@ HERBERT = Subject(
     name="herbert",
     title="Herbert",
     object="Herbert",
-    thesis={"bones": "46", "dofs": "603", "modes": "12", "targets": "3", "linear full": "36 > 34",
-            "linear reduced": "96 > 92", "StVK reduced": "90 > 58", "precompute": "16.8"},
+    thesis={"bones": "46", "dofs": "603", "modes": "12", "targets": "3", "linear full": "36 → 34",
+            "linear reduced": "96 → 92", "StVK reduced": "90 → 58", "precompute": "16.8"},
     overview=(61, 73, 91, 178),
     sheets=(
         Sheet("5.5", "The dive", {61: "lands on the board", 73: "throw", 91: "tucked", 103: "opens out"}),

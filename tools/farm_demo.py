@@ -2,7 +2,7 @@
 """Bakes three shots of two characters in two variants on a small render farm, and breaks it: `make farm-demo`.
 
 The farm is Slurm with two nodes on this machine, each a slurmd with processes and a core of its own. The job is
-farm/dynamorph.openjd.yaml, submitted by farm/slurm_submit.py. It runs on one node, on two, and on two of which one is
+farm/dynamorph.openjd.yaml, submitted by farm/slurm_submit.py. It runs on one node, on two, and on two one of which is
 hit: a bake on it is killed, and then the node itself. The bakes must come out the same, to the last bit.
 
 What stands in the way of a farm (not root, not Debian) is printed, and counts as success; what goes wrong on it does
@@ -345,7 +345,9 @@ def shortcomings(runs: list[dict]) -> list[str]:
             found.append(f"{run['name']}: other hashes")
         if run["models"] != len(CHARACTERS):
             found.append(f"{run['name']}: {run['models']} models were built once, of {len(CHARACTERS)}")
-        found += [f"{run['name']}: {name}: began anew" for name, each in run["faults"].items() if not each["survived"]]
+        found += [
+            f"{run['name']}: {name}: started over" for name, each in run["faults"].items() if not each["survived"]
+        ]
         if run.get("bad_input_tries", 1) != 1:
             found.append(f"{run['name']}: bad input was tried {run['bad_input_tries']} times")
     return found

@@ -66,8 +66,8 @@ def register():
 
     try:
         for module in _modules():
+            _registered.append(module)  # first, so that what it leaves when it fails is taken back too
             module.register()
-            _registered.append(module)
         _commands.append(bpy.utils.register_cli_command("dynamorph", main.main))
     except BaseException:
         unregister()
@@ -79,12 +79,20 @@ def register():
 def unregister():
     """Takes back what `register` has done, however far it came; a second time there is nothing left to do.
 
+    Each module's own `unregister` takes back what there is of it, for the same reason.
+
     atexit does it in the wheel, which disables its add-ons once more as it ends.
     """
     import bpy
+
+    from .core import logger
 
     atexit.unregister(unregister)
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     while _registered:
-        _registered.pop().unregister()
+        module = _registered.pop()
+        try:
+            module.unregister()
+        except Exception as bug:  # the others are to go all the same
+            logger.log_bug(bug)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -12,14 +11,13 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.props import IntProperty, StringProperty
 from bpy.types import AddonPreferences
 
-from .core.engine import tell_threads
+from .core.engine import use_threads
 
 MODEL_FOLDER = "//dynamorph_models"  # beside the .blend
 
 
 def _threads_changed(chosen, _context):
-    if "dynamorph" in sys.modules:
-        tell_threads(chosen.threads)
+    use_threads(chosen.threads)
 
 
 class DynamorphPreferences(AddonPreferences):
@@ -29,11 +27,11 @@ class DynamorphPreferences(AddonPreferences):
 
     model_folder: StringProperty(
         name="Model Folder",
-        description="Where models that are too large for the .blend are kept. // is the folder of the .blend",
+        description="Folder for models that are too large for the .blend. // is the folder of the .blend",
         default=MODEL_FOLDER, subtype="DIR_PATH", options={"PATH_SUPPORTS_BLEND_RELATIVE"},
     )  # fmt: skip
     threads: IntProperty(
-        name="Threads", description="How many threads the engine uses; 0 for as many as there are cores",
+        name="Threads", description="How many threads the engine uses. 0 uses as many as there are cores",
         default=0, min=0, max=1024, soft_max=64, update=_threads_changed,
     )  # fmt: skip
 
@@ -75,11 +73,12 @@ def model_folders(blend_folder: Path | None) -> list[Path]:
     ]
 
 
-def use_threads():
-    """Tell the engine how many threads the user wants; for when it has just been loaded."""
+def register():
+    bpy.utils.register_class(DynamorphPreferences)
     chosen = _chosen()
-    if chosen and chosen.threads:
-        tell_threads(chosen.threads)
+    use_threads(chosen.threads if chosen else 0)
 
 
-register, unregister = bpy.utils.register_classes_factory((DynamorphPreferences,))
+def unregister():
+    if DynamorphPreferences.is_registered:
+        bpy.utils.unregister_class(DynamorphPreferences)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender scenes for the add-on's tests, and what many of them ask about such a scene."""
+"""Blender scenes for the add-on's tests, and common questions about such a scene."""
 
 import hashlib
 import importlib
@@ -116,7 +116,7 @@ def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
         modes=rng.normal(0, 0.01, (modes, vertices, 3)),
         details=details,
         target_names=names,
-        dry=rng.normal(0, 3.0, (len(frames), modes)),
+        static=rng.normal(0, 3.0, (len(frames), modes)),
     )
 
 
@@ -172,7 +172,7 @@ def refused(operator, words, **arguments):
 
 
 class StandIn:
-    """Takes the place of the modules build and simulate, to test what surrounds them."""
+    """Replaces the modules build and simulate, to test what surrounds them."""
 
     def __init__(self):
         self.built = 0
@@ -261,7 +261,7 @@ class StandInShot:
 
 
 def fingerprint(obj):
-    """All that a bake may change and Free Bake must restore, as comparable data."""
+    """Everything that a bake may change and Delete Bake must restore, as comparable data."""
     keys = obj.data.shape_keys
     animation = keys.animation_data
     return {

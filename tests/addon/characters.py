@@ -29,7 +29,7 @@ NODES, SUBSTEPS = 800, 2  # of the cage, and a frame: enough to see what goes wr
 class Shot:
     """A character with one of its clips.
 
-    keys: shape key -> frame of the clip whose pose is that target's; without any, the flesh is one material. scale:
+    keys: shape key -> frame of the clip whose pose is that target's; without any, there is one material. scale:
     what an artist answers to the warning that the body is of no likely size. stiffness: of all targets, Pa.
     """
 

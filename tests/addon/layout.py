@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a panel draws, as texts: without a window, Blender has no layouts."""
+"""What a panel draws, as texts: Blender has no layouts without a window."""
 
 import types
 
@@ -7,7 +7,7 @@ import bpy
 
 
 def region(width) -> dict:
-    """What a context says of a region of this width, in pixels, and of their size."""
+    """The context of a region of this width, in pixels."""
     system = types.SimpleNamespace(ui_scale=1.0)
     return {"region": types.SimpleNamespace(width=width), "preferences": types.SimpleNamespace(system=system)}
 

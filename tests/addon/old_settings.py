@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The settings that files from before the hold by thickness have; most tests check what those do."""
+"""The settings of files from before the hold by thickness; most tests check their behavior."""
 
 MATERIAL = ("stiffness", "poisson", "density", "mass_damping", "stiffness_damping")
 
 
 def with_pins(obj):
-    """Give them to the soft skin `obj`, by its properties alone: also where the add-on's modules are not at hand."""
+    """Give them to the soft skin `obj` through its properties alone, so that it works without the add-on's modules."""
     settings = obj.dynamorph
     settings.model.hold, settings.model.one_cage, settings.model.hold_head = "BONES", False, False
     for piece in settings.pieces:

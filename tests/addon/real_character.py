@@ -9,8 +9,19 @@ from mathutils import Quaternion
 from old_settings import with_pins
 
 CHARACTER = Path(__file__).parents[3] / "shared" / "assets" / "mh_male_53bones.blend"
-SOFT, STIFF = 1.2e4, 6.0e4  # Pa: relaxed flesh and flexed muscle
-HELD = ("head", "neck", "hand", "thumb", "index", "middle", "ring", "pinky", "foot", "ball")  # bones without soft flesh
+SOFT, STIFF = 1.2e4, 6.0e4  # Pa: relaxed tissue and flexed muscle
+HELD = (
+    "head",
+    "neck",
+    "hand",
+    "thumb",
+    "index",
+    "middle",
+    "ring",
+    "pinky",
+    "foot",
+    "ball",
+)  # bones without soft tissue
 # Driven keys of the file and how far their bone turns when the driver has reached 1, in degrees.
 DRIVEN = {
     "thigh_muscle_L": ("calf_l", 90),

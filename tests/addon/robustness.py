@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the tests of robustness share: coarse bakes, the state that buttons may change, and how to press each button."""
+"""What the robustness tests share: coarse bakes, the state that buttons may change, and how to press each button."""
 
 import json
 import tempfile
@@ -68,7 +68,7 @@ def plain(data):
 
 
 def state():
-    """All that a button of the add-on may change, of every mesh and rig of the scene."""
+    """Everything that a button of the add-on may change, of every mesh and rig of the scene."""
     out = {"frame": bpy.context.scene.frame_current, "active": bpy.context.object and bpy.context.object.name}
     for obj in bpy.context.scene.objects:
         mine = out[obj.name] = {"mode": obj.mode, "world": [tuple(row) for row in obj.matrix_world]}

@@ -338,7 +338,7 @@ FBX, ALEMBIC = by_import("import_scene.fbx", anim_offset=0.0), by_import("wm.ale
 FORMS = (
     Form("Shape Keys", "Blender"),
     Form("Shape Keys, 8", "Blender", keys=8),
-    Form("Shape Key a Frame", "Blender", sink="FRAMES"),
+    Form("Shape Key Per Frame", "Blender", sink="FRAMES"),
     Form("Point Cache (PC2)", "Blender", sink="PC2"),
     Form("PC2, the file", "NumPy", sink="PC2", read=point_cache, local=True),
     Form("Point Cache (MDD)", "Blender", sink="MDD"),
@@ -377,7 +377,7 @@ def exact(job) -> Exact:
     character, bake, settings = job.character, job.result, job.settings
     whole = np.flatnonzero(bake.frames % 1 == 0)
     moved = np.array([bake.displacement(k) for k in whole])
-    samples = job.rig[(settings.start - settings.first) * settings.substeps :: settings.substeps]
+    samples = job.computation.rig[(settings.start - settings.first) * settings.substeps :: settings.substeps]
     world = np.array([skinned(character, samples[k : k + 1], moved[k])[0] for k in range(len(whole))])
     size = float(np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0)))
     return Exact(character.vertices + moved, world, size)
@@ -397,10 +397,10 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
         job = jobs.Job(obj, "BAKE", frames, folder=folder)
         batch.run(job)
         ours = exact(job)
-        row = {"form": form.name, "reader": form.reader, "error": None, "bytes": job.size}
+        row = {"form": form.name, "reader": form.reader, "error": None, "bytes": job.outcome.size}
         row["seconds"] = job.seconds["make keys"] + job.seconds["write keys"]
         numbers = range(job.settings.start, job.settings.end + 1)
-        path = job.written[0][1]
+        path = job.outcome.written[0][1]
         if form.key:
             path = folder / f"{k}{exports.FORMATS[form.key].suffix}"
             began = time.perf_counter()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bake simulates: how it begins, how it is resumed, loops, and which modes count how much."""
+"""What a bake simulates: its start, how it resumes, loops, and the effect of gains and influence on the modes."""
 
 from dataclasses import replace
 
@@ -25,31 +25,31 @@ def shot(soft_arm):
 
 def simulated(shot, rig=None, **settings):
     """Coordinates (F, dofs) of the shot, with other settings."""
-    simulate = part("simulate")
-    frames = simulate.simulate(shot.model, shot.character, rig or shot.rig, replace(shot.settings, **settings))
+    simulate, rig = part("simulate"), rig or shot.computation.rig
+    frames = simulate.simulate(shot.model, shot.character, rig, replace(shot.settings, **settings))
     return np.array([frame.coordinates for frame in frames])
 
 
 def played(player, shot, frames):
-    """Coordinates of `frames`, asked for one by one as playback does."""
+    """Coordinates of `frames`, requested one by one as playback does."""
     substeps = shot.settings.substeps
     out = []
     for frame in frames:
         first = 1 + (frame - shot.settings.start - 1) * substeps
-        out.append(player.advance(shot.rig[first : first + substeps], frame).coordinates)
+        out.append(player.advance(shot.computation.rig[first : first + substeps], frame).coordinates)
     return np.array(out)
 
 
 def test_playback_frame_by_frame_is_the_bake(shot):
     player = part("player").Player(shot.model, shot.character, shot.settings)
-    begun = player.begin(shot.rig[:2])
+    begun = player.begin(shot.computation.rig[:2])
     assert begun.number == 1 and np.array_equal(begun.coordinates, shot.result.coordinates[0])
     assert np.array_equal(played(player, shot, range(2, 21)), shot.result.coordinates[1:])
 
 
 def test_exchange_goes_on_with_other_materials(shot):
     player = part("player").Player(shot.model, shot.character, shot.settings)
-    player.begin(shot.rig[:2])
+    player.begin(shot.computation.rig[:2])
     before = played(player, shot, range(2, 11))
     same = player.exchange(shot.character)
     sets = shot.character.target_sets[0]
@@ -65,8 +65,8 @@ def test_static_morph_targets_play_too(shot):
     build, simulate = part("engine").engine()
     character = shot.character.with_settings(method="STATIC")
     player = simulate.Player(build.build(character), character, shot.settings)
-    assert player.begin(shot.rig[:2]).weights == pytest.approx([1, 0])
-    frame = player.advance(shot.rig[-shot.settings.substeps :], 2)
+    assert player.begin(shot.computation.rig[:2]).weights == pytest.approx([1, 0])
+    frame = player.advance(shot.computation.rig[-shot.settings.substeps :], 2)
     assert frame.weights == pytest.approx([0, 1]) and player.shown(frame).shape == (0,)
 
 
@@ -74,22 +74,22 @@ def test_gains_scale_the_motion_about_the_targets(shot):
     gains = (0.0, 2.0)
     player = part("player").Player(shot.model, shot.character, replace(shot.settings, gains=gains))
     frame = part("player").Frame(9, shot.result.coordinates[8], shot.result.weights[8], {})
-    dry = shot.result.weights[8] @ shot.model.target_coordinates(shot.model.engine(shot.character))
-    motion = frame.coordinates - dry
+    static = shot.result.weights[8] @ shot.model.target_coordinates(shot.model.engine(shot.character))
+    motion = frame.coordinates - static
     assert np.abs(motion).min() > 0
-    assert player.shown(frame) - dry == pytest.approx([0.0, 2 * motion[1], *motion[2:]])
+    assert player.shown(frame) - static == pytest.approx([0.0, 2 * motion[1], *motion[2:]])
     player.amounts.gains = np.zeros(8)
-    assert player.shown(frame) == pytest.approx(dry)
+    assert player.shown(frame) == pytest.approx(static)
 
 
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 3}, {"method": "STATIC"}])
 def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
-    """Also an unreduced one, whose few modes are chosen for the motion."""
+    """Even an unreduced one, whose few modes are chosen for the motion."""
     build, simulate = part("engine").engine()
     character = shot.character.with_settings(**change)
-    bake, _ = simulate.bake(build.build(character), character, shot.rig, shot.settings)
+    bake, _ = simulate.bake(build.build(character), character, shot.computation.rig, shot.settings)
     shapes = np.array([target.shape for target in character.targets])
-    still = replace(bake, coordinates=bake.dry)
+    still = replace(bake, coordinates=bake.static)
     for k in (0, 10, 19):
         expected = np.tensordot(bake.weights[k], shapes, 1)
         assert np.abs(still.displacement(k) - expected).max() < 1e-6 * size(shot)
@@ -99,14 +99,15 @@ def test_without_motion_a_bake_shows_the_targets_shapes(shot, change):
 
 def test_gains_are_baked(shot):
     simulate = part("simulate")
-    bake, _ = simulate.bake(shot.model, shot.character, shot.rig, replace(shot.settings, gains=(0.0,) * 5 + (0.5,) * 9))
-    motion, before = bake.coordinates - bake.dry, shot.result.coordinates - shot.result.dry
+    settings = replace(shot.settings, gains=(0.0,) * 5 + (0.5,) * 9)
+    bake, _ = simulate.bake(shot.model, shot.character, shot.computation.rig, settings)
+    motion, before = bake.coordinates - bake.static, shot.result.coordinates - shot.result.static
     assert np.allclose(motion, before * [0, 0, 0, 0, 0, 0.5, 0.5, 0.5])
 
 
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 40}, {"method": "STATIC"}])
 def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change):
-    """In their poses, and in between as much of each as its weight is."""
+    """In their poses; in between each contributes by its weight."""
     build, simulate = part("engine").engine()
     character = shot.character.with_settings(**change)
     model = build.build(character)
@@ -116,8 +117,8 @@ def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change
         targets = tuple(replace(t, influence=value) for t, value in zip(sets.targets, influence, strict=True))
         shown = replace(character, target_sets=(replace(sets, targets=targets),))
         assert build.stale_reasons(model, shown) == []
-        bake, _ = simulate.bake(model, shown, shot.rig, shot.settings)
-        return np.tensordot(bake.coordinates - bake.dry, bake.modes, 1), bake.weights
+        bake, _ = simulate.bake(model, shown, shot.computation.rig, shot.settings)
+        return np.tensordot(bake.coordinates - bake.static, bake.modes, 1), bake.weights
 
     whole, weights = motion(1.0, 1.0)
     largest = np.abs(whole).max(initial=0.0)
@@ -132,10 +133,11 @@ def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change
 
 
 def held(shot, frames=20):
-    """The rig held at its pose in the middle of the shot, between the targets, where gravity sags the flesh."""
+    """The rig held at its pose in the middle of the shot, between the targets, where gravity sags the tissue."""
     count = 1 + (frames - 1) * shot.settings.substeps
-    middle = shot.rig[len(shot.rig) // 2 :][:1]
-    return type(shot.rig)(*(np.repeat(a, count, axis=0) for a in (middle.pose, middle.rig_world, middle.object_world)))
+    rig = shot.computation.rig
+    middle = rig[len(rig) // 2 :][:1]
+    return type(rig)(*(np.repeat(a, count, axis=0) for a in (middle.pose, middle.rig_world, middle.object_world)))
 
 
 def test_settle_begins_in_balance(shot):
@@ -146,7 +148,7 @@ def test_settle_begins_in_balance(shot):
 def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
     player = part("player").Player(shot.model, shot.character, replace(shot.settings, begin="REST"))
     begun = player.begin(held(shot))
-    assert np.array_equal(begun.coordinates, player.dry(begun.weights))
+    assert np.array_equal(begun.coordinates, player.static(begun.weights))
     free, settled = simulated(shot, held(shot), begin="REST"), simulated(shot, held(shot), begin="SETTLE")
     assert np.array_equal(free[0], begun.coordinates)
     assert np.abs(free[-1] - free[0]).max() > 0.1 * np.abs(settled[0] - free[0]).max() > 0
@@ -155,8 +157,8 @@ def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
 
 
 def test_rest_knows_no_motion_before_the_start(shot):
-    """A rig that already moves at the start hits flesh that begins at rest, and carries along flesh that settled."""
-    rig, still = shot.rig, dict.fromkeys(["gravity"], (0.0, 0.0, 0.0))
+    """A rig that already moves at the start hits tissue that begins at rest, and carries along tissue that settled."""
+    rig, still = shot.computation.rig, dict.fromkeys(["gravity"], (0.0, 0.0, 0.0))
     world = np.array(rig.rig_world)
     world[:, 0, 3] += 3.0 * np.arange(len(world)) * shot.settings.step  # 3 m/s along x
     moving = replace(held(shot), rig_world=world, object_world=world)
@@ -172,7 +174,7 @@ def test_a_pre_roll_can_be_cancelled(shot):
         shot.model, shot.character, settings, keep_going=lambda: len(asked) < 9 and not asked.append(1)
     )
     with pytest.raises(pytest.importorskip("dynamorph").Cancelled):
-        player.begin(shot.rig[:2])
+        player.begin(shot.computation.rig[:2])
     assert len(asked) == 9
 
 
@@ -200,11 +202,11 @@ def baked(obj, frames, preroll=0, pose="ANIMATED", **job):
 
 
 def test_a_run_up_is_what_came_before(shot, swaying):
-    """From the same first frame on to the last bit; from a later one to a hundredth of the motion, which the slowest
+    """From the same first frame on, to the last bit; from a later one, to a hundredth of the motion, which the slowest
     swing forgets in 40 frames.
     """
     bake = baked(swaying, (1, 60)).result
-    whole, motion = bake.coordinates, np.abs(bake.coordinates - bake.dry).max()
+    whole, motion = bake.coordinates, np.abs(bake.coordinates - bake.static).max()
     same = baked(swaying, (50, 60), preroll=49)
     assert same.result.frames.tolist() == list(range(50, 61))
     assert np.array_equal(same.result.coordinates, whole[49:])
@@ -217,26 +219,27 @@ def test_a_run_up_is_what_came_before(shot, swaying):
 def test_a_run_up_comes_in_stretches_too(shot, swaying, tmp_path, monkeypatch):
     whole = baked(swaying, (50, 60), preroll=20)
     batch, errors, share = part("batch"), part("errors"), part("cache_dir").Share(tmp_path)
-    monkeypatch.setattr(part("job"), "STRETCH", 7)
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 7)
     stretched = baked(swaying, (50, 60), preroll=20)
-    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 7)
+    monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 7)
     job = part("job").Job(swaying, "BAKE", (50, 60), share=share)
     steps = batch.Batch([job], "BAKE").steps()
-    while not (job.shot and job.shot.done == 15):  # two stretches
+    next(steps)
+    while not (job.computation.shot and job.computation.done == 15):  # two chunks
         next(steps)
     job.cancelled = True
     with pytest.raises(errors.Cancelled):
         list(steps)
     resumed = part("job").Job(swaying, "BAKE", (50, 60), share=share)
     batch.run(resumed)
-    assert len(resumed.resumed["coordinates"]) >= 8
+    assert len(resumed.input.resumed["coordinates"]) >= 8
     for job in (stretched, resumed):
         assert np.array_equal(job.result.coordinates, whole.result.coordinates)
         assert job.report["steps"] == whole.report["steps"] == 30 * job.settings.substeps
 
 
 def test_extrapolated_curves_run_up_on_their_course(shot, soft_arm):
-    """Flesh that begins at rest is calm when the shot begins, though the rig moves at three metres a second."""
+    """Tissue that begins at rest is calm when the shot begins, although the rig moves at three meters per second."""
     rig = rig_of(soft_arm)
     soft_arm.parent = rig
     rig.animation_data_clear()
@@ -250,9 +253,9 @@ def test_extrapolated_curves_run_up_on_their_course(shot, soft_arm):
             point.interpolation = "LINEAR"
     soft_arm.dynamorph.simulation.begin, soft_arm.dynamorph.simulation.gravity = "REST", 0.0
     running, hit = baked(soft_arm, (1, 20), preroll=80), baked(soft_arm, (1, 20), preroll=80, pose="HELD")
-    travelled = running.rig.object_world[:, 0, 3]
+    travelled = running.computation.rig.object_world[:, 0, 3]
     assert travelled == pytest.approx(np.linspace(-10.0, travelled[-1], len(travelled)), abs=1e-5)
-    calm, jolt = (np.abs(job.result.coordinates - job.result.dry).max() for job in (running, hit))
+    calm, jolt = (np.abs(job.result.coordinates - job.result.static).max() for job in (running, hit))
     assert calm < 1e-3 * jolt and jolt > 0.0
 
 
@@ -288,11 +291,11 @@ def test_samples_between_frames_change_nothing_at_the_frames(shot, soft_arm, cha
     soft_arm.dynamorph.simulation.samples = samples
     fine = baked(soft_arm, (1, 20), substeps=6)
     assert fine.result.frames == pytest.approx(np.arange(19 * samples + 1) / samples + 1)
-    for name in ("frames", "coordinates", "weights", "dry"):
+    for name in ("frames", "coordinates", "weights", "static"):
         assert np.array_equal(getattr(fine.result, name)[::samples], getattr(whole.result, name)), name
     between = fine.result.coordinates[samples // 2 :: samples]
     middle = (whole.result.coordinates[1:] + whole.result.coordinates[:-1]) / 2
-    assert np.abs(between - middle).max() > 1e-3 * np.abs(middle).max()  # no mere interpolation
+    assert np.abs(between - middle).max() > 1e-3 * np.abs(middle).max()  # not merely interpolated
     assert fine.report["steps"] == whole.report["steps"]
     assert fine.summary().startswith("20 frames in ")
 
@@ -309,10 +312,10 @@ def test_samples_come_in_stretches_and_run_up_too(shot, swaying, monkeypatch):
     swaying.dynamorph.simulation.samples = 2
     whole = baked(swaying, (30, 50), preroll=15)
     assert whole.result.frames[:3].tolist() == [30.0, 30.5, 31.0] and len(whole.result.coordinates) == 41
-    monkeypatch.setattr(part("job"), "STRETCH", 4)
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 4)
     stretched = baked(swaying, (30, 50), preroll=15)
     assert np.array_equal(stretched.result.coordinates, whole.result.coordinates)
-    assert len(stretched.rig) <= 4 * stretched.settings.substeps
+    assert len(stretched.computation.rig) <= 4 * stretched.settings.substeps
 
 
 @pytest.mark.parametrize("done", [2, 5, 20])
@@ -320,22 +323,22 @@ def test_samples_go_on_where_another_process_was_stopped(shot, done):
     simulate = part("simulate")
     settings = replace(shot.settings, substeps=5, samples=5)
     whole = simulate.Shot(shot.model, shot.character, settings)
-    whole.play(shot.rig)
+    whole.play(shot.computation.rig)
     begun, other = (simulate.Shot(shot.model, shot.character, settings) for _ in range(2))
-    begun.play(shot.rig[: 1 + (done - 1) * 5])
-    other.resume(begun.kept(), shot.rig[:1])
+    begun.play(shot.computation.rig[: 1 + (done - 1) * 5])
+    other.resume(begun.kept(), shot.computation.rig[:1])
     assert settings.reached(other.done) == done
     if not other.is_complete:
-        other.play(shot.rig[1 + (done - 1) * 5 :])
+        other.play(shot.computation.rig[1 + (done - 1) * 5 :])
     (bake, report), (expected, full) = other.bake(), whole.bake()
     assert np.array_equal(bake.coordinates, expected.coordinates) and report["steps"] == full["steps"]
 
 
 def test_warnings_name_whole_frames(shot):
     settings = replace(shot.settings, samples=shot.settings.substeps)
-    world = np.array(shot.rig.rig_world)
+    world = np.array(shot.computation.rig.rig_world)
     world[3 * settings.substeps + 2 :, 0, 3] += 50.0  # a cut between frames 4 and 5
-    cut = replace(shot.rig, rig_world=world, object_world=world)
+    cut = replace(shot.computation.rig, rig_world=world, object_world=world)
     _, report = part("simulate").bake(shot.model, shot.character, cut, settings)
     assert [text for text in report["warnings"] if "jumps" in text] == [
         "The rig jumps at frame 5: the soft skin was carried along"
@@ -399,7 +402,7 @@ def test_a_loop_closes(shot, travel):
 
 
 def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
-    """What flesh that is too soft for accelerated passes falls back to."""
+    """What tissue that is too soft for accelerated passes falls back to."""
     loops = part("loops")
     rig, settings = cyclic(shot), replace(shot.settings, end=12, loop=True)
     found, steps = [], []
@@ -417,7 +420,7 @@ def test_newtons_method_finds_the_same_loop(shot, monkeypatch):
 
 
 def test_a_loop_closes_in_velocity_too(shot):
-    """Flesh that springs back undamped crosses its place at the start of a pass long before it does so as fast."""
+    """Undamped tissue crosses its place at the start of a pass long before it does so with the same velocity."""
     rig = cyclic(shot)
     sets = shot.character.target_sets[0]
     springy = {"stiffness": 1e6, "mass_damping": 0.0, "stiffness_damping": 0.0}
@@ -440,7 +443,7 @@ def test_a_loop_closes_in_velocity_too(shot):
 
 
 class Map:
-    """In the place of a loop: an affine map of six numbers."""
+    """Replaces a loop: an affine map of six numbers."""
 
     def __init__(self, factor):
         random = np.random.default_rng(0)
@@ -460,7 +463,7 @@ class Map:
 
 
 def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
-    """Where passes alone would need thousands."""
+    """Passes alone would need thousands."""
     loop = Map(0.999)
     assert part("loops")._accelerate(loop)
     assert loop.passes <= 9
@@ -468,7 +471,7 @@ def test_a_fixed_point_is_found_in_as_many_passes_as_it_has_dimensions():
 
 @pytest.mark.parametrize("factor", [0.999, 1.5, 0.0])
 def test_newtons_method_finds_fixed_points(factor):
-    """That passes alone hardly come nearer to, or leave; or one that they meet at once."""
+    """Some that passes alone hardly approach, or that they leave; or one that they reach at once."""
     loop = Map(factor)
     part("loops")._newton(loop)
     assert loop.is_closed
@@ -508,7 +511,7 @@ def test_a_loop_closes_whatever_its_targets_hide(shot):
     )
     assert report["gap"] == before["gap"]
     assert np.abs(bake.displacement(11) - bake.displacement(0)).max() < 1e-6 * size(shot)
-    shown = open_.dry + open_.weights[:, 1:] * (open_.coordinates - open_.dry)
+    shown = open_.static + open_.weights[:, 1:] * (open_.coordinates - open_.static)
     assert bake.coordinates == pytest.approx(shown, abs=1e-9)
 
 
@@ -538,12 +541,12 @@ def test_a_loop_reports_its_passes_and_can_be_cancelled(shot):
 
 @pytest.mark.parametrize("frames", [1, 3, 7, 19])
 def test_a_shot_in_stretches_is_the_shot(soft_arm, shot, frames, monkeypatch):
-    """The same bytes, however long they are; the rig is read again at each."""
+    """The same bytes, however long the chunks are; the rig is read again for each."""
     batch = part("batch")
-    monkeypatch.setattr(part("job"), "STRETCH", frames)
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", frames)
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.run(job)
-    for name in ("frames", "coordinates", "weights", "dry"):
+    for name in ("frames", "coordinates", "weights", "static"):
         assert np.array_equal(getattr(job.result, name), getattr(shot.result, name)), name
     assert job.report["steps"] == shot.report["steps"] and job.report["energy"] == shot.report["energy"]
 
@@ -552,12 +555,12 @@ def test_a_shot_in_stretches_is_the_shot(soft_arm, shot, frames, monkeypatch):
 def test_a_shot_goes_on_where_another_process_was_stopped(shot, done):
     simulate, substeps = part("simulate"), shot.settings.substeps
     begun = simulate.Shot(shot.model, shot.character, shot.settings)
-    begun.play(shot.rig[: 1 + (done - 1) * substeps])
+    begun.play(shot.computation.rig[: 1 + (done - 1) * substeps])
     kept = {name: array.copy() for name, array in begun.kept().items()}
     other = simulate.Shot(shot.model, shot.character, shot.settings)
-    other.resume(kept, shot.rig[:1])
+    other.resume(kept, shot.computation.rig[:1])
     assert other.done == done
-    other.play(shot.rig[1 + (done - 1) * substeps :])
+    other.play(shot.computation.rig[1 + (done - 1) * substeps :])
     bake, report = other.bake()
     assert np.array_equal(bake.coordinates, shot.result.coordinates)
     assert report["steps"] == shot.report["steps"] and report["iterations"] == shot.report["iterations"]
@@ -590,7 +593,7 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
     same = rebaked(soft_arm, 8, 15)
     assert same.report["seam"] < 1e-5
     assert np.abs(shown_at(soft_arm, range(1, 21)) - before).max() < 1e-5
-    assert len(same.written[0][0].modes) <= len(shot.result.modes) + 2
+    assert len(same.outcome.written[0][0].modes) <= len(shot.result.modes) + 2
 
     lower = rig_of(soft_arm).pose.bones["lower"]
     for frame, angle in ((1, 0.0), (10, 0.0), (12, 0.5), (14, 0.0), (20, 0.0)):
@@ -600,7 +603,7 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
     assert job.settings.run_up == 5  # as far as the bake goes back, a second otherwise
     assert part("staleness").outdated(soft_arm) == []
     mixed = shown_at(soft_arm, range(1, 21))
-    assert [float(frame) for frame in part("bake").read_back(soft_arm).frames] == list(range(1, 21))
+    assert [float(frame) for frame in part("bake_reading").read_back(soft_arm).frames] == list(range(1, 21))
     soft_arm.dynamorph.simulation.keep_outside = False
     soft_arm.dynamorph.simulation.start = 1
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
@@ -610,12 +613,13 @@ def test_a_range_is_baked_into_the_rest(scene, shot, soft_arm):
 
 
 def test_frames_that_do_not_adjoin_are_refused(shot, soft_arm):
-    with pytest.raises(ValueError, match="frames 40 to 50 are not next to those of the last bake, 1 to 20"):
+    words = "frames 40 to 50 are not next to those of the last bake, 1 to 20"
+    with pytest.raises(part("errors").SceneError, match=words):
         rebaked(soft_arm, 40, 50)
 
 
 def test_a_bake_is_made_longer(shot, soft_arm):
-    """As if it had been baked in one: there is nothing to blend with."""
+    """As if it had been baked in one piece: there is nothing to blend with."""
     rig_of(soft_arm).pose.bones["lower"].rotation_euler.x = 0.5
     rig_of(soft_arm).pose.bones["lower"].keyframe_insert("rotation_euler", frame=30)
     part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
@@ -644,7 +648,7 @@ def test_a_range_is_baked_into_other_sinks(shot, soft_arm, tmp_path, sink):
 
 
 def test_numbers_that_are_none_are_refused_before_keys_are_made(shot, soft_arm, tmp_path, monkeypatch):
-    """And before a file of a point cache is written."""
+    """And before the file of a point cache is written."""
     simulate, errors, batch, job = part("simulate"), part("errors"), part("batch"), part("job")
     whole = simulate.Shot.bake
 
@@ -675,7 +679,8 @@ def test_a_loop_that_comes_to_no_numbers_ends(bad):
 def test_too_many_keys_are_refused_by_name(shot, soft_arm, monkeypatch):
     monkeypatch.setattr(part("keys"), "MOST_KEYS", 10)
     soft_arm.dynamorph.output.sink = "FRAMES"
-    with pytest.raises(ValueError, match="'Arm': 20 shape keys are too many, 10 are the most: raise Frame Step"):
+    words = "'Arm': 20 shape keys are too many, 10 are the most: raise Frame Step"
+    with pytest.raises(part("errors").SceneError, match=words):
         part("batch").run(part("job").Job(soft_arm, goal="BAKE"))
 
 
@@ -707,13 +712,13 @@ def test_free_bake_forgets_a_cache_whose_modifier_was_removed(shot, soft_arm, tm
 def test_a_point_cache_cannot_be_baked_in_parts(shot, soft_arm, tmp_path):
     soft_arm.dynamorph.output.sink = "PC2"
     part("batch").run(part("job").Job(soft_arm, goal="BAKE", folder=tmp_path))
-    with pytest.raises(ValueError, match="bake to shape keys first"):
+    with pytest.raises(part("errors").SinkError, match="bake to shape keys first"):
         rebaked(soft_arm, 8, 15, folder=tmp_path)
 
 
 @pytest.mark.parametrize("preserve_volume", [False, True])
 def test_a_point_cache_is_baked_again(shot, soft_arm, tmp_path, preserve_volume):
-    """What it plays is no part of what it is made from."""
+    """The bake does not depend on the cache that it plays."""
     soft_arm.modifiers["Armature"].use_deform_preserve_volume = preserve_volume
     soft_arm.dynamorph.output.sink = "PC2"
     baked = [part("job").Job(soft_arm, goal="BAKE", folder=tmp_path) for _ in range(2)]

@@ -135,7 +135,7 @@ def test_a_choice_of_the_artist_has_no_reason(figure):
 
 
 def test_a_soft_skin_goes_on_the_body(scene):
-    """Not on a helmet that is active, and when the armature is, on its softest mesh."""
+    """Not on an active helmet; if the armature is active, on its softest mesh."""
     found = make_figure(scene)
     activate(found["Eye"])
     OPS.add_soft_skin()
@@ -205,7 +205,7 @@ def test_seams_stay_closed_in_a_part_that_is_baked_again(figure):
 
 
 def test_seams_stay_closed_where_blender_poses_the_nodes(figure):
-    """With Preserve Volume the bones do not say where the nodes are."""
+    """With Preserve Volume the bones do not determine where the nodes are."""
     for name in ("Body", "Top", "Cap"):
         figure[name].modifiers["Armature"].use_deform_preserve_volume = True
     job = bake(figure["Body"])
@@ -257,17 +257,17 @@ def test_a_build_notices_what_has_changed_in_any_mesh(figure):
 
 def test_nothing_is_written_unless_all_can_be(figure):
     job = part("job").Job(figure["Body"], goal="BAKE")
-    job.prepare()
-    job.start()
-    job.wait()
+    batch = part("batch").Batch([job], "BAKE")
+    list(batch.read())
+    list(batch.compute())
     figure["Top"].data.vertices.add(1)
-    with pytest.raises(ValueError, match="'Top' changed while the job ran"):
-        job.target()
+    with pytest.raises(part("errors").SceneError, match="'Top' changed while the job ran"):
+        list(batch.write())
 
 
 @pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD"])
 def test_an_export_takes_all_meshes_along(figure, tmp_path, key):
-    """Also the rigid ones, and what is parented to a bone."""
+    """Including the rigid ones, and what is parented to a bone."""
     export_actions, exports, losses, body = part("export_actions"), part("exports"), part("losses"), figure["Body"]
     if not exports.FORMATS[key].is_available:
         pytest.skip("not in this Blender")
@@ -322,7 +322,7 @@ def test_an_export_without_a_bake_is_refused_before_the_file_browser(figure):
 
 
 def test_a_sculpt_goes_on_across_a_seam(figure):
-    """The nearest skin is carried, less and less with the distance."""
+    """The nearest skin takes it over, less and less with the distance."""
     body = figure["Body"]
     points = part("mesh_data").rest_points(body)
     body.dynamorph.model.method = "DYNAMIC"
@@ -352,7 +352,7 @@ def test_soft_groups_of_the_other_meshes_count(figure):
     seam = character.coincident[character.parts[0].members] < character.own.stop
     assert (character.softness[character.own] == 1.0).all()
     assert character.softness[character.parts[0].members][~seam][:-16] == pytest.approx(0.25)
-    assert (character.softness[character.parts[1].members] == 0.0).all()  # held all the same
+    assert (character.softness[character.parts[1].members] == 0.0).all()  # held nevertheless
 
 
 def test_softness_from_the_hold_goes_to_all_meshes_of_the_body(figure):
@@ -427,7 +427,7 @@ def hard_robot(scene):
 def test_a_wholly_hard_character_is_recognised(scene):
     obj = hard_robot(scene)
     OPS.add_soft_skin()
-    text = "'Merged': nothing soft found: paint Softness"
+    text = "'Merged': nothing soft found: paint the Softness Map"
     assert obj.dynamorph.targets and obj.dynamorph.model.warnings == text
     assert text in " ".join(drawn(obj))
     obj.dynamorph.model.method = "SINGLE"
@@ -462,7 +462,7 @@ def test_a_jelly_on_one_bone_is_soft(scene):
 
 
 def test_skin_that_shares_points_with_what_a_bone_carries_stays_there(figure):
-    """What is parented to a bone has no keys, so that the skin must not move away from it."""
+    """Objects that are parented to a bone have no keys, so the skin must not move away from them."""
     body = figure["Body"]
     points, faces = tube_between(-0.3, 0.0, 3, closed=(True, False))
     boot = make_mesh(bpy.context.scene, "Boot", points, faces)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Badges: what has changed since the build and the bake, in sentences that go when the change goes."""
+"""Lists of what has changed since the build and the bake, in sentences that disappear when the change is undone."""
 
 import json
 
 import bpy
 import pytest
-from builders import part, rig_of, soon
+from builders import part, refused, rig_of, soon
 from costs import cost
 from layout import drawn
 
@@ -35,14 +35,14 @@ SETTINGS = [
     ("targets[0].mass_damping", 3.0, 'mass damping of "Neutral" changed'),
     ("targets[1].radius", 0.5, 'radius of "flexed" changed'),
     ("targets[1].region", "lower", 'region of "flexed" changed'),
-    ("model.modes", 7, "Modes changed"),
+    ("model.modes", 7, "Detail (Modes) changed"),
     ("model.blending", "FORCES", "Blending changed"),
-    ("soft_group", "lower", "Soft group changed"),
-    ("simulation.substeps", 9, "Substeps changed"),
-    ("simulation.scheme", "EULER", "Scheme changed"),
+    ("soft_group", "lower", "Softness Map changed"),
+    ("simulation.substeps", 9, "Substeps Per Frame changed"),
+    ("simulation.scheme", "EULER", "Integrator changed"),
     ("simulation.gravity", 0.5, "Gravity changed"),
     ("simulation.fields", 0.5, "Force Fields changed"),
-    ("simulation.begin", "REST", "Begin changed"),
+    ("simulation.begin", "REST", "Initial State changed"),
     ("simulation.amount", 0.5, "Amount changed"),
     ("simulation.preroll", 9, "Pre-Roll changed"),
     ("simulation.loop", True, "Loop changed"),
@@ -61,8 +61,8 @@ def test_a_setting_is_named_until_it_is_set_back(baked, path, value, sentence):
 
 
 SCENE = [
-    ("frame_end", 30, "End changed"),
-    ("frame_start", -3, "Start changed"),
+    ("frame_end", 30, "Frame End changed"),
+    ("frame_start", -3, "Frame Start changed"),
     ("render.fps", 24_000, "Frame rate changed"),
     ("use_gravity", False, "Gravity changed"),
 ]
@@ -100,7 +100,7 @@ def test_targets_that_come_go_are_renamed_or_muted(scene, baked):
 
 
 def test_another_target_in_the_place_of_one_is_no_rename(scene, baked):
-    """Though the two come and go together, as a renamed one does."""
+    """Although the two change at the same time, as in a rename."""
     baked.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.remove_target()
     scene.frame_set(20)
@@ -112,7 +112,7 @@ def test_another_target_in_the_place_of_one_is_no_rename(scene, baked):
 
 
 def test_records_from_before_know_no_sculpts(baked):
-    """Whoever has gone for another one is taken for renamed, as it was then."""
+    """A target that replaced another one counts as renamed, as it did then."""
     record = baked.dynamorph.model
     built = json.loads(record.built)
     for target in built["targets"].values():
@@ -179,7 +179,7 @@ def test_the_rig_s_animation_is_named_until_it_is_as_before(baked):
     point = curve_of(rig).keyframe_points[1]
     before = point.co.y
     point.co.y += 0.1
-    assert outdated(baked) == []  # drawing does not look
+    assert outdated(baked) == []  # drawing does not examine it
     assert looked(baked) == ['animation of "Arm Rig" changed']
     point.co.y = before
     assert looked(baked) == []
@@ -232,7 +232,7 @@ def test_the_badge_names_three(baked):
     assert 'Out of date: stiffness of "flexed" changed' in " ".join(drawn(baked))
     simulation = baked.dynamorph.simulation
     simulation.substeps, simulation.scheme, simulation.gravity, simulation.loop = 9, "EULER", 0.5, True
-    assert "Substeps changed, Scheme changed, and 2 more" in " ".join(drawn(baked))
+    assert "Substeps Per Frame changed, Integrator changed, and 2 more" in " ".join(drawn(baked))
 
 
 def test_a_bake_is_up_to_date_after_loading(baked, tmp_path):
@@ -271,7 +271,7 @@ def test_drawing_is_cheap(soft_arm, stand_in):
 
 
 def test_a_bake_says_what_it_was_made_from_and_what_came_of_it(scene, baked):
-    """By hashes that are the same again for the same scene."""
+    """With hashes that are equal for the same scene."""
     record = baked.dynamorph.bake
     before = record.content_id, record.digest
     assert all(len(digest) == 64 for digest in before)
@@ -285,3 +285,119 @@ def test_a_bake_says_what_it_was_made_from_and_what_came_of_it(scene, baked):
 def test_another_engine_counts(monkeypatch, baked):
     monkeypatch.setattr(part("staleness"), "ENGINE", 2)
     assert outdated(baked) == ["Engine changed"] == model_changes(baked)
+
+
+# Out of date, or not -----------------------------------------------------------------------------------------------
+
+
+def test_a_range_within_the_baked_one_is_no_change(scene, baked):
+    scene.frame_start, scene.frame_end = 5, 15
+    assert outdated(baked) == []
+    scene.frame_end = 25
+    assert outdated(baked) == ["Frame End changed"]
+    scene.frame_start, scene.frame_end = 0, 15
+    assert outdated(baked) == ["Frame Start changed"]
+    simulation = baked.dynamorph.simulation
+    simulation.use_scene_range, simulation.start, simulation.end = False, 3, 4
+    assert outdated(baked) == []
+
+
+def test_the_range_of_a_loop_is_part_of_it(scene, soft_arm, stand_in):
+    soft_arm.dynamorph.simulation.loop = True
+    bpy.ops.dynamorph.bake()
+    assert outdated(soft_arm) == []
+    scene.frame_start = 5
+    assert outdated(soft_arm) == ["Frame Start changed"]
+
+
+# What the .blend says of itself ------------------------------------------------------------------------------------
+
+
+BAD = [
+    "nonsense", "null", "[]", "{}", "7", '"text"', '{"targets": 3}', '{"targets": {"": []}}', "[" * 100_000,
+    '{"version": 99, "targets": {}, "animation": [], "content_id": ""}',
+    '{"version": "1", "targets": {}, "animation": [], "content_id": ""}',
+    '{"targets": {}, "animation": [[1, 2, 3]], "content_id": ""}',
+    '{"targets": {}, "animation": [], "content_id": 5}',
+    '{"targets": {}, "simulation": [], "animation": [], "content_id": ""}',
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_a_record_of_a_bake_that_cannot_be_read_is_a_sentence(baked, text):
+    unreadable = "The record of the last bake cannot be read: bake again"
+    baked.dynamorph.bake.inputs = text
+    assert outdated(baked) == [unreadable] and unreadable in " ".join(drawn(baked)).replace("  ", " ")
+    bpy.ops.dynamorph.bake()
+    assert outdated(baked) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["nonsense", "null", "{}", "[[1]]", '[["a", "b", "c"]]', '{"animation": 3}', "9" * 999]
+)
+def test_a_record_of_an_animation_that_cannot_be_read_is_a_sentence(baked, text):
+    baked.dynamorph.bake.animation = text
+    assert outdated(baked) == ["The record of the last bake cannot be read: bake again"]
+    assert looked(baked) == []
+
+
+@pytest.mark.parametrize("text", [text for text in BAD if '"targets": {}' not in text or "version" in text])
+def test_a_record_of_a_build_that_cannot_be_read_is_a_sentence(baked, text):
+    unreadable = "The record of the last build cannot be read: press Build Model"
+    baked.dynamorph.model.built = text
+    assert model_changes(baked) == [unreadable] and unreadable in " ".join(drawn(baked))
+    part("storage").show_stale(baked)
+    bpy.ops.dynamorph.build()
+    assert model_changes(baked) == []
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_a_verdict_that_cannot_be_read_is_a_sentence(baked, text):
+    baked.dynamorph.bake.verdict = text
+    assert "The verdict on this bake cannot be read: bake again" in " ".join(drawn(baked))
+
+
+def test_records_have_a_version_and_older_ones_have_none(baked):
+    model, bake = baked.dynamorph.model, baked.dynamorph.bake
+    looked(baked)
+    for record, name in ((model, "built"), (bake, "inputs"), (bake, "animation"), (bake, "verdict")):
+        values = json.loads(getattr(record, name))
+        assert values.pop("version") == 1
+        setattr(record, name, json.dumps(values["animation"] if name == "animation" else values))
+    assert outdated(baked) == [] == model_changes(baked)
+    baked.dynamorph.targets[1].stiffness = 5e5
+    assert outdated(baked) == ['stiffness of "flexed" changed']
+
+
+def test_a_set_of_settings_with_unknown_fields_is_put_without_them(baked):
+    settings = baked.dynamorph
+    bpy.ops.dynamorph.copy_slot()
+    other = json.loads(settings.live.other)
+    assert other["version"] == 1
+    other["materials"]["flexed"] |= {"stiffness": 7e4, "warmth": 3.0, "density": "heavy"}
+    del other["materials"]["flexed"]["poisson"]
+    other["simulation"] |= {"substeps": 9, "speed": 1, "scheme": "RK4", "amount": [1]}
+    settings.live.other = json.dumps(other)
+    before = settings.targets[1].material()
+    bpy.ops.dynamorph.swap_slot()
+    after = settings.targets[1].material()
+    assert after.stiffness == 7e4 and (after.density, after.poisson) == (before.density, before.poisson)
+    simulation = settings.simulation
+    assert (simulation.substeps, simulation.scheme, simulation.amount) == (9, "BDF2", 1.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nonsense", "[]", "{}", '{"version": 99}', '{"materials": [], "simulation": {}, "gains": []}',
+        '{"materials": {}, "simulation": {}, "gains": ["a"]}',
+    ],
+)  # fmt: skip
+def test_a_set_of_settings_that_cannot_be_read_is_refused(baked, text):
+    live = baked.dynamorph.live
+    live.other = text
+    refused(bpy.ops.dynamorph.swap_slot, "The other set of settings cannot be read: press Copy")
+    assert live.slot == "A" and live.other == text
+    bpy.ops.dynamorph.copy_slot()
+    bpy.ops.dynamorph.swap_slot()
+    assert live.slot == "B"

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Nine characters that nobody here made, messy as they are: opened, made soft, built, baked, baked again and freed."""
+"""Nine characters, most of them made elsewhere and messy as they are: opened, made soft, built, baked, baked again and
+deleted.
+"""
 
 from dataclasses import replace
 
@@ -20,7 +22,7 @@ def opened(shot):
 
 @pytest.fixture(scope="module", params=characters.SHOTS.values(), ids=list(characters.SHOTS))
 def baked_from(addon, request):
-    """A character as its bake has found it (`fingerprint`), and the bake."""
+    """A character as its bake found it (`fingerprint`), and the bake."""
     body = opened(request.param)
     return fingerprint(body), characters.bake(part("batch"), body)
 
@@ -30,12 +32,12 @@ def baked(baked_from):
     return baked_from[1]
 
 
-def test_the_flesh_moves_but_stays_on_the_body(baked):
+def test_the_tissue_moves_but_stays_on_the_body(baked):
     moved = baked.displacements
     assert np.isfinite(moved).all()
     assert 1e-3 * baked.size < np.linalg.norm(moved, axis=2).max() < 0.5 * baked.size
     swings = np.linalg.norm(np.ptp(moved, axis=0), axis=1)
-    assert swings.max() > 1e-3 * baked.size  # it does not only sag
+    assert swings.max() > 1e-3 * baked.size  # it swings instead of only sagging
 
 
 def test_the_skin_is_inside_its_cage(baked):
@@ -49,7 +51,7 @@ def test_blender_shows_what_the_engine_computed(baked):
 def test_a_second_bake_is_the_first_and_free_bake_restores(baked_from):
     before, baked = baked_from
     again = characters.bake(part("batch"), baked.body).job
-    assert again.reasons == []  # the model is as good as new
+    assert again.reasons == []  # the model is equivalent to a new one
     np.testing.assert_array_equal(again.result.coordinates, baked.job.result.coordinates)
     part("bake").free(baked.body)
     bpy.context.scene.frame_set(bpy.context.scene.frame_start)
@@ -58,7 +60,7 @@ def test_a_second_bake_is_the_first_and_free_bake_restores(baked_from):
 
 @pytest.mark.parametrize("name", ["Fox", "T-rex"])
 def test_a_body_of_no_likely_size_is_baked_all_the_same(addon, name):
-    """As it was imported, tens of metres long and far too soft for that: warned of, and still finite."""
+    """As imported, tens of meters long and far too soft for that: there is a warning, and the bake is finite."""
     body = opened(replace(characters.SHOTS[name], scale=1.0))
     assert "check the scale" in body.dynamorph.model.warnings
     baked = characters.bake(part("batch"), body)

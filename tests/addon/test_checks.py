@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in the way is named, and what a button can put right it does; the cage and its painted groups."""
+"""Problems are named, and a button fixes those that it can fix; the cage and its painted groups."""
 
 import bpy
 import numpy as np
@@ -93,7 +93,7 @@ def test_one_button_puts_it_right_and_undo_brings_it_back(soft_arm, spoil, fix):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
     bpy.ops.ed.undo_push(message="fixed")
     bpy.ops.ed.undo()
-    if fix != "LEAVE_EDIT_MODE":  # Blender undoes within Edit Mode by other steps
+    if fix != "LEAVE_EDIT_MODE":  # Blender uses other undo steps within Edit Mode
         assert fixes(bpy.data.objects["Arm"]) == [fix]
 
 
@@ -181,7 +181,7 @@ def test_problems_come_in_the_order_of_work(soft_arm):
 
 
 def two_armatures_disabled(obj):
-    """Twice the same armature, so that each problem of it is said once."""
+    """The same armature twice, so that each of its problems is reported once."""
     two_armatures(obj)
     obj.modifiers["Second"].show_viewport = False
     rig_of(obj).hide_viewport = True
@@ -245,12 +245,12 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
         "bone envelopes",
         "rest position",
         "Envelope Multiply",
-        " m long: check the scale",
+        " m long and will move like something of that size: check the scale",
         "3 of the 272 vertices of 'Arm' have no",
     ):
         assert words in warnings
     assert len(arm.dynamorph.targets) == 1
-    shown = " ".join(drawn(arm))  # what the reports say stays to be read, each once
+    shown = " ".join(drawn(arm))  # the reports stay readable, each once
     assert (
         shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' is skinned by") == 1
     )
@@ -351,8 +351,8 @@ def test_fitting_to_the_shot_needs_no_shot_for_the_cage(coarse_arm):
     with_target(coarse_arm)
     coarse_arm.dynamorph.model.fit_to_shot = True
     job = part("job").Job(coarse_arm, goal="BUILD_CAGE")
-    job.prepare()
-    assert job.rig is None
+    list(part("batch").Batch([job], "BUILD_CAGE").read())
+    assert not job.input.has_shot
 
 
 # Painted groups ----------------------------------------------------------------------------------------------------
@@ -415,7 +415,7 @@ def test_the_first_stroke_shows(soft_arm, which, first):
     tools = bpy.context.scene.tool_settings
     (getattr(tools.weight_paint, "unified_paint_settings", None) or tools.unified_paint_settings).weight = 0.25
     OPS.paint_group(which=which)
-    assert brush_weight() == 0.25  # once something is painted it is the artist's
+    assert brush_weight() == 0.25  # a painted map belongs to the artist
 
 
 @pytest.fixture
@@ -471,7 +471,7 @@ def test_stiffness_group(soft_arm):
     stiffness = extract.character(soft_arm).stiffness
     np.testing.assert_allclose(stiffness[:5], [1.0, 3.0, 3.0, 9.0, 1.0])
     soft_arm.dynamorph.stiffness_factor = float("nan")
-    with pytest.raises(errors.SceneError, match="Factor of the Stiffness group is not a number"):
+    with pytest.raises(errors.SceneError, match="Stiffness Factor is not a number"):
         extract.character(soft_arm)
     soft_arm.dynamorph.stiffness_group = "Gone"
     soft_arm.dynamorph.stiffness_factor = 4.0
@@ -483,7 +483,7 @@ def test_painting_makes_the_model_old(coarse_arm):
     with_target(coarse_arm)
     OPS.build()
     OPS.paint_group(which="STIFFNESS")
-    assert part("staleness").model_changes(coarse_arm) == ["Stiffness group changed"]
+    assert part("staleness").model_changes(coarse_arm) == ["Stiffness Map changed"]
     OPS.paint_group(which="STIFFNESS")
     OPS.bake()
     assert part("staleness").model_changes(coarse_arm) == []  # nothing is painted

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: the same work as the button, exit codes, nothing written unless all went well."""
+"""The command line: the same work as the buttons, exit codes, and nothing written unless everything succeeded."""
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -53,7 +54,7 @@ def test_bake_writes_another_file(shot, run, stand_in):
     assert bake_of(output, "Arm") == ["Dynamorph Mode 01", "Dynamorph Mode 02", "Dynamorph Mode 03"]
     code, out, _ = run("info", output, "--object", "Arm")
     assert code == 0 and "state: up to date" in out and "bake: 3 keys, 10 frames" in out
-    code, out, _ = run("free", output, "--object", "Arm", "--in-place")
+    code, out, _ = run("delete-bake", output, "--object", "Arm", "--in-place")
     assert code == 0 and "3 baked keys removed" in out
     assert bake_of(output, "Arm") == []
 
@@ -73,13 +74,16 @@ def test_model_settings_by_the_names_of_the_panel(shot, run, stand_in):
 
 def test_loops_and_what_is_out_of_date(shot, run, stand_in):
     output = shot.parent / "baked.blend"
-    code, out, _ = run("bake", shot, "--object", "Arm", "--loop", "--begin", "rest", "--preroll", 3, "-o", output)
+    code, out, _ = run(
+        "bake", shot, "--object", "Arm", "--loop", "--initial-state", "rest", "--preroll", 3, "-o", output
+    )
     assert code == 0 and "loop gap" in out and "0.03 mm" in out
     bpy.ops.wm.open_mainfile(filepath=str(output))
     arm = bpy.data.objects["Arm"]
     assert "loop gap 0.03 mm" in arm.dynamorph.bake.summary
     assert (arm.dynamorph.simulation.begin, arm.dynamorph.simulation.preroll) == ("REST", 3)
     assert "bake state: up to date" in run("info", output, "--object", "Arm")[1]
+    assert "files beside the .blend: none" in run("info", output, "--object", "Arm")[1]
     bpy.data.objects["Arm"].dynamorph.targets[1].stiffness = 5e5
     bpy.data.objects["Arm Rig"].keyframe_insert("location", frame=3)
     code, out, _ = run("info", "--object", "Arm", opens_file=False)
@@ -115,7 +119,7 @@ def test_large_models_follow_the_output(shot, run, stand_in, tmp_path, monkeypat
     "arguments, words",
     [
         (["bake", "{shot}", "--object", "Arm"], "say where the bake goes"),
-        (["free", "{shot}", "--object", "Arm"], "--output --in-place is required"),
+        (["delete-bake", "{shot}", "--object", "Arm"], "--output --in-place is required"),
         (["bake", "{shot}", "-o", "{out}"], "--object --all is required"),
         (["bake", "{shot}", "--object", "Nope", "-o", "{out}"], "no object named 'Nope'"),
         (["bake", "{shot}.nope", "--object", "Arm", "-o", "{out}"], "there is no file"),
@@ -198,7 +202,7 @@ def interrupt(shot, run, stand_in):
 
 
 def test_blenders_own_ctrl_c_handler(shot, run, monkeypatch):
-    """It is set in C: Python calls it None, and does not take None back."""
+    """It is set in C: Python reports it as None, and does not accept None."""
     install = signal.signal
     monkeypatch.setattr(signal, "signal", lambda number, handler: install(number, handler) and None)
     assert run("info", shot)[0] == 0
@@ -243,7 +247,7 @@ def test_check_lists_what_is_in_the_way(shot, run):
     bpy.data.objects["Leg"].dynamorph.targets[1].pose.clear()
     bpy.ops.wm.save_mainfile()
     code, out, errors = run("check", shot, "--all")
-    assert code == 2 and "Arm: error: 'Arm' is skinned by bone envelopes" in out and "in the way" in errors
+    assert code == 2 and "Arm: error: 'Arm' is skinned by bone envelopes" in out and "2 problems found" in errors
 
 
 def test_wedges_set_what_targets_are_made_of(shot, run, stand_in):
@@ -282,7 +286,7 @@ def test_reports(shot, run, stand_in):
     assert arm["bake"]["frames"] == [1, 20] and arm["bake"]["steps"] == 100 and arm["bake"]["max_displacement"] > 0
     assert run(*bake)[0] == 0
     assert json.loads(path.read_text())["characters"][0]["bake"]["hash"] == arm["bake"]["hash"]
-    stand_in.fail = ValueError("it went wrong")
+    stand_in.fail = part("errors").SceneError("it went wrong")
     assert run(*bake)[0] == 2
     found = json.loads(path.read_text())
     assert found["exit_code"] == 2 and "it went wrong" in found["error"] and found["characters"] == []
@@ -315,10 +319,10 @@ def test_collect_makes_one_page_of_many_bakes(shot, run, stand_in, tmp_path):
 # What a bake becomes ------------------------------------------------------------------------------------------------
 
 
-def test_a_sink_that_plays_in_blender(shot, run):
+def test_a_format_that_plays_in_blender(shot, run):
     output = shot.parent / "elsewhere" / "baked.blend"
     output.parent.mkdir()
-    code, out, errors = run("bake", shot, "--object", "Arm", "--sink", "pc2", "-o", output)
+    code, out, errors = run("bake", shot, "--object", "Arm", "--format", "pc2", "-o", output)
     assert code == 0, errors
     bpy.ops.wm.open_mainfile(filepath=str(output))
     modifier = bpy.data.objects["Arm"].modifiers[0]
@@ -326,20 +330,22 @@ def test_a_sink_that_plays_in_blender(shot, run):
     assert Path(bpy.path.abspath(modifier.filepath)).parent == output.parent / "dynamorph_caches"
     assert Path(bpy.path.abspath(modifier.filepath)).is_file()
     again = shot.parent / "again.blend"
-    code, out, errors = run("bake", output, "--object", "Arm", "--sink", "modes", "--keys", 2, "-o", again)
+    code, out, errors = run("bake", output, "--object", "Arm", "--format", "modes", "--keys", 2, "-o", again)
     assert code == 0, errors
     assert "keys' error" in out
     assert len(bake_of(again, "Arm")) == 2 and len(bpy.data.objects["Arm"].modifiers) == 1
 
 
-def test_a_sink_that_is_a_file_for_other_programs(shot, run):
-    code, out, errors = run("bake", shot, "--object", "Arm", "--sink", "raw")
+def test_a_format_that_is_a_file_for_other_programs(shot, run):
+    code, out, errors = run("bake", shot, "--object", "Arm", "--format", "raw")
     assert code == 0, errors
     assert (shot.parent / "Arm.npz").is_file() and "written to Arm.npz" in out
-    code, _, errors = run("bake", shot, "--all", "--sink", "mdd", "--sink-file", shot.parent / "x.mdd", "-o", "y.blend")
+    code, _, errors = run(
+        "bake", shot, "--all", "--format", "mdd", "--output-file", shot.parent / "x.mdd", "-o", "y.blend"
+    )
     assert code == 2 and "put {object} in its name" in errors
     files, saved = shot.parent / "{object}.mdd", shot.parent / "y.blend"
-    code, _, errors = run("bake", shot, "--all", "--sink", "mdd", "--sink-file", files, "-o", saved)
+    code, _, errors = run("bake", shot, "--all", "--format", "mdd", "--output-file", files, "-o", saved)
     assert code == 0, errors
     assert (shot.parent / "Arm.mdd").is_file() and (shot.parent / "Leg.mdd").is_file()
 
@@ -348,19 +354,64 @@ def test_a_sink_that_is_a_file_for_other_programs(shot, run):
     "arguments, words",
     [
         ([], "say where the bake goes"),
-        (["--sink", "frames"], "say where the bake goes"),
-        (["--sink", "frames", "--sink-file", "x", "--in-place"], "is for a --sink that is a file"),
-        (["--sink", "usd", "--clips", "actions"], "--clips actions is for --sink gltf and --sink fbx"),
-        (["--sink", "gltf", "--clips", "actions", "--frames", "1", "9"], "leave --frames out"),
-        (["--sink", "gltf", "--sink-file", "x.fbx"], "a file of gltf ends in .glb"),
-        (["--sink", "pc2", "--sink-file", "x.cache", "--in-place"], "a file of pc2 ends in .pc2"),
-        (["--sink", "raw", "--sink-file", "nowhere/x.npz"], "there is no folder"),
+        (["--format", "frames"], "say where the bake goes"),
+        (["--format", "frames", "--output-file", "x", "--in-place"], "needs a --format that is a file"),
+        (["--format", "usd", "--clips", "actions"], "--clips actions needs --format gltf"),
+        (["--format", "gltf", "--clips", "actions", "--frames", "1", "9"], "leave --frames out"),
+        (["--format", "gltf", "--output-file", "x.fbx"], "a file of gltf ends in .glb"),
+        (["--format", "pc2", "--output-file", "x.cache", "--in-place"], "a file of pc2 ends in .pc2"),
+        (["--format", "raw", "--output-file", "nowhere/x.npz"], "there is no folder"),
     ],
 )
 def test_a_bake_that_would_go_nowhere(shot, run, stand_in, arguments, words):
     code, _, errors = run("bake", shot, "--object", "Arm", *arguments)
     assert code == 2 and words in errors
     assert stand_in.built == 0
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        (["--sink", "frames"], ["--format", "frames"]),
+        (["--sink=frames"], ["--format=frames"]),
+        (["--sink-file", "x.pc2"], ["--output-file", "x.pc2"]),
+        (["--share", "models"], ["--cache-dir", "models"]),
+        (["--every", "3"], ["--frame-step", "3"]),
+        (["--begin", "rest"], ["--initial-state", "rest"]),
+    ],
+)
+def test_old_names_of_options_still_work_and_warn(addon, capfd, old, new):
+    main = part("main")
+    rest = ["bake", "shot.blend", "--object", "Arm", "-o", "baked.blend"]
+    understood = main.parser(opens_file=True).parse_args(main.with_new_names([*rest, *old]))
+    warning = f"dynamorph: warning: {old[0].partition('=')[0]} is deprecated: use {new[0].partition('=')[0]}\n"
+    assert capfd.readouterr().err == warning
+    expected = main.parser(opens_file=True).parse_args(main.with_new_names([*rest, *new]))
+    assert vars(understood) == vars(expected) and capfd.readouterr().err == ""
+
+
+def test_the_old_name_of_fit_s_vertex_group_still_works_and_warns(addon, capfd):
+    main = part("main")
+    arguments = ["fit", "shot.blend", "--all", "--in-place", "--target", "flexed", "--oscillation", "x.csv"]
+    understood = main.parser(opens_file=True).parse_args(main.with_new_names([*arguments, "--patch", "tip"]))
+    assert understood.vertex_group == "tip"
+    assert capfd.readouterr().err == "dynamorph: warning: --patch is deprecated: use --vertex-group\n"
+
+
+def test_the_old_name_of_delete_bake_still_works_and_warns(shot, run):
+    baked = shot.parent / "baked.blend"
+    assert run("bake", shot, "--object", "Arm", "-o", baked)[0] == 0
+    code, out, errors = run("free", baked, "--object", "Arm", "--in-place")
+    assert code == 0 and "3 baked keys removed" in out
+    assert "dynamorph: warning: free is deprecated: use delete-bake" in errors
+
+
+def test_help_shows_new_names_only(run):
+    code, out, _ = run("bake", "--help")
+    assert code == 0 and "--cache-dir" in out and "--initial-state" in out
+    assert not any(name in out.split() for name in ("--sink", "--sink-file", "--share", "--every", "--begin"))
+    commands = run("--help")[1]
+    assert "delete-bake" in commands and "free" not in commands.split()
 
 
 def test_what_one_of_many_refuses_is_found_before_any_work(shot, run, stand_in):
@@ -379,3 +430,30 @@ def test_a_fault_of_ours_is_reported(shot, run, stand_in):
     code, _, errors = run("bake", shot, "--object", "Arm", "--in-place", "--report", report)
     assert code == 70 and "ZeroDivisionError: a bug" in errors
     assert json.loads(report.read_text())["exit_code"] == 70
+
+
+def test_exit_codes_tell_bugs_from_what_is_expected(shot, run, stand_in):
+    bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
+    for failure, code, words in (
+        (part("errors").SceneError("too soft"), 2, "error: too soft"),
+        (part("errors").SelfCheckError("not numbers"), 3, "error: not numbers"),
+        (ValueError("shapes differ"), 70, "fault: ValueError: shapes differ"),
+        (KeyError("mesh"), 70, "Traceback"),
+        (OSError(28, "No space left"), 75, "No space left.*try again"),
+        (MemoryError(), 75, "not enough memory.*try again"),
+    ):
+        stand_in.fail = failure
+        found, _out, told = run(*bake)
+        assert found == code and re.search(words, told), told
+
+
+def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):
+    """Which no bake deletes: the .blend as it was last saved may still play the one before."""
+    monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
+    for mass_damping in (1, 2):
+        change = f"Neutral.mass_damping={mass_damping}"
+        bake = ("bake", shot, "--object", "Arm", "--sink", "pc2", "--set", change, "--frames", 1, 9 + mass_damping)
+        assert run(*bake, "--in-place")[0] == 0
+    written = {file.name for file in shot.parent.rglob("*") if file.suffix in (".pc2", ".dynamorph")}
+    told = re.search("files beside the .blend: (.*)", run("info", shot, "--object", "Arm")[1])[1].split(", ")
+    assert len(written) == 3 and len(told) == 2 and set(told) < written

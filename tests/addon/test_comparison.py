@@ -10,7 +10,7 @@ from test_outputs import written
 from test_pieces import add_piece, make_sleeve
 
 OPS = bpy.ops.dynamorph
-SAYS = "This is plain skinning"
+SAYS = "Plain skinning is shown:"
 
 
 def shown(obj, frames=(1, 9, 20)) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What all of the interface has in common: names, descriptions, texts that can be translated."""
+"""What the whole interface has in common: names, descriptions, texts that can be translated."""
 
 import inspect
 
@@ -20,7 +20,7 @@ def ours(*kinds):
 
 
 def rna(kind):
-    """What Blender knows of a class; of an operator that is not in the class."""
+    """What Blender knows of a class; for an operator that is not in the class."""
     if not issubclass(kind, bpy.types.Operator):
         return kind.bl_rna
     module, name = kind.bl_idname.split(".")
@@ -50,7 +50,7 @@ def test_operators_are_found(operators):
 
 
 def test_every_operator_has_a_label_that_makes_sense_alone(operators):
-    """In the search, which leaves out those that are internal, there is no panel around it."""
+    """In the search, which omits internal operators, no panel gives it a context."""
     found = [operator for operator in operators if "INTERNAL" not in getattr(operator, "bl_options", ())]
     assert not [operator.bl_idname for operator in found if len(operator.bl_label.split()) < 2]
     labels = [operator.bl_label for operator in operators]
@@ -79,7 +79,7 @@ def test_names_are_in_title_case(operators):
 
 
 def test_operators_that_change_data_are_undone(operators):
-    """All but those that only write files, start or stop something, or look at the animation."""
+    """All except those that only write files, start or stop something, or read the animation."""
     without = {operator.bl_idname for operator in operators if "UNDO" not in getattr(operator, "bl_options", ())}
     assert without <= {
         "dynamorph.cancel",
@@ -102,7 +102,7 @@ def test_there_are_no_key_bindings(addon):
             assert not [item.idname for item in keymap.keymap_items if item.idname.startswith("dynamorph.")]
 
 
-# Translation: Blender translates literal texts itself; those that are formatted go through its functions first. The
+# Translation: Blender itself translates literal texts; formatted texts go through its functions first. The
 # wheels come without languages, so that these functions are replaced here.
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A clip for each Action, as games have them: each read back and compared with Blender playing and baking it alone."""
+"""A clip for each Action, as games use them: each read back and compared with Blender playing and baking it alone."""
 
 from dataclasses import replace
 
@@ -30,8 +30,9 @@ def new_action(rig, name, bone, axis, keys):
 
 @pytest.fixture
 def game_arm(scene):
-    """The soft arm with a built model, a sleeve, and two clips as artists keep them: "Bend", which is on, and "Wave", a
-    loop of a bone that Bend leaves alone, which is pushed down. Other Actions are none of its clips."""
+    """The soft arm with a built model, a sleeve, and two clips as artists store them: "Bend", which is active, and
+    "Wave", a loop of a bone that Bend does not move, which is pushed down. Other Actions are not its clips.
+    """
     obj = coarse(make_soft(make_arm(scene)))
     rig = rig_of(obj)
     add_sleeve(scene, obj)
@@ -70,7 +71,7 @@ def alone(obj, name, frames, loop):
 
 
 def state(obj):
-    """All that an export could leave behind."""
+    """Everything that an export could leave behind."""
     rig = rig_of(obj)
     animation = rig.animation_data
     bones = [tuple(bone.rotation_euler) for bone in rig.pose.bones]
@@ -99,7 +100,7 @@ def test_gltf_has_a_clip_for_each_action(game_arm, tmp_path, baked):
     pytest.importorskip("pygltflib")
     obj = game_arm
     simulation = obj.dynamorph.simulation
-    if baked:  # of which no clip becomes a part, whatever is asked for a bake
+    if baked:  # no clip becomes a part of it, whatever the settings of the bake
         OPS.bake()
         simulation.keep_outside, simulation.preroll_pose, simulation.preroll, simulation.samples = (
             True,
@@ -177,7 +178,7 @@ def test_influence_counts(game_arm, tmp_path):
     batch = part("export_actions").ActionsExport(obj, "GLTF", tmp_path / "arm.glb")
     part("batch").run_all(batch)
     bend = batch.jobs[0].result
-    half = replace(bend, coordinates=(bend.coordinates + bend.dry) / 2)
+    half = replace(bend, coordinates=(bend.coordinates + bend.static) / 2)
     exact = np.concatenate(list(part("baked").surfaces(half, part("mesh_data").rest_points(obj))))
     assert farthest(round_trips.Gltf(batch.path).morphed("Arm", "Bend"), exact, same_order=False) < CLOSE
 
@@ -277,7 +278,7 @@ def sculpted(obj):
 )
 def test_refused(game_arm, tmp_path, change, words):
     change(game_arm)
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(part("errors").DynamorphError, match=words):
         exported(game_arm, tmp_path)
     assert list(tmp_path.iterdir()) == []
 

@@ -2,6 +2,7 @@
 """A baked character in other formats: written, read back by others and by Blender, and compared at each frame."""
 
 import re
+import types
 from functools import partial
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import round_trips
 from builders import activate, fingerprint, hand_made_bake, keys_of, make_arm, make_soft, part, rig_of
+from layout import Layout
 from round_trips import farthest
 
 FRAMES = 1, 20
@@ -37,7 +39,7 @@ READERS = {  # of a posed surface: format, who reads, whether the vertices come 
 
 
 def off(name, path, exact, mesh="Arm"):
-    """How far what a reader sees is from the exact surface."""
+    """The distance between a reader's surface and the exact one."""
     read, same_order = READERS[name]
     try:
         return farthest(read(path, mesh, EVERY), exact, same_order)
@@ -140,7 +142,7 @@ def test_a_raw_clip_is_the_bake(baked, tmp_path, read):
 
 @pytest.mark.parametrize("key", ["ALEMBIC", "USD"])
 def test_a_model_that_is_kept_with_the_object_is_not_exported(baked, tmp_path, key):
-    """On bytes, as which the first versions kept it, Blender would crash."""
+    """Blender would crash on bytes, which the first versions stored."""
     obj, _ = baked
     obj.pop(part("model_store").PACKED, None)
     obj[part("model_store").PACKED] = b"a\0b"
@@ -182,7 +184,7 @@ def add_sleeve(scene, obj):
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_what_moves_with_the_flesh_is_exported_too(scene, baked, tmp_path, name):
+def test_what_moves_with_the_tissue_is_exported_too(scene, baked, tmp_path, name):
     obj, _ = baked
     sleeve = add_sleeve(scene, obj)
     part("bake").write_keys(sleeve, hand_made_bake(obj, seed=2), obj)
@@ -309,7 +311,7 @@ def test_a_name_keeps_what_only_looks_like_a_suffix():
 
 
 def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
-    """Its exporter takes those of the scene."""
+    """Its exporter uses those of the scene."""
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not for this Python")
     obj, _ = baked
     part("export_actions").export(obj, "USD", tmp_path / "part.usdc", (5, 9))
@@ -332,3 +334,30 @@ def test_refused(baked, tmp_path):
     with pytest.raises(error, match="no bake to export: press Bake"):
         export_actions.export(obj, "GLTF", tmp_path / "arm.glb", FRAMES)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_dialog_reads_no_weights_when_it_draws_again(baked, monkeypatch):
+    obj, _ = baked
+    export_operators, losses = part("export_operators"), part("losses")
+    looked, original = [], losses.losses
+    monkeypatch.setattr(losses, "losses", lambda *args: looked.append(args) or original(*args))
+
+    def drawn(format="GLTF", clips="SCENE"):
+        out = []
+        dialog = types.SimpleNamespace(format=format, clips=clips, chosen_clips=clips, layout=Layout(out))
+        dialog.bl_rna = types.SimpleNamespace(properties=("format", "clips"))
+        dialog.layout.prop = lambda *_args: None
+        export_operators.DYNAMORPH_OT_export.draw(dialog, bpy.context)
+        return " ".join(out)
+
+    for _ in range(5):
+        assert drawn() == ""
+    assert len(looked) == 1
+    drawn("FBX"), drawn("GLTF", "ACTIONS"), drawn("FBX")
+    assert len(looked) == 3
+    obj.modifiers.new("Smooth", "SMOOTH")
+    obj.update_tag()
+    bpy.context.view_layer.update()
+    for _ in range(3):
+        assert "modifier 'Smooth' after" in drawn()
+    assert len(looked) == 4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the engine gets is what Blender shows: skinning, rig motion, shapes; and what is refused."""
+"""The engine gets what Blender shows: skinning, rig motion, shapes; and unusable input is refused."""
 
 import bpy
 import numpy as np
@@ -272,7 +272,7 @@ def test_collapsed_bones_are_held(scene, soft_arm):
 
 @pytest.mark.parametrize("first", [1, 9, 10])
 def test_collapsed_bones_follow_their_parents(scene, soft_arm, first):
-    """As they last did, as far as that is known: first and at rest if it is not."""
+    """As they last did, as far as that is known: first, and at rest otherwise."""
     rig_motion, extract, rig_samples, geometry, rig = (
         part("rig_motion"),
         part("extract"),

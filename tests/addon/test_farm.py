@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in farm/: the job template, how Slurm runs a task of it, the job type for Flamenco.
+"""What is in farm/: the job template, how Slurm runs one of its tasks, the job type for Flamenco.
 
-`make farm-demo` runs the first two on a real Slurm. Here the schedulers are stand-ins, that record what they are asked.
+`make farm-demo` runs the first two on a real Slurm. Here, stand-ins for the schedulers record how they are called.
 """
 
 import json
@@ -39,7 +39,7 @@ console.log(JSON.stringify(tasks));
 
 
 def program(folder, name, script):
-    """A shell script in the place of a program."""
+    """A shell script that replaces a program."""
     path = folder / name
     path.write_text(f"#!/bin/bash\n{script}\n")
     path.chmod(0o755)
@@ -56,7 +56,7 @@ def understood(arguments, opens_file):
 
 @pytest.fixture
 def try_task(tmp_path):
-    """Runs slurm_task.sh with a task that ends with a code; returns its own code and what scontrol was asked."""
+    """Runs slurm_task.sh with a task that ends with a code; returns its own code and how scontrol was called."""
     (tmp_path / "Bake").mkdir()
     program(tmp_path, "openjd", 'echo "Process pid 1 exited with code: $1 (unsigned)"; echo "$@"; exit $(($1 != 0))')
     program(tmp_path, "scontrol", f'echo "$@" >>"{tmp_path}/asked"')
@@ -151,7 +151,7 @@ def test_what_was_submitted_is_cancelled_when_a_later_step_is_refused(tmp_path):
 
 @pytest.fixture
 def run_template(tmp_path):
-    """Runs all steps with a Python that only records how it is called; returns what the command line makes of it."""
+    """Runs all steps with a Python that only records its calls; returns the parsed command lines."""
     python = program(tmp_path, "python", f'printf "%s\\n" "$@" "" >>"{tmp_path}/called"')
 
     def run(**parameters):
@@ -192,17 +192,17 @@ def test_no_name_is_all_characters_in_one_task(addon, run_template, tmp_path):
 
 
 @needs_openjd
-def test_the_template_knows_every_sink(addon, run_template, tmp_path):
+def test_the_template_knows_every_format(addon, run_template, tmp_path):
     template = (FARM / "dynamorph.openjd.yaml").read_text()
     known = next(line for line in template.splitlines() if "allowedValues" in line)
     files = {format.lower(): of.suffix for format, of in part("exports").FORMATS.items()}
     files |= {cache.lower(): f".{cache.lower()}" for cache in part("point_cache").CACHES}
-    sinks = {sink.lower() for sink in part("commands").sink_names()} | set(files)
-    assert set(known.split("[")[1].split("]")[0].split(", ")) == sinks | {'""'}
-    for sink in sinks:
+    formats = {sink.lower() for sink in part("commands").bake_formats()} | set(files)
+    assert set(known.split("[")[1].split("]")[0].split(", ")) == formats | {'""'}
+    for sink in formats:
         _, bake = run_template(Characters=["Arm"], Sink=sink, Options=["--keys", "8"])[2]
-        assert (bake.sink, bake.keys) == (sink, 8)
-        assert bake.sink_file == (f"{tmp_path}/out/walk {{object}}{files[sink]}" if sink in files else None)
+        assert (bake.format, bake.keys) == (sink, 8)
+        assert bake.output_file == (f"{tmp_path}/out/walk {{object}}{files[sink]}" if sink in files else None)
 
 
 # Flamenco -------------------------------------------------------------------------------------------------------------
@@ -227,7 +227,7 @@ def compiled():
 
 
 def flamenco_asks(task):
-    """What the command line makes of a task."""
+    """The parsed command line of a task."""
     arguments = task["commands"][0]["parameters"]["args"]
     return understood(arguments[arguments.index("dynamorph") + 1 :], opens_file=False)
 
@@ -267,6 +267,6 @@ def test_flamenco_collects_the_reports_of_the_job_alone(addon, compiled):
 def test_flamenco_bakes_to_files(addon, compiled):
     bake = flamenco_asks(compiled(sink="alembic", options="--frames 1  20")["bake walk"])
     assert bake.all and bake.frames == [1, 20]
-    assert (bake.sink, bake.sink_file) == ("alembic", "/out/walk {object}.abc")
+    assert (bake.format, bake.output_file) == ("alembic", "/out/walk {object}.abc")
     bake = flamenco_asks(compiled(characters="Arm", sink="modes")["bake walk Arm"])
-    assert (bake.sink, bake.sink_file) == ("modes", None)
+    assert (bake.format, bake.output_file) == ("modes", None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sample scene Herbert: what it states is so, in every Blender."""
+"""The sample scene Herbert: its statements are true, in every Blender."""
 
 import subprocess
 import sys

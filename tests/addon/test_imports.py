@@ -10,6 +10,7 @@ PACKAGE = Path(__file__).parents[2] / "addon" / "dynamic_morph_targets"
 # A module may import those of its own folder and of those before it. The package's own files come last.
 FOLDERS = ["core", "io", "preferences", "scene", "write", "run", "ui", "cli", ""]
 WITHOUT_BLENDER = {"core", "io"}
+LONGEST_MODULE, LONGEST_CLASS = 420, 210  # lines
 BLENDER = {"bpy", "bpy_extras", "bmesh", "mathutils", "gpu", "blf"}
 
 
@@ -84,14 +85,40 @@ def test_a_circle_and_an_arrow_back_are_found(tmp_path):
     assert circle(graph) == ["core/shape", "io/files", "core/shape"]
 
 
+def of_blender(tree: ast.Module) -> set[str]:
+    """Which of Blender's own modules one imports."""
+    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+    return BLENDER & {name.split(".")[0] for name in names}
+
+
 def test_core_and_io_do_without_blender():
     for module, tree in modules(PACKAGE).items():
         if folder_of(module) in WITHOUT_BLENDER:
-            names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-            names |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
-            assert not BLENDER & {name.split(".")[0] for name in names}, module
+            assert not of_blender(tree), module
+
+
+def test_what_a_job_s_thread_computes_does_without_blender():
+    """Neither the module nor anything that it imports."""
+    graph, found = graph_of(PACKAGE), modules(PACKAGE)
+    reached, ahead = set(), {"run/computation"}
+    while ahead:
+        module = ahead.pop()
+        reached.add(module)
+        ahead |= graph[module] - reached
+        assert not of_blender(found[module]), module
+    assert len(reached) > 20
 
 
 def test_no_file_name_occurs_twice():
     names = [path.name for path in PACKAGE.rglob("*.py") if path.name not in ("__init__.py", "__main__.py")]
     assert sorted(names) == sorted(set(names))
+
+
+def test_modules_and_classes_are_of_a_size_to_be_read():
+    for module, tree in modules(PACKAGE).items():
+        lines = len((PACKAGE / f"{module}.py").read_text(encoding="utf-8").splitlines())
+        assert lines <= LONGEST_MODULE, module
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                assert node.end_lineno - node.lineno + 1 <= LONGEST_CLASS, f"{module}: {node.name}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much each target counts, now and over the frames; what is drawn of it and of the cage; the artist's units."""
+"""How much each target counts, now and over the frames; the drawing of that and of the cage; the artist's units."""
 
 import types
 from math import degrees, pi, radians
@@ -136,7 +136,7 @@ def test_it_knows_when_the_frames_are_to_be_looked_at_again(scene, soft_arm):
     try:
         over(soft_arm, 1, 21)
         bpy.context.view_layer.update()
-        assert not weight_curves._is_old(soft_arm, scene)  # looking at them is no edit
+        assert not weight_curves._is_old(soft_arm, scene)  # reading them is not an edit
         rig_of(soft_arm).pose.bones["upper"].keyframe_insert("rotation_euler", frame=3)
         bpy.context.view_layer.update()
         assert weight_curves._is_old(soft_arm, scene) and bpy.app.timers.is_registered(weight_curves._update)
@@ -188,11 +188,11 @@ def test_frames_outside_and_the_pose_to_add(scene, soft_arm, capfd):
     away = degrees(pi / 2 - captured)
     text = f"Frame 20: {away:.0f} degrees from any target of Arm. New from Pose adds one here"
     assert text in capfd.readouterr().out
-    assert any(text.startswith(f"Outside: {away:.0f}°") for text in drawn(soft_arm))
+    assert any(text.startswith(f"Uncovered: {away:.0f}°") for text in drawn(soft_arm))
     OPS.capture_pose()
     assert OPS.suggest_pose() == {"FINISHED"}
-    assert "no pose is poorly covered" in capfd.readouterr().out
-    assert not any(text.startswith("Outside") for text in drawn(soft_arm))
+    assert "no pose is uncovered" in capfd.readouterr().out
+    assert not any(text.startswith("Uncovered") for text in drawn(soft_arm))
 
 
 def test_a_pose_is_suggested_where_there_is_a_target(arm):
@@ -459,7 +459,7 @@ def test_the_legend_of_the_surface_is_drawn(scene, picture):
 
 
 def test_what_cannot_be_drawn_is_not(soft_arm, monkeypatch):
-    """In the background there is no viewport: both callbacks fail inside, and say nothing."""
+    """In the background there is no viewport: both callbacks fail inside, silently."""
     overlays, overlay_graph, display = part("overlays"), part("overlay_graph"), bpy.context.window_manager.dynamorph
     monkeypatch.setattr(part("weight_curves"), "update_soon", lambda _wait: None)
     display.cage = display.influence = display.heat = True
@@ -476,8 +476,8 @@ def bounce(obj, target):
     return part("material_fit").bounce(*part("model_store").fit_input(obj, target))
 
 
-def test_bounce_is_the_flesh_s_own(built_arm):
-    """Shown and set without the model, and yet what the model does."""
+def test_bounce_is_the_tissue_s_own(built_arm):
+    """Shown and set without the model, and yet equal to its motion."""
     content = built_arm.dynamorph.model.content_id
     for target in built_arm.dynamorph.targets:
         assert target.bounce == pytest.approx(bounce(built_arm, target).frequency, rel=1e-5)
@@ -500,6 +500,15 @@ def test_settle_is_in_frames_of_the_scene(scene, built_arm):
     assert target.stiffness == stiffness
     scene.render.fps = 60
     assert target.settle == pytest.approx(75.0, rel=1e-3)
+
+
+def test_settle_time_is_in_seconds_whatever_the_frame_rate(scene, built_arm):
+    target = built_arm.dynamorph.targets[1]
+    target.settle_time = 1.25
+    assert bounce(built_arm, target).settle == pytest.approx(1.25, rel=1e-3)
+    assert target.settle == pytest.approx(30.0, rel=1e-3)
+    scene.render.fps = 60
+    assert target.settle_time == pytest.approx(1.25, rel=1e-3)
 
 
 def test_what_damping_forbids(built_arm):
@@ -532,6 +541,17 @@ def test_weight_is_density_by_volume(scene, soft_arm):
     flexed.mass_damping = flexed.stiffness_damping = 0.0
     assert flexed.bounce < 0.55 * before
     assert neutral.density == 1000.0
+
+
+def test_mass_is_in_the_unit_that_blender_shows(scene, built_arm):
+    """Blender multiplies what it shows by the cube of the unit scale."""
+    target = built_arm.dynamorph.targets[0]
+    kilograms = target.weight
+    scene.unit_settings.scale_length = 0.01
+    assert 0.01**3 * target.weight == pytest.approx(kilograms, rel=1e-5)
+    target.weight = 2.0 * target.weight
+    scene.unit_settings.scale_length = 1.0
+    assert target.weight == pytest.approx(2.0 * kilograms, rel=1e-5)
 
 
 def volume_of(obj):
@@ -575,7 +595,14 @@ def test_undo(built_arm):
 def test_they_are_kept_in_the_file_but_not_in_set_ups(built_arm, tmp_path):
     before = built_arm.dynamorph.targets[1].bounce
     names = set(part("plain").plain(built_arm.dynamorph.targets[1]))
-    assert "stiffness" in names and not names & {"bounce", "settle", "weight", "bounce_reference", "volume"}
+    assert "stiffness" in names and not names & {
+        "bounce",
+        "settle",
+        "settle_time",
+        "weight",
+        "bounce_reference",
+        "volume",
+    }
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "arm.blend"))
     assert bpy.data.objects["Arm"].dynamorph.targets[1].bounce == before > 0.0

@@ -46,7 +46,7 @@ def baking(shot, report, *more):
 
 
 def baked(process, report):
-    """What the report of a process says of its bake, when it has ended."""
+    """The report of a process's bake, after it has ended."""
     with process:
         assert process.wait() == 0
     return json.loads(report.read_text())["characters"][0]["bake"]
@@ -58,9 +58,11 @@ def kept_at(share):
 
 
 def killed(shot, report, share, moments):
-    """Goes on with a bake until it is kept, and kills it at a random moment after; False if it was done before."""
+    """Resumes a bake until its state is stored, and kills it at a random moment after that; False if it finished
+    before.
+    """
     before = kept_at(share)
-    with baking(shot, report, "--share", share) as process:
+    with baking(shot, report, "--cache-dir", share) as process:
         while process.poll() is None and kept_at(share) == before:
             time.sleep(0.01)
         time.sleep(moments.uniform(0.0, 0.1))
@@ -69,15 +71,16 @@ def killed(shot, report, share, moments):
 
 
 def test_killed_at_any_moment_nothing_is_lost(shot, tmp_path):
-    """With kill -9, as often as DYNAMORPH_KILLS says, at random moments of the bake; then it is done, with the bytes of
-    a bake that nobody disturbed."""
+    """With kill -9, as often as DYNAMORPH_KILLS says, at random moments of the bake; then it finishes with the bytes of
+    an undisturbed bake.
+    """
     whole, share = tmp_path / "whole.json", tmp_path / "share"
     undisturbed = baked(baking(shot, whole), whole)
     done, moments, kills = tmp_path / "done.json", random.Random(1), 0
     while kills < KILLS and killed(shot, done, share, moments):
         kills += 1
     assert kills > 0
-    found = baked(baking(shot, done, "--share", share), done)
+    found = baked(baking(shot, done, "--cache-dir", share), done)
     assert found["hash"] == undisturbed["hash"]
     assert found["steps"] == undisturbed["steps"]
     assert not list(share.glob("*.unfinished"))  # it is saved now

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Live shows what a bake would, goes on through edits, and leaves no trace; so do its previews."""
+"""Live shows what a bake would, continues through edits, and leaves no trace; so do its previews."""
 
 import json
+import time
+import types
 
+import addon_utils
 import bpy
 import numpy as np
 import pytest
-from builders import activate, evaluated_points, fingerprint, part, rig_of
+from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of
 from mathutils import Matrix
 from pressed import Pressed
 
@@ -26,7 +29,7 @@ def live_arm(soft_arm):
         batch.run(job)
         packed["model"] = model_store.stored_model(soft_arm)
         packed["record"] = part("plain").plain(settings.model)
-    storage.store_model(soft_arm, packed["model"])
+    storage.keep_model(soft_arm, packed["model"])
     part("assign").assign(settings.model, packed["record"])
     settings.model.stale = ""
     storage.fit_modes(soft_arm, 8)
@@ -62,11 +65,8 @@ def session(obj):
 def baked(obj, **settings):
     """The surface (F, V, 3) of a bake of the same scene, which is not written."""
     extract = part("extract")
-    job = part("job").Job(obj, goal="BAKE", **settings)
-    job.prepare()
-    job.start()
-    while not job.wait(1.0):
-        pass
+    job = part("job").Job(obj, goal="BAKE", stored=False, **settings)
+    part("batch").run(job)
     assert job.reasons == []
     rest = extract.character(obj).vertices
     return np.array([rest + job.result.displacement(k) for k in range(len(job.result.frames))])
@@ -199,7 +199,7 @@ def test_a_loop_whose_last_frames_are_dropped_goes_on(live_arm):
     bpy.ops.dynamorph.live()
     play(live_arm, range(1, 18))
     play(live_arm, [1])
-    assert session(live_arm).flesh.player.passes == 1
+    assert session(live_arm).tissue.player.passes == 1
     play(live_arm, [2, 9, 1])  # that was no end
     assert session(live_arm)._frames[1].steps["steps"] == 0
 
@@ -246,7 +246,7 @@ def test_of_a_long_shot_the_latest_rig_is_kept(playing, monkeypatch):
 # Changes while it plays --------------------------------------------------------------------------------------------
 
 
-def test_other_materials_go_on_from_where_the_flesh_is(playing):
+def test_other_materials_go_on_from_where_the_tissue_is(playing):
     before = play(playing, range(1, 9))
     play(playing, [9, 10, 8])  # two frames further, and back
     playing.dynamorph.targets[0].stiffness = playing.dynamorph.targets[1].stiffness = 1500.0
@@ -261,10 +261,10 @@ def test_other_materials_go_on_from_where_the_flesh_is(playing):
 
 def test_the_same_settings_written_again_change_nothing(playing):
     play(playing, range(1, 9))
-    player = session(playing).flesh.player
+    player = session(playing).tissue.player
     playing.dynamorph.targets[1].stiffness = playing.dynamorph.targets[1].stiffness
     play(playing, [9])
-    assert session(playing).flesh.player is player
+    assert session(playing).tissue.player is player
 
 
 def test_another_pose_of_a_target_counts_at_once(playing):
@@ -302,14 +302,14 @@ def test_another_frame_map_counts_at_once(playing):
 
 def test_gains_and_solo_show_at_once(playing):
     play(playing, range(1, 9))
-    dry = session(playing).flesh.player.dry(session(playing)._frames[8].weights)
-    modes, flesh = playing.dynamorph.modes, session(playing).flesh
+    static = session(playing).tissue.player.static(session(playing)._frames[8].weights)
+    modes, tissue = playing.dynamorph.modes, session(playing).tissue
     assert [mode.name for mode in modes][:2] == ["Mode 01", "Mode 02"] and len(modes) == 8
     modes[2].solo = True
     modes[2].gain = 2.0
-    alone = dry.copy()
-    alone[2] += 2.0 * (session(playing)._frames[8].coordinates - dry)[2]
-    expected = flesh.points(np.concatenate([alone, session(playing)._frames[8].weights])).reshape(-1, 3)
+    alone = static.copy()
+    alone[2] += 2.0 * (session(playing)._frames[8].coordinates - static)[2]
+    expected = tissue.points(np.concatenate([alone, session(playing)._frames[8].weights])).reshape(-1, 3)
     assert apart(surface(playing), expected) < 1e-7
     assert bpy.ops.dynamorph.reset_gains() == {"FINISHED"}
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
@@ -318,11 +318,12 @@ def test_gains_and_solo_show_at_once(playing):
 def test_influence_of_a_target_shows_at_once_and_as_in_the_bake(playing):
     whole = play(playing, range(1, 21))
     playing.dynamorph.targets["flexed"].influence = 0.0
-    bake, dry = baked(playing), session(playing).flesh.player.dry
+    bake, static = baked(playing), session(playing).tissue.player.static
     assert apart(surface(playing), bake[-1]) < 1e-6 < apart(whole[-1], bake[-1])
     weights = session(playing)._frames[20].weights
     assert (
-        apart(surface(playing).ravel(), session(playing).flesh.points(np.concatenate([dry(weights), weights]))) < 1e-6
+        apart(surface(playing).ravel(), session(playing).tissue.points(np.concatenate([static(weights), weights])))
+        < 1e-6
     )
     assert apart(play(playing, range(1, 21)), bake) < 1e-6
     playing.dynamorph.targets["flexed"].influence = 1.0
@@ -381,7 +382,7 @@ def test_plain_skinning_in_the_place_of_live(playing):
     before = fingerprint(playing)
     bpy.ops.dynamorph.show_plain()
     assert key.mute and not flexed.mute and part("comparison").is_plain(playing)
-    play(playing, range(8, 10))  # it goes on unseen
+    play(playing, range(8, 10))  # it continues invisibly
     scene.frame_set(7)
     bpy.ops.dynamorph.show_plain()
     assert apart(surface(playing), soft[-1]) < 1e-6 and fingerprint(playing) == before
@@ -523,7 +524,7 @@ def test_a_model_that_ages_stops_it_until_it_is_built(playing):
     stopped(playing, "out of date")
     part("batch").run(part("job").Job(playing, goal="BUILD"))
     play(playing, range(5, 7))
-    assert len(playing.dynamorph.modes) == 6 and session(playing).flesh.modes == 6
+    assert len(playing.dynamorph.modes) == 6 and session(playing).tissue.modes == 6
 
 
 def test_what_else_stops_it_says_so(playing):
@@ -662,7 +663,7 @@ def shown(monkeypatch):
 
     def spy(preview, *frame):
         show(preview, *frame)
-        obj = part("skin").find(preview.session_uid)
+        obj = preview.object.find()
         bpy.context.view_layer.update()
         frames.append((surface(obj), tuple(rig_of(obj).matrix_world.translation)))
 
@@ -671,7 +672,7 @@ def shown(monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["STOMP", "TWIST", "HOP"])
-def test_a_shake_test_moves_the_flesh_and_nothing_stays(live_arm, shown, kind):
+def test_a_shake_test_moves_the_tissue_and_nothing_stays(live_arm, shown, kind):
     rig = rig_of(live_arm)
     live_arm.parent = rig
     rig.delta_location, rig.delta_rotation_euler = (0.1, 0.0, 0.2), (0.3, 0.0, 0.0)
@@ -692,8 +693,8 @@ def test_a_twist_turns_a_tilted_rig_about_the_vertical(live_arm):
     live_arm.parent = rig
     rig.rotation_euler = (1.5, 0.2, 0.0)
     bpy.context.view_layer.update()
-    flesh = part("session").Flesh(live_arm, bpy.context.scene)
-    _, transforms = part("preview").shaken(live_arm, flesh, "TWIST")
+    tissue = part("session").Tissue(live_arm, bpy.context.scene)
+    _, transforms = part("preview").shaken(live_arm, tissue, "TWIST")
     assert transforms[:, 2, :] == pytest.approx(np.broadcast_to((0.0, 0.0, 1.0, 0.0), (len(transforms), 4)), abs=1e-9)
     assert transforms[:, 0, 0].min() == pytest.approx(0.5, abs=1e-6)
 
@@ -793,9 +794,64 @@ def test_a_mode_plays_alone(live_arm, shown):
     sculpted = part("references").key_points(live_arm.data.shape_keys.key_blocks["flexed"])
     assert apart(points[0], sculpted) < 1e-5  # in its pose
     swings = np.linalg.norm(points - points[0], axis=2).max(axis=1)
-    size = part("session").Flesh(live_arm, bpy.context.scene).player.size
+    size = part("session").Tissue(live_arm, bpy.context.scene).player.size
     assert swings.max() == pytest.approx(2.0 * 0.05 * size, rel=0.01)
     assert apart(points[6] - points[0], points[0] - points[18]) < 1e-6  # a sine
+
+
+def test_play_mode_is_refused_while_blender_renders(live_arm, monkeypatch):
+    before = fingerprint(live_arm)
+    monkeypatch.setattr(part("rig_motion"), "render_runs", lambda: True)
+    refused(bpy.ops.dynamorph.play_mode, "Blender is rendering: wait until it is done")
+    assert fingerprint(live_arm) == before
+
+
+def test_a_mode_that_plays_stands_still_while_blender_renders(live_arm, monkeypatch):
+    """A render that begins meanwhile reads what would be written."""
+    live_operators, window, tick = (
+        part("live_operators"),
+        PreviewWindow(live_arm),
+        types.SimpleNamespace(type="TIMER", value="NOTHING"),
+    )
+    play_mode = live_operators.DYNAMORPH_OT_play_mode
+
+    class Button(live_operators.PreviewOperator):
+        bl_idname, bl_label = play_mode.bl_idname, play_mode.bl_label
+        frames, _swinging, passes = play_mode.frames, staticmethod(play_mode._swinging), play_mode.passes
+
+    button = Button()
+    button._begin(window)
+    time.sleep(0.1)
+    assert button.modal(window, tick) == {"RUNNING_MODAL"}
+    swung = surface(live_arm)
+    with monkeypatch.context() as patch:
+        patch.setattr(part("rig_motion"), "render_runs", lambda: True)
+        time.sleep(0.1)
+        assert button.modal(window, tick) == {"RUNNING_MODAL"}
+    assert apart(surface(live_arm), swung) == 0.0
+    part("preview").end_preview()
+    assert button.modal(window, tick) == {"CANCELLED"}
+
+
+class PreviewWindow:
+    """Stands in for the context of a window in which a preview plays: its timers and what it asks of the screen."""
+
+    def __init__(self, obj):
+        self.object = obj
+        self.window = self.window_manager = self.workspace = self.screen = self
+        self.is_animation_playing = False
+
+    def event_timer_add(self, _seconds, window):
+        return window
+
+    def event_timer_remove(self, _timer):
+        pass
+
+    def status_text_set(self, _text):
+        pass
+
+    def modal_handler_add(self, _operator):
+        pass
 
 
 # Comparing ---------------------------------------------------------------------------------------------------------
@@ -810,12 +866,12 @@ def test_slots_swap_and_come_back(playing):
     bpy.ops.dynamorph.swap_slot()
     now = settings.live.slot, settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain
     assert now == ("A", 2e4, 0.0, 1.0)
-    assert session(playing).flesh.player.amounts.gains[3] == 1.0
+    assert session(playing).tissue.player.amounts.gains[3] == 1.0
     bpy.ops.dynamorph.swap_slot()
     now = settings.live.slot, settings.targets[0].stiffness, settings.simulation.gravity, settings.modes[3].gain
     assert now == ("B", 5e3, 0.5, 1.5)
-    assert session(playing).flesh.player.amounts.gains[3] == 1.5
-    assert session(playing).flesh.character.targets[0].material.stiffness == 5e3
+    assert session(playing).tissue.player.amounts.gains[3] == 1.5
+    assert session(playing).tissue.character.targets[0].material.stiffness == 5e3
     bpy.ops.dynamorph.copy_slot()
     bpy.ops.dynamorph.swap_slot()
     assert settings.targets[0].stiffness == 5e3 and json.loads(settings.live.other)["gains"][3] == 1.5
@@ -839,3 +895,62 @@ def test_disabling_the_add_on_forgets_sessions(playing):
     live.register()
     play(playing, [5])
     assert all(list(getattr(bpy.app.handlers, name)).count(handler) == 1 for name, handler in live.HANDLERS.items())
+
+
+# Without the add-on ------------------------------------------------------------------------------------------------
+
+
+def key_mutes(obj) -> dict:
+    return {key.name: key.mute for key in obj.data.shape_keys.key_blocks[1:]}
+
+
+LIVE = {"flexed": True, "smile": False, "Dynamorph Live": False}
+ASLEEP = {"flexed": False, "smile": False, "Dynamorph Live": True}
+
+
+def in_file(path):
+    """The arm as a file has it, linked, so that no handler has seen it."""
+    with bpy.data.libraries.load(str(path), link=True) as (_, wanted):
+        wanted.objects = ["Arm"]
+    return wanted.objects[0]
+
+
+def test_a_saved_file_has_no_frozen_skin(playing, tmp_path):
+    whole = play(playing, range(1, 10))
+    shown, path = evaluated_points(playing), tmp_path / "live.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    assert key_mutes(playing) == LIVE and apart(evaluated_points(playing), shown) == 0.0
+    play(playing, [10])
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    assert key_mutes(in_file(path)) == ASLEEP
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Arm"]
+    assert key_mutes(obj) == LIVE and part("live").is_on(obj)
+    assert apart(play(obj, range(1, 10)), whole) < 1e-6
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+def test_a_file_that_cannot_be_saved_goes_on_playing(playing, tmp_path):
+    play(playing, range(1, 5))
+    with pytest.raises(RuntimeError):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "no folder" / "live.blend"))
+    assert key_mutes(playing) == LIVE
+    play(playing, [5])
+
+
+def test_a_target_that_the_artist_muted_is_saved_muted(live_arm, tmp_path):
+    live_arm.data.shape_keys.key_blocks["flexed"].mute = True
+    bpy.ops.dynamorph.live()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "live.blend"))
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    assert key_mutes(in_file(tmp_path / "live.blend")) == ASLEEP | {"flexed": True}
+
+
+def test_disabling_the_add_on_leaves_no_frozen_skin(playing):
+    whole = play(playing, range(1, 10))
+    addon_utils.disable(MODULE)
+    assert key_mutes(playing) == ASLEEP
+    addon_utils.enable(MODULE)
+    assert apart(play(playing, range(1, 10)), whole) < 1e-6 and key_mutes(playing) == LIVE

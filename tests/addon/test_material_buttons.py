@@ -153,7 +153,7 @@ def test_pushes_are_fitted(built_arm, fit):
     built_arm.vertex_groups.new(name="tip").add(range(240, 272), 1.0, "REPLACE")
     pushes = np.array([[1.0, 0, 0, 0.01, 0, 0], [0, 1.0, 0, 0, 0.01, 0]]) * [20, 20, 20, 1, 1, 1]
     before = built_arm.dynamorph.targets[1].stiffness
-    code, out, err = fit("--force-displacement", pushes, "--patch", "tip")
+    code, out, err = fit("--force-displacement", pushes, "--vertex-group", "tip")
     assert (code, err) == (0, "") and built_arm.dynamorph.targets[1].stiffness != before
 
 
@@ -162,7 +162,7 @@ def test_what_the_command_line_refuses(fit, tmp_path):
     record = (times, np.cos(20.0 * times))
     for words, answer in (
         ("no target named 'nope'", fit("--oscillation", record, target="nope")),
-        ("no vertex group named 'nope'", fit("--oscillation", record, "--patch", "nope")),
+        ("no vertex group named 'nope'", fit("--oscillation", record, "--vertex-group", "nope")),
         ("no oscillation", fit("--oscillation", (times, np.random.default_rng(0).normal(size=len(times))))),
         ("expected 2 or 3 or 4 numbers", fit("--oscillation", [times] * 5)),
         ("expected 6 numbers", fit("--force-displacement", np.ones((3, 5)))),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is chosen in the Model panel or on the command line is what is simulated: methods, regions, force fields."""
+"""What is chosen in the Model panel or on the command line is simulated: methods, regions, force fields."""
 
 import bpy
 import dynamorph
@@ -90,7 +90,9 @@ def test_single_material_needs_no_targets(arm):
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 @pytest.mark.parametrize("method", ["DYNAMIC", "SHAPE"])
 def test_shape_follows_the_pose_and_stiffness_only_if_dynamic(arm, method, solver):
-    """One push in both target poses: pose-dependent shape alone answers alike, up to the turning of the skin."""
+    """One push in both target poses: only a pose-dependent shape gives the same response, up to the rotation of the
+    skin.
+    """
     job = run(arm, method=method, solver=solver)
     engine = job.model.engine(job.character)
     stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
@@ -146,7 +148,7 @@ def test_influence_of_a_target_ends_with_its_region(two_regions, solver, leak):
         two_regions.dynamorph.targets["tip"].influence = influence
         job = run(two_regions)
         bake = job.result
-        motion.append(np.tensordot(bake.coordinates - bake.dry, bake.modes, 1))
+        motion.append(np.tensordot(bake.coordinates - bake.static, bake.modes, 1))
     assert job.reasons == [] and bake.weights[:, 3] == pytest.approx(1.0)
     height = job.character.vertices[:, 2]
     inside, outside = height > 1.9, height < 1.1
@@ -198,7 +200,7 @@ def test_fields_fall_off_as_blender_says(scene):
 
 
 def test_modes_fitted_to_the_shot_follow_it_more_closely(arm):
-    """Against every node simulated; ten modes, of which targets take one."""
+    """Compared with the simulation of every node; targets take one of the ten modes."""
     full = displacements(run(arm, **FULL, modes=20))
     apart = {}
     for fitted in (False, True):

@@ -64,7 +64,7 @@ def faded(rig, action):
 
 
 def key_plainly(rig):
-    """Put curves with a key at every step in the place of the NLA, which they play."""
+    """Replace the NLA by curves with a key at every step that play the same."""
     scene, times = bpy.context.scene, FIRST + np.arange((LAST - FIRST) * STEPS + 1) / STEPS
     bone = rig.pose.bones["lower"]
     values = []
@@ -91,9 +91,9 @@ def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
     key_plainly(rig)
     plain = part("job").Job(obj, "BAKE")
     part("batch").run(plain)
-    assert plain.reasons == [] and np.ptp(plain.rig.rig_world[:, 0, 3]) > 0.05
-    assert plain.rig.pose == pytest.approx(job.rig.pose, abs=1e-6)
-    largest = np.abs(plain.result.coordinates - plain.result.dry).max()
+    assert plain.reasons == [] and np.ptp(plain.computation.rig.rig_world[:, 0, 3]) > 0.05
+    assert plain.computation.rig.pose == pytest.approx(job.computation.rig.pose, abs=1e-6)
+    largest = np.abs(plain.result.coordinates - plain.result.static).max()
     assert job.result.coordinates == pytest.approx(plain.result.coordinates, abs=1e-4 * largest)
 
 
@@ -102,7 +102,7 @@ def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
 
 @pytest.fixture
 def baked(soft_arm):
-    """The arm with a bake, and what is in it."""
+    """The arm with a bake, and its data."""
     bake = hand_made_bake(soft_arm, range(FIRST, LAST + 1))
     part("bake").write_keys(soft_arm, bake)
     return soft_arm, bake
@@ -131,13 +131,13 @@ def shown(obj) -> np.ndarray:
 
 
 def displacement(bake, time, influence=1.0) -> np.ndarray:
-    """What the bake shows at a time, which it holds before and after its frames."""
+    """The displacement that the bake shows at a time; it holds before and after its frames."""
 
     def at(rows):
         return np.array([np.interp(time, bake.frames, column) for column in rows.T])
 
-    dry = at(bake.dry)
-    moved = dry + influence * (at(bake.coordinates) - dry)
+    static = at(bake.static)
+    moved = static + influence * (at(bake.coordinates) - static)
     return np.tensordot(moved, bake.modes, 1) + np.tensordot(at(bake.weights), bake.details, 1)
 
 
@@ -190,7 +190,7 @@ def test_edited_strips_show_what_was_baked(baked, edit, time_at, influence):
 
 @pytest.mark.parametrize("edit, time_at", EDITS)
 def test_the_strip_of_the_motion_is_enough(baked, edit, time_at):
-    """Where all of it shows; else the strip of the shapes follows, soon after."""
+    """Where all of it shows; otherwise the strip of the shapes follows soon after."""
     obj, bake = baked
     with soon():
         edit(strips_of(obj)[1])
@@ -228,7 +228,7 @@ def again(obj, start, copy_action):
 
 @pytest.mark.parametrize("copy_action", [False, True])
 def test_strips_of_one_track_fade_into_each_other(baked, copy_action):
-    """What the motion fades to is the targets' shapes."""
+    """The motion fades to the targets' shapes."""
     obj, bake = baked
     again(obj, 30, copy_action)
     motion = keys_of(obj).animation_data.nla_tracks[1]

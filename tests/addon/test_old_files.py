@@ -126,7 +126,7 @@ def test_an_old_setup_and_old_presets_load(version, tmp_path):
 
 
 def test_an_old_file_bakes_as_it_was_baked(old_arm):
-    """With the model that it holds, not with one built anew; to 1e-6 of the body's size."""
+    """With the model that it holds, not with a new one; to 1e-6 of the body's size."""
     before = played(old_arm)
     size = np.linalg.norm(np.ptp(before[0], axis=0))
     assert np.abs(before - before[0]).max() > 0.05 * size

@@ -20,13 +20,13 @@ def smooth_bake(obj, frames=range(1, 21), **more):
     coordinates = 2.0 * 0.5 ** np.arange(modes) * np.sin(time * (1 + np.arange(modes)) + rng.uniform(0, 6, modes))
     weights = np.column_stack([np.cos(time) ** 2, np.sin(time) ** 2])
     return replace(
-        bake, coordinates=coordinates, weights=weights, dry=weights @ rng.normal(0, 1.0, (2, modes)),
+        bake, coordinates=coordinates, weights=weights, static=weights @ rng.normal(0, 1.0, (2, modes)),
         modes=bake.modes - bake.modes.mean(axis=1, keepdims=True),
     )  # fmt: skip
 
 
 def dry_of(bake):
-    return replace(bake, coordinates=bake.dry)
+    return replace(bake, coordinates=bake.static)
 
 
 def written(obj, bake, folder, skin=None, to_bind=None, **output):
@@ -57,7 +57,7 @@ def test_blender_shows_the_surface_with_and_without_the_motion(scene, soft_arm, 
     assert_shows(soft_arm, dry_of(bake))
     setattr(owner, name, 0.5)
     bake_influence.show_influence(soft_arm)
-    assert_shows(soft_arm, replace(bake, coordinates=(bake.coordinates + bake.dry) / 2))
+    assert_shows(soft_arm, replace(bake, coordinates=(bake.coordinates + bake.static) / 2))
     part("bake").free(soft_arm)
     assert fingerprint(soft_arm) == before
     assert not soft_arm.dynamorph.bake.exists
@@ -187,7 +187,7 @@ def test_a_cache_needs_a_saved_file(soft_arm):
 def test_a_bake_is_read_back_as_it_was_written(soft_arm, tmp_path, sink):
     bake = smooth_bake(soft_arm)
     written(soft_arm, bake, tmp_path, sink=sink)
-    found = part("bake").read_back(soft_arm)
+    found = part("bake_reading").read_back(soft_arm)
     np.testing.assert_array_equal(found.frames, bake.frames)
     for row in range(len(bake.frames)):
         assert np.abs(found.displacement(row) - bake.displacement(row)).max() < 1e-6

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels draw without error and only what exists; how it looks is for the window to show."""
+"""The panels draw without error, and only what exists. Their look is tested in a window."""
 
 import types
 
@@ -21,13 +21,12 @@ def test_through_the_workflow(arm, stand_in, panel):
     texts = drawn(arm, panel)
     assert "dynamorph.free_bake" in texts and arm.dynamorph.model.summary[:40] in " ".join(texts)
     arm.dynamorph.model.modes = 5
-    assert "Out of date: Modes changed" in drawn(arm, panel)
+    assert "Out of date: Detail (Modes) changed" in " ".join(drawn(arm, panel))
 
 
 def test_progress_replaces_the_button(soft_arm, stand_in):
-    batch, job = part("batch"), part("job")
-    batch.running = job.Job(soft_arm, goal="BAKE")
-    batch.running.message = "Frame 7"
+    batch, job = part("batch"), part("job").Job(soft_arm, goal="BAKE")
+    batch.running, job.message = batch.Batch([job], "BAKE"), "Frame 7"
     try:
         texts = drawn(soft_arm)
         assert "0%  Frame 7" in texts and "dynamorph.cancel" in texts

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clothes, eyes and other pieces of a character: other meshes that the flesh carries along, and parts of the mesh."""
+"""Clothes, eyes and other pieces of a character: other meshes that the tissue carries along, and parts of the mesh."""
 
 from itertools import pairwise
 
@@ -79,13 +79,13 @@ def motion(obj, frames=(1, 9, 20)):
 # Other meshes ------------------------------------------------------------------------------------------------------
 
 
-def test_a_sleeve_shows_what_the_flesh_around_it_does(dressed):
+def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
     """Blender's sleeve is the embedded displacement, skinned by the sleeve's own weights."""
     arm, sleeve = dressed
     stiff = motion(sleeve)
     job = bake(arm)
     assert sleeve.dynamorph.follows == arm and len(sleeve.dynamorph.bake.keys) == len(arm.dynamorph.bake.keys)
-    (follower,) = job.followers
+    (follower,) = job.input.followers
     modes = np.moveaxis(job.result.node_modes, 0, 1)
     engine = pytest.importorskip("dynamorph")
     embedding = engine.embed(engine.TetMesh(job.model.nodes, job.model.tets), follower.vertices)
@@ -100,7 +100,7 @@ def test_a_sleeve_shows_what_the_flesh_around_it_does(dressed):
         moved += np.einsum("pc,pcx->px", shares, details[corners]) @ character.to_bind.T
         local = (follower.vertices + moved) @ np.linalg.inv(character.to_bind).T
         worn = part("character").Character(**{**vars(character), "vertices": local, "weights": weights})
-        expected = skinned(worn, job.rig[(frame - 1) * job.settings.substeps :][:1])[0]
+        expected = skinned(worn, job.computation.rig[(frame - 1) * job.settings.substeps :][:1])[0]
         assert np.abs(shown - expected).max() < 1e-5
         assert frame == 1 or np.abs(shown - before).max() > 0.01
 
@@ -175,12 +175,12 @@ def test_nothing_is_written_unless_all_can_be(dressed):
     arm, sleeve = dressed
     before = fingerprint(arm)
     job = part("job").Job(arm, goal="BAKE")
-    job.prepare()
-    job.start()
-    job.wait()
+    batch = part("batch").Batch([job], "BAKE")
+    list(batch.read())
+    list(batch.compute())
     sleeve.data.vertices.add(1)
-    with pytest.raises(ValueError, match="'Sleeve' changed while the job ran"):
-        job.target()
+    with pytest.raises(part("errors").SceneError, match="'Sleeve' changed while the job ran"):
+        list(batch.write())
     assert fingerprint(arm) == before and keys_of(sleeve) is None
 
 
@@ -345,7 +345,7 @@ def test_a_sleeve_does_not_follow_a_cage_in_its_way(soft_arm):
     parts = part("geometry").connected_parts(job.model.tets, len(job.model.nodes))
     body = parts[job.model.embedding_nodes[job.character.pieces == 0, 0]]
     assert len(np.unique(parts)) > len(np.unique(body))
-    (follower,) = job.followers
+    (follower,) = job.input.followers
     other = np.isin(parts, np.setdiff1d(parts, body))
     modes, _ = part("followers").carried(job.model, job.result.node_modes * other[:, None], follower)
     assert not modes.any()

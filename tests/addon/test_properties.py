@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Settings follow renames, survive save, load and undo, and stay apart."""
 
+import hashlib
+import types
+
 import addon_utils
 import bpy
 import numpy as np
@@ -166,6 +169,69 @@ def test_posing_costs_little(scene, soft_arm):
     finally:
         reconcile.reconcile = original
     assert not calls
+
+
+def hashed(monkeypatch) -> list:
+    """Of what hashes are made from now on."""
+    found, references = [], part("references")
+    original = references.hashlib.blake2b
+
+    def counted(data, **options):
+        found.append(data)
+        return original(data, **options)
+
+    monkeypatch.setattr(references, "hashlib", types.SimpleNamespace(blake2b=counted))
+    return found
+
+
+def test_a_slider_step_hashes_no_keys(scene, arm, monkeypatch):
+    """They are what they were: only their values are others."""
+    many = [add_key(arm, f"key {i}", 0.01 * i) for i in range(1, 21)]
+    make_soft(arm, [key.name for key in many[:1]])
+    with_targets(arm, many)
+    bpy.context.view_layer.update()
+    found, blocks = hashed(monkeypatch), arm.data.shape_keys.key_blocks
+    for step in range(1, 6):
+        blocks["key 3"].value = 0.1 * step
+        bpy.context.view_layer.update()
+    assert found == []
+    blocks["key 3"].points[0].co.x += 0.1
+    bpy.context.view_layer.update()
+    assert len(found) == 1
+    blocks["key 3"].points[0].co.x -= 0.1
+    blocks["key 4"].name = "other"
+    bpy.context.view_layer.update()
+    assert "other" in names(arm) and len(found) < 8  # of 23 keys
+
+
+def with_targets(obj, blocks):
+    for block in blocks[1:]:
+        target = obj.dynamorph.targets.add()
+        target.refer_to(obj.data.shape_keys.key_blocks, obj.data.shape_keys.key_blocks.find(block.name))
+
+
+def test_hashes_are_those_of_the_points(scene, arm):
+    """Those that files have, whatever is kept of them: after each edit, of keys whose points trade places too."""
+    references, block = part("references"), arm.data.shape_keys.key_blocks["flexed"]
+
+    def expected():
+        shape = references.key_points(block) - references.key_points(block.relative_key)
+        return hashlib.blake2b(shape.tobytes(), digest_size=8).hexdigest()
+
+    assert references.key_hash(block) == expected()
+    points = references.key_points(block)
+    basis = references.key_points(block.relative_key)
+    shape = points - basis
+    for changed in (shape[::-1], np.roll(shape, 1, axis=0), -shape, shape[:, ::-1], shape):
+        block.points.foreach_set("co", (basis + changed).ravel())
+        assert references.key_hash(block) == expected()
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        at = rng.integers(len(points))
+        block.points[at].co.x = np.nextafter(np.float32(block.points[at].co.x), np.float32(9.0))
+        assert references.key_hash(block) == expected()
+    arm.data.shape_keys.reference_key.points[3].co.y += 0.01
+    assert references.key_hash(block) == expected()
 
 
 # Keeping ----------------------------------------------------------------------------------------------------------

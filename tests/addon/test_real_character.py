@@ -38,7 +38,7 @@ def single(baked):
     _, job = baked
     build, simulate = part("engine").engine()
     character = job.character.with_settings(method="SINGLE")
-    return simulate.bake(build.build(character), character, job.rig, job.settings)[0]
+    return simulate.bake(build.build(character), character, job.computation.rig, job.settings)[0]
 
 
 def displacements(bake):
@@ -59,7 +59,7 @@ def test_targets_are_the_file_s_driven_keys(baked):
     assert max(stiffness) >= 4 * min(stiffness)
 
 
-def test_flesh_moves_and_knows_its_pose(baked, single):
+def test_tissue_moves_and_knows_its_pose(baked, single):
     _, job = baked
     moved = displacements(job.result)
     assert np.isfinite(moved).all()
@@ -78,7 +78,7 @@ def test_blender_shows_what_the_engine_computed(baked):
     deviations = []
     for frame in (1, 14, 24, LAST):
         bpy.context.scene.frame_set(frame)
-        sample = job.rig[(frame - 1) * 4 : (frame - 1) * 4 + 1]
+        sample = job.computation.rig[(frame - 1) * 4 : (frame - 1) * 4 + 1]
         skin = sample.skin_matrices(job.character.skeleton, job.character.to_bind)[0]
         local = job.character.vertices + job.result.displacement(frame - 1)
         blended = np.einsum("vb,bij->vij", job.character.weights, skin)
@@ -94,7 +94,7 @@ def test_a_target_s_pose_shows_the_sculpted_shape(baked):
     _, simulate = part("engine").engine()
     targets = job.character.targets
     pose = job.character.skeleton.pose(np.array([targets[1].local]))
-    rig = replace(job.rig[:1], pose=pose)
+    rig = replace(job.computation.rig[:1], pose=pose)
     assert any(job.settings.gravity)
     for gravity in (job.settings.gravity, (0.0, 0.0, 0.0)):
         settings = replace(job.settings, start=1, end=1, gravity=gravity)
@@ -129,7 +129,7 @@ def test_picture(baked, single):
 
 
 def _keep_outside(clothes, body):
-    """Clothes that are not simulated are pushed out of the flesh under them, as an artist would do."""
+    """Clothes that are not simulated are pushed out of the body under them, as an artist would do."""
     wrap = clothes.modifiers.new("Outside", "SHRINKWRAP")
     wrap.target, wrap.wrap_mode, wrap.offset = body, "OUTSIDE_SURFACE", 0.006
 

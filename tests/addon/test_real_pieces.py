@@ -30,7 +30,7 @@ def depths(suit, body):
 
 
 def test_the_swimsuit_stays_on_the_body(addon):
-    """Skinned alone it is run through by the flesh that swings; baked, no more than as the file has it."""
+    """Plainly skinned, the swinging body passes through it; baked, no more than in the file itself."""
     body = real_character.open_character("gen_jump")
     suit = bpy.data.objects["Swimsuit"]
     suit.data.shape_keys.animation_data.action = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A soft skin without targets, and what new targets take from their sculpts: material, bones, regions; real bakes."""
+"""A soft skin without targets, and what new targets get from their sculpts: material, bones, regions; real bakes."""
 
 from math import pi
 
@@ -111,10 +111,10 @@ def weights_now(obj):
 
 
 def motion(obj):
-    """How far the skin (F, V) is from where it would be without motion, after a bake, in metres; the bake is gone."""
+    """How far the skin (F, V) is from its place without motion, after a bake, in meters; the bake is deleted."""
     OPS.bake()
-    bake = part("bake").read_back(obj)
-    moved = np.tensordot(bake.coordinates - bake.dry, bake.modes, 1)
+    bake = part("bake_reading").read_back(obj)
+    moved = np.tensordot(bake.coordinates - bake.static, bake.modes, 1)
     OPS.free_bake()
     return moved
 
@@ -416,7 +416,7 @@ def test_targets_are_met_exactly(bar, second):
 
 
 def test_a_target_leaves_the_motion_of_the_rest_alone(bar):
-    """A biceps does not stop a belly from jiggling, while it is flexed."""
+    """A flexed biceps does not stop a belly from jiggling."""
 
     def swing(where):
         """Root mean square of the motion in the target's pose, metres."""
@@ -452,7 +452,7 @@ def test_a_pose_serves_as_many_targets_as_limbs_are_turned(bar):
 
 
 def test_a_new_target_takes_over_nothing_of_other_limbs(bar):
-    """New from Pose starts as all targets look there. What the others go on showing goes from its key."""
+    """New from Pose starts as the blend of all targets there. What the others still show is removed from its key."""
     add(bar, "tip", 3.0, finger=1.0)
     pose(bar, lower=1.0, finger=1.0)
     OPS.new_from_pose(key="root")
@@ -508,7 +508,7 @@ def test_a_sculpt_shows_in_its_pose_until_something_else_does(bar):
 
 
 def test_a_sculpt_is_hidden_by_the_frames_that_have_another_pose(bar):
-    """Else it would show all over the timeline, in whatever pose."""
+    """Otherwise it would show over the whole timeline, in every pose."""
     bone = rig_of(bar).pose.bones["lower"]
     bone.rotation_mode = "XYZ"
     for frame, angle in ((1, 0.0), (5, 1.0), (8, 1.0), (10, 0.0)):
@@ -531,14 +531,14 @@ def test_a_sculpt_is_hidden_by_the_frames_that_have_another_pose(bar):
 
 
 def test_live_shows_a_new_sculpt_too(bar):
-    """Add Soft Skin ends with Live on, so that most targets come to be beside it."""
+    """Add Soft Skin ends with Live on, so most targets are made while it runs."""
     OPS.build()
     OPS.live()
     pose(bar, lower=1.0)
     OPS.new_from_pose(key="flexed")
     sculpt(bar, "flexed", 1.0)
     OPS.finish_sculpt()
-    assert value(bar, "flexed") == 1.0  # Live knows nothing of it yet
+    assert value(bar, "flexed") == 1.0  # Live does not show it yet
     OPS.build()
     bpy.context.scene.frame_set(2)
     pose(bar, lower=1.0)

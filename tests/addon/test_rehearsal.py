@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""New soft skins: stiffness by frequency, how far the skin may move, and what a bake says of itself."""
+"""New soft skins: stiffness from the frequency, the limits of the motion, and what a bake reports."""
 
 import json
 from dataclasses import replace
@@ -14,7 +14,7 @@ pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 @pytest.fixture
 def new_arm(arm):
-    """The arm after one click, and nothing else; its rig is shaken hard up and down."""
+    """The arm after one click; its rig is shaken hard up and down."""
     activate(arm)
     bpy.ops.dynamorph.add_soft_skin()
     arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 400, 12
@@ -37,7 +37,7 @@ def limit(obj, displacement, thickness=0.0):
 
 
 def test_the_build_gives_the_frequency(new_arm):
-    """At every scale: Bounce is what was asked for, whatever stiffness that takes."""
+    """At every scale: Bounce is as requested, whatever stiffness that takes."""
     found = []
     for scale in (1.0, 10.0):
         rig_of(new_arm).scale = (scale,) * 3
@@ -51,7 +51,7 @@ def test_the_build_gives_the_frequency(new_arm):
         reference = neutral.bounce_reference * np.sqrt(material.stiffness / material.density)
         omega = 2.0 * np.pi * reference
         assert material.stiffness_damping * omega / 2.0 == pytest.approx(0.2, rel=1e-3) and not material.mass_damping
-    assert found[1] == pytest.approx(100.0 * found[0], rel=2e-2)  # the cage is made anew
+    assert found[1] == pytest.approx(100.0 * found[0], rel=2e-2)  # the cage is rebuilt
 
 
 def test_the_frequency_is_that_of_the_body(new_arm):
@@ -75,7 +75,7 @@ def test_the_frequency_is_that_of_the_body(new_arm):
 def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     limit(new_arm, 0.0)
     free = bake(new_arm)
-    assert not free.rehearsed and new_arm.dynamorph.simulation.rehearsed == ""
+    assert not free.outcome.rehearsed and new_arm.dynamorph.simulation.rehearsed == ""
     farthest = free.verdict.displacement
     limit(new_arm, 0.6 * farthest)
     job = bake(new_arm)
@@ -84,11 +84,11 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
     assert neutral.frequency > 3.5 and neutral.bounce == pytest.approx(neutral.frequency, rel=1e-3)
     assert neutral.material().stiffness_damping * 2.0 * np.pi * neutral.frequency / 2.0 == pytest.approx(0.2, rel=0.03)
     assert not neutral.by_hand
-    assert new_arm.dynamorph.simulation.rehearsed == job.rehearsed
-    assert f"to {neutral.frequency:.3g} Hz" in job.rehearsed
+    assert new_arm.dynamorph.simulation.rehearsed == job.outcome.rehearsed
+    assert f"to {neutral.frequency:.3g} Hz" in job.outcome.rehearsed
     assert not part("staleness").outdated(new_arm)
     again = bake(new_arm)  # it runs once
-    assert not again.rehearsed and neutral.frequency == job.character.targets[0].frequency
+    assert not again.outcome.rehearsed and neutral.frequency == job.character.targets[0].frequency
     assert np.array_equal(again.result.coordinates, job.result.coordinates)
 
 
@@ -98,12 +98,12 @@ def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
     limit(new_arm, 1e-3)
     job = bake(new_arm)
     assert new_arm.dynamorph.targets[0].frequency > 3.5
-    assert job.rehearsed.endswith("and the skin still moves too far")
+    assert job.outcome.rehearsed.endswith("and the skin still moves too far")
     assert not json.loads(new_arm.dynamorph.bake.verdict)["ok"]
 
 
 def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
-    """What goes far too far in the first step comes back, and what is stored and baked belong together."""
+    """A frequency that overshoots in the first step is lowered again, and what is stored and baked match."""
     monkeypatch.setattr(part("rehearsal"), "FACTOR", (8.0, 8.0))
     limit(new_arm, 0.0)
     farthest = bake(new_arm).verdict.displacement
@@ -111,9 +111,9 @@ def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
     job = bake(new_arm)
     neutral = new_arm.dynamorph.targets[0]
     assert 3.5 < neutral.frequency < 0.8 * 8.0 * 3.5
-    assert 0.5 < job.verdict.excess(job.limits) <= part("judge").SLACK
+    assert 0.5 < job.verdict.excess(job.input.limits) <= part("judge").SLACK
     assert job.character.targets[0].frequency == neutral.frequency
-    assert f"to {neutral.frequency:.3g} Hz" in job.rehearsed
+    assert f"to {neutral.frequency:.3g} Hz" in job.outcome.rehearsed
     again = bake(new_arm)
     assert again.verdict == job.verdict and np.array_equal(again.result.coordinates, job.result.coordinates)
 
@@ -121,7 +121,7 @@ def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
 @pytest.mark.parametrize("power", [1.0, 2.0, 4.0])
 @pytest.mark.parametrize("needed", [0.5, 3.6, 6.0, 20.0])
 def test_a_rehearsal_finds_the_lowest_frequency(power, needed):
-    """However fast the motion falls with the frequency; never below what was asked for."""
+    """However fast the motion decreases with the frequency; never below the requested one."""
     rehearsal = part("rehearsal").Rehearsal(3.5)
     frequency = 3.5
     while frequency:
@@ -141,16 +141,16 @@ def test_a_rehearsal_of_what_is_no_number_ends():
 
 
 def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
-    """In stretches, of which the rig is not kept."""
+    """In chunks whose rig is not kept."""
     limit(new_arm, 0.0)
     farthest = bake(new_arm).verdict.displacement
     limit(new_arm, 0.6 * farthest)
     whole = bake(new_arm)
     new_arm.dynamorph.simulation.rehearsed = ""
     new_arm.dynamorph.targets[0].set_frequency(3.5, part("feel").FEELS["NATURAL"].damping)
-    monkeypatch.setattr(part("job"), "STRETCH", 6)
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 6)
     parts = bake(new_arm)
-    assert parts.rehearsed == whole.rehearsed
+    assert parts.outcome.rehearsed == whole.outcome.rehearsed
     assert parts.result.coordinates == pytest.approx(whole.result.coordinates, rel=1e-4, abs=1e-6)
 
 
@@ -173,7 +173,7 @@ def test_what_others_have_to_agree_with_is_not_rehearsed(new_arm, how, tmp_path)
     before = settings.targets[0].material()
     job = bake(new_arm, **options)
     assert settings.targets[0].material() == before
-    assert not job.rehearsed and settings.simulation.rehearsed == ""
+    assert not job.outcome.rehearsed and settings.simulation.rehearsed == ""
     if how != "unlimited":
         assert not json.loads(settings.bake.verdict)["ok"]
 
@@ -194,7 +194,7 @@ def test_targets_follow_the_neutral_unless_set_by_hand(new_arm):
 
 
 def test_old_settings_are_left_alone(new_arm):
-    """Pins, pascals and no limits, as files from before have them: no calibration, no rehearsal."""
+    """Pins, pascals and no limits, as in older files: no calibration, no rehearsal."""
     settings = new_arm.dynamorph
     settings.model.hold = "BONES"
     limit(new_arm, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rigs as artists make them: what is baked on them is what Blender's own evaluation of the rig shows."""
+"""Rigs as artists make them: a bake shows what Blender's own evaluation of the rig shows."""
 
 from math import pi
 
@@ -316,7 +316,7 @@ def test_what_is_baked_is_what_blender_evaluates(scene, soft_arm, feature):
     bake = job.result
     assert np.isfinite(bake.coordinates).all()
     assert bake.weights[-1] == pytest.approx([0.0, 1.0], abs=1e-5)
-    motion = np.tensordot(bake.coordinates - bake.dry, bake.modes, 1)
+    motion = np.tensordot(bake.coordinates - bake.static, bake.modes, 1)
     assert 1e-3 < np.abs(motion).max() < 1.0
     assert_shows(soft_arm, bake)
 

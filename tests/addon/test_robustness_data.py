@@ -276,7 +276,7 @@ EDITS = [tip_deleted, loop_cut, vertices_sorted, scale_applied, rotation_applied
 
 @pytest.mark.parametrize("change", EDITS)
 def test_mesh_edited_after_the_bake(skin, change):
-    """It still plays; the model says what changed; Free Bake works; baking again builds first, and shows."""
+    """It still plays; the model says what changed; Delete Bake works; baking again builds first, and shows."""
     bake(skin)
     change(skin)
     assert np.isfinite(motion(skin)).all()

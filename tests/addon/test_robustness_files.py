@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Undo, save, append, link, library override, the add-on off and on: nothing of a soft skin is lost by them."""
+"""Undo, save, append, link, library override, turning the add-on off and on: a soft skin survives all of them."""
 
 import subprocess
 import sys
@@ -77,7 +77,7 @@ def test_many_steps_undone_and_redone(skin):
 
 @pytest.fixture
 def asset(skin, tmp_path):
-    """Saves the character, built, baked or live, in a collection: where, how it moves, what Free Bake restores."""
+    """Saves the character, built, baked or live, in a collection: where, how it moves, what Delete Bake restores."""
 
     def save(goal):
         before = fingerprint(skin)
@@ -192,6 +192,23 @@ def test_a_linked_character_that_is_live_plays(asset):
         assert not OPS.live.poll() and names(playing)[-1] == "Dynamorph Live"
 
 
+def test_a_local_object_with_a_linked_mesh_is_refused(asset):
+    """Its settings would be saved, and nothing that is made of its mesh."""
+    linked = open_shot(asset("build"), link=True)
+    obj = linked.copy()
+    bpy.context.scene.collection.objects.link(obj)
+    activate(obj)
+    assert obj.library is None and obj.data.library
+    before = state()
+    for name in set(CALLS) - {"apply_feel", "apply_material", "fit_material", "fix"}:
+        assert not getattr(OPS, name).poll(), name
+    told = part("job_operators").DYNAMORPH_OT_bake.disabled_reason(bpy.context)
+    assert told.startswith(f"The mesh of '{obj.name}' is linked") and "make it local" in told
+    with pytest.raises(part("errors").SinkError, match="Mesh 'Arm' is linked.*make it local"):
+        bake(obj)
+    assert state() == before
+
+
 def test_an_override_keeps_materials_alone(asset, tmp_path):
     saved = asset("build")
     obj = open_override(saved)
@@ -219,7 +236,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
 
 
 def test_a_mesh_of_its_own_does_not_make_an_override_safe(asset):
-    """The record of the bake would be lost, and Free Bake with it."""
+    """The record of the bake would be lost, and Delete Bake with it."""
     obj = open_override(asset("build"))
     obj.data = obj.data.copy()
     before = fingerprint(obj)

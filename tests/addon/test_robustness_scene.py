@@ -108,7 +108,9 @@ def test_small_units_below_a_small_scale_change_nothing(scene, skin):
 @pytest.mark.parametrize("kind", ["rotation", "scale"])
 @pytest.mark.parametrize("pose", ["neutral", "flexed"])
 def test_gravity_is_still_balanced_after_a_transform_is_applied(scene, arm, kind, pose):
-    """In a target's pose and tilt nothing sags; that the rig's object stands otherwise now is no other tilt."""
+    """Nothing sags in a target's pose and orientation; another transform of the rig's object does not count as another
+    orientation.
+    """
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     both = (arm, rig_of(arm))
     for each in both:
@@ -244,7 +246,7 @@ def test_live_in_remapped_time_is_the_bake(scene, skin):
     assert np.abs(motion(skin, frames) - baked).max() < 1e-5
 
 
-def test_time_remapped_after_the_bake_keeps_rig_and_flesh_together(scene, skin):
+def test_time_remapped_after_the_bake_keeps_rig_and_tissue_together(scene, skin):
     job = bake(skin)
     scene.render.frame_map_new = 200
     for frame in (3, 9, 19):

@@ -184,7 +184,7 @@ BUTTONS = CALLS | CHANGING_NOTHING
 
 
 def press(name):
-    """A button is grey, or does its work, or says in words what is missing."""
+    """A button is grayed out, or does its work, or says in words what is missing."""
     button = getattr(OPS, name)
     if not button.poll():
         return "grey"
@@ -271,7 +271,7 @@ def test_states_in_which_baking_works(scene, stand_in, state):
 
 
 def test_armature_deleted_while_its_bake_plays(scene, stand_in):
-    """The flesh keeps moving about the rest pose; nothing else is lost, and a new armature takes over."""
+    """The skin keeps moving about the rest pose; nothing else is lost, and a new armature takes over."""
     obj = make_soft(make_arm(scene))
     OPS.bake()
     armature_object_deleted()

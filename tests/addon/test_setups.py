@@ -6,6 +6,7 @@ import sys
 import types
 from pathlib import Path
 
+import addon_utils
 import bpy
 import numpy as np
 import pytest
@@ -641,7 +642,7 @@ def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monk
         model_store.stored_model(soft_arm)
     OPS.build()
     assert (tmp_path / "shots" / "cache" / "models" / name).is_file()
-    chosen.model_folder = "//elsewhere"  # another user: a model beside the .blend is found all the same
+    chosen.model_folder = "//elsewhere"  # another user: a model beside the .blend is found nevertheless
     (tmp_path / "shots" / "cache" / "models").rename(tmp_path / "shots" / "dynamorph_models")
     assert model_store.stored_model(soft_arm)
     soft_arm.dynamorph.model.content_id = "../../etc/passwd"
@@ -649,7 +650,7 @@ def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monk
         model_store.stored_model(soft_arm)
 
 
-def test_threads_are_told_to_the_engine(soft_arm, stand_in, monkeypatch, chosen):
+def test_threads_are_told_to_the_engine_by_whatever_uses_it_first(soft_arm, monkeypatch, chosen):
     dynamorph = pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     told = []
     fake = types.SimpleNamespace(set_threads=told.append, unpack_model=dynamorph.unpack_model, Error=RuntimeError)
@@ -657,12 +658,27 @@ def test_threads_are_told_to_the_engine(soft_arm, stand_in, monkeypatch, chosen)
     chosen.threads = 3  # nothing is loaded for it
     assert "dynamorph" not in sys.modules
     monkeypatch.setitem(sys.modules, "dynamorph", fake)
-    OPS.build()
+    refused(OPS.check_targets, "not built yet")
     assert told == [3]
     chosen.threads = 0
     assert told == [3, 0]
-    OPS.build()
+    refused(OPS.check_targets, "not built yet")
     assert told == [3, 0]
+
+
+def test_threads_chosen_before_the_add_on_starts_are_told(scene, monkeypatch):
+    told = []
+    engine = types.SimpleNamespace(set_threads=told.append, Error=RuntimeError)
+    bpy.context.preferences.addons[MODULE].preferences.threads = 5
+    try:
+        addon_utils.disable(MODULE)
+        part("engine").use_threads(0)
+        monkeypatch.setitem(sys.modules, "dynamorph", engine)
+        addon_utils.enable(MODULE)
+        assert told == [5]
+    finally:
+        monkeypatch.undo()
+        bpy.context.preferences.addons[MODULE].preferences.threads = 0
 
 
 def test_the_preferences_show_the_engine(chosen, monkeypatch):

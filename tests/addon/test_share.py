@@ -31,7 +31,7 @@ def baked(obj, folder=None, goal="BAKE"):
 
 
 def stopped(obj, folder, monkeypatch, stretches):
-    """A bake that ends after so many stretches; nothing is written."""
+    """A bake that ends after this many chunks; nothing is written."""
     cache_dir, batch, job = part("cache_dir"), part("batch"), part("job")
     keep, left = cache_dir.Share.keep, iter(range(stretches - 1, -1, -1))
 
@@ -47,35 +47,35 @@ def stopped(obj, folder, monkeypatch, stretches):
 
 
 def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
-    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 5)
+    monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
     assert len(list(folder.glob("*.unfinished"))) == 1
-    job = baked(coarse, folder)
-    assert len(job.resumed["coordinates"]) == 11  # frames
-    assert part("record").character_record(job)["bake"]["resumed"] == 11
+    job, record = baked(coarse, folder), part("record")
+    assert len(job.input.resumed["coordinates"]) == 11  # frames
+    assert record.character_record(record.Done(job, job.warnings))["bake"]["resumed"] == 11
     whole = baked(coarse)
     assert np.array_equal(job.result.coordinates, whole.result.coordinates)
     assert job.report["steps"] == whole.report["steps"]
 
 
 def test_a_bake_with_other_modes_begins_anew(coarse, folder, monkeypatch):
-    """Models that are built elsewhere from the same may have modes of other signs."""
-    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 5)
+    """Models that are built elsewhere from the same scene may have modes with other signs."""
+    monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
     (built,) = folder.glob("*.dynamorph")
     model_file = part("model_file")
     arrays, meta = model_file.unpack(built.read_bytes())
     arrays["basis"][:, 0] *= -1.0
     model_file.save(built, model_file.pack(arrays, meta))
-    assert not baked(coarse, folder).resumed
+    assert not baked(coarse, folder).input.resumed
 
 
 def test_a_changed_file_begins_anew(coarse, folder, monkeypatch):
-    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 5)
+    monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=1)
     rig_of(coarse).pose.bones[0].constraints.new("LIMIT_ROTATION")  # of which settings and animation know nothing
     bpy.ops.wm.save_mainfile()
-    assert not baked(coarse, folder).resumed
+    assert not baked(coarse, folder).input.resumed
 
 
 def test_models_are_built_once(coarse, folder, monkeypatch):
@@ -84,7 +84,7 @@ def test_models_are_built_once(coarse, folder, monkeypatch):
     monkeypatch.setattr(part("simulate"), "build_for", None)
     second = baked(coarse, folder, goal="BUILD")
     assert second.reasons and np.array_equal(second.model.basis, first.model.basis)
-    assert second.references == first.references
+    assert second.outcome.references == first.outcome.references
 
 
 def test_models_fitted_to_a_shot_are_not_shared(coarse, folder):
@@ -102,7 +102,7 @@ def test_what_cannot_be_gone_on_with_is_baked_all_the_same(coarse, tmp_path, fol
     else:
         coarse.modifiers["Armature"].use_deform_preserve_volume = True
     bpy.ops.wm.save_mainfile()
-    arguments = ["bake", "--object", coarse.name, "--share", str(folder), "-o", str(tmp_path / "baked.blend")]
+    arguments = ["bake", "--object", coarse.name, "--cache-dir", str(folder), "-o", str(tmp_path / "baked.blend")]
     assert part("main").main(arguments) == 0
     assert not list(folder.glob("*.unfinished"))
 
@@ -122,17 +122,17 @@ def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
 
 
 def test_an_undo_between_two_stretches_stops_a_bake(coarse, folder, monkeypatch):
-    """What was read before it is of another scene."""
-    monkeypatch.setattr(part("job"), "STRETCH", 5)
+    """What was read before it belongs to another scene."""
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 5)
     job = part("job").Job(coarse, "BAKE")
     batch = part("batch").Batch([job], "BAKE")
-    go_on = part("job").Job.go_on
+    next_chunk = part("job").Job.next_chunk
 
     def undone(self):
         batch.undone = True
-        return go_on(self)
+        return next_chunk(self)
 
-    monkeypatch.setattr(part("job").Job, "go_on", undone)
+    monkeypatch.setattr(part("job").Job, "next_chunk", undone)
     with pytest.raises(part("errors").SceneError, match="was undone"):
         part("batch").run_all(batch)
     assert not coarse.dynamorph.bake.keys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake in Blender moves the mesh as the engine said, and Free Bake leaves no trace."""
+"""A bake in Blender moves the mesh as the engine said, and Delete Bake leaves no trace."""
 
 from dataclasses import replace
 
@@ -283,7 +283,7 @@ def test_single_frame_and_still_bakes(scene, soft_arm):
 
 def influenced(bake, influence, frame):
     """The displacement that Blender must show at a frame of an influence."""
-    coordinates = influence * bake.coordinates + (1.0 - influence) * bake.dry
+    coordinates = influence * bake.coordinates + (1.0 - influence) * bake.static
     return replace(bake, coordinates=coordinates).displacement(frame - int(bake.frames[0]))
 
 
@@ -300,7 +300,7 @@ def shown_displacement(obj):
 def test_influence_blends_from_the_shapes_to_the_motion(scene, soft_arm, influence):
     bake_influence = part("bake_influence")
     bake = hand_made_bake(soft_arm)
-    bake.dry[:, 1] = 0.0  # a mode that no shape needs
+    bake.static[:, 1] = 0.0  # a mode that no shape needs
     part("bake").write_keys(soft_arm, bake)
     bake_influence.influence_strip(soft_arm).influence = influence
     for frame in (1, 7, 20, 30):

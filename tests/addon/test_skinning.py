@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Skinning that is more than sums of bone matrices: what the engine gets is what Blender shows."""
+"""Skinning that is more than sums of bone matrices: the engine gets what Blender shows."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -176,7 +176,7 @@ def displace(obj, displacement):
 
 
 def flesh_motion(obj) -> np.ndarray:
-    """Displacements (V, 3) as large as those of flesh, local space."""
+    """Displacements (V, 3) as large as those of soft tissue, local space."""
     return np.random.default_rng(3).normal(0.0, 0.03, (len(obj.data.vertices), 3))
 
 
@@ -197,7 +197,7 @@ def test_the_probe_is_posed_as_blender_poses_the_mesh(scene, soft_arm, change):
 
 
 @pytest.mark.parametrize("change", [*LINEAR, *QUATERNIONS], ids=lambda change: change.__name__)
-def test_displaced_flesh_is_carried_as_blender_carries_it(scene, soft_arm, change):
+def test_displaced_tissue_is_carried_as_blender_carries_it(scene, soft_arm, change):
     """For weights that are fixed the transform is exact, however far from rest."""
     change(soft_arm)
     motion = flesh_motion(soft_arm)
@@ -212,8 +212,8 @@ def test_displaced_flesh_is_carried_as_blender_carries_it(scene, soft_arm, chang
         assert np.abs(posed[frame - 1] - theirs).max() < 1e-5 * np.ptp(theirs, axis=0).max()
 
 
-def test_bendy_bones_carry_flesh_to_first_order(scene, soft_arm):
-    """What bends a vertex depends on where it is: off by the square of the displacement."""
+def test_bendy_bones_carry_tissue_to_first_order(scene, soft_arm):
+    """The bend at a vertex depends on where it is: the error is the square of the displacement."""
     bendy(soft_arm)
     rig_of(soft_arm).location.z = -0.04  # no vertex is where two segments meet: there the derivative jumps
     motion = flesh_motion(soft_arm)
@@ -230,7 +230,7 @@ def test_bendy_bones_carry_flesh_to_first_order(scene, soft_arm):
         error = np.sqrt(np.mean((moved(transforms, rest + factor * motion) - shown) ** 2))
         errors.append(error / np.sqrt(np.mean((shown - still) ** 2)))
     assert errors[0] < 0.1 and errors[1] < 0.4 * errors[0]
-    # Probed where the flesh is, there is nothing to approximate.
+    # Probed at the displaced points, so nothing is approximated.
     probe, there = skin_probe(soft_arm, 0.1 * motion)
     samples = part("rig_motion").sample_rig(soft_arm, 20, 20, 1, probe)
     assert np.abs(moved(samples.nodes.transforms(samples.object_world)[0], there) - shown).max() < 1e-5
@@ -345,7 +345,7 @@ def test_the_nodes_move_with_the_skin(scene, small_arm):
     job = run(small_arm)
     player = part("player").Player(job.model, job.character, job.settings)
     skin = player.posing.skin
-    frames = player.posing.frames(job.rig[-1:])
+    frames = player.posing.frames(job.computation.rig[-1:])
     scene.frame_set(20)
     small_arm.data.shape_keys.key_blocks.foreach_set("mute", [True] * len(small_arm.data.shape_keys.key_blocks))
     apart = np.linalg.norm(skin.posed(frames[0]) - evaluated_points(small_arm), axis=1)[skin.known]
@@ -361,7 +361,7 @@ def test_on_plain_bones_both_ways_are_one(small_arm, monkeypatch, solver):
     dense = run(small_arm)
     monkeypatch.undo()
     plain = run(small_arm)
-    assert dense.rig.nodes is not None and plain.rig.nodes is None and plain.reasons == []
+    assert dense.computation.rig.nodes is not None and plain.computation.rig.nodes is None and plain.reasons == []
     apart = [np.abs(dense.result.displacement(k) - plain.result.displacement(k)).max() for k in range(8)]
     moved_by = max(np.abs(plain.result.displacement(k)).max() for k in range(8))
     assert moved_by > 0.01 and max(apart) < 2e-6
@@ -375,16 +375,16 @@ def test_a_target_is_held_against_gravity_in_its_own_pose(small_arm):
     job = run(small_arm)
     assert any(job.settings.gravity)
     still = replace(job.settings, start=20, end=20)
-    held, _ = part("simulate").bake(job.model, job.character, job.rig[-1:], still)
+    held, _ = part("simulate").bake(job.model, job.character, job.computation.rig[-1:], still)
     shape = job.character.targets[1].shape
     assert np.abs(held.displacement(0) - shape).max() < 1e-5
-    without = replace(job.rig[-1:], held=None)
+    without = replace(job.computation.rig[-1:], held=None)
     with pytest.raises(ValueError, match="sampled without the nodes"):
         part("simulate").bake(job.model, job.character, without, still)
 
 
 def test_a_loop_a_jump_and_wind(scene, small_arm):
-    """All that looks at where the skin is, without bones that could say it."""
+    """Everything that depends on where the skin is, which the bones do not determine here."""
     twisting(small_arm)
     rig = rig_of(small_arm)
     small_arm.parent = rig
@@ -401,11 +401,11 @@ def test_a_loop_a_jump_and_wind(scene, small_arm):
     assert any("rig jumps at frame 10" in text for text in job.warnings)
     assert max(np.abs(job.result.displacement(k)).max() for k in range(20)) < 0.5
     player = part("player").Player(job.model, job.character, job.settings)
-    player.begin(job.rig[:2])
+    player.begin(job.computation.rig[:2])
     rest = job.character.vertices @ job.character.to_bind.T
-    assert player.pose_gap(job.rig[:1]) < 1e-12 and player.pose_gap(job.rig) > 0.1
-    assert player.posing.skinned(job.rig[:1])[0] == pytest.approx(rest[player.posing.skin.known], abs=1e-5)
-    push = player._push(job.rig.fields, 0, player.posing.frames(job.rig[:1])[0])
+    assert player.pose_gap(job.computation.rig[:1]) < 1e-12 and player.pose_gap(job.computation.rig) > 0.1
+    assert player.posing.skinned(job.computation.rig[:1])[0] == pytest.approx(rest[player.posing.skin.known], abs=1e-5)
+    push = player._push(job.computation.rig.fields, 0, player.posing.frames(job.computation.rig[:1])[0])
     assert push.sum(axis=0)[2] == pytest.approx(40.0 * player.posing.skin.areas.sum(), rel=1e-6)
     small_arm.dynamorph.simulation.loop = True
     assert "gap" in run(small_arm).report
@@ -448,10 +448,11 @@ def test_a_cage_is_made_before_the_rig_is_read_and_serves_the_model(small_arm):
     assert seen == sorted(seen) and job.model.summary["seconds"]["meshing"] < 0.01
     stages = {"build", "sample rig", "measure", "simulate", "judge", "make keys", "store model", "write keys"}
     assert set(job.seconds) == stages
-    assert not part("job").Job(small_arm, "BUILD").needs_cage()
-    again = part("job").Job(small_arm, "BAKE")
-    again.read()
-    assert not again.needs_cage() and again.reasons == []
+    for goal in ("BUILD", "BAKE"):
+        again = part("job").Job(small_arm, goal)
+        again.read()
+        assert not again.computation.needs_cage
+    assert again.reasons == []
 
 
 def test_cancelled_while_the_cage_is_made(small_arm):
@@ -472,34 +473,36 @@ def test_other_methods(small_arm, method):
     twisting(small_arm)
     small_arm.dynamorph.model.method = method
     job = run(small_arm)
-    assert (job.rig.nodes is None) == (method == "STATIC")
+    assert (job.computation.rig.nodes is None) == (method == "STATIC")
     assert np.isfinite(job.result.displacement(19)).all()
 
 
 def test_a_body_in_two_cages(small_arm):
-    """The nodes that were read are those of the model, though several cages are made anew."""
+    """The nodes that were read are those of the model, although several cages are rebuilt."""
     twisting(small_arm)
     small_arm.vertex_groups.new(name="End").add(list(range(170, 272)), 1.0, "REPLACE")
     piece = small_arm.dynamorph.pieces.add()
     piece.group, piece.choice = "End", "OWN_CAGE"
     job = run(small_arm)
-    assert len(job.rig.nodes.rest) == job.model.free.sum() and np.abs(job.result.displacement(12)).max() > 0.0
+    assert (
+        len(job.computation.rig.nodes.rest) == job.model.free.sum() and np.abs(job.result.displacement(12)).max() > 0.0
+    )
 
 
 def test_a_shot_in_stretches_is_the_whole_shot(small_arm, monkeypatch):
     twisting(small_arm)
     whole = run(small_arm).result
-    monkeypatch.setattr(part("job"), "SHORT_STRETCH", 6)
+    monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 6)
     job = run(small_arm)
-    assert len(job.rig) < 40 and np.abs(job.result.coordinates - whole.coordinates).max() < 1e-9
+    assert len(job.computation.rig) < 40 and np.abs(job.result.coordinates - whole.coordinates).max() < 1e-9
 
 
 def test_methods_are_compared(small_arm):
     twisting(small_arm)
-    job = part("job").Job(small_arm, "BAKE", frames=(1, 3))
-    job.prepare()
+    job = part("job").Job(small_arm, "BAKE", frames=(1, 3), whole=True, stored=False)
+    rig = part("batch").read_rig(job)
     variants = {name: part("settings").VARIANTS[name] for name in ("DMT StVK reduced", "DMT StVK full")}
-    found = part("compare").compare(job.character, job.rig, job.settings, variants)["variants"]
+    found = part("compare").compare(job.character, rig, job.settings, variants)["variants"]
     assert found["DMT StVK reduced"]["steps"] > 0 and found["DMT StVK reduced"]["error"]["rms_total"] < 1.0
 
 
@@ -526,7 +529,7 @@ def test_playback_is_the_bake(scene, small_arm):
         assert np.abs(shown - job.result.displacement(k)).max() < 2e-6
     scene.frame_set(20)
     small_arm.dynamorph.active_target_index = 1
-    bpy.ops.dynamorph.capture_pose()  # is probed anew
+    bpy.ops.dynamorph.capture_pose()  # is probed again
     scene.frame_set(21)
     assert part("live").problem(small_arm) == ""
 
@@ -549,9 +552,9 @@ def test_another_way_of_skinning_counts_at_once(scene, small_arm):
     run(small_arm, goal="BUILD")
     bpy.ops.dynamorph.live()
     session = part("live").sessions[small_arm.session_uid]
-    assert session.flesh.probe is None
+    assert session.tissue.probe is None
     small_arm.modifiers["Armature"].use_deform_preserve_volume = True
     bpy.context.view_layer.update()
     scene.frame_set(2)
     session = part("live").sessions[small_arm.session_uid]
-    assert session.flesh.probe is not None and part("live").problem(small_arm) == ""
+    assert session.tissue.probe is not None and part("live").problem(small_arm) == ""

@@ -155,7 +155,7 @@ def test_a_failure_puts_the_armature_back(arm, monkeypatch):
     def broken(trial, key):
         calls.append(key)
         if len(calls) > 50:
-            raise ValueError("broken")
+            raise part("errors").SceneError("broken")
         return 0.0
 
     monkeypatch.setattr(part("suggest")._Trial, "value", broken)
@@ -321,7 +321,7 @@ def test_go_to_pose_names_bones_that_are_held(soft_arm, capfd):
     limit.owner_space, limit.use_limit_x, limit.max_x = "LOCAL", True, 1.0
     soft_arm.dynamorph.active_target_index = 1
     OPS.go_to_pose()
-    assert "Constraints or drivers hold bones off: lower" in capfd.readouterr().out
+    assert "Constraints or drivers keep bones out of this pose: lower" in capfd.readouterr().out
 
 
 # Mirror ------------------------------------------------------------------------------------------------------------
@@ -360,7 +360,7 @@ def make_two_arms(scene):
 
 @pytest.fixture
 def arms(scene):
-    """Two arms, of which the left one has a target."""
+    """Two arms; the left one has a target."""
     obj = make_two_arms(scene)
     OPS.add_soft_skin()
     rig = rig_of(obj)
@@ -493,7 +493,7 @@ def test_duplicating_a_target(scene, soft_arm, capfd):
     keys.key_blocks["flexed"].vertex_group = "lower"
     OPS.duplicate_target()
     assert names(soft_arm) == ["Neutral", "flexed", "flexed copy", "smile"] and settings.active_target_index == 2
-    assert "'flexed copy' has the pose of 'flexed'" in capfd.readouterr().out
+    assert "'flexed copy' has the same pose as 'flexed'" in capfd.readouterr().out
     assert (key_points(soft_arm, "flexed copy") == key_points(soft_arm, "flexed")).all()
     assert (shape(soft_arm, "flexed copy") == shape(soft_arm, "flexed")).all()
     assert keys.key_blocks["flexed copy"].value == 0.0
@@ -502,7 +502,7 @@ def test_duplicating_a_target(scene, soft_arm, capfd):
     skip = ("name", "key_index", "key_hash")
     assert plain(source, skip) == plain(copy, skip) and source.bone_names() == copy.bone_names()
     assert [plain(bone) for bone in source.pose] == [plain(bone) for bone in copy.pose]
-    with pytest.raises(ValueError, match="have the same pose"):
+    with pytest.raises(part("errors").SceneError, match="have the same pose"):
         part("extract").character(soft_arm)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One character moves alike in metres however the scene holds it: units, scales, rotations, parents."""
+"""One character moves alike in meters however the scene contains it: units, scales, rotations, parents."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -134,7 +134,7 @@ def scaled(obj, mesh: float, rig: float):
 
 
 def in_units(obj, metres: float):
-    """In a scene whose unit is so many metres, all is that much larger in numbers."""
+    """In a scene with a unit of this many meters, all numbers scale accordingly."""
     bpy.context.scene.unit_settings.scale_length = metres
     scaled(obj, metres, metres)
     for held in (obj, rig_of(obj)):
@@ -167,7 +167,7 @@ def both_on(parent, obj):
 
 
 def held_by_fbx(obj):
-    """As an import leaves it: y is up and centimetres in the data, undone by a parent."""
+    """As an import leaves it: y is up and the data in centimeters, undone by a parent."""
     frame = turned(pi / 2, "X") @ Matrix.Scale(0.01, 4)
     empty = holder(frame)
     for held in (obj, rig_of(obj)):
@@ -198,7 +198,7 @@ HELD_WITH_OTHER_AXES = {
 
 @pytest.mark.parametrize("name", HELD)
 def test_the_same_motion(scene, name):
-    """Built and baked anew, cage and all."""
+    """Built and baked again, including the cage."""
     expected = original()
     obj = limb(clear())
     HELD[name](obj)
@@ -207,8 +207,9 @@ def test_the_same_motion(scene, name):
 
 @pytest.mark.parametrize("name", HELD_WITH_OTHER_AXES)
 def test_the_same_motion_in_the_same_cage(scene, name):
-    """A cage depends on the axes of the mesh's data, and so does the motion, as much as on the number of its nodes:
-    these are compared in one cage."""
+    """A cage depends on the axes of the mesh's data, and the motion with it, as much as on the number of nodes: these
+    are compared in one cage.
+    """
     expected = original()
     obj = limb(clear())
     HELD_WITH_OTHER_AXES[name](obj)
@@ -231,7 +232,7 @@ def travelled() -> Shot:
 
 @pytest.mark.parametrize("distance, same", [(0.0, SAME), (10.3, SAME), (100.3, 1e-5), (1000.3, 1e-3)])
 def test_the_same_motion_elsewhere(scene, distance, same):
-    """Blender's transforms are in single precision: of a kilometre 3e-5 m, which the flesh feels as a jerk."""
+    """Blender's transforms are in single precision: at a kilometer 3e-5 m, which the simulation feels as a jerk."""
     expected = travelled()
     obj = travelling(clear())
     moved = Matrix.Translation((distance, 0.0, 0.0)) @ turned(0.6, "Z")
@@ -306,7 +307,7 @@ def test_sizes_are_told_in_metres(in_centimetres):
     assert part("transfer_operators").length(0.0123) == "1.23 cm"
     scene.unit_settings.scale_length = 1.0
     (warning,) = extract.warnings(in_centimetres, extract.character(in_centimetres))
-    assert "'Arm' is 217 m long: check the scale" in warning
+    assert "'Arm' is 217 m long and will move like something of that size: check the scale" in warning
 
 
 def test_without_a_unit_system_a_unit_is_a_metre(in_centimetres):
@@ -351,7 +352,7 @@ def test_what_is_drawn_is_in_blender_units(in_centimetres):
 def test_a_shake_moves_the_rig_in_blender_units(in_centimetres):
     batch, job, preview = part("batch"), part("job"), part("preview")
     batch.run(job.Job(in_centimetres, goal="BUILD"))
-    flesh = part("session").Flesh(in_centimetres, bpy.context.scene)
-    samples, transforms = preview.shaken(in_centimetres, flesh, "HOP")
+    tissue = part("session").Tissue(in_centimetres, bpy.context.scene)
+    samples, transforms = preview.shaken(in_centimetres, tissue, "HOP")
     assert np.ptp(samples.rig_world[:, 2, 3]) == pytest.approx(0.12 * 2.17, rel=0.05)
     np.testing.assert_allclose(transforms[:, 2, 3], 100.0 * samples.rig_world[:, 2, 3], rtol=1e-5, atol=1e-6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The verdict on a bake: it is read whatever it says, drawn, shown where it looks worst, and mended by one button."""
+"""The verdict on a bake: read whatever it contains, drawn, shown at the worst place, and repaired by one button."""
 
 import json
 
@@ -165,7 +165,7 @@ def test_a_finer_cage(baked):
     OPS.refine_cage()
     assert baked.dynamorph.model.cage_nodes == 600
     baked.dynamorph.model.cage_nodes = 200_000
-    refused(OPS.refine_cage, "as many nodes as it can have")
+    refused(OPS.refine_cage, "the maximum number of nodes")
 
 
 def test_rehearse_asks_the_job_for_it(baked, monkeypatch):
@@ -210,7 +210,7 @@ def test_a_bake_is_as_hot_as_it_moves(scene, soft_arm, frame):
     soft_arm.scale = (2.0, 1.0, 1.0)
     scene.frame_set(frame)
     rest = part("mesh_data").rest_points(soft_arm)
-    moved = np.tensordot(bake.coordinates[frame - 1] - bake.dry[frame - 1], bake.modes, 1)
+    moved = np.tensordot(bake.coordinates[frame - 1] - bake.static[frame - 1], bake.modes, 1)
     size = np.linalg.norm(np.ptp(rest * [2.0, 1.0, 1.0], axis=0))
     expected = np.linalg.norm(moved * [2.0, 1.0, 1.0], axis=1) / size
     for limit, allowed in ((0.0, 0.05), (0.1, 0.1)):

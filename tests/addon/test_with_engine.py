@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The add-on with the real engine: what Blender shows is what the engine computed, and models age for a reason only."""
+"""The add-on with the real engine: Blender shows what the engine computed, and models become outdated only for a
+reason.
+"""
 
 import bpy
 import numpy as np
@@ -118,7 +120,7 @@ def test_what_needs_one_is_named(small_arm, change, reason):
 
 
 def test_a_cage_that_targets_grade_is_made_anew_for_other_targets(small_arm):
-    """Else it would be fine where an old sculpt was."""
+    """Otherwise it would be fine where an old sculpt was."""
     batch, model_store, job, extract, build = (
         part("batch"),
         part("model_store"),
@@ -140,9 +142,9 @@ def test_a_cage_that_targets_grade_is_made_anew_for_other_targets(small_arm):
 def test_cancelling_the_engine(small_arm):
     errors = part("errors")
     job = part("job").Job(small_arm, goal="BAKE")
-    job.prepare()
+    batch = part("batch").Batch([job], "BAKE")
+    list(batch.read())
     job.cancelled = True
-    job.start()
     with pytest.raises(errors.Cancelled):
-        job.wait()
+        list(batch.compute())
     assert not small_arm.dynamorph.bake.keys and not small_arm.dynamorph.model.content_id

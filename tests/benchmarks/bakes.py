@@ -35,7 +35,7 @@ from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core import slider_keys  # noqa: E402
 from dynamic_morph_targets.io import model_file, paths  # noqa: E402
-from dynamic_morph_targets.run import batch, job  # noqa: E402
+from dynamic_morph_targets.run import bake_input, batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 
 
@@ -84,7 +84,7 @@ def round_trips(folder: Path) -> dict:
             "keys": job.report["keys"],
             "said": job.report["keys_error"] / ours.size,
             "error": round_trips.farthest(shown, ours.world) / ours.size,
-            "bytes": job.size,
+            "bytes": job.outcome.size,
             "size": ours.size,
             "frames": len(job.result.frames),
         }
@@ -127,7 +127,7 @@ def long(folder: Path) -> dict:
     command_line("build", shot, "--object", name, "-o", built)
     opened = command_line("info", built, "--object", name)
     rows = [long_bake(built, name, sink, frames) for sink in LONG_SINKS for frames in LENGTHS]
-    return about | {"stretch": job.STRETCH, "opened": opened["memory"], "bakes": rows}
+    return about | {"stretch": bake_input.CHUNK_FRAMES, "opened": opened["memory"], "bakes": rows}
 
 
 def repeat_forever(rig):
@@ -139,8 +139,8 @@ def repeat_forever(rig):
 
 def long_bake(shot: Path, name: str, sink: str, frames: int) -> dict:
     output = shot.with_name("long.blend")
-    more = ["--sink-file", shot.with_name(f"{paths.OBJECT}.pc2")] if sink == "pc2" else []
-    arguments = ("--object", name, "--frames", 1, frames, "--sink", sink, *more, "-o", output)
+    more = ["--output-file", shot.with_name(f"{paths.OBJECT}.pc2")] if sink == "pc2" else []
+    arguments = ("--object", name, "--frames", 1, frames, "--format", sink, *more, "-o", output)
     run = command_line("bake", shot, *arguments)
     bpy.ops.wm.open_mainfile(filepath=str(output))
     action = bpy.data.objects[name].dynamorph.bake.action
@@ -188,7 +188,7 @@ def kills(folder: Path) -> dict:
     while len(kept) < KILLS and test_kills.killed(shot, done, share, random):
         (unfinished,) = share.glob("*.unfinished")
         kept.append(len(model_file.unpack(unfinished.read_bytes())[0]["coordinates"]))
-    found = test_kills.baked(test_kills.baking(shot, done, "--share", share), done)
+    found = test_kills.baked(test_kills.baking(shot, done, "--cache-dir", share), done)
     same = {name: found[name] == undisturbed[name] for name in ("hash", "steps", "made_from")}
     left = {kind: len(list(share.glob(f"*.{kind}"))) for kind in ("unfinished", "part")}
     return {"frames": FRAMES, "kept": kept, "same": same, "hash": found["hash"], "left": left}

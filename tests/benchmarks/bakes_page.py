@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`make bakes`: docs/bakes.md and its pictures, from characters of ../shared. No number is typed here.
 
-The figures are kept in docs/bakes.json: a section that is not measured anew stays as it was.
+The figures are kept in docs/bakes.json: a section keeps its figures until it is measured again.
 """
 
 from __future__ import annotations
@@ -34,13 +34,15 @@ SAME = 1e-6  # body sizes: surfaces nearer than this are one
 
 PAGE_TEXT = """# Bakes
 
-What becomes of a bake: in every form that it can take, over a cycle, over many frames, killed, at other frame rates and
-on a farm. `make bakes` measures and writes this page, its pictures and [bakes.json](bakes.json); nothing on it is
-written by hand. What is not measured anew stays as it was: `make bakes sections="loops kills"` measures those two.
+What bakes are worth: in every form that they can take, as loops, over many frames, after being killed, at other frame
+rates and on a farm. `make bakes` measures and writes this page, its pictures and [bakes.json](bakes.json); nothing on
+it is written by hand. Sections keep their figures until they are measured again: `make bakes sections="loops kills"`
+measures these two.
 
 {commits}
 
-*Body sizes*: of the diagonal of the box around the body at rest.
+*Body sizes*: of the diagonal of the box around the body at rest. Who made the characters:
+[Attribution](attribution.md).
 
 """
 
@@ -186,7 +188,7 @@ def show_round_trips(by_version: dict) -> str:
 
 LOOPS = """## Walks that loop
 
-Walk cycles as their artists made them, carried forward or round a circle meanwhile, on soft flesh. *Loop* looks for the
+Walk cycles as their artists made them, carried forward or around a circle, on soft bodies. *Loop* looks for the
 motion that ends as it began. *Without*: how far the last frame is from the first without it. *In place*, *in velocity*
 (a frame): what is left with it, by the engine; *shown*: in place, by Blender's evaluated mesh, seen by who goes along.
 *Simulated on*: what is left where the cycle is simulated {repeated} times one after the other instead. All in body
@@ -199,7 +201,7 @@ sizes.
 
 ![A point of the fox over two and a half cycles, seams in yellow]({images}/motion.svg)
 
-Some flesh finds no steady motion by itself, as the T-rex's. The loop is found all the same:
+Some bodies, like the T-rex's, find no steady motion by themselves. The loop is found nevertheless:
 
 ![The gap pass by pass]({images}/passes.svg)
 
@@ -215,7 +217,7 @@ def show_loops(found: dict) -> str:
         for walk in found["walks"]
     ]  # fmt: skip
     still_open = [walk for walk in found["walks"] if walk["reported"] > SAME]
-    head = ("", "stiffness", "frames", "travels", "flesh moves", "without", "in place", "in velocity", "shown",
+    head = ("", "stiffness", "frames", "travels", "skin moves", "without", "in place", "in velocity", "shown",
             "simulated on", "passes", "seconds")  # fmt: skip
     return LOOPS.format(
         images=IMAGES,
@@ -274,8 +276,8 @@ def show_long(found: dict) -> str:
 
 KILLS = """## Killed
 
-A bake of {frames:,} frames with `--share`, ended {count} times by `kill -9` at random moments and begun again each
-time. It went on after as many frames as it had kept: {kept}.
+A bake of {frames:,} frames with `--cache-dir`, ended {count} times by `kill -9` at random moments and started again
+each time. It resumed after as many frames as it had kept: {kept}.
 
 | | |
 | --- | --- |
@@ -308,7 +310,7 @@ def yes(true: bool) -> str:
 
 TIMES = """## Frame rates
 
-A bar of flesh on a foot that sways and tilts for a second. *Error*: the largest difference from steps of
+A soft bar on a foot that sways and tilts for a second. *Error*: the largest difference from steps of
 {finest:.2f} ms, of the largest coordinate. Where steps are as long ({same}) the frame rates
 differ by {apart}. These are the default steps, and off by {off} with BDF2.
 

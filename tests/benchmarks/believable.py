@@ -5,7 +5,7 @@ typed here.
     python tests/benchmarks/believable.py --only "Cow Fox" --sheet out.png
 
 Each character is baked and measured by believable_bake.py in a process of its own, and once more with another clip
-where the bones alone fold edges away. What that finds stays in build/believable/NAME, of which the page is made.
+where the bones alone fold edges away. The findings stay in build/believable/NAME; the page is made from them.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ COLUMNS = ("bones alone", "baked", "blue 1 % of size, green 3 %, yellow 5 %, red
 
 PAGE_TEXT = """# Believable from the first click
 
-How characters that nobody here made look after *Add Soft Skin* and *Bake*, with no other setting. `make believable`
-measures and writes this page; nothing on it is written by hand.
+How characters, nearly all of them made elsewhere, look after *Add Soft Skin* and *Bake*, with no other setting. `make
+believable` measures and writes this page; nothing on it is written by hand.
 
 {commit}. Blender {blender}; {machine}; {jobs} characters at a time.
 
@@ -63,8 +63,8 @@ saved .blend is measured from Blender's evaluated meshes, in every frame.
 ## Summary
 
 **{passed} of {count} characters pass all limits ({share:.0%}; asked: {asked:.0%}).**{broken}
-In {folded} of the others the bones alone shorten edges beyond the limit, where a joint folds: no soft skin mends that.
-**With the liveliest clip in which they do not, {passed_unfolded} of {count} pass.**
+In {folded} of the others the bones alone shorten edges beyond the limit, where a joint folds: no soft skin can repair
+that. **With the liveliest clip in which they do not, {passed_unfolded} of {count} pass.**
 
 {limits}
 *Size*: diagonal of the box around the character at rest. Figures of a frame are of its worst one. *Displacement*: how
@@ -73,19 +73,19 @@ displacement divided by the local thickness. *Stretch*: length of edges, compare
 of the surface that turns over. *Inverted*: share of the cage's volume that turns inside out. *Thin parts*: how much the
 thinnest fifth of the surface moves, compared with the thickest. *Seam*: gap between meshes that touch at rest. *Alive*:
 motion of the liveliest tenth of the surface, and the share of it that moves at least a tenth as much; asked where the
-clip shakes the character by {shaken:g} of its size. Wholly hard characters ({hard}) are to be
+clip shakes the character by {shaken:g} of its size. Wholly hard characters ({hard}) must be
 refused with "nothing soft found". *Stretch, least, bones alone*: the same figure of plain skinning, which may make an
-edge vanish where a joint folds; what the bones alone shorten too much no soft tissue lengthens.
+edge vanish where a joint folds; soft tissue does not lengthen what the bones alone shorten too much.
 
 ## Characters
 
-What misses its limit is bold.
+Values that miss their limit are bold.
 
 {table}
 {others}### Where the bones fold no edges away
 
-Those whose edges the bones alone shorten too much, in the liveliest of the clips in which they do not; where there is
-none, they hop and twist.
+The characters whose edges the bones alone shorten too much, in their liveliest clip without that. Where there is none,
+they hop and twist.
 
 {unfolded}
 ## Seconds
@@ -98,9 +98,10 @@ From the click to the baked clip, by stage. Bold: more than {goal_seconds:g} s w
 The frame of the largest displacement.
 
 {pictures}
-{convergence}## Whose characters
+{convergence}## Attribution
 
 {attribution}
+- Sources and licenses: [Attribution](attribution.md).
 """
 
 CONVERGENCE_TEXT = """## The cage converges
@@ -118,7 +119,7 @@ of the shot has set; *stiffness kept* is the coarsest cage's in all. Asked: {ask
 
 @dataclass(frozen=True)
 class Limit:
-    """A figure of a bake and where it is to be. moving: asked only where the clip shakes the character."""
+    """A figure of a bake and its limits. moving: asked only where the clip shakes the character."""
 
     key: str
     title: str
@@ -266,7 +267,7 @@ def is_baked(found: dict) -> bool:
 
 
 def failures(found: dict) -> list[str]:
-    """What is wrong with a character, by the limits' keys; a wholly hard one is to be refused as such."""
+    """What is wrong with a character, by the limits' keys. A wholly hard one must be refused as such."""
     if found["name"] in HARD:
         return [] if NOTHING_SOFT in found.get("refused", "").lower() else ["hard"]
     if not is_baked(found):

@@ -4,7 +4,7 @@
     python tests/benchmarks/convergence.py --sizes 2000 4000 8000
 
 Motions stay in build/convergence: with --keep a size that was simulated is not simulated again. The figures go to
-docs/convergence.json, of which believable.py makes a section of its page. The largest cage takes about two minutes.
+docs/convergence.json, from which believable.py makes a section of its page. The largest cage takes about two minutes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ import numpy as np  # noqa: E402
 from contact_sheet import quiet  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.core import calibration, simulate  # noqa: E402
-from dynamic_morph_targets.run import job  # noqa: E402
+from dynamic_morph_targets.run import batch, job  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 from measured import measured_at  # noqa: E402
 
@@ -76,8 +76,8 @@ def shot() -> job.Job:
         bpy.ops.dynamorph.add_soft_skin()
         bpy.ops.dynamorph.bake()  # which rehearses, and so sets the frequency
         bpy.ops.dynamorph.free_bake()
-        job = Job(body, "BAKE")
-        job.prepare()
+        job = Job(body, "BAKE", whole=True, stored=False)
+        batch.read_rig(job)
     return job
 
 
@@ -87,7 +87,7 @@ def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
     began = time.perf_counter()
     frames = len(job.settings.frames)
     character = job.character.with_settings(solver="FULL", modes=frames, cage_nodes=size)
-    model = simulate.build_for(character, job.rig, job.settings)
+    model = simulate.build_for(character, job.computation.rig, job.settings)
     character = calibration.calibrated(character, list(calibration.references(model, character)))
     own = character.targets[0].material.stiffness
     figures = {
@@ -113,7 +113,7 @@ def simulated(job: job.Job, size: int, stiffness: float | None) -> dict:
 
 def motion(job: job.Job, model, character) -> np.ndarray:
     """Displacement (F, V, 3) of the surface, bind space."""
-    bake, _ = simulate.bake(model, character, job.rig, job.settings)
+    bake, _ = simulate.bake(model, character, job.computation.rig, job.settings)
     return np.array([bake.displacement(k) for k in range(len(bake.frames))]) @ character.to_bind.T
 
 

@@ -49,10 +49,11 @@ DEFECTS = {
 
 PAGE_TEXT = """# Robustness
 
-What becomes of meshes and rigs that nobody here made. `make robustness` measures and writes this page; nothing on it is
-written by hand. `tests/addon/test_characters.py` asserts for each character, in Blender 4.5 and 5.2, that the bake is
-finite and bounded, that Blender shows what the engine computed, and that *Free Bake* restores the object.
-`tests/engine/test_defects.py` spoils clean bodies in {kinds} ways and their mixtures; `make fuzz` tries more of them.
+How meshes and rigs, most of them made elsewhere, come through a build and a bake. `make robustness` measures and writes
+this page; nothing on it is written by hand. `tests/addon/test_characters.py` asserts for each character, in Blender 4.5
+and 5.2, that the bake is finite and bounded, that Blender shows what the engine computed, and that *Delete Bake*
+restores the object. `tests/engine/test_defects.py` damages clean bodies in {kinds} ways and their mixtures; `make fuzz`
+tries more of them.
 
 {commit}. Blender {blender}, {machine}.
 
@@ -64,22 +65,25 @@ substeps a frame. Where a file has shape keys some are targets; the others are s
 ![Each character at a frame of its bake]({picture})
 
 {attribution}
+- Sources and licenses: [Attribution](attribution.md).
 
 ### Meshes
 
-What the cage has to bear with, counted where vertices at one place are one; the artist's mesh stays as it is.
+The defects that the cage must cope with, counted with vertices at the same place merged. The artist's mesh is not
+changed.
 
 {defects}
 ### Cages
 
-*Dihedral angles* are those between faces of a tetrahedron. *Inside*: of the skin's vertices. *Glued* tetrahedra would
-join skin that is far apart along the mesh. *Held loose parts* of the cage had no bone in them.
+*Dihedral angles* are those between faces of a tetrahedron. *Inside*: share of the skin's vertices inside the cage.
+*Glued* tetrahedra would join skin that is far apart along the mesh. *Held loose parts* of the cage had no bone in them.
 
 {cages}
 ### Bakes
 
 *Size*: diagonal of the box around it; *scaled* as *Add Soft Skin* asks for where an import is of no likely size.
-*Farthest* is the flesh from where its bones alone have it, at worst. *Inside out* are tetrahedra in the worst frame.
+*Farthest*: the largest distance of the skin from where the bones alone put it. *Inside out*: tetrahedra in the worst
+frame.
 
 {bakes}
 ## Surfaces
@@ -206,7 +210,7 @@ def dihedral_angles(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 def picture(baked: characters.Baked):
-    """The whole character at the frame where the flesh is farthest."""
+    """The whole character at the frame where the skin is farthest."""
     scene = bpy.context.scene
     scene.frame_set(int(baked.job.result.frames[np.linalg.norm(baked.displacements, axis=2).max(axis=1).argmax()]))
     shown = [obj for obj in scene.objects if obj.type == "MESH" and obj.parent and obj.visible_get()]
@@ -222,7 +226,7 @@ def draw(pictures: list) -> None:
         Row("", "", pictures[first : first + ACROSS], names[first : first + ACROSS])
         for first in range(0, len(names), ACROSS)
     ]
-    about = "Each at the frame where its flesh is farthest from where the bones alone have it"
+    about = "Each at the frame where its skin is farthest from where the bones alone put it"
     save(compose("Nine characters, baked", about, [""] * ACROSS, rows), PAGE.parent / PICTURE, small=True)
 
 

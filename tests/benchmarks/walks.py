@@ -45,7 +45,7 @@ WALKS = {
     "T-rex, in a circle": Walk(TREX, 0.5, -30.0),
 }
 PICTURED = "Fox"
-ENDLESS = "T-rex"  # its flesh finds no steady motion by itself
+ENDLESS = "T-rex"  # its body finds no steady motion by itself
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,10 @@ def looped(name: str) -> dict:
     path = set_off(body, walk)
     without, closed = (bake(body, path, loop) for loop in (False, True))
     job = closed.job
-    motion, size = job.result.coordinates, job.shot.player.size
+    motion, size = job.result.coordinates, job.computation.shot.player.size
     steps = np.diff(motion, axis=0)
-    onward = job.shot.player.past[0] - motion[-1]  # the step from the last frame to where the loop has gone on
+    gone_on = job.computation.shot.player.past[0]
+    onward = gone_on - motion[-1]  # the step from the last frame to where the loop has gone on
     cycles, gaps = repeat(job)
     found = {
         "name": name,
@@ -81,7 +82,7 @@ def looped(name: str) -> dict:
         "velocity_gap": length(job, onward - steps[0]),  # a frame
         "shown": closed.apart / size,
         "reported": job.report["gap"] / size,
-        "passes": job.shot.player.passes,
+        "passes": job.computation.shot.player.passes,
         "repeated": gaps[-1],
         "seconds": job.report["seconds"],
         "warnings": job.report["warnings"],
@@ -97,7 +98,7 @@ def looped(name: str) -> dict:
 def length(job, coordinates: np.ndarray) -> float:
     """How far coordinates (r,) displace a vertex at most, in sizes of the body."""
     moved = np.tensordot(coordinates, job.result.modes, 1) @ job.character.to_bind.T
-    return float(np.linalg.norm(moved, axis=1).max()) / job.shot.player.size
+    return float(np.linalg.norm(moved, axis=1).max()) / job.computation.shot.player.size
 
 
 def set_off(body, walk: Walk):
@@ -140,12 +141,12 @@ def repeat(job) -> tuple[np.ndarray, list[float]]:
     """
     settings = replace(job.settings, loop=False)
     player = Player(job.model, job.character, settings)
-    first, cycles, gaps = player.begin(job.rig), [], []
+    first, cycles, gaps = player.begin(job.computation.rig), [], []
     for _ in range(REPEATED):
-        frames = [first, *player.play(job.rig[1:], settings.simulated[1:])]
+        frames = [first, *player.play(job.computation.rig[1:], settings.simulated[1:])]
         cycles.append([frame.coordinates for frame in frames])
         gaps.append(player.gap(frames[0], frames[-1]) / player.size)
-        first = player.begin_again(job.rig, frames[-1])
+        first = player.begin_again(job.computation.rig, frames[-1])
     return np.array(cycles), gaps
 
 
@@ -238,7 +239,7 @@ def draw_motion(job, without: np.ndarray, cycles: np.ndarray):
 def draw_passes(job, gaps: list[float]):
     """How the gap closes pass by pass."""
     watched = Watched(job.model, job.character, job.settings)
-    loops.cycle(watched, job.rig)
+    loops.cycle(watched, job.computation.rig)
     closing = [max(pair) for pair in zip(watched.gaps[::2], watched.gaps[1::2], strict=True)]
     curves = {
         "with Loop": (range(1, len(closing) + 1), closing),

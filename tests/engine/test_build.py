@@ -11,6 +11,7 @@ import scenes
 from dynamic_morph_targets.core import build as building
 from dynamic_morph_targets.core.build import build, build_cage, has_cage, stale_reasons
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.errors import SceneError
 from dynamic_morph_targets.core.settings import Material, ModelSettings
 from dynamic_morph_targets.io import model_file
 
@@ -164,7 +165,7 @@ def test_softer_skin_is_held_otherwise_in_the_same_tetrahedra(cage):
 
 
 def test_what_is_static_has_no_cage():
-    with pytest.raises(ValueError, match="'Bar' needs no cage"):
+    with pytest.raises(SceneError, match="'Bar' needs no cage"):
         build_cage(bar(method="STATIC"))
 
 

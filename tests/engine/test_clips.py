@@ -82,10 +82,10 @@ def test_fewer_keys_are_the_best_and_say_how_far_they_are_off():
         off = np.linalg.norm(surface(bake, vertices) - surface(fewer, vertices), axis=2).max()
         assert error == pytest.approx(off, rel=1e-9)
         errors.append(error)
-        both = np.vstack([exact, np.tensordot(bake.dry, bake.modes, 1).reshape(exact.shape) + exact
+        both = np.vstack([exact, np.tensordot(bake.static, bake.modes, 1).reshape(exact.shape) + exact
                           - np.tensordot(bake.coordinates, bake.modes, 1).reshape(exact.shape)])  # fmt: skip
         left = np.linalg.svd(both, compute_uv=False)[budget:]
-        missed = both - np.vstack([fewer.coordinates, fewer.dry]) @ fewer.modes.reshape(budget, -1)
+        missed = both - np.vstack([fewer.coordinates, fewer.static]) @ fewer.modes.reshape(budget, -1)
         assert np.linalg.norm(missed) == pytest.approx(np.linalg.norm(left), rel=1e-6, abs=1e-9)
     assert errors == sorted(errors, reverse=True)
     same = keys.with_fewer_keys(bake, 99)
@@ -120,8 +120,10 @@ def test_a_patch_takes_the_place_of_its_frames(first, last):
     outer = np.r_[0:first, last + 1 : 40]
     for rows, source in ((inner, other), (outer, bake)):
         np.testing.assert_allclose(surface(found, vertices)[rows], surface(source, vertices)[rows], atol=1e-4 * size)
-        dry = [replace(each, coordinates=each.dry) for each in (found, source)]
-        np.testing.assert_allclose(surface(dry[0], vertices)[rows], surface(dry[1], vertices)[rows], atol=1e-4 * size)
+        static = [replace(each, coordinates=each.static) for each in (found, source)]
+        np.testing.assert_allclose(
+            surface(static[0], vertices)[rows], surface(static[1], vertices)[rows], atol=1e-4 * size
+        )
     ends = [end for end in (first, last) if 0 < end < 39]
     off = np.linalg.norm(surface(bake, 0.0) - surface(other, 0.0), axis=2)[ends].max(initial=0.0)
     assert apart == pytest.approx(2.0 * off)
@@ -131,7 +133,10 @@ def test_a_patch_of_the_same_model_needs_no_more_keys():
     bake, vertices = shot()
     turned, _ = np.linalg.qr(np.random.default_rng(4).normal(size=(6, 6)))
     same = replace(
-        bake, coordinates=bake.coordinates @ turned, dry=bake.dry @ turned, modes=np.tensordot(turned.T, bake.modes, 1)
+        bake,
+        coordinates=bake.coordinates @ turned,
+        static=bake.static @ turned,
+        modes=np.tensordot(turned.T, bake.modes, 1),
     )
     found, apart = keys.splice(bake, baked.at_rows(same, np.arange(10, 20)), 2.0, np.eye(3))
     assert apart < 1e-9

@@ -23,7 +23,7 @@ BUILD = Path(dynamorph._core.__file__).resolve().parents[2]  # of CMake
 TESTS = BUILD / "engine_tests"
 # Source files of the C++ tests that run kernels.
 WITH_KERNELS = "*/elastic/*,*/models/*,*/reduced/*,*/step/*,*/simd/*"
-# Symbols of which the linker keeps one of many copies, perhaps that for another instruction set.
+# Symbols with many copies; the linker keeps one, perhaps that for another instruction set.
 MERGED = set("WwVvui")
 OUTSIDE = re.compile(r"^(mem(cpy|set|move)|sqrtf?|_GLOBAL_OFFSET_TABLE_|__stack_chk_fail)$")
 

@@ -11,6 +11,7 @@ import pytest
 from dynamic_morph_targets.core import material_fit, material_presets, oscillation
 from dynamic_morph_targets.core.build import build
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
+from dynamic_morph_targets.core.errors import FitError
 from dynamic_morph_targets.core.settings import Material, ModelSettings
 from scenes import tube
 
@@ -74,7 +75,7 @@ def bad_records():
 
 @pytest.mark.parametrize(("times", "points", "words"), list(bad_records()))
 def test_what_is_no_oscillation_is_refused(times, points, words):
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises(FitError, match=words):
         oscillation.oscillation(times, points)
 
 
@@ -89,7 +90,7 @@ def test_columns_are_read(tmp_path, text):
 def test_other_files_are_refused(tmp_path, text):
     path = tmp_path / "point.csv"
     path.write_text(text)
-    with pytest.raises(ValueError, match="'point.csv': expected 2 or 4 numbers"):
+    with pytest.raises(FitError, match="'point.csv': expected 2 or 4 numbers"):
         oscillation.read_columns(path, (2, 4))
 
 
@@ -236,7 +237,7 @@ def test_bounce_and_fit_are_inverse(limbs):
     fitted = material_fit.fit_oscillation(model, character, 1, seen.frequency, seen.decay, mass_share=mass_share)
     assert astuple(fitted) == pytest.approx(astuple(TRUE), rel=1e-6)
     assert seen.decay == pytest.approx((TRUE.mass_damping + TRUE.stiffness_damping * omega_squared) / 2)
-    # Heavy flesh swings slower: omega ~ sqrt(E / rho).
+    # Heavy tissue swings more slowly: omega ~ sqrt(E / rho).
     heavy = replace(TRUE, density=4 * TRUE.density, mass_damping=0.0, stiffness_damping=0.0)
     light = replace(TRUE, mass_damping=0.0, stiffness_damping=0.0)
     bounces = [material_fit.bounce(model, made_of(character, material), 1) for material in (heavy, light)]
@@ -246,7 +247,7 @@ def test_bounce_and_fit_are_inverse(limbs):
 
 
 def test_a_region_is_fitted_beside_other_flesh(limbs):
-    """The target's flesh is only the outer half: omega^2 ~ E no longer holds, and is met all the same."""
+    """The target has only the outer half: omega^2 ~ E no longer holds, and the fit succeeds nevertheless."""
     model, character = limbs("STABLE_STVK", "REDUCED", True)
     seen = material_fit.bounce(model, made_of(character, WRONG), 2)
     fitted = material_fit.fit_oscillation(model, character, 2, 0.9 * seen.frequency, seen.decay)
@@ -256,7 +257,7 @@ def test_a_region_is_fitted_beside_other_flesh(limbs):
     fitted_character = replace(character, target_sets=(sets[0], replace(sets[1], targets=(sets[1].targets[0], bent))))
     again = material_fit.bounce(model, fitted_character, 2)
     assert again.frequency == pytest.approx(0.9 * seen.frequency, rel=0.02)  # up to the others' damping
-    with pytest.raises(ValueError, match="sets the pace"):
+    with pytest.raises(FitError, match="sets the pace"):
         material_fit.fit_oscillation(model, character, 2, 50 * seen.frequency, seen.decay)
 
 
@@ -275,7 +276,7 @@ def test_stiffness_is_recovered_from_force_and_displacement(limbs, law, solver, 
     assert fitted.stiffness == pytest.approx(TRUE.stiffness, rel=0.03)
     assert replace(fitted, stiffness=0.0) == replace(WRONG, stiffness=0.0)
     if strength > 1.0:
-        with pytest.raises(ValueError, match="no stiffness meets"):
+        with pytest.raises(FitError, match="no stiffness meets"):
             material_fit.fit_force_displacement(model, character, target, forces, 10.0 * moved[:, ::-1])
 
 
@@ -287,21 +288,25 @@ def test_bad_measurements_are_refused(limbs):
         material_fit.fit_force_displacement(model, character, target, forces, displacements, patch)
 
     for arguments, words in (
-        ((one, one[:, :2]), "expected \\(k, 3\\)"),
         ((one + np.inf, one), "not numbers"),
         ((0 * one, one), "zero"),
         ((one, 0 * one), "zero"),
         ((one, -one), "against the forces"),
+        ((one, one, 0, 0 * tip_patch(character)), "patch is empty"),
+    ):
+        with pytest.raises(FitError, match=words):
+            fit(*arguments)
+    for arguments, words in (  # of whoever calls it, not of who has measured
+        ((one, one[:, :2]), "expected \\(k, 3\\)"),
         ((one, one, 7), "target: expected 0 to 1"),
         ((one, one, 0, np.zeros(3)), "patch: expected a weight"),
-        ((one, one, 0, 0 * tip_patch(character)), "patch is empty"),
     ):
         with pytest.raises(ValueError, match=words):
             fit(*arguments)
     for frequency, decay in ((0.0, 1.0), (np.nan, 1.0), (3.0, -1.0)):
-        with pytest.raises(ValueError, match="above zero"):
+        with pytest.raises(FitError, match="above zero"):
             material_fit.fit_oscillation(model, character, 0, frequency, decay)
-    with pytest.raises(ValueError, match="above zero"):
+    with pytest.raises(FitError, match="above zero"):
         oscillation.decay_of(0.0)
 
 

@@ -156,7 +156,9 @@ def test_skin_weights_extend_into_the_body():
     "ratio, count, around", [(0.0, 11, False), (0.4, 11, True), (0.95, 11, True), (0.95, 4, False)]
 )
 def test_nodes_are_wanted_around_bones_where_there_is_room(ratio, count, around):
-    """Around, not along: flesh held along a line could spin about it. Where the ring would touch the cage, the line."""
+    """Around, not along: a body held along a line could spin about it. Where the ring would touch the cage, the
+    line.
+    """
     turn = np.arange(12) * np.pi / 6
     rings = [
         np.column_stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), np.full(12, z)]) for z in np.linspace(0, 0.5, count)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts that touch move by themselves, what nothing holds stays with its bones, and pieces with and without a cage."""
+"""Parts that touch move separately, unheld parts stay with their bones, and attachments with and without a cage."""
 
 from dataclasses import replace
 
@@ -120,9 +120,9 @@ def test_one_prong_moves_without_the_other(gap):
 
 @pytest.mark.parametrize("skin", [fork(0.02), (ball(0.5)[0] * [1.0, 1.0, 0.1], ball(0.5)[1])], ids=["fork", "slab"])
 def test_a_skin_whose_faces_look_inward_is_cut_alike(skin):
-    """What is flesh and what is a gap does not depend on which way its faces look."""
+    """Body and gap are distinguished whichever way the faces look."""
     _, triangles = skin
-    both = join(skin, ball(0.1, center=(2.0, 0.0, 0.0)))  # of which one part is right
+    both = join(skin, ball(0.1, center=(2.0, 0.0, 0.0)))  # one of its parts is oriented correctly
 
     def glued(triangles):
         made = character((both[0], triangles), lambda points: np.zeros(len(points)), cage_nodes=400)
@@ -173,7 +173,7 @@ def test_a_part_that_nothing_holds_stays_with_its_bones():
     model = build(of)
     assert model.summary["held_parts"] == 1
     (warning,) = model.summary["warnings"]
-    assert "222 vertices at 'root'" in warning and "Soft 0" in warning
+    assert "222 vertices at 'root'" in warning and "the Softness Map with 0" in warning
     afloat = of.vertices[:, 2] > 0.3
     moved = pushed(model, of, of.vertices[:, 0] > 0.9)
     assert np.abs(moved[afloat]).max() == 0 and np.abs(moved[~afloat]).max() > 1e-3
@@ -202,7 +202,7 @@ def test_a_rigid_eyeball_stays_put_while_the_head_jiggles():
     sets = (replace(of.target_sets[0], targets=(*of.target_sets[0].targets, target)),)
     model = build(replace(of, target_sets=sets))
     assert not model.embedding_weights[eye].any()
-    np.testing.assert_allclose(model.details[1][eye], shape[eye])  # what was sculpted comes all the same
+    np.testing.assert_allclose(model.details[1][eye], shape[eye])  # the sculpt shows nevertheless
     moved = pushed(build(of), of, of.vertices[:, 2] > 0.15)
     assert np.abs(moved[eye]).max() == 0 and np.abs(moved[~eye]).max() > 1e-3
     with_it = head_with_eye(0)
@@ -214,7 +214,7 @@ def test_the_cage_leaves_a_rigid_piece_out():
     skin = join(ball(0.2), ball(0.1, nose))
     of = character(skin, lambda v: v[:, 2] > -0.1, np.repeat([0, -1], [222, 222]))
     assert np.linalg.norm(build_cage(of).nodes - nose, axis=1).min() > 0.2
-    with pytest.raises(dynamorph.Error, match="every piece"):
+    with pytest.raises(dynamorph.Error, match="every part of it is rigid"):
         build_cage(replace(of, pieces=np.full(444, -1)))
 
 

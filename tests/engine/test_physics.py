@@ -418,7 +418,7 @@ def test_state_resumes_bit_for_bit():
 
 
 def test_a_cut_in_the_root_motion_carries_the_past_along():
-    """The rig jumps 50 m and turns; with the teleport rule the flesh swings on as if nothing had happened."""
+    """The rig jumps 50 m and turns; with the teleport rule the tissue swings on as if nothing had happened."""
     model, _, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)
     rig, weights = swing(model, 20)
     jump = np.vstack([bones(Rotation.from_euler("z", 100, degrees=True), (50, 0, 3))[0], [0, 0, 0, 1]])

@@ -93,7 +93,7 @@ def stop_painting():
 # Influence and new targets -------------------------------------------------------------------------------------------
 
 
-@step("Influence: bars and graph", picture=view)
+@step("Target Weights: bars and graph", picture=view)
 def influence():
     yield from sidebar.unfold("dynamorph.suggest_pose", above="dynamorph.build")
     yield from sidebar.press("dynamorph.influence")
@@ -105,7 +105,7 @@ def influence():
     bpy.context.scene.frame_set((limb.FIRST + limb.FLEXED) // 2)
 
 
-@step("Suggest Pose")
+@step("Find Uncovered Pose")
 def suggest_pose():
     yield from sidebar.press("dynamorph.suggest_pose")
     yield from until(lambda: bpy.context.scene.frame_current == limb.TURNED, "the frame that is furthest from targets")
@@ -215,5 +215,7 @@ def targets():
     yield from until(lambda: abs(turned() - 50) < 0.5, "the pose")
     yield from sidebar.press("dynamorph.remove_target")
     yield from until(lambda: len(settings().targets) == 3, "the target to be removed")
-    skin().shape_key_remove(skin().data.shape_keys.key_blocks["sideways"])
+    block = skin().data.shape_keys.key_blocks["sideways"]
+    block.driver_remove("value")  # Blender goes on evaluating the driver of a key that is removed with it
+    skin().shape_key_remove(block)
     bpy.context.scene.frame_set(1)

@@ -30,7 +30,7 @@ def bake_again():
     assert baked() and swings > 1e-4, f"{baked()} swing by {1e3 * swings:.3f} mm"
 
 
-@step("Influence of the bake")
+@step("Bake Influence")
 def influence():
     """A value of 0.5 leaves half the motion."""
     whole, strip = shown_at(limb.FLEXED + 1), addon("write.bake_influence").influence_strip(skin())

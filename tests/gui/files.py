@@ -51,7 +51,7 @@ def export():
 
 
 def export_menu():
-    """Choose glTF by its letter in the menu below Free Bake, which has no name that could be looked for."""
+    """Choose glTF by its letter in the menu below Delete Bake, which has no name that could be looked for."""
     top = yield from sidebar.top_of("dynamorph.free_bake")
     x, _ = sidebar.seen("dynamorph.free_bake")
     menu = (x, top - EXPORT)

@@ -86,7 +86,7 @@ def heat_toggle():
     yield from sidebar.press(HEAT)
 
 
-@step("A bake that goes too far, and the button that mends it")
+@step("A bake that goes too far, and the button that repairs it")
 def remedy():
     far, before = displacement(), settings().targets[0].frequency
     yield from sidebar.enter("simulation.max_displacement", f"{0.6 * far:.3f}")
@@ -127,7 +127,7 @@ def amount():
         assert abs(wobble() - expected * whole) < 0.02 * whole
 
 
-@step("Free Bake")
+@step("Delete Bake")
 def free_bake():
     yield from sidebar.press("dynamorph.free_bake")
     yield from until(lambda: not baked(), "the bake to be freed")

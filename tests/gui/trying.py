@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The model's settings, its modes and what it misses; bounce; the flesh in motion without a bake."""
+"""The model's settings, its modes and its errors; bounce; the skin in motion without a bake."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def play_live():
     assert len(follow) >= len(played.evaluated)
     measure("Playback with Live", f"{played.fps:.0f} of {bpy.context.scene.render.fps} frames/s")
     measure("Live, a frame of the arm", f"{np.mean(follow):.1f} ms, at most {max(follow):.0f} ms")
-    assert moved(limb.FLEXED + 1, limb.FLEXED + 4) > 1e-4, "the flesh does not swing"
+    assert moved(limb.FLEXED + 1, limb.FLEXED + 4) > 1e-4, "the skin does not swing"
     assert not addon("run.live").problem(skin())
 
 
@@ -126,7 +126,7 @@ def shake():
     assert rig().matrix_world == stood and np.array_equal(shown(), rested)
 
 
-@step("Settings A and B")
+@step("Compare A and B")
 def slots():
     target = settings().targets[1]
     before = target.stiffness

@@ -23,7 +23,7 @@ from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, skin, staleness
 from ..write import bake, exports, losses
 from ..write.reconcile import reconcile
-from .record import Progress, print_table
+from .record import Done, Progress, print_table
 
 SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
@@ -35,7 +35,7 @@ SETTINGS = {"model": MODEL_SETTINGS, "simulation": SIMULATION_SETTINGS, "output"
 
 
 def number(setting: bpy.types.Property) -> Callable[[str], float]:
-    """A parser of numbers that Blender would not quietly move into the setting's range."""
+    """A parser that refuses numbers which Blender would silently clamp to the setting's range."""
 
     def parse(text: str) -> float:
         value: float = {"INT": int, "FLOAT": float}[setting.type](text)
@@ -56,100 +56,114 @@ def run_job(args: argparse.Namespace) -> None:
     check_substeps(args)
     objects = chosen_objects(args)
     folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
-    files = sink_files(args, objects, folder)
-    for obj in objects:  # all that may be refused, before any work
+    files = output_files(args, objects, folder)
+    for obj in objects:  # everything that may be refused, before any work
         apply_settings(args, obj)
-    shared = cache_dir.Share(args.share.resolve()) if args.share else None
     for obj in objects:
-        frames = tuple(args.frames) if args.frames else None
-        rebuild = args.goal == "BUILD" and shared is None
-        goal = "BUILD" if args.clips == "actions" else args.goal  # the clips are simulated as they are written
-        job = Job(obj, goal, frames, args.substeps, folder, rebuild, shared)
-        job.cache_files = files
-        batch.run(job, Progress(args.progress == "openjd"))
-        if sink_of(args) in exports.FORMATS:
-            export(args, obj, job, files[obj.name])
-        for reason in job.reasons:
-            print(f"{job.name}: built: {reason}")
-        if job.rehearsed:
-            print(f"{job.name}: {job.rehearsed}")
-        for warning in job.warnings:
-            print(f"{job.name}: warning: {warning}")
-        args.done.append(job)
+        done = work_on(args, obj, folder, files)
+        say(done)
+        args.done.append(done)
     seconds = save(args) if args.output or args.in_place else 0.0
-    for job in args.done:
+    for job in (done.job for done in args.done):
         print_table(job, seconds)
-        if job.kept:  # it is saved now
-            job.kept.unlink(missing_ok=True)
+        if job.input.kept:  # it is saved now
+            job.input.kept.unlink(missing_ok=True)
+
+
+def work_on(args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files: dict[str, Path]) -> Done:
+    """Build or bake one object, and write its file for other programs if that is asked for; folder, files: where what
+    is written goes.
+    """
+    shared = cache_dir.Share(args.cache_dir.resolve()) if args.cache_dir else None
+    rebuild = args.goal == "BUILD" and shared is None
+    goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
+    frames = tuple(args.frames) if args.frames else None
+    job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, share=shared, cache_files=files)
+    tick = Progress(args.progress == "openjd")
+    batch.run(job, tick)
+    warnings = list(job.warnings)
+    if format_of(args) in exports.FORMATS:
+        first, last = job.result.frames[[0, -1]] if job.input.is_bake else (0, 0)
+        warnings += export(args, obj, files[obj.name], (math.ceil(first), math.floor(last)))
+    return Done(job, warnings)
+
+
+def say(done: Done) -> None:
+    job = done.job
+    for reason in job.reasons:
+        print(f"{job.name}: built: {reason}")
+    if job.outcome.rehearsed:
+        print(f"{job.name}: {job.outcome.rehearsed}")
+    for warning in done.warnings:
+        print(f"{job.name}: warning: {warning}")
 
 
 def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
-    """Set on the object what the command line says. Raises InputError."""
+    """Apply the settings of the command line to the object. Raises InputError."""
     for change in args.changes:
         set_property(obj, change)
     for group, names in SETTINGS.items():
         for name in names:
             if (value := getattr(args, name, None)) is not None:
                 setattr(getattr(obj.dynamorph, group), name, value.upper() if isinstance(value, str) else value)
-    if args.sink:  # files for other programs are made of the modes
-        obj.dynamorph.output.sink = "MODES" if sink_of(args) in exports.FORMATS else sink_of(args)
+    if args.format:  # files for other programs are made from the modes
+        obj.dynamorph.output.sink = "MODES" if format_of(args) in exports.FORMATS else format_of(args)
 
 
-def sink_of(args: argparse.Namespace) -> str:
-    return (args.sink or "").upper()
+def format_of(args: argparse.Namespace) -> str:
+    return (args.format or "").upper()
 
 
-def sink_names() -> list[str]:
-    """What can play a bake in Blender."""
+def bake_formats() -> list[str]:
+    """The forms in which Blender itself can play a bake."""
     output = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties["output"].fixed_type
     return [item.identifier for item in output.properties["sink"].enum_items]
 
 
-def sink_files(args: argparse.Namespace, objects: list[bpy.types.Object], folder: Path) -> dict[str, Path]:
-    """The files that --sink and --sink-file ask for, by the names of their meshes. Raises InputError, ExportError."""
+def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], folder: Path) -> dict[str, Path]:
+    """The files that --format and --output-file ask for, by mesh name. Raises InputError, ExportError."""
     if args.goal == "BUILD":
-        if not (args.output or args.in_place or args.share):
-            raise InputError("say where the model goes: --output, --in-place or --share")
+        if not (args.output or args.in_place or args.cache_dir):
+            raise InputError("say where the model goes: --output, --in-place or --cache-dir")
         return {}
-    sink = sink_of(args)
-    chosen = exports.FORMATS.get(sink)
+    chosen_format = format_of(args)
+    chosen = exports.FORMATS.get(chosen_format)
     if args.clips == "actions" and not (chosen and chosen.skins):
-        raise InputError("--clips actions is for --sink gltf and --sink fbx")
+        raise InputError("--clips actions needs --format gltf or --format fbx")
     if args.clips == "actions" and args.frames:
         raise InputError("--clips actions takes the frames of each Action: leave --frames out")
     if not (args.output or args.in_place or chosen):
-        raise InputError("say where the bake goes: --output or --in-place, or --sink with a file for other programs")
-    if args.sink_file and not (chosen or sink in point_cache.CACHES):
-        raise InputError("--sink-file is for a --sink that is a file")
-    if not (args.sink_file or chosen):
+        raise InputError("say where the bake goes: --output or --in-place, or --format with a file for other programs")
+    if args.output_file and not (chosen or chosen_format in point_cache.CACHES):
+        raise InputError("--output-file needs a --format that is a file")
+    if not (args.output_file or chosen):
         return {}
-    suffix = chosen.suffix if chosen else f".{sink.lower()}"
-    pattern = args.sink_file or str(folder / f"{paths.OBJECT}{suffix}")
+    suffix = chosen.suffix if chosen else f".{chosen_format.lower()}"
+    pattern = args.output_file or str(folder / f"{paths.OBJECT}{suffix}")
     if Path(pattern).suffix.lower() != suffix:
-        raise InputError(f"--sink-file {pattern}: a file of {args.sink} ends in {suffix}")
+        raise InputError(f"--output-file {pattern}: a file of {args.format} ends in {suffix}")
     meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else skin.clothes_in(obj)))]
     files = {mesh.name: paths.file_path(pattern, mesh.name) for mesh in meshes}
     if len(set(files.values())) < len(files):
-        raise InputError(f"--sink-file {pattern}: several meshes would share it, put {paths.OBJECT} in its name")
+        raise InputError(f"--output-file {pattern}: several meshes would share it: put {paths.OBJECT} in its name")
     for path in files.values():
         if not path.parent.is_dir():
             raise InputError(f"there is no folder '{path.parent}' to write '{path.name}' to")
     for obj in objects if chosen else ():
-        exports.check_place(obj, sink, files[obj.name])
+        exports.check_place(obj, chosen_format, files[obj.name])
     return files
 
 
-def export(args: argparse.Namespace, obj: bpy.types.Object, job: Job, path: Path) -> None:
-    """Write the bake for other programs."""
-    sink, takes, tick = sink_of(args), args.clips.upper(), Progress(args.progress == "openjd")
-    job.warnings += losses.losses(obj, sink, takes)
-    first, last = job.result.frames[[0, -1]] if job.bake else (0, 0)
-    job.warnings += export_actions.export(obj, sink, path, (math.ceil(first), math.floor(last)), takes, tick)
-    print(f"{job.name}: written to {path.name}")
+def export(args: argparse.Namespace, obj: bpy.types.Object, path: Path, frames: tuple[int, int]) -> list[str]:
+    """Write the bake, or the clips, for other programs; returns warnings."""
+    chosen, clips, tick = format_of(args), args.clips.upper(), Progress(args.progress == "openjd")
+    warnings = [*losses.losses(obj, chosen, clips), *export_actions.export(obj, chosen, path, frames, clips, tick)]
+    print(f"{obj.name}: written to {path.name}")
+    return warnings
 
 
 def set_property(obj: bpy.types.Object, change: str) -> None:
-    """TARGET.PROPERTY=VALUE, a wedge of a farm; the name of a target may have dots in it. Raises InputError."""
+    """Apply TARGET.PROPERTY=VALUE, a wedge of a farm. The name of a target may contain dots. Raises InputError."""
     where, _, text = change.partition("=")
     name, _, field = where.rpartition(".")
     target = obj.dynamorph.targets.get(name)
@@ -186,7 +200,7 @@ def run_check(args: argparse.Namespace) -> None:
             try:
                 notes = extract.warnings(obj, extract.character(obj))
             except engine.expected_errors() as error:
-                problems = [str(error)]
+                problems = [errors.sentence(error)]
         for kind, texts in (("error", problems), ("warning", notes)):
             for text in texts:
                 print(f"{obj.name}: {kind}: {text}")
@@ -194,7 +208,7 @@ def run_check(args: argparse.Namespace) -> None:
             print(f"{obj.name}: can be built")
         in_the_way += len(problems)
     if in_the_way:
-        raise InputError(f"{in_the_way} problem{'s' * (in_the_way > 1)} in the way, listed above")
+        raise InputError(f"{in_the_way} problem{'s' * (in_the_way > 1)} found, listed above: fix them and check again")
 
 
 def run_report(args: argparse.Namespace) -> None:
@@ -204,9 +218,9 @@ def run_report(args: argparse.Namespace) -> None:
 
     found: dict[str, dict] = {}
     for obj in chosen_objects(args):
-        job = Job(obj, "BAKE", frames=tuple(args.frames) if args.frames else None, substeps=args.substeps)
-        job.prepare()
-        tick = Progress()
+        frames = tuple(args.frames) if args.frames else None
+        job = Job(obj, "BAKE", frames, args.substeps, whole=True, stored=False)
+        rig, tick = batch.read_rig(job), Progress()
 
         def progress(fraction: float, message: str, job: Job = job, tick: Progress = tick) -> bool:
             job.fraction, job.message = fraction, message
@@ -214,7 +228,7 @@ def run_report(args: argparse.Namespace) -> None:
             return True
 
         variants = {name: VARIANTS[name] for name in args.methods}
-        found[obj.name] = compare.compare(job.character, job.rig, job.settings, variants, progress)
+        found[obj.name] = compare.compare(job.character, rig, job.settings, variants, progress)
     for name, compared in found.items():
         print(f"\n{name}\n{compare.table(compared)}")
     if args.json:
@@ -235,13 +249,13 @@ def run_fit(args: argparse.Namespace) -> None:
         target = obj.dynamorph.targets.get(args.target)
         if target is None:
             raise InputError(f"'{obj.name}' has no target named '{args.target}'")
-        if args.patch and args.patch not in obj.vertex_groups:
-            raise InputError(f"'{obj.name}' has no vertex group named '{args.patch}'")
+        if args.vertex_group and args.vertex_group not in obj.vertex_groups:
+            raise InputError(f"'{obj.name}' has no vertex group named '{args.vertex_group}'")
         model, character, index = model_store.fit_input(obj, target)
         patch = None
-        if args.patch:
+        if args.vertex_group:
             patch = np.zeros(len(character.vertices))
-            patch[character.own] = mesh_data.group_weights(obj, [args.patch])[:, 0]
+            patch[character.own] = mesh_data.group_weights(obj, [args.vertex_group])[:, 0]
         if args.oscillation:
             fitted = material_fit.fit_oscillation(model, character, index, seen.frequency, seen.decay, patch)
         else:
@@ -252,7 +266,7 @@ def run_fit(args: argparse.Namespace) -> None:
     save(args)
 
 
-def run_free(args: argparse.Namespace) -> None:
+def run_delete_bake(args: argparse.Namespace) -> None:
     for obj in chosen_objects(args):
         bake.check(obj)
         baked = obj.dynamorph.bake
@@ -270,8 +284,9 @@ def run_info(args: argparse.Namespace) -> None:
         try:
             reasons = "; ".join(model_store.stale_reasons(obj, extract.character(obj))) or "up to date"
         except engine.expected_errors() as error:
-            reasons = str(error)
+            reasons = errors.sentence(error)
         print(f"  state: {reasons}")
+        print(f"  files beside the .blend: {', '.join(_files(obj)) or 'none'}")
         if not settings.bake.exists:
             print("  bake: none")
             continue
@@ -279,6 +294,13 @@ def run_info(args: argparse.Namespace) -> None:
         print(f"  bake made from {settings.bake.content_id[:12]}, result {settings.bake.digest[:12]}")
         staleness.look_at_animation(obj)
         print(f"  bake state: {'; '.join(staleness.outdated(obj)) or 'up to date'}")
+
+
+def _files(obj: bpy.types.Object) -> list[str]:
+    """The names of the files that a soft skin needs, and what follows it: of its model and of its point caches."""
+    content_id = obj.dynamorph.model.content_id
+    model = [f"{content_id}.dynamorph"] if content_id and model_store.PACKED not in obj else []
+    return model + [each.dynamorph.bake.cache for each in (obj, *skin.followers(obj)) if each.dynamorph.bake.cache]
 
 
 def chosen_objects(args: argparse.Namespace) -> list[bpy.types.Object]:

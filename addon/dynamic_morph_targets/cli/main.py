@@ -4,10 +4,11 @@
     blender -b shot.blend -c dynamorph bake --object Body -o baked.blend
     python -m dynamic_morph_targets bake shot.blend --object Body -o baked.blend
 
-Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 70 a fault of this
-program, 75 a file could not be read or written (a full disk, a lost network: try again), 130 Ctrl-C.
+Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 70 a bug in this
+program, 75 a file could not be read or written, or memory was short (a full disk, a lost network, another process: try
+again), 130 Ctrl-C.
 
---report writes what came of a command as JSON, also when it fails. Its keys: docs/file_format.md.
+--report writes the outcome of a command as JSON, even after a failure. Its keys: docs/file_format.md.
 """
 
 from __future__ import annotations
@@ -32,19 +33,30 @@ from .commands import (
     MODEL_SETTINGS,
     OUTPUT_SETTINGS,
     SIMULATION_SETTINGS,
+    bake_formats,
     number,
     run_check,
     run_collect,
+    run_delete_bake,
     run_fit,
-    run_free,
     run_info,
     run_job,
     run_report,
-    sink_names,
 )
 from .record import record
 
-COLLECT = "make one page of many reports; fails when one of them is missing or tells of a failure"
+COLLECT = "make one page from many reports; fails if one of them is missing or reports a failure"
+# The names of 0.1. They still work, but --help does not show them.
+OLD_COMMANDS = {"free": "delete-bake"}
+OLD_OPTIONS = {
+    "--sink": "--format",
+    "--sink-file": "--output-file",
+    "--share": "--cache-dir",
+    "--every": "--frame-step",
+    "--begin": "--initial-state",
+    "--patch": "--vertex-group",
+}
+OPTION_NAMES = {"every": "frame-step", "begin": "initial-state"}  # settings whose options have other names
 # 70 and 75 as EX_SOFTWARE and EX_TEMPFAIL of sysexits.h.
 DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70, 75, 130
 
@@ -52,7 +64,7 @@ DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70,
 def main(argv: Sequence[str], opens_file: bool = False) -> int:
     """Run one command and return its exit code. opens_file: the .blend is an argument, not the one already open."""
     try:
-        args = parser(opens_file).parse_args(argv)
+        args = parser(opens_file).parse_args(with_new_names(argv))
     except SystemExit as stop:  # argparse has printed why; Blender must not be ended by it
         return stop.code if isinstance(stop.code, int) else BAD_INPUT
     # Blender swallows the first Ctrl-C unless Python's own handler is in place.
@@ -64,13 +76,25 @@ def main(argv: Sequence[str], opens_file: bool = False) -> int:
         return _run(args, opens_file)
     finally:
         for number, handler in handlers.items():
-            if handler is not None:  # else it is Blender's own, set in C: Blender ends here anyway
+            if handler is not None:  # otherwise it is Blender's own, set in C, and Blender ends here anyway
                 signal.signal(number, handler)
         sys.stdout.flush()
 
 
+def with_new_names(argv: Sequence[str]) -> list[str]:
+    """The arguments with old names of commands and options replaced; each of them is reported as deprecated."""
+    found = []
+    for i, argument in enumerate(argv):
+        name, equals, value = argument.partition("=")
+        new = OLD_COMMANDS.get(argument) if i == 0 else OLD_OPTIONS.get(name)
+        if new:
+            print(f"dynamorph: warning: {name} is deprecated: use {new}", file=sys.stderr)
+        found.append(new + equals + value if new else argument)
+    return found
+
+
 class Preempted(BaseException):
-    """A scheduler wants the machine for something else."""
+    """A scheduler needs the machine for something else."""
 
 
 def _preempted(_number: int, _frame: FrameType | None) -> None:
@@ -78,22 +102,22 @@ def _preempted(_number: int, _frame: FrameType | None) -> None:
 
 
 def _run(args: argparse.Namespace, opens_file: bool) -> int:
-    """Run the command, and report what came of it; returns its exit code."""
+    """Run the command and write its report; returns its exit code."""
     args.done, code, error = [], DONE, ""
     try:
         open_file(args, opens_file)
         args.run(args)
     except Preempted:
-        code, error = TRY_AGAIN, "stopped by a signal, nothing was saved: run it again, with --share it goes on"
+        code, error = TRY_AGAIN, "stopped by a signal, nothing was saved: run it again. With --cache-dir it resumes"
     except KeyboardInterrupt:
         code, error = INTERRUPTED, "interrupted, nothing was saved"
     except errors.SelfCheckError as failure:
         code, error = SELF_CHECK_FAILED, f"error: {failure}"
-    except OSError as failure:
-        code, error = TRY_AGAIN, f"error: {failure}: try again"
+    except (OSError, MemoryError) as failure:
+        code, error = TRY_AGAIN, f"error: {errors.sentence(failure)}: try again"
     except engine.expected_errors() as failure:
-        code, error = BAD_INPUT, f"error: {failure}"
-    except Exception as fault:  # of ours: the report is written all the same
+        code, error = BAD_INPUT, f"error: {errors.sentence(failure)}"
+    except Exception as fault:  # a bug: the report is written nevertheless
         traceback.print_exc()
         code, error = FAULT, f"fault: {type(fault).__name__}: {fault}"
     if error:
@@ -130,77 +154,106 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
             target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
         return sub
 
-    check = command("check", run_check, "say what is in the way of a build, and what is not likely to be meant", False)
-    bake = command("bake", run_job, "simulate, and write shape keys or files; builds first what is out of date")
+    check = command("check", run_check, "list what prevents a build, and what looks unintended", False)
+    bake = command("bake", run_job, "simulate, and write shape keys or files; outdated models are built first")
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
     add_settings(bake, "simulation", SIMULATION_SETTINGS)
-    bake.add_argument("--sink", choices=[name.lower() for name in (*sink_names(), *exports.FORMATS)],
-                      help="what the bake becomes: modes, frames, pc2 and mdd play it in Blender, the rest are files "
-                      "for other programs; default: the object's own setting")  # fmt: skip
-    bake.add_argument("--sink-file", metavar="FILE",
-                      help=f"the file of such a sink; {paths.OBJECT} in it is the object's name; default: that name, "
-                      "beside the .blend")  # fmt: skip
+    bake.add_argument("--format", choices=[name.lower() for name in (*bake_formats(), *exports.FORMATS)],
+                      help="the form of the bake: Blender plays modes, frames, pc2 and mdd, the others are files for "
+                      "other programs; default: the object's own setting")  # fmt: skip
+    bake.add_argument("--output-file", metavar="FILE",
+                      help=f"the file of such a format; {paths.OBJECT} in it stands for the object's name; default: "
+                      "that name, beside the .blend")  # fmt: skip
     bake.add_argument("--clips", choices=("scene", "actions"), default="scene",
-                      help="actions, of gltf and fbx: an animation for each Action of the armature, simulated by "
-                      "itself in the place of the scene's frames")  # fmt: skip
+                      help="actions, for gltf and fbx: one animation per Action of the armature, each simulated on its "
+                      "own, instead of the scene's frames")  # fmt: skip
     add_settings(bake, "output", OUTPUT_SETTINGS)
     build = command("build", run_job, "build models")
-    build.set_defaults(goal="BUILD", frames=None, substeps=None, sink=None, sink_file=None, clips="scene")
+    build.set_defaults(goal="BUILD", frames=None, substeps=None, format=None, output_file=None, clips="scene")
     for sub in (bake, build):
         add_settings(sub, "model", MODEL_SETTINGS)
-        sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
-                         help="set a target's property first, as Flexed.stiffness=5e4; may be repeated")  # fmt: skip
-        sub.add_argument("--share", type=Path, metavar="FOLDER",
-                         help="keep models and unfinished bakes there, and go on with those that are")  # fmt: skip
-        sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to tell of progress")
+        sub.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="TARGET.PROPERTY=VALUE",
+            dest="changes",
+            # Fmt: skip.
+            help="set a target's property first, for example Flexed.stiffness=5e4; may be repeated",
+        )
+        sub.add_argument(
+            "--cache-dir",
+            type=Path,
+            metavar="FOLDER",
+            # Fmt: skip.
+            help="keep models and unfinished bakes in this folder, and continue from those that it has",
+        )
+        sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to print progress")
     for sub in (check, bake, build):
-        sub.add_argument("--report", type=Path, metavar="FILE", help="write what came of it as JSON, even if it fails")
+        sub.add_argument("--report", type=Path, metavar="FILE", help="write the outcome as JSON, even after a failure")
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
     report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
                         help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
-    report.add_argument("--json", type=Path, metavar="FILE", help="also write all figures, in metres and seconds")
+    report.add_argument("--json", type=Path, metavar="FILE", help="also write all figures, in meters and seconds")
     add_shot(report)
-    fit = command("fit", run_fit, "set a target's stiffness and damping as measured; its model must be up to date")
+    fit = command("fit", run_fit, "fit a target's stiffness and damping to a measurement; its model must be up to date")
     fit.add_argument("--target", required=True, metavar="NAME", help="the target's name")
     measured = fit.add_mutually_exclusive_group(required=True)
-    measured.add_argument("--oscillation", type=Path, metavar="CSV", help="a point let go: seconds, x, y, z")
     measured.add_argument(
-        "--force-displacement", type=Path, metavar="CSV", help="pushes: newtons x, y, z, metres x, y, z; mesh's axes"
+        "--oscillation", type=Path, metavar="CSV", help="a point that swings after its release: seconds, x, y, z"
     )
-    fit.add_argument("--patch", metavar="GROUP", help="vertex group looked at or pushed; default: the target's region")
+    measured.add_argument(
+        "--force-displacement",
+        type=Path,
+        metavar="CSV",
+        help="pushes: newtons x, y, z, meters x, y, z, in the mesh's axes",
+    )
+    fit.add_argument(
+        "--vertex-group", metavar="GROUP", help="vertices observed or pushed; default: the target's region"
+    )
     collected = commands.add_parser("collect", help=COLLECT, description=COLLECT)
     collected.set_defaults(run=run_collect)
-    collected.add_argument("folder", type=Path, help="with what --report wrote")
+    collected.add_argument("folder", type=Path, help="the folder with the files of --report")
     collected.add_argument("--expect", type=int, metavar="N", help="how many reports there should be")
     collected.add_argument("-o", "--page", type=Path, metavar="FILE", required=True,
                            help="the HTML to write, with a .json of the same name beside it")  # fmt: skip
-    command("free", run_free, "remove bakes and restore the target keys")
+    command("delete-bake", run_delete_bake, "delete bakes and restore the target keys")
     command("info", run_info, "print what the file holds", writes=False)
     return root
 
 
 def add_shot(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--frames", type=int, nargs=2, metavar=("START", "END"), help="instead of the file's range")
-    sub.add_argument("--substeps", type=int, help="steps a frame; default: the object's own setting (0: automatic)")
+    sub.add_argument(
+        "--frames",
+        type=int,
+        nargs=2,
+        metavar=("START", "END"),
+        help="first and last frame, instead of the file's range",
+    )
+    sub.add_argument(
+        "--substeps", type=int, help="time steps per frame; default: the object's own setting (0: automatic)"
+    )
 
 
 def add_settings(sub: argparse.ArgumentParser, part: str, names: Sequence[str]) -> None:
-    """Settings of a panel by the same names; what is given is set on the object first."""
+    """Options for the settings of a panel. The values that are given are set on the object first."""
     settings = bpy.types.Object.bl_rna.properties["dynamorph"].fixed_type.properties[part].fixed_type.properties
     for name in names:
         setting = settings[name]
-        option, text = f"--{name.replace('_', '-')}", setting.description.replace("%", "%%")
+        option, text = f"--{OPTION_NAMES.get(name, name).replace('_', '-')}", setting.description.replace("%", "%%")
         if setting.type == "BOOLEAN":
-            sub.add_argument(option, action=argparse.BooleanOptionalAction, help=text)
+            sub.add_argument(option, action=argparse.BooleanOptionalAction, help=text, dest=name)
         elif setting.type == "ENUM":
-            sub.add_argument(option, choices=[item.identifier.lower() for item in setting.enum_items], help=text)
+            sub.add_argument(
+                option, choices=[item.identifier.lower() for item in setting.enum_items], help=text, dest=name
+            )
         else:
-            sub.add_argument(option, type=number(setting), help=text)
+            sub.add_argument(option, type=number(setting), help=text, dest=name)
 
 
 def open_file(args: argparse.Namespace, opens_file: bool) -> None:
-    """Make sure that the .blend is open, and that the result can be written, before any work."""
+    """Make sure, before any work, that the .blend is open and that the result can be written."""
     if args.run == run_collect:
         return
     if opens_file:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a run says for itself: progress, tables and the JSON record."""
+"""What a run prints and records: progress, tables and the JSON report."""
 
 from __future__ import annotations
 
 import argparse
 import platform
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -15,12 +16,20 @@ from ..run.batch import Batch
 from ..run.job import Job
 
 
+@dataclass(frozen=True)
+class Done:
+    """A job that was done. warnings: its own, and those of a file for other programs that was written then."""
+
+    job: Job
+    warnings: list[str]
+
+
 def record(args: argparse.Namespace, code: int, error: str) -> dict:
     """What --report writes."""
     return {
         "versions": versions(),
         "file": Path(bpy.data.filepath).name,
-        "characters": [character_record(job) for job in args.done],
+        "characters": [character_record(done) for done in args.done],
         "exit_code": code,
         "error": error,
     }
@@ -36,24 +45,25 @@ def versions() -> dict:
     }
 
 
-def character_record(job: Job) -> dict:
-    """What a job made, of one character."""
+def character_record(done: Done) -> dict:
+    """The result of a job for one character."""
+    job = done.job
     found = {
         "name": job.name,
         "built": job.reasons,
         "model": find_model(job.name).content_id,
         "summary": job.model.summary,
         "seconds": {stage: round(seconds, 4) for stage, seconds in job.seconds.items()},
-        "warnings": job.warnings,
+        "warnings": done.warnings,
     }
-    if job.bake:
+    if job.input.is_bake:
         found["bake"] = {
-            "made_from": job.content_id(),
+            "made_from": job.outcome.content_id,
             "hash": baked.digest(job.result),
             "frames": [job.settings.start, job.settings.end],
             "fps": job.settings.fps,
             "substeps": job.settings.substeps,
-            "resumed": len(job.resumed.get("coordinates", ())),
+            "resumed": len(job.input.resumed.get("coordinates", ())),
             "max_displacement": baked.reach(job.result, job.character.to_bind),
             **{name: value for name, value in job.report.items() if name != "warnings"},
         }
@@ -65,7 +75,7 @@ def find_model(name: str) -> bpy.types.PropertyGroup:
 
 
 class Progress:
-    """Prints a line at each tenth, not at each tick; openjd: each hundredth, for Open Job Description's farms."""
+    """Prints a line at each tenth of the work. openjd: at each hundredth, for farms that use Open Job Description."""
 
     def __init__(self, openjd: bool = False):
         self.openjd = openjd
@@ -86,7 +96,7 @@ def print_table(job: Job, save_seconds: float) -> None:
     rows = [(name, made[name.lower()]) for name in ("Nodes", "DOFs", "Modes", "Targets")]
     if made["seconds"]:  # it was built now
         rows.append(("precompute", f"{sum(made['seconds'].values()):.2f} s"))
-    if job.bake:
+    if job.input.is_bake:
         rows.append(("frames x substeps", f"{job.settings.end - job.settings.start + 1} x {job.settings.substeps}"))
         rows.append(("steps per second", f"{job.report['steps_per_second']:.0f}"))
         rows.append(("smallest det F", f"{job.report['smallest_det']:.2f}"))

@@ -13,10 +13,10 @@ from .settings import SimulationSettings
 
 
 class Amounts:
-    """Scales the motion about the targets' shapes when it is shown; the simulation does not know of it.
+    """Scales the motion about the targets' shapes when it is shown. The simulation does not depend on it.
 
-    amount: of all; gains (dofs,) of the modes; influence (J,) of the targets: to be set at any time. shapes (J, dofs):
-    the targets' in coordinates, of no width for static morph targets.
+    amount: of all motion; gains (dofs,) of the modes; influence (J,) of the targets; all may be set at any time. shapes
+    (J, dofs): the targets' shapes in coordinates, of width zero for static morph targets.
     """
 
     def __init__(self, model: Model, character: Character, shapes: np.ndarray, settings: SimulationSettings):
@@ -45,7 +45,7 @@ class Amounts:
         return still + sum(mean[..., None] * part for mean, part in zip(np.moveaxis(means, -1, 0), parts, strict=True))
 
     def with_gains(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """As `shown`, whatever the influence."""
+        """Like `shown`, but without the influence of the targets."""
         return coordinates + (self.amount * self.gains - 1.0) * (coordinates - weights @ self._shapes)
 
     def _in_regions(self, motion: np.ndarray) -> list[np.ndarray]:
@@ -58,7 +58,7 @@ class Amounts:
 
     @cached_property
     def _node_shares(self) -> np.ndarray:
-        """How much of each free node follows each set, once an axis: (S, 3 free)."""
+        """The weight of each free node in each set, repeated for each axis: (S, 3 free)."""
         model = self._model
         corners, around = model.tets.ravel(), np.repeat(model.shares, 4, axis=0)
         total = np.array([np.bincount(corners, share, len(model.nodes)) for share in around.T])
@@ -66,8 +66,8 @@ class Amounts:
 
     @cached_property
     def _region_parts(self) -> list[np.ndarray]:
-        """For each set the (r, r) that takes coordinates to what the modes can do of their motion in its region alone,
-        by least squares.
+        """For each set the (r, r) matrix that projects a motion onto the part of it that lies in its region, by least
+        squares.
         """
         back = np.linalg.pinv(self._model.basis)
         return [(back @ (share[:, None] * self._model.basis)).T for share in self._node_shares]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake as plain data: what a shot comes to, and its surface at any frame. Never touches bpy."""
+"""A bake as plain data: the result of a shot, and its surface at any frame. Never touches bpy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-CHUNK = 64  # frames whose surfaces are made at once: bounds memory
+CHUNK = 64  # frames whose surfaces are computed at once, to bound memory
 
 
 def surfaces(bake: Bake, vertices: np.ndarray | float, chunk: int = CHUNK) -> Iterator[np.ndarray]:
@@ -21,8 +21,8 @@ def surfaces(bake: Bake, vertices: np.ndarray | float, chunk: int = CHUNK) -> It
 
 
 def digest(bake: Bake, *more: ArrayLike) -> str:
-    """Identifies what was simulated: SHA-256 of all numbers of a bake, and of more."""
-    found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "details", "dry")
+    """Identifies a result: SHA-256 of all numbers of a bake, and of more."""
+    found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "details", "static")
     for name, numbers in (*((name, getattr(bake, name)) for name in names), *(("more", each) for each in more)):
         array = np.ascontiguousarray(numbers)
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
@@ -31,13 +31,13 @@ def digest(bake: Bake, *more: ArrayLike) -> str:
 
 
 def reach(bake: Bake, to_bind: np.ndarray) -> float:
-    """How far a vertex is displaced from the Basis at most, in metres; to_bind (3, 3): local to metric space."""
+    """The largest displacement of a vertex from the Basis, in meters; to_bind (3, 3): local to metric space."""
     in_metres = replace(bake, modes=bake.modes @ to_bind.T, details=bake.details @ to_bind.T)
     return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(in_metres, 0.0))
 
 
 def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
-    """The largest distance of a vertex between two bakes of the same frames, metres; to_bind as for `reach`."""
+    """The largest distance of a vertex between two bakes of the same frames, in meters; to_bind as for `reach`."""
     difference = Bake(
         frames=bake.frames,
         coordinates=np.hstack([bake.coordinates, -other.coordinates]),
@@ -45,7 +45,7 @@ def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
         modes=np.concatenate([bake.modes, other.modes]),
         details=np.concatenate([bake.details, other.details]),
         target_names=(),
-        dry=np.zeros((len(bake.frames), 0)),
+        static=np.zeros((len(bake.frames), 0)),
     )
     return reach(difference, to_bind)
 
@@ -54,12 +54,12 @@ def at_rows(bake: Bake, rows: np.ndarray) -> Bake:
     """Some frames of a bake."""
     return replace(
         bake, frames=bake.frames[rows], coordinates=bake.coordinates[rows], weights=bake.weights[rows],
-        dry=bake.dry[rows],
+        static=bake.static[rows],
     )  # fmt: skip
 
 
 def samples_per_frame(bake: Bake) -> int:
-    """How many surfaces a bake has from one frame to the next."""
+    """The number of surfaces that a bake has from one frame to the next."""
     return round(1.0 / (bake.frames[1] - bake.frames[0])) if len(bake.frames) > 1 else 1
 
 
@@ -72,10 +72,10 @@ class Bake:
     """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
 
     frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
-    details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). dry (F, r): the coordinates
-    of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind space, for
-    what else moves with the flesh. key_names (r + J,): of the shape keys that modes and details become; empty:
-    numbered, and by the targets.
+    details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). static (F, r): the
+    coordinates of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind
+    space, for what else moves with the tissue. key_names (r + J,): of the shape keys that modes and details become;
+    empty: numbered, and by the targets.
     """
 
     frames: np.ndarray
@@ -84,7 +84,7 @@ class Bake:
     modes: np.ndarray
     details: np.ndarray
     target_names: tuple[str, ...]
-    dry: np.ndarray
+    static: np.ndarray
     node_modes: np.ndarray | None = None
     key_names: tuple[str, ...] = ()
 

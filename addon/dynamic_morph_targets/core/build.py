@@ -17,19 +17,23 @@ import numpy as np
 from . import cage
 from .cage import Progress, Report, Stages
 from .character import Character, Target
+from .errors import SceneError
 from .model import Model, array_hash, engine_hash, morph_targets
 from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS
 
 Rehearsal = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
-REHEARSED_IN_FULL = 1500  # degrees of freedom up to which every node rehearses a shot that modes are fitted to
-REHEARSAL_MODES = 40, 60  # larger models rehearse in twice as many as are wanted, within these; tables grow as r^4
-FEW = 1e-3  # of the tetrahedra: as many may fall back without a warning
-# Of the tetrahedra.
+REHEARSED_IN_FULL = 1500  # degrees of freedom up to which a rehearsal for fitted modes is unreduced
+REHEARSAL_MODES = (
+    40,
+    60,
+)  # larger models rehearse with twice as many modes as requested, within these limits; tables grow as r^4
+FEW = 1e-3  # fraction of the tetrahedra that may fall back without a warning
+# Of the tetrahedra:
 MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
     "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
 )  # fmt: skip
-# Of them and of what is held.
+# Of the tetrahedra and of what is held:
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
 CAGE_SHARE = 0.35  # of the time of a build
 
@@ -40,18 +44,19 @@ def build(
     previous: Model | None = None,
     rehearse: Rehearsal | None = None,
 ) -> Model:
-    """Builds the model of a character. progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
+    """Builds the model of a character.
 
-    previous: a model of the same character, whose tetrahedra serve again if nothing they depend on has changed.
-    rehearse(model, report): coordinates (F, dofs) and target weights (F, J) of the shot that modes are to be fitted to.
-    Raises dynamorph.Error or ValueError with advice when the mesh or the targets cannot be used.
+    progress(fraction, message) -> bool; False raises dynamorph.Cancelled. previous: a model of the same character,
+    whose tetrahedra are used again if nothing that they depend on has changed. rehearse(model, report): coordinates (F,
+    dofs) and target weights (F, J) of the shot to which modes are fitted. Raises dynamorph.Error or SceneError with
+    advice when the mesh or the targets cannot be used.
     """
     authored = dependencies(character)
     character = character.by_method()
     if character.settings.method == "STATIC":
         return _static_model(character, authored)
     stages = Stages(progress)
-    model, embedding = _with_flesh(character, authored, _reusable(previous, authored), stages)
+    model, embedding = _with_tissue(character, authored, _reusable(previous, authored), stages)
     body = model.soft_body()
     with stages("Target shapes", 0.10):
         _shape_targets(model, body, embedding, character.targets)
@@ -79,17 +84,16 @@ def build(
 
 
 def build_cage(character: Character, progress: Progress | None = None, previous: Model | None = None) -> Model:
-    """The tetrahedra alone and what holds them: a model to look at, which `build` takes as its `previous`.
-
-    Arguments and errors as for `build`.
+    """The tetrahedra alone and what holds them: a model to look at, which `build` accepts as its `previous`. Arguments
+    and errors as for `build`.
     """
     if character.settings.method == "STATIC":
-        raise ValueError(f"'{character.name}' needs no cage: with the Method Static nothing is simulated")
+        raise SceneError(f"'{character.name}' needs no cage: with the Method Static nothing is simulated")
     authored = dependencies(character)
     stages = Stages(progress, CAGE_SHARE)
     mesh = _reusable(previous, authored)
     of_cage = {name: authored[name] for name in CAGE_DEPENDENCIES if name in authored}
-    model, _ = _with_flesh(character.by_method(), of_cage, mesh, stages)
+    model, _ = _with_tissue(character.by_method(), of_cage, mesh, stages)
     model.summary.update(modes=0, seconds=stages.seconds)
     return model
 
@@ -116,10 +120,11 @@ def _fitted_basis(
     rehearse: Rehearsal | None,
     stages: Stages,
 ) -> np.ndarray:
-    """Modes (3 free, r) for a shot: the targets' shapes exactly, then what moves most about them in a rehearsal
-    (mass-PCA). It is unreduced where that takes seconds, else in more modes than are wanted.
+    """Modes (3 free, r) for a shot: the targets' shapes exactly, then the largest motion about them in a rehearsal
+    (mass-PCA).
 
-    The usual modes move a little too, so that there are enough of them in a shot in which little does.
+    The rehearsal is unreduced where that takes seconds, and otherwise uses more modes than requested. The usual modes
+    are mixed in with a small weight, so that there are enough modes in a shot with little motion.
     """
     if rehearse is None:
         raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
@@ -148,7 +153,9 @@ def _fitted_basis(
 
 
 def _static_model(character: Character, authored: dict[str, str]) -> Model:
-    """Geometric morph targets: nothing is simulated, so there is no flesh, and the shapes are all detail."""
+    """Geometric morph targets: nothing is simulated, so there are no tetrahedra, and the shapes are residual shapes
+    only.
+    """
     targets = character.targets
     return _model(
         character,
@@ -165,7 +172,7 @@ def _static_model(character: Character, authored: dict[str, str]) -> Model:
 
 
 def _model(character: Character, authored: dict[str, str], **known: Any) -> Model:
-    """What is `known` of a model, with what it takes over from the character; all else is empty."""
+    """A model with the `known` fields and those that it takes over from the character; all others are empty."""
     empty = {name: np.zeros((0, 0)) for name in Model.array_names()}
     taken: dict[str, Any] = {
         "to_bind": character.to_bind,
@@ -179,38 +186,38 @@ def _model(character: Character, authored: dict[str, str], **known: Any) -> Mode
     return Model(**(empty | taken | known))
 
 
-def _with_flesh(
+def _with_tissue(
     character: Character, authored: dict[str, str], mesh: dynamorph.TetMesh | None, stages: Stages
 ) -> tuple[Model, dynamorph.Embedding]:
-    """The tetrahedra around the skin with all they inherit from it; the targets' shapes are still to come."""
-    flesh = cage.volume(character, mesh, stages)
-    held = flesh.hold
+    """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
+    tissue = cage.volume(character, mesh, stages)
+    held = tissue.hold
     model = _model(
         character,
         authored,
-        nodes=flesh.mesh.nodes,
-        tets=flesh.mesh.tets,
-        fill=flesh.fill,
-        stiffness=flesh.stiffness,
-        shares=flesh.shares,
-        pinned=flesh.pinned,
+        nodes=tissue.mesh.nodes,
+        tets=tissue.mesh.tets,
+        fill=tissue.fill,
+        stiffness=tissue.stiffness,
+        shares=tissue.shares,
+        pinned=tissue.pinned,
         held=held.held if held else np.zeros(0),
         hold=held.phi if held else np.zeros(0),
         thickness=held.thickness if held else np.zeros(0),
-        node_weights=flesh.node_weights,
-        embedding_nodes=flesh.embedding.nodes,
-        embedding_weights=flesh.embedding.weights,
-        displacements=np.zeros((len(character.targets), len(flesh.mesh.nodes), 3)),
+        node_weights=tissue.node_weights,
+        embedding_nodes=tissue.embedding.nodes,
+        embedding_weights=tissue.embedding.weights,
+        displacements=np.zeros((len(character.targets), len(tissue.mesh.nodes), 3)),
         details=np.zeros((len(character.targets), len(character.vertices), 3)),
-        summary=flesh.summary,
+        summary=tissue.summary,
     )
-    return model, flesh.embedding
+    return model, tissue.embedding
 
 
 def _shape_targets(
     model: Model, body: dynamorph.SoftBody, embedding: dynamorph.Embedding, targets: list[Target]
 ) -> None:
-    """Carries each sculpted shape into the nodes; what the cage cannot carry stays as detail."""
+    """Extends each sculpted shape to the nodes. What the cage cannot represent becomes a residual shape."""
     sculpted = [j for j, target in enumerate(targets) if target.shape.any()]
     if sculpted:
         shapes = np.array([targets[j].shape for j in sculpted])
@@ -219,13 +226,13 @@ def _shape_targets(
 
 
 def _fallbacks(full: dynamorph.FullModel, targets: list[Target]) -> dict[str, int]:
-    """How many tetrahedra each target's sculpt would crush or invert: for it they stay as in the neutral shape."""
+    """How many tetrahedra each target's sculpt would crush or invert. There they keep the neutral shape."""
     counts = {target.name: full.fallbacks(j) for j, target in enumerate(targets)}
     return {name: count for name, count in counts.items() if count}
 
 
 def _fallback_warnings(fallbacks: dict[str, int], tets: int) -> list[str]:
-    """With advice, where it is more than a few."""
+    """A warning with advice for each target where they are more than a few."""
     return [
         f"Target '{name}' would crush or invert {count} of {tets} tetrahedra, which stay as in the neutral shape: "
         "sculpt it smoother, or raise Cage Nodes"
@@ -238,7 +245,7 @@ def _fallback_warnings(fallbacks: dict[str, int], tets: int) -> list[str]:
 
 
 def dependencies(character: Character) -> dict[str, str]:
-    """Hashes of all that a built model depends on, by name. Materials and poses are none of it."""
+    """Hashes of everything that a built model depends on, by name. Materials and poses are not among them."""
     skeleton, settings = character.skeleton, character.settings
     parts = {
         "mesh": (character.vertices, character.triangles),
@@ -252,7 +259,7 @@ def dependencies(character: Character) -> dict[str, str]:
         ),
         "number of targets": (np.array([len(character.targets)]),),
     }
-    if (character.stiffness != 1.0).any():  # else there is none, as in the models from before there was
+    if (character.stiffness != 1.0).any():  # otherwise no entry, as in older models
         parts["Stiffness vertex group"] = (character.stiffness,)
     if character.pieces.any():
         parts["pieces"] = (character.pieces,)
@@ -273,7 +280,7 @@ def dependencies(character: Character) -> dict[str, str]:
 def stale_reasons(model: Model, character: Character) -> list[str]:
     """Why `model` no longer fits `character`, for the artist; empty when it does."""
     vertices, before = len(character.vertices), model.details.shape[1]
-    if vertices != before:  # and with them all else
+    if vertices != before:  # then everything else differs too
         return [f"the mesh has {vertices} vertices instead of {before}"]
     now, then = dependencies(character), model.dependencies
     only_cage = set(then) <= set(CAGE_DEPENDENCIES)
@@ -286,6 +293,6 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
 
 
 def has_cage(model: Model, character: Character) -> bool:
-    """Whether `model` has the tetrahedra, and the nodes held by bones, that `character` asks for."""
+    """Whether `model` has the tetrahedra, and the held nodes, that `character` requires."""
     now = dependencies(character)
     return len(model.tets) > 0 and all(model.dependencies.get(name) == now.get(name) for name in CAGE_DEPENDENCIES)

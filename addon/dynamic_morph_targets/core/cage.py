@@ -19,19 +19,21 @@ from .hold import Hold, hold
 Progress = Callable[[float, str], bool]  # of a build: how much is done, and what is at hand
 Report = Callable[[float], bool]  # of a stage of it
 Step = TypeVar("Step")
-GRID = 2.0**-13  # body sizes: finer, the last digits of coordinates, which a scale changes, would change the mesh
-MOSTLY = 0.5  # of the vertices: with more of them outside, a cage is not of this body
-HELD = 0.05  # nodes softer than this in the Soft group are free
-FEWEST_NODES = 50  # of a piece's own cage
+GRID = (
+    2.0**-13
+)  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
+MOSTLY = 0.5  # fraction of the vertices; with more of them outside, a cage does not belong to this body
+HELD = 0.05  # nodes whose softness is below this are held
+FEWEST_NODES = 50  # of an attachment's own cage
 
 
 @dataclass(frozen=True)
 class Volume:
-    """The flesh before the targets: n nodes, m tets, S target sets, B bones. Bind space, metres.
+    """The cage before the targets: n nodes, m tets, S target sets, B bones. Bind space, meters.
 
     embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor, painted and by thickness;
-    shares (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness, or None; summary: what is to be told
-    of it.
+    shares (m, S) region weights; pinned (n,) bool; node_weights (n, B + 1); hold: by thickness, or None; summary: facts
+    for the report.
     """
 
     mesh: dynamorph.TetMesh
@@ -46,9 +48,8 @@ class Volume:
 
 
 def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages) -> Volume:
-    """The tetrahedra of a character; mesh: those of an earlier build that serve again.
-
-    Raises dynamorph.Error with advice when the skin cannot be filled or nothing holds it.
+    """The tetrahedra of a character; mesh: those of an earlier build, to be used again. Raises dynamorph.Error with
+    advice when the skin cannot be filled or nothing holds it.
     """
     surface = (character.vertices @ character.to_bind.T)[character.coincident]
     cages = _cages(character, surface)
@@ -76,7 +77,7 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
             f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint "
-            "Soft 0 where it is attached"
+            "the Softness Map with 0 where it is attached"
         )
     for nodes in adrift:
         pinned[nodes] = True
@@ -114,9 +115,9 @@ def _held(
 
 
 def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
-    """What each cage holds, by the number of its piece: the character with those triangles and its share of the nodes.
-
-    A triangle between pieces counts with the one of the largest number. Rigid pieces have no cage.
+    """The content of each cage, by the number of its attachment: the character with those triangles and its share of
+    the nodes. A triangle between attachments belongs to the one with the largest number. Rigid attachments have no
+    cage.
     """
     number = character.pieces[character.triangles].max(axis=1, initial=-1)
     if not number.any():
@@ -134,12 +135,14 @@ def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
             cage=None if piece else character.cage,
         )
     if not cages:
-        raise dynamorph.Error(f"'{character.name}': every piece of it is rigid: let one be simulated with the body")
+        raise dynamorph.Error(
+            f"'{character.name}': every part of it is rigid: choose With Body for at least one attachment"
+        )
     return cages
 
 
 def _in_turn(steps: Iterable[Step], report: Report) -> list[tuple[Step, Report]]:
-    """The steps, each with a progress of its own: they take about as long."""
+    """The steps, each with a progress of its own; they take similar times."""
     listed = list(steps)
 
     def of_turn(turn: int) -> Report:
@@ -150,9 +153,8 @@ def _in_turn(steps: Iterable[Step], report: Report) -> list[tuple[Step, Report]]
 
 @dataclass(frozen=True)
 class _Filled:
-    """One cage of n nodes and m tets, as it is cut where skin merely touches.
-
-    embedding: of all V vertices; fill (m,); pinned (n,) bool: by bones; glued: counts, as in the summary.
+    """One cage of n nodes and m tets, cut where skin merely touches. embedding: of all V vertices; fill (m,); pinned
+    (n,) bool: by bones; glued: counts, as in the summary.
     """
 
     mesh: dynamorph.TetMesh
@@ -174,9 +176,8 @@ def _filled(cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray, repor
 def _together(
     pieces: np.ndarray, numbers: list[int], cages: list[_Filled]
 ) -> tuple[dynamorph.TetMesh, dynamorph.Embedding]:
-    """One mesh of the cages, which nothing couples, and the embedding (V,) of each piece in its own.
-
-    A vertex of a piece without a cage has no weights: the flesh does not move it.
+    """One mesh of all cages, which are not coupled, and the embedding (V,) of each attachment in its own. A vertex of
+    an attachment without a cage has no weights: the simulation does not move it.
     """
     if len(cages) == 1 and (pieces == numbers[0]).all():
         return cages[0].mesh, cages[0].embedding
@@ -191,7 +192,7 @@ def _together(
 
 
 def _alike(embedding: dynamorph.Embedding, coincident: np.ndarray) -> dynamorph.Embedding:
-    """The embedding with that of the first vertex for all at the same place, which a cut would tear apart."""
+    """The embedding in which all vertices at one place have that of the first, because a cut would tear them apart."""
     if np.array_equal(coincident, np.arange(len(coincident))):
         return embedding
     return dynamorph.Embedding(embedding.nodes[coincident], embedding.weights[coincident])
@@ -221,14 +222,18 @@ def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dy
 
 
 def moved(character: Character) -> np.ndarray:
-    """How far targets move each vertex (V,) at most, 1 where it is farthest: what Cage Grading goes by."""
+    """The largest displacement of each vertex (V,) by the targets, scaled to 1 at its maximum: the measure that Cage
+    Adaptivity uses.
+    """
     shapes = np.array([target.shape for target in character.targets]) @ character.to_bind.T
     farthest = np.linalg.norm(shapes, axis=2).max(axis=0)
     return farthest / max(farthest.max(), 1e-300)
 
 
 def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
-    """Says which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when it is most of it."""
+    """Reports which part of the skin the artist's own cage leaves out. Raises dynamorph.Error when that is most of
+    it.
+    """
     if character.cage is None:
         return []
     size = np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
@@ -248,7 +253,7 @@ def _outside(character: Character, embedding: dynamorph.Embedding) -> list[str]:
 def _parted(
     cage: Character, mesh: dynamorph.TetMesh, surface: np.ndarray
 ) -> tuple[dynamorph.TetMesh, dynamorph.Embedding, dict[str, int]]:
-    """The mesh, cut where it joins skin that merely touches, the skin's embedding in it, and the counts."""
+    """The mesh, cut where it joins skin that merely touches, the embedding of the skin in it, and the counts."""
     mesh_cut = dynamorph.MeshCut(mesh, surface, cage.triangles)
     tets = int(mesh_cut.glued.sum())
     if not tets or not cage.settings.separate:
@@ -258,7 +263,7 @@ def _parted(
 
 
 def _whole(mesh: dynamorph.TetMesh) -> dynamorph.TetMesh:
-    """A mesh as it was before it was cut: doubled nodes are one again."""
+    """A mesh as it was before it was cut: doubled nodes are merged."""
     _, first, place = np.unique(mesh.nodes, axis=0, return_index=True, return_inverse=True)
     kept = np.sort(first)
     return dynamorph.TetMesh(mesh.nodes[kept], np.searchsorted(kept, first[place.ravel()])[mesh.tets])
@@ -277,7 +282,9 @@ def _glued_warnings(character: Character, glued: dict[str, int]) -> list[str]:
 
 
 def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
-    """The nodes of each part of the mesh that fewer than three nodes hold: it could move or turn without resistance."""
+    """The nodes of each part of the mesh that fewer than three nodes hold, so that it could move or turn without
+    resistance.
+    """
     part = connected_parts(mesh.tets, len(mesh.nodes))
     held = np.bincount(part[pinned], minlength=len(part))
     return [np.flatnonzero(part == root) for root in np.unique(part) if held[root] < 3]
@@ -288,20 +295,21 @@ def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes:
     bone = [*character.skeleton.names, "the object"][character.weights[on_it].sum(axis=0).argmax()]
     return (
         f"A part of {int(on_it.sum())} vertices at '{bone}' is held by no bone, so it moves rigidly with its bones: "
-        "paint Soft 0 where it is attached"
+        "paint the Softness Map with 0 where it is attached"
     )
 
 
-# What the flesh inherits ---------------------------------------------------------------------------------------------
+# What the cage inherits from the skin
+# ---------------------------------------------------------------------------------------------
 
 
 def _inherited(
     character: Character, mesh: dynamorph.TetMesh, embedding: dynamorph.Embedding
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What the skin passes on: stiffness (m,) of the tets, weights (n, B + 1), softness and rigidity (n,), and shares
-    (m, S) of the tets.
+    """The values that the cage inherits from the skin: stiffness (m,) of the tets, weights (n, B + 1), softness and
+    rigidity (n,), and region weights (m, S) of the tets.
     """
-    # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and no further than painted.
+    # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and never beyond the painted values.
     painted = np.log(character.stiffness)
     parts = [target_set.share for target_set in character.target_sets]
     values = np.column_stack([painted, character.weights, character.softness, character.rigidity, *parts])
@@ -322,7 +330,7 @@ def _pinned(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) 
 
 
 class Stages:
-    """Times the stages of a build and maps each one's own 0..1 to a part of the whole, which their shares sum to."""
+    """Times the stages of a build and maps the progress 0..1 of each to a part of the total."""
 
     def __init__(self, progress: Progress | None, whole: float = 1.0):
         self.progress = progress

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The stiffness that swings at the frequency that the artist asks for. Never touches bpy."""
+"""The stiffness that gives the natural frequency that the artist requests. Never touches bpy."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ if TYPE_CHECKING:  # it needs the engine
 
 
 def references(model: Model, character: Character) -> Iterator[tuple[float, float]]:
-    """For each target: its undamped bounce in Hz per square root of stiffness over density, and its flesh in m^3.
+    """For each target: its undamped bounce in Hz per square root of stiffness over density, and the volume of its
+    tissue in m^3.
 
-    At another stiffness or density it follows as `swing` says, exactly where the target has the flesh to itself.
-    Zeros for a target without flesh of its own, or whose modes cannot be found.
+    For another stiffness or density it follows from `swing`, exactly where no other target shares the tissue. Zeros for
+    a target without tissue of its own, or whose modes cannot be found.
     """
     character = character.by_method()
     if not len(model.tets):
@@ -42,7 +43,7 @@ def references(model: Model, character: Character) -> Iterator[tuple[float, floa
                 continue
             try:
                 omega = natural_frequency(model, engine, target, checked(model, character, target, None)[1])
-            except RuntimeError:  # the engine's, about a sculpt that no mode can be found of
+            except RuntimeError:  # raised by the engine for a sculpt whose modes cannot be found
                 omega = 0.0
             material = character.targets[target].material
             share = 1.0 if neutral else model.shares[:, s]
@@ -50,9 +51,8 @@ def references(model: Model, character: Character) -> Iterator[tuple[float, floa
 
 
 def calibrated(character: Character, found: list[tuple[float, float]]) -> Character:
-    """The character with the stiffness that its targets' frequencies ask for; found: its `references`.
-
-    Targets that the artist has not set by hand follow the neutral one, as much stiffer than it as they were.
+    """The character with the stiffness that its targets' frequencies require; found: its `references`. Targets that the
+    artist has not set by hand keep their ratio to the neutral one.
     """
     neutral = character.targets[0]
     before, after = neutral.material.stiffness, _stiffness_of(neutral, found[0][0])
@@ -72,12 +72,12 @@ def calibrated(character: Character, found: list[tuple[float, float]]) -> Charac
 
 
 def as_stored(value: float) -> float:
-    """A number as Blender keeps it, in single precision: what is simulated is what a file says."""
+    """A number in single precision, as Blender stores it: what is simulated is what a file contains."""
     return float(np.float32(value))
 
 
 def stored(target: Target) -> dict[str, float]:
-    """What a build or a rehearsal may change of a target, by the names of its properties."""
+    """The properties of a target that a build or a rehearsal may change, by name."""
     material = target.material
     return {
         "stiffness": material.stiffness,
@@ -94,8 +94,9 @@ def _stiffness_of(target: Target, reference: float) -> float:
 
 
 def stiffened(character: Character, factor: float) -> Character:
-    """The character with its frequency `factor` times as high at all targets that are not set by hand; the damping
-    ratio stays."""
+    """The character with the frequency multiplied by `factor` at all targets that are not set by hand. The damping
+    ratio stays.
+    """
 
     def material(_index: int, target: Target) -> Material:
         old = target.material

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Plain data that the modules pass to each other. NumPy only, never bpy.
+"""Plain data that the modules exchange. NumPy only, never bpy.
 
-`extract` fills these from a Blender scene, `build` and `simulate` consume them, `sinks` writes the result back.
-
-Spaces: *local* is the mesh object's own space (what shape keys store), *bind* is local space with the object's scale
-applied, so lengths are metres there, *world* is Blender's world space in metres (`extract.unit_scale`).
+`extract` fills these from a Blender scene, `build` and `simulate` consume them, `write/bake` writes the result back.
+Spaces: *local* is the mesh object's own space (in which shape keys are stored), *bind* is local space with the object's
+scale applied, so its lengths are meters, *world* is Blender's world space in meters (`skin.unit_scale`).
 """
 
 from __future__ import annotations
@@ -33,15 +32,16 @@ class Skeleton:
 
     @cached_property
     def rest_inverse(self) -> np.ndarray:
-        """(B, 4, 4)."""
+        """Inverse rest matrices (B, 4, 4)."""
         return inverse(self.rest)
 
     def local_transforms(self, pose: np.ndarray, bones: list[int] | None = None) -> np.ndarray:
-        """Each bone's transform relative to its evaluated parent, rest removed: identity in the rest pose.
+        """Each bone's transform relative to its evaluated parent, with the rest transform removed: the identity in the
+        rest pose.
 
-        pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. bones: indices of those that are asked for, all
-        by default; the others get the identity. Returns (..., B, 4, 4).
-        Uses the evaluated matrices, so constraints and IK count.
+        pose (..., B, 4, 4): evaluated pose_bone.matrix, armature space. bones: indices of those that are needed, by
+        default all; the others get the identity. Returns (..., B, 4, 4). The evaluated matrices include constraints and
+        IK.
         """
         asked = np.arange(len(self.rest)) if bones is None else np.array(bones, int)
         unposed = np.broadcast_to(self.rest[asked], (*pose.shape[:-3], len(asked), 4, 4)).copy()
@@ -68,7 +68,7 @@ class Target:
     name: the shape key's name (or "Neutral"). shape (V, 3): displacement of the vertices, local space, zero for the
     neutral. bones: names of the bones whose rotations place it in pose space. local (B, 4, 4): the captured pose of
     the whole skeleton as `Skeleton.local_transforms`; rig_world (4, 4): where the armature stood then. radius: joint
-    angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the flesh's
+    angle from its pose, radians, at which the target has faded out; 0 for never. influence: how much of the tissue's
     motion shows in its pose, 0 to 1. frequency: Hz that a build gives its stiffness, 0 where the material says it;
     by_hand: whether the artist has set it, so that no rehearsal changes it and it does not follow the neutral target.
     """
@@ -87,9 +87,9 @@ class Target:
 
 @dataclass(frozen=True)
 class TargetSet:
-    """Targets whose weights sum to one; the first is the neutral. docs/theory.md, Targets.
+    """Targets whose weights sum to one; the first is the neutral one. docs/theory.md, Targets.
 
-    share (V,): how much of the flesh at each vertex follows this set; the shares of all sets sum to one.
+    share (V,): region weight of this set at each vertex; the region weights of all sets sum to one.
     """
 
     name: str
@@ -113,7 +113,7 @@ class Character:
     weights as Blender normalises them, last column 1 for vertices that no bone moves; softness (V,): 1 soft, 0 held by
     the bones; stiffness (V,): factor on the targets' stiffness; bone_segments (D, 2, 3): heads and tails of the
     deforming bones, bind space. probed: Blender skins it in a way that is not linear in the bones, so the nodes'
-    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's flesh is. pieces (V,): 0
+    transforms are read from it (`RigSamples.nodes`), and the weights say only where a bone's tissue is. pieces (V,): 0
     with the body, -1 moved by the bones alone, k >= 1 in a cage of its own. cage: the artist's own, if there is one.
     rigidity (V,): 1 where the skin belongs to something hard (a head, a helmet that touches soft skin), 0 elsewhere;
     with the hold by thickness the cage is held there. painted: whether the artist painted `softness`, which then says
@@ -152,7 +152,7 @@ class Character:
 
     @property
     def own(self) -> slice:
-        """Which of the vertices are those of the soft skin's own mesh."""
+        """The vertices of the soft skin's own mesh."""
         first = self.parts[0].members if self.parts else None
         return slice(0, first.start if first else len(self.vertices))
 
@@ -162,7 +162,7 @@ class Character:
         return [target for target_set in self.target_sets for target in target_set.targets]
 
     def with_settings(self, **changes: Any) -> Character:
-        """The same character, built otherwise."""
+        """The same character with other settings."""
         return replace(self, settings=replace(self.settings, **changes))
 
     def with_materials(self, change: Callable[[int, Target], Material]) -> Character:
@@ -175,7 +175,9 @@ class Character:
         return replace(self, target_sets=tuple(sets))
 
     def by_method(self) -> Character:
-        """The character that its method simulates: with the neutral target alone, or with the neutral's material."""
+        """The character that its method simulates: with the neutral target alone, or with the neutral target's
+        material.
+        """
         neutral = self.target_sets[0].targets[0]
         if self.settings.method == "SINGLE":
             return replace(self, target_sets=(TargetSet(self.name, (neutral,), np.ones(len(self.vertices))),))
@@ -201,18 +203,18 @@ class SurfaceMap:
     distances: np.ndarray
 
     def carry(self, values: np.ndarray) -> np.ndarray:
-        """The values (V, ...) of the mesh's vertices at the points: (P, ...)."""
+        """Values (V, ...) of the mesh's vertices, interpolated at the points: (P, ...)."""
         return np.einsum("pc,pc...->p...", self.weights, values[self.corners])
 
 
 @dataclass(frozen=True)
 class Follower:
-    """Another mesh, of P vertices, that moves with the flesh of a character: clothes, say.
+    """Another mesh, of P vertices, that moves with a character's soft tissue: clothes, for example.
 
     session_uid: of its object. points (P, 3): its vertices at rest, local space; vertices (P, 3): the same in the
-    character's bind space; from_body (3, 3) carries displacements in the character's local space to the mesh's own.
-    What moves it is either `skin`, the points of the character's surface nearest to the vertices, or the character's
-    cage, of whose vertices it is the `members`.
+    character's bind space; from_body (3, 3) maps displacements in the character's local space to the mesh's own. It is
+    moved either by `skin`, the points of the character's surface nearest to the vertices, or by the character's cage,
+    of whose vertices it is the `members`.
     """
 
     name: str

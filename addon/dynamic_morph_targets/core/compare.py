@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One character simulated by several methods on the same input, and the figures that tell them apart.
+"""One character simulated by several methods on the same input, and the figures that distinguish them. Never touches
+bpy.
 
-Never touches bpy. Used by `dynamorph report` and by the sample scenes' figures.
+Used by `dynamorph report` and by the figures of the sample scenes.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from .model import Model
 from .rig_samples import RigSamples
 from .settings import VARIANTS, SimulationSettings
 
-NOTHING = 1e-12  # metres: of a reference that does not move
+NOTHING = 1e-12  # meters, for a reference that does not move
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def _part(progress: cage.Progress, done: int, parts: int, name: str, fraction: f
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Keeps this thread, in which the engine computes, on one core where the system lets us choose."""
+    """Keeps this thread, in which the engine computes, on one core where the system permits it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -151,13 +152,13 @@ def compare(
 
 
 def machine() -> str:
-    """What the seconds were measured on."""
+    """The machine on which the seconds were measured."""
     pinned = "pinned to one core" if hasattr(os, "sched_setaffinity") else "on one thread"
     return f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {pinned}"
 
 
 def figures(run: Run, authored: Character) -> dict:
-    """What one run says of its variant; metres and seconds. authored: the character with its own settings."""
+    """The figures of one run; meters and seconds. authored: the character with its own settings."""
     made, apart = run.model.summary, np.linalg.norm(run.motion - run.static, axis=2)
     row = {
         "dofs": made["dofs"],
@@ -183,9 +184,9 @@ def figures(run: Run, authored: Character) -> dict:
 
 
 def residuals(model: Model, authored: Character) -> dict[str, float]:
-    """Of each authored target, how far the skin at rest in its captured pose is from what was sculpted for that pose.
+    """For each authored target, how far the skin at rest in its captured pose is from the shape sculpted for it.
 
-    The largest distance over the surface, metres, without gravity.
+    The largest distance over the surface, meters, without gravity.
     """
     simulated = authored.by_method()
     poses = np.array([target.local for target in authored.targets])
@@ -212,9 +213,8 @@ class Statics:
     def surface(
         self, weights: np.ndarray, bones: np.ndarray | None = None, push: np.ndarray | None = None
     ) -> np.ndarray:
-        """Displacement (V, 3) of the surface, local space, at target weights (J,).
-
-        bones (B + 1, 3, 4): the pose, which matters to a push alone; push (V, 3): newtons on the vertices, world space.
+        """Displacement (V, 3) of the surface, local space, at target weights (J,). bones (B + 1, 3, 4): the pose, which
+        matters only with a push; push (V, 3): newtons on the vertices, world space.
         """
         detail = np.tensordot(weights, self.model.details, 1)
         if self.simulation is None:  # geometric morph targets

@@ -3,25 +3,28 @@
 
 from __future__ import annotations
 
+import sys
 from functools import lru_cache
 from types import ModuleType
 
-from .errors import NativeMissing, SelfCheckError
+from .errors import DynamorphError, EngineNotFoundError
+
+_threads, _told = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
 
 
 def engine() -> tuple[ModuleType, ModuleType]:
-    """The modules that need the compiled engine: (build, simulate). Raises NativeMissing.
+    """The modules that need the compiled engine: (build, simulate). Raises EngineNotFoundError.
 
     Imported here and not at the top, so that a missing wheel leaves an add-on that can say so.
     """
     try:
         import dynamorph  # noqa: F401
     except Exception as error:  # a wheel for another system fails in many ways
-        raise NativeMissing(
+        raise EngineNotFoundError(
             f"The engine cannot be loaded ({error}). Install the Dynamorph extension made for this Blender and system "
             "from its .zip, or with pip the package 'dynamorph', and restart"
         ) from error
-
+    _tell_threads()
     from . import build, simulate
 
     return build, simulate
@@ -32,14 +35,14 @@ def engine_problem() -> str:
     """Why the engine cannot be loaded, or ''."""
     try:
         engine()
-    except NativeMissing as error:
+    except EngineNotFoundError as error:
         return str(error)
     return ""
 
 
 def expected_errors() -> tuple[type[Exception], ...]:
-    """The exceptions whose message is meant for the artist."""
-    return (NativeMissing, SelfCheckError, ValueError, OSError, *engine_errors())
+    """The exceptions that the artist is told of, by `errors.sentence`. All others are bugs."""
+    return (DynamorphError, OSError, MemoryError, *engine_errors())
 
 
 def engine_errors() -> tuple[type[Exception], ...]:
@@ -50,8 +53,19 @@ def engine_errors() -> tuple[type[Exception], ...]:
     return (dynamorph.Error,)
 
 
-def tell_threads(count: int) -> None:
-    import dynamorph
+def use_threads(count: int) -> None:
+    """How many threads the engine takes, from now on or from when it is loaded; 0: as many as there are cores."""
+    global _threads, _told
+    _threads, _told = count, count == _threads and _told
+    if sys.modules.get("dynamorph"):  # None where it is known to be missing
+        _tell_threads()
 
-    if hasattr(dynamorph, "set_threads"):  # the engine may be older than the add-on
-        dynamorph.set_threads(count)
+
+def _tell_threads() -> None:
+    """When it is loaded, by whatever uses it first: a job, Live, a fit."""
+    global _told
+    if not _told:
+        import dynamorph
+
+        dynamorph.set_threads(_threads)
+        _told = True

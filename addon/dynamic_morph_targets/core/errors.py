@@ -1,48 +1,67 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What can go wrong that an artist can mend: one tree with one base."""
+"""What can go wrong that an artist can mend: one tree with one base. Everything else that is raised is a bug."""
 
 from __future__ import annotations
 
+NO_MEMORY = "There is not enough memory for this. Close other programs, bake fewer frames, or lower Cage Nodes or Modes"
 
-class InputError(ValueError):
+
+class DynamorphError(Exception):
+    """The message is for the artist: it says what is wrong and what to do."""
+
+
+class InputError(DynamorphError):
     """The command line or the file does not say what to do. The message does."""
 
 
-class ClipError(ValueError):
+class ClipError(DynamorphError):
     """A bake cannot become that. The message says what to do."""
 
 
-class CollectError(ValueError):
+class CollectError(DynamorphError):
     """Reports are missing or wrong. The message lists them."""
 
 
-class ExportError(ValueError):
+class ExportError(DynamorphError):
     """The character cannot be exported so. The message names what is in the way and what to do."""
 
 
-class SceneError(ValueError):
+class SceneError(DynamorphError):
     """The scene cannot be simulated as it is. The message names the object and what to do."""
 
 
-class Cancelled(Exception):
+class Cancelled(DynamorphError):
     """The user stopped the job."""
 
 
-class NativeMissing(Exception):
+class EngineNotFoundError(DynamorphError):
     """The compiled engine cannot be imported. The message says why and what to do."""
 
 
-class SelfCheckError(Exception):
+class SelfCheckError(DynamorphError):
     """The engine returned something that cannot be right."""
 
 
-class ModelFileError(ValueError):
+class ModelFileError(DynamorphError):
     """The bytes are not a model that this version can read. The message says why."""
 
 
-class SetupError(ValueError):
+class FitError(DynamorphError):
+    """A material cannot be fitted to what was measured. The message says why."""
+
+
+class RecordError(DynamorphError):
+    """What an earlier build or bake has noted in the .blend cannot be read. The message says what to do."""
+
+
+class SetupError(DynamorphError):
     """A setup cannot be read. The message says what is wrong in it."""
 
 
-class SinkError(ValueError):
+class SinkError(DynamorphError):
     """The result cannot be written here. The message names the data and what to do."""
+
+
+def sentence(error: BaseException) -> str:
+    """What the artist is told of an error that is expected (see `engine.expected_errors`)."""
+    return NO_MEMORY if isinstance(error, MemoryError) else str(error)

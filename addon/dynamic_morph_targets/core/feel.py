@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a soft skin feels, as three presets: how fast it swings, how soon it settles, how far it may go. No bpy."""
+"""How a soft skin feels, as three presets: how fast it swings, how soon it settles, how far it may move. No bpy."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Feel:
-    """frequency: swings a second after a push, Hz; damping_ratio: of critical damping; max_displacement: how far the
-    skin may move, of the body's size; max_thickness: the same, of how thick the body is there.
+    """frequency: natural frequency, Hz; damping_ratio: fraction of critical damping; max_displacement: how far the skin
+    may move, as a fraction of the body's size; max_thickness: the same as a fraction of the local thickness.
     """
 
     label: str
@@ -23,15 +23,15 @@ class Feel:
 
     @property
     def damping(self) -> tuple[float, float]:
-        """Mass and stiffness damping with which what swings at this frequency has this damping ratio."""
+        """Mass damping (1/s) and stiffness damping (s) that give a swing of this frequency this damping ratio."""
         undamped = 2.0 * pi * self.frequency / sqrt(1.0 - self.damping_ratio**2)
         return 0.0, 2.0 * self.damping_ratio / undamped
 
 
 FEELS = {
-    "SUBTLE": Feel("Subtle", "Firm: small and quick motion, for trained bodies", 5.0, 0.25, 0.025, 0.3),
-    "NATURAL": Feel("Natural", "As soft as a body looks", 3.5, 0.2, 0.05, 0.6),
-    "CARTOON": Feel("Cartoon", "Very soft: large and slow, for caricatures", 2.5, 0.12, 0.08, 0.9),
+    "SUBTLE": Feel("Subtle", "A firm body with small, quick motion, for athletic characters", 5.0, 0.25, 0.025, 0.3),
+    "NATURAL": Feel("Natural", "An average body", 3.5, 0.2, 0.05, 0.6),
+    "CARTOON": Feel("Cartoon", "A very soft body with large, slow motion, for caricatures", 2.5, 0.12, 0.08, 0.9),
 }
 
 
@@ -51,9 +51,9 @@ class Simulation(Protocol):
 
 
 def active(neutral: NeutralTarget, simulation: Simulation) -> str:
-    """Which of FEELS a soft skin has, as its neutral target and its simulation settings say; "" if none.
+    """Which of FEELS the neutral target and the simulation settings of a soft skin match; "" if none.
 
-    A rehearsal may have raised the frequency since, which is still the same feel.
+    It is still the same feel when a rehearsal has raised the frequency since.
     """
     if neutral.by_hand:
         return ""

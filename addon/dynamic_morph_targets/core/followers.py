@@ -16,7 +16,7 @@ from .simulate import part_of
 
 
 def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
-    """The same shot of what the flesh carries along, in the follower's own local space."""
+    """The same shot for a follower, in the follower's own local space."""
     if follower.members:
         return part_of(bake, follower.members, follower.from_body)
     assert bake.node_modes is not None  # it becomes keys, which have none, only afterwards
@@ -25,16 +25,16 @@ def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
 
 
 def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.ndarray, np.ndarray]:
-    """What modes (r, n, 3) of the nodes, bind space, and the model's details do to a follower of P vertices.
+    """How modes (r, n, 3) of the nodes, bind space, and the model's residual shapes displace a follower of P vertices.
 
-    Returns (r, P, 3) and (J, P, 3) in its local space. Where it is outside the cage the nearest tetrahedron goes on
-    there, bounded; of the details it has those of the skin nearest to it.
+    Returns (r, P, 3) and (J, P, 3) in its local space. Outside the cage, the nearest tetrahedron is extrapolated within
+    bounds; the residual shapes are those of the nearest skin.
     """
     assert follower.skin is not None  # it has no `members`
     details = np.moveaxis(follower.skin.carry(np.moveaxis(model.details, 0, 1)), 1, 0) @ follower.from_body.T
     if not len(model.tets):
         return np.zeros((0, *follower.vertices.shape)), details
-    part = connected_parts(model.tets, len(model.nodes))  # pieces may have a cage of their own in the same place
+    part = connected_parts(model.tets, len(model.nodes))  # attachments may have a cage of their own in the same place
     under = part[model.embedding_nodes[np.unique(follower.skin.corners), 0]]
     used, tets = np.unique(model.tets[np.isin(part[model.tets[:, 0]], under)], return_inverse=True)
     embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes[used], tets.reshape(-1, 4)), follower.vertices)

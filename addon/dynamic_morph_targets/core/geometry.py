@@ -14,7 +14,7 @@ def determinant(matrices: np.ndarray) -> np.ndarray:
     """Determinants (...) of 3 x 3 matrices (..., 3, 3).
 
     Written out, like `inverse`, because LAPACK wakes its threads for each matrix of a stack: on a busy machine that
-    takes seconds for a shot.
+    takes seconds per shot.
     """
     return np.einsum("...i,...i", matrices[..., 0, :], np.cross(matrices[..., 1, :], matrices[..., 2, :]))
 
@@ -43,7 +43,7 @@ def turned(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         u, _, vt = np.linalg.svd(transforms[:, :3, :3])
         return u @ vt
 
-    # From the chord, because the arc cosine of the trace loses small angles.
+    # From the chord, because the arc cosine of the trace is inaccurate for small angles.
     chord = np.linalg.norm(rotation(first) - rotation(second), axis=(1, 2)) / np.sqrt(8.0)
     return 2.0 * np.arcsin(np.clip(chord, 0.0, 1.0))
 
@@ -53,7 +53,7 @@ def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
     number of its points.
     """
     part = np.arange(count)
-    while True:  # each round joins parts that share an element, by their smallest points
+    while True:  # each round merges parts that share an element, by their smallest points
         joined = part[elements]
         lowest = np.broadcast_to(joined.min(axis=1, keepdims=True), joined.shape)
         if np.array_equal(joined, lowest):
@@ -63,16 +63,19 @@ def connected_parts(elements: np.ndarray, count: int) -> np.ndarray:
             part = part[part]
 
 
-WELD = 1e-6  # of a mesh's diagonal: points nearer than this are one, as imported meshes are split at every seam
+# Fraction of a mesh's diagonal; points nearer than this are merged, because imported meshes are split at every seam.
+WELD = 1e-6
 
 
 def welded(points: np.ndarray) -> np.ndarray:
-    """Numbers (V,), from 0, of the places of points (V, 3), which those of a split seam share."""
+    """Numbers (V,), from 0, of the distinct places of points (V, 3); the points of a split seam share one."""
     size = np.linalg.norm(np.ptp(points, axis=0)) or 1.0
     cells = np.nan_to_num(np.round(points / (WELD * size)))
     cells = (cells - cells.min(axis=0, initial=np.inf)).astype(np.int64)
     rows = cells.max(axis=0, initial=0) + 1
-    numbers = (cells[:, 0] * rows[1] + cells[:, 1]) * rows[2] + cells[:, 2]  # one each: rows take ten times as long
+    numbers = (cells[:, 0] * rows[1] + cells[:, 1]) * rows[2] + cells[
+        :, 2
+    ]  # one number each, because rows take ten times as long
     return np.unique(numbers, return_inverse=True)[1].ravel()
 
 

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What holds the soft tissue against the skeleton: told from how thick the body is, not from bone lines.
+"""What holds the soft tissue against the skeleton. It follows from the thickness of the body, not from the bones'
+lines.
 
-Importers guess where bones end; thickness is never wrong. With T the radius of the largest ball in the body that
-covers a point, and d its depth below the skin, held are the core (deep compared with T), thin parts (T small compared
-with the body's: fingers, ears, horns, feet, tails, blades), and what is rigid. How firmly is a smooth field phi, 0 to
-1. The hold is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the body, inside each target's own
-(docs/theory.md): it converges as the cage gets finer, where pins node by node do not. Never touches bpy.
+Importers guess where bones end; the thickness is always right. Let T be the radius of the largest ball in the body that
+covers a point, and d its depth below the skin. Held are the core (deep compared with T), thin parts (T small compared
+with the body's: fingers, ears, horns, feet, tails, blades), and whatever is rigid. A smooth field phi from 0 to 1 says
+how firmly. The hold is an energy, FIRMNESS mu phi / T^2 |u - d_j|^2 / 2 integrated over the body, inside each target's
+own (docs/theory.md): it converges as the cage gets finer, whereas pins node by node do not. Never touches bpy.
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ import numpy as np
 
 from .geometry import determinant
 
-FIRMNESS = 100.0  # of what is held entirely: it then moves like tissue of a tenth of its thickness
-CORE = 0.35, 0.65  # depth over thickness from which the core is held, and where it is entirely
-THIN = 0.3, 0.55  # thickness over the body's below which a part is held entirely, and above which it is not
-STIFFER = 0.9, 20.0  # of the body's thickness, below which tissue is stiffer; and by how much at most
-THICKEST = 0.98  # quantile of the thickness of the soft volume: that of the body
-# Points of a tetrahedron, as weights of its corners, that stand for a quarter of it each.
+FIRMNESS = 100.0  # of fully held tissue, which then moves like tissue of a tenth of its thickness
+CORE = 0.35, 0.65  # depth over thickness where the hold of the core begins, and where it is full
+THIN = 0.3, 0.55  # thickness relative to the body's below which a part is fully held, and above which it is not held
+STIFFER = 0.9, 20.0  # fraction of the body's thickness below which tissue is stiffer, and the largest factor
+THICKEST = 0.98  # quantile of the thickness over the soft volume that counts as the body's
+# Quadrature points of a tetrahedron, as weights of its corners; each represents a quarter of it.
 A, B = 0.5854101966249685, 0.1381966011250105
 QUADRATURE = np.full((4, 4), B) + (A - B) * np.eye(4)
 
 
 @dataclass(frozen=True)
 class Hold:
-    """Of a cage of n nodes and m tets, and the V vertices of the skin.
+    """The hold of a cage of n nodes and m tets, and the V vertices of the skin.
 
-    held (m,): FIRMNESS phi / T^2, 1/m^2; stiffness (m,): factor; phi (n,): how firmly nodes are held, to be shown;
-    thickness (V,): T at the skin, metres.
+    held (m,): FIRMNESS phi / T^2, 1/m^2; stiffness (m,): factor; phi (n,): how firmly nodes are held, for display;
+    thickness (V,): T at the skin, meters.
     """
 
     held: np.ndarray
@@ -49,8 +50,10 @@ def hold(
     softness: np.ndarray | None,
     fill: np.ndarray,
 ) -> Hold:
-    """The hold of a body. surface (V, 3): the skin, bind space; rigidity, softness (n,): at the nodes, from the skin;
-    softness None: nothing is painted, so thin parts are held. fill (m,).
+    """The hold of a body.
+
+    surface (V, 3): the skin, bind space; rigidity, softness (n,): at the nodes, from the skin; softness None: nothing
+    is painted, so thin parts are held. fill (m,).
     """
     corners = mesh.nodes[mesh.tets]
     points = np.einsum("qa,eac->eqc", QUADRATURE, corners)
@@ -69,7 +72,7 @@ def hold(
     weights = np.repeat(volume, 4)
     shown = np.bincount(nodes, weights * phi.ravel(), len(mesh.nodes)) / np.bincount(nodes, weights, len(mesh.nodes))
     at_skin, _ = thickness.at(surface)
-    # The stiffness multiplies the hold too; its mean is taken once.
+    # The stiffness also multiplies the hold; its mean is taken once.
     held = FIRMNESS * (phi / radius**2).mean(axis=1)
     return Hold(held, stiffness.mean(axis=1), shown, at_skin)
 

@@ -20,20 +20,22 @@ from .geometry import determinant
 if TYPE_CHECKING:  # it needs the engine
     from .model import Model
 
-LOOKED_AT = 32  # frames at most: those that move most
-CHECKED = 10  # of them, in which tetrahedra are looked at
-SHRUNK, STRETCHED = 0.6, 1.6  # of their length at rest: edges beyond that look torn
-TURNED = 1e-3  # share of the skin that may be turned over, and of the volume that may be turned inside out
-SLACK = 0.94  # of the limits: what is within them when it is measured otherwise, too
-SHOWS = 1.05  # of the limits: a bake that goes beyond them by more is not as asked for
-SPLINTER = 1e-4  # of the size: shorter edges are no measure of stretch
-THINNEST = 0.02  # of the size: thinner parts count as this thick
-SHOWN = 200  # vertices of the worst place
+LOOKED_AT = 32  # at most so many frames, those that move most
+CHECKED = 10  # of these, frames whose tetrahedra are checked
+SHRUNK, STRETCHED = 0.6, 1.6  # of their length at rest; edges beyond that look torn
+TURNED = 1e-3  # share of the skin that may be flipped, and of the volume that may be inverted
+SLACK = 0.94  # of the limits, so that other ways of measuring agree
+SHOWS = 1.05  # of the limits; a bake that exceeds them by more is not as requested
+SPLINTER = 1e-4  # of the size; shorter edges are not used to measure stretch
+THINNEST = 0.02  # of the size; thinner parts count as this thick
+SHOWN = 200  # vertices that mark the worst place
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How far the skin may move away from the animation: of the body's size, of its local thickness; 0: no limit."""
+    """How far the skin may move away from the animation, as fractions of the body's size and of its local thickness; 0:
+    no limit.
+    """
 
     displacement: float = 0.0
     thickness: float = 0.0
@@ -57,7 +59,7 @@ class Verdict:
     vertices: tuple[int, ...] = ()
 
     def excess(self, limits: Limits) -> float:
-        """By how much the motion is too large: above SLACK a rehearsal goes on. 0 without limits."""
+        """The factor by which the motion is too large: a rehearsal continues above SLACK. 0 without limits."""
         if not (limits.displacement or limits.thickness):
             return 0.0
         ratios = [0.0]
@@ -66,10 +68,10 @@ class Verdict:
         if limits.thickness:
             ratios.append(self.over_thickness / limits.thickness)
         low, high = self.stretch
-        # Where the bones alone shorten an edge, the motion adds to that: less than SHRUNK leaves is allowed.
+        # Where the bones alone shorten an edge, the motion may only add what SHRUNK leaves.
         ratios += [(high - 1.0) / (STRETCHED - 1.0), (1.0 - low) / (1.0 - SHRUNK) / 0.9]
         turned = max(self.flipped, self.inverted) / TURNED
-        if turned > 1.0:  # volumes fall much faster than displacements
+        if turned > 1.0:  # volumes decrease much faster than displacements
             ratios.append(min(1.05 * turned**0.25, 1.5))
         return max(ratios)
 
@@ -95,7 +97,7 @@ class Verdict:
         return f"{moved} (frame {self.frame:g}){': ' if faults else ''}{', '.join(faults)}"
 
     def as_dict(self, limits: Limits) -> dict:
-        """Fit for JSON, with what the panel says of it."""
+        """As JSON data, with the texts for the panel."""
         excess = self.excess(limits)
         ok = not self.is_wreckage and excess <= SHOWS
         remedy = "" if ok else ("REHEARSE" if limits.displacement or limits.thickness else "STIFFEN")
@@ -104,12 +106,12 @@ class Verdict:
 
 
 def judge(model: Model, character: Character, bake: Bake) -> Verdict:
-    """What a bake of `character` with `model` looks like. The bake: of all the character's vertices."""
+    """The verdict on a bake of `character` with `model` (model.Model). The bake covers all the character's vertices."""
     triangles = character.triangles[(character.pieces[character.triangles] >= 0).all(axis=1)]
     if not len(bake.modes) or not len(triangles):
         return Verdict(frame=float(bake.frames[0]))
     skin = _Skin(character, triangles, model.thickness)
-    motion = bake.coordinates - bake.dry
+    motion = bake.coordinates - bake.static
     modes = (bake.modes @ character.to_bind.T).reshape(len(bake.modes), -1)
     reach = np.linalg.norm(motion * np.linalg.norm(modes, axis=1), axis=1)
     chosen = np.sort(np.argsort(-reach)[:LOOKED_AT])
@@ -151,7 +153,7 @@ class _Skin:
         self.edges, self.lengths = edges[kept], lengths[kept]
         begins = [0, *(part.members.start for part in character.parts if part.members)]
         mesh = np.searchsorted(begins, self.edges[:, 0], side="right")
-        self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # a small one shows as well
+        self.meshes = [np.flatnonzero(mesh == number) for number in np.unique(mesh)]  # small patches are visible too
         self.thickness = 2.0 * thickness if len(thickness) else np.zeros(0)
 
     def _normals(self, points: np.ndarray) -> np.ndarray:
@@ -159,8 +161,9 @@ class _Skin:
         return np.cross(b - a, c - a)
 
     def measures(self, u: np.ndarray, distance: np.ndarray) -> tuple[float, ...]:
-        """Of displacements u (V, 3): the largest, its 99.9th percentile, the shortest and longest edges, and what is
-        flipped."""
+        """For displacements u (V, 3): the largest, its 99.9th percentile, the shortest and longest edges, and the
+        flipped share.
+        """
         used = self.areas > 0.0
         moved = self.rest + u
         ratio = np.linalg.norm(moved[self.edges[:, 0]] - moved[self.edges[:, 1]], axis=1) / self.lengths
@@ -176,7 +179,7 @@ class _Skin:
         )
 
     def over_thickness(self, farthest: np.ndarray) -> float:
-        """farthest (V,): of the size."""
+        """The 99th percentile of displacement over thickness; farthest (V,): largest displacements, of the size."""
         if not len(self.thickness):
             return 0.0
         used = self.areas > 0.0
@@ -184,7 +187,7 @@ class _Skin:
         return _quantiles(over[used], self.areas[used], [0.99])[0]
 
     def place(self, u: np.ndarray) -> tuple[int, ...]:
-        """The vertices that move most, as far as they are near the one that does."""
+        """The vertices that move most and are near the one that moves most of all."""
         distance = np.where(self.areas > 0.0, np.linalg.norm(u, axis=1), 0.0)
         order = np.argsort(-distance)[:SHOWN]
         near = np.linalg.norm(self.rest[order] - self.rest[order[0]], axis=1) < 0.1 * self.size
@@ -203,7 +206,7 @@ def _inverted(model: Model, bake: Bake, motion: np.ndarray, frames: np.ndarray) 
             determinant(at[:, 1:] - at[:, :1])
             for at in (
                 corners + np.tensordot(coordinates, bake.node_modes, 1)[model.tets]
-                for coordinates in (bake.coordinates[frame], bake.dry[frame])
+                for coordinates in (bake.coordinates[frame], bake.static[frame])
             )
         )
         worst = max(worst, float(filled[(moved <= 0.0) & (sculpted > 0.0)].sum() / filled.sum()))

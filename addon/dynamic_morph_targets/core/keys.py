@@ -16,15 +16,15 @@ from .baked import CHUNK, Bake, at_rows, displaced, distance, samples_per_frame,
 from .errors import ClipError
 from .settings import POINT_CACHES, OutputSettings
 
-NOISE = 1e-5  # of the farthest that a shape moves a vertex: less is what is lost by keys of float32
-MOST_KEYS = 2000  # of single frames: with their curves they would fill the memory
+NOISE = 1e-5  # of the largest displacement by a shape; smaller errors come from keys in float32
+MOST_KEYS = 2000  # keys of single frames; more of them, with their curves, would fill the memory
 
 
 # As other keys -----------------------------------------------------------------------------------------------------
 
 
 def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Bake, float]:
-    """The bake as the shape keys that `output` asks for, and how far the surface is off at most, metres; to_bind as for
+    """The bake as the shape keys that `output` requires, and the largest error of the surface, meters; to_bind as for
     `reach`. A point cache has keys only for what shows without it. Raises ClipError when there would be too many.
     """
     if output.sink == "FRAMES":
@@ -44,10 +44,10 @@ def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Ba
 
 
 def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
-    """The `budget` shapes that are best for this shot; None: as few as show all of it.
+    """The `budget` shapes that are best for this shot; None: as few as reproduce all of it.
 
-    Best: least squares over all frames and vertices, of the motion and of the targets' shapes without it (SVD). The
-    details of the targets are then part of the modes.
+    Best means least squares over all frames and vertices, of the motion and of the targets' shapes without it (SVD).
+    The residual shapes of the targets are then part of the modes.
     """
     shapes = np.concatenate([bake.modes, bake.details])
     if (budget is not None and budget >= len(shapes)) or not shapes.any():
@@ -57,13 +57,13 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
     squares, axes = np.linalg.eigh(shapes @ shapes.T)
     kept = squares > 1e-14 * squares[-1]
     lengths, axes = np.sqrt(squares[kept]), axes[:, kept]
-    wet = np.hstack([bake.coordinates, bake.weights])
-    dry = np.hstack([bake.dry, bake.weights])
-    _, _, best = np.linalg.svd(np.vstack([wet, dry]) @ axes * lengths, full_matrices=False)
+    dynamic = np.hstack([bake.coordinates, bake.weights])
+    static = np.hstack([bake.static, bake.weights])
+    _, _, best = np.linalg.svd(np.vstack([dynamic, static]) @ axes * lengths, full_matrices=False)
     best = best[:budget]
     onto = axes * lengths @ best.T  # (r + J, budget)
     modes = best / lengths @ axes.T @ shapes
-    coordinates, without = wet @ onto, dry @ onto
+    coordinates, without = dynamic @ onto, static @ onto
     if budget is None:
         reached = np.abs(np.vstack([coordinates, without])).max(axis=0) * np.abs(modes).max(axis=1)
         seen = reached > NOISE * reached.max()
@@ -71,7 +71,7 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
     return replace(
         bake,
         coordinates=coordinates,
-        dry=without,
+        static=without,
         weights=np.zeros((len(bake.frames), 0)),
         modes=modes.reshape(-1, *bake.modes.shape[1:]),
         details=np.zeros((0, *bake.modes.shape[1:])),
@@ -81,8 +81,8 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
 
 
 def united(bakes: list[Bake], to_body: list[np.ndarray]) -> Bake:
-    """One bake of the meshes of a body, which have the same frames, mesh after mesh; to_body (3, 3) each: of
-    displacements in a mesh's local space. Keys of one name are one, whose values are the same wherever it is.
+    """One bake of the meshes of a body, which have the same frames, mesh after mesh; to_body (3, 3) each: for
+    displacements in a mesh's local space. Keys with the same name are merged; their values are the same in every mesh.
     """
     names = list(dict.fromkeys(name for bake in bakes for name in bake.key_names))
     counts = [bake.modes.shape[1] for bake in bakes]
@@ -90,17 +90,17 @@ def united(bakes: list[Bake], to_body: list[np.ndarray]) -> Bake:
     for bake, turn, end in zip(bakes, to_body, np.cumsum(counts), strict=True):
         places = [names.index(name) for name in bake.key_names]
         modes[places, end - bake.modes.shape[1] : end] = bake.modes @ turn.T
-        rows[:, :, places] = bake.coordinates, bake.dry
+        rows[:, :, places] = bake.coordinates, bake.static
     details = np.zeros((0, sum(counts), 3))
-    return replace(bakes[0], coordinates=rows[0], dry=rows[1], modes=modes, details=details, key_names=tuple(names))
+    return replace(bakes[0], coordinates=rows[0], static=rows[1], modes=modes, details=details, key_names=tuple(names))
 
 
 def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[Bake, float]:
-    """A bake whose frames between the first and the last of `patch` are those of the patch, and by how much the two are
-    apart at most where they meet, metres. The patch fades in and out within `fade` frames, a quarter of it at most,
-    where the bake has frames too.
+    """A bake whose frames between the first and the last of `patch` are those of the patch, and the largest distance of
+    the two where they meet, meters.
 
-    Both are of one mesh; their modes may be others. Details become modes. to_bind: as for `reach`.
+    The patch fades in and out within `fade` frames, at most a quarter of it, where the bake also has frames. Both are
+    of one mesh; their modes may differ. Residual shapes become modes. to_bind: as for `reach`.
     """
     (begin, end), (first, last) = bake.frames[[0, -1]], patch.frames[[0, -1]]
     frames = np.concatenate([bake.frames[bake.frames < first], patch.frames, bake.frames[bake.frames > last]])
@@ -126,7 +126,7 @@ def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[B
         modes=np.concatenate([bake.modes, bake.details, patch.modes, patch.details]),
         details=np.zeros((0, *bake.modes.shape[1:])),
         target_names=patch.target_names,
-        dry=mixed(np.hstack([bake.dry, bake.weights]), np.hstack([patch.dry, patch.weights])),
+        static=mixed(np.hstack([bake.static, bake.weights]), np.hstack([patch.static, patch.weights])),
     )
     return with_fewer_keys(both), _apart(bake, patch, to_bind)
 
@@ -137,7 +137,7 @@ def _smooth(share: np.ndarray) -> np.ndarray:
 
 
 def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:
-    """The largest distance between a bake and the ends of a patch that are within it, metres."""
+    """The largest distance between a bake and those ends of a patch that are within it, meters."""
     within = (patch.frames[[0, -1]] > bake.frames[0]) & (patch.frames[[0, -1]] < bake.frames[-1])
     ends = np.array([0, len(patch.frames) - 1])[within]
     if not len(ends):
@@ -151,25 +151,25 @@ def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:
 
 
 def targets_alone(bake: Bake) -> Bake:
-    """The targets' shapes as details, and no motion. Where the bake does not tell them apart, what they come to."""
+    """The targets' shapes as residual shapes, without motion. If the bake does not distinguish them, their blend."""
     nothing = np.zeros((len(bake.frames), 0))
     if not bake.weights.shape[1]:
-        still = with_fewer_keys(replace(bake, coordinates=bake.dry))
-        details, weights = still.modes, still.dry
+        still = with_fewer_keys(replace(bake, coordinates=bake.static))
+        details, weights = still.modes, still.static
         names = tuple(f"Dynamorph Shape {k + 1:02d}" for k in range(len(details)))
     else:
-        onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.dry, rcond=None)
+        onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.static, rcond=None)
         details, weights = np.tensordot(onto_modes, bake.modes, 1) + bake.details, bake.weights
         names = tuple(f"Dynamorph Target {name}" for name in bake.target_names)
     modes = np.zeros((0, *bake.modes.shape[1:]))
     return replace(
-        bake, coordinates=nothing, dry=nothing, weights=weights, modes=modes, details=details, key_names=names
+        bake, coordinates=nothing, static=nothing, weights=weights, modes=modes, details=details, key_names=names
     )
 
 
 def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
     """The surfaces at the frames `kept`, by index, as keys that blend from one to the next. The targets' shapes are
-    keys of their own, for where there is less motion.
+    separate keys, for less motion.
     """
     shapes = targets_alone(bake)
     used = np.flatnonzero(np.abs(shapes.details).max(axis=(1, 2)) * np.abs(shapes.weights).max(axis=0))
@@ -177,12 +177,12 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
     moved = np.empty((keys, *bake.modes.shape[1:]), np.float32)
     for first, chunk in zip(range(0, keys, CHUNK), surfaces(at_rows(bake, kept), 0.0), strict=True):
         moved[first : first + CHUNK] = chunk
-    coordinates, dry = np.zeros((2, count, keys + len(used)), np.float32)
+    coordinates, static = np.zeros((2, count, keys + len(used)), np.float32)
     for k, row in enumerate(kept):
         before, after = kept[max(k - 1, 0)], kept[min(k + 1, keys - 1)]
         near, heights = slice(before, after + 1), [k == 0, 1, k == keys - 1]
         coordinates[near, k] = np.interp(bake.frames[near], bake.frames[[before, row, after]], heights)
-    dry[:, keys:] = shapes.weights[:, used]
+    static[:, keys:] = shapes.weights[:, used]
     names = [f"Dynamorph Frame {frame:g}" for frame in at]
     return Bake(
         frames=bake.frames,
@@ -191,7 +191,7 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
         modes=np.concatenate([moved, shapes.details[used]]),
         details=np.zeros((0, *bake.modes.shape[1:])),
         target_names=bake.target_names,
-        dry=dry,
+        static=static,
         key_names=(*names, *(shapes.key_names[j] for j in used)),
     )
 
@@ -202,10 +202,10 @@ def every_nth(bake: Bake, frames: int) -> np.ndarray:
 
 
 def key_frames(bake: Bake, tolerance: float, to_bind: np.ndarray) -> np.ndarray:
-    """Indices of the frames between which the surface may be interpolated, off by at most `tolerance`, metres.
+    """Indices of frames between which the surface can be interpolated with an error of at most `tolerance`, meters.
 
-    Each span is cut at the frame that is worst in it, until all are good enough (Douglas and Peucker 1973). to_bind:
-    as for `reach`.
+    Each span is divided at its worst frame until all spans are accurate enough (Douglas and Peucker 1973). to_bind: as
+    for `reach`.
     """
     end, rows = len(bake.frames) - 1, np.hstack([bake.coordinates, bake.weights])
     kept, spans = {0, end}, [(0, end)]
@@ -219,13 +219,13 @@ def key_frames(bake: Bake, tolerance: float, to_bind: np.ndarray) -> np.ndarray:
 
 
 def off_between(bake: Bake, kept: np.ndarray, to_bind: np.ndarray) -> float:
-    """How far the surface is off at most, in metres, where it is interpolated between the frames `kept`, by index."""
+    """The largest error of the surface, in meters, if it is interpolated between the frames `kept`, by index."""
     rows = np.hstack([bake.coordinates, bake.weights])
     return max((_worst_between(bake, rows, *span, to_bind)[1] for span in pairwise(kept)), default=0.0)
 
 
 def _worst_between(bake: Bake, rows: np.ndarray, first: int, last: int, to_bind: np.ndarray) -> tuple[int, float]:
-    """The frame between two others that is farthest from their interpolation, and how far it is, metres."""
+    """The frame between two others that is farthest from their interpolation, and its distance, meters."""
     worst, off = first, 0.0
     for begin in range(first + 1, last, CHUNK):
         frames = np.arange(begin, min(begin + CHUNK, last))

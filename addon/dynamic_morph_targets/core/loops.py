@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A cycle whose last frame goes on with its first: how it begins so that it ends as it began. Never touches bpy."""
+"""A cycle whose last frame continues with its first: finds the start from which it ends as it began. Never touches
+bpy.
+"""
 
 from __future__ import annotations
 
@@ -10,28 +12,28 @@ import numpy as np
 from .player import Frame, Player
 from .rig_samples import RigSamples
 
-CLOSED = 1e-6  # body sizes: a loop whose surface ends nearer to where it began is done
-SAME_POSE = 1e-3  # body sizes: poses whose skin, moved as a whole, is nearer are one
-PASSES = 400  # of a loop, at most
-ACCELERATED = 40  # of them, by Anderson's method
-REMEMBERED = 12  # passes that the next beginning is then made of
-PLAIN, KRYLOV = 5, 20  # passes of Newton's method: to come near, and at most to find a step
+CLOSED = 1e-6  # body sizes; a loop whose gap is smaller is closed
+SAME_POSE = 1e-3  # body sizes; poses whose skins differ less after a rigid motion are the same
+PASSES = 400  # passes of a loop, at most
+ACCELERATED = 40  # passes with Anderson's method
+REMEMBERED = 12  # passes that are combined into the next start
+PLAIN, KRYLOV = 5, 20  # passes of Newton's method: to approach the solution, and at most to find a step
 
 
 def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
-    """The frames of a loop, and by how many metres it is off at most where it begins again and a frame later.
+    """The frames of a loop, and its largest gap in meters where it begins again and a frame later.
 
-    Passes over its range until one ends as it began: in place and, by the frame after, in velocity.
+    Passes over its range are repeated until one ends as it began: in position and, by the frame after, in velocity.
     """
     loop = _Loop(player, rig)
-    if not _accelerate(loop) and player.pose_gap(rig) <= SAME_POSE * player.size:  # else it cannot close
+    if not _accelerate(loop) and player.pose_gap(rig) <= SAME_POSE * player.size:  # otherwise it cannot close
         _newton(loop)
     return loop.frames, loop.gap
 
 
 class _Loop:
-    """One pass over the range of a loop, as a map from how it begins to how it ends: coordinates (4, dofs) then and at
-    the last three steps before. What it came to is kept of the pass that closed best: frames and gap, as for `cycle`.
+    """One pass over the range of a loop, as a map from its start to its end: coordinates (4, dofs) then and at the last
+    three steps before. The result of the pass that closed best is kept: frames and gap, as for `cycle`.
     """
 
     def __init__(self, player: Player, rig: RigSamples):
@@ -61,7 +63,7 @@ class _Loop:
         ended = player.past
         self._first = player.begin_again(rig, frames[-1])
         self._start = player.state
-        next_frame = rig[1 : 1 + settings.substeps], numbers[:1]  # none in a range of one frame
+        next_frame = rig[1 : 1 + settings.substeps], numbers[:1]  # a range of one frame has none
         again = [frames[-1], *player.play(*next_frame)]
         pairs = list(zip(frames[:: settings.samples], again[:: settings.samples], strict=False))
         gap = max(player.gap(*pair) for pair in pairs)
@@ -72,9 +74,11 @@ class _Loop:
 
 
 def _accelerate(loop: _Loop) -> bool:
-    """Anderson's acceleration of repeated passes: the next begins where the last ones, combined by weights that sum to
-    one, would have ended as they began, in the least squares sense. For a linear law that is exact once there are as
-    many passes as ways to be off (Walker and Ni 2011, Anderson acceleration for fixed-point iterations).
+    """Anderson's acceleration of repeated passes: the next one begins where the last ones, combined by weights that sum
+    to one, would have ended as they began, in the least squares sense.
+
+    For a linear law that is exact once there are as many passes as directions of error (Walker and Ni 2011, Anderson
+    acceleration for fixed-point iterations).
     """
     began = loop.began
     passes: list[tuple[np.ndarray, np.ndarray]] = []
@@ -85,7 +89,7 @@ def _accelerate(loop: _Loop) -> bool:
         if not np.isfinite(loop.off).all():
             return False
         best = min((np.linalg.norm(off) for _, off in passes), default=np.inf)
-        if not np.linalg.norm(loop.off) < 10.0 * best:  # far from linear: what was learned does not help
+        if not np.linalg.norm(loop.off) < 10.0 * best:  # far from linear, so earlier passes do not help
             passes.clear()
         passes = [*passes[1 - REMEMBERED :], (ended, loop.off)]
         ends, offs = (np.array(part) for part in zip(*passes, strict=True))
@@ -95,9 +99,11 @@ def _accelerate(loop: _Loop) -> bool:
 
 
 def _newton(loop: _Loop) -> None:
-    """Newton's method for what a pass leaves as it was, whose tangent is only ever multiplied, by a pass that begins a
-    little otherwise (Knoll and Keyes 2004, Jacobian-free Newton-Krylov methods). Flesh so soft that one pass does not
-    foretell the next closes by it. Plain passes go before, and wherever a step does not help.
+    """Newton's method for the fixed point of a pass. Its tangent is only ever multiplied, by a pass with a slightly
+    different start (Knoll and Keyes 2004, Jacobian-free Newton-Krylov methods).
+
+    Tissue so soft that one pass does not predict the next closes by it. Plain passes precede it, and replace steps that
+    do not help.
     """
     began, ended = loop.began, loop.began
     plain = PLAIN

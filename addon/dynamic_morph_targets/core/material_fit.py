@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials from measurements: presets from the literature, and fits of a target's own. Never touches bpy.
+"""Materials from measurements: fits of a target's own. Never touches bpy.
 
-A free oscillation of one mode is x(t) = e^(-s t) (a cos w t + b sin w t) + c with
+A free oscillation of one mode is
 
-    w0^2 = w^2 + s^2        undamped angular frequency; proportional to E / rho on a given cage
-    s = (alpha + beta w0^2) / 2        decay of Rayleigh damping C = alpha M + beta K
-    zeta = s / w0 = eta / 2        damping ratio, loss factor
+    x(t)  = e^(-s t) (a cos w t + b sin w t) + c        with w0^2 = w^2 + s^2
+    w0    undamped angular frequency; proportional to sqrt(E / rho) on a given cage
+    s     = (alpha + beta w0^2) / 2      decay of Rayleigh damping C = alpha M + beta K
+    zeta  = s / w0 = eta / 2             damping ratio, loss factor
 
 (e.g. Bathe, Finite Element Procedures, ch. 9). Stiffness is calibrated on the model's own cage, because a coarse cage
-of linear tetrahedra is too stiff: what is fitted is the Young's modulus that makes *this* cage move as observed.
+of linear tetrahedra is too stiff: the fit finds the Young's modulus that makes *this* cage move as observed.
 
-An artist's units: bounce is w / 2 pi, settle the time until a twentieth of the swing is left, weight the mass of the
-flesh. `references` measures a built model once, so that they can be shown and set without it.
+The artist's units: bounce is w / 2 pi, settle time the time until a twentieth of the swing is left, mass that of the
+tissue. `references` measures a built model once, so that they can be shown and set without it.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from .character import Character
+from .errors import FitError
 from .oscillation import Oscillation, damped, damping_for, swing
 from .settings import Material
 
@@ -32,21 +34,21 @@ if TYPE_CHECKING:  # they need the engine
 
     from .model import Model
 
-MODES = 8  # that are looked at, to find the one that shows
-SEARCHED = 24  # that are looked at where thin parts, which swing first, may be many
-EFFECTIVE = 0.02  # of the mass that a mode must move to be one of the body
-IDLE = 0.02  # of the highest of them: slower modes turn the flesh about a straight bone, which hardly holds it
-SOFTEST, STIFFEST = 1.0, 1e9  # Pa, between which a stiffness is sought
+MODES = 8  # modes among which the visible one is sought
+SEARCHED = 24  # the same where many thin parts may swing more slowly
+EFFECTIVE = 0.02  # fraction of the mass that a mode of the body must move
+IDLE = 0.02  # of the highest frequency; slower modes turn the tissue about a straight bone, which hardly resists that
+SOFTEST, STIFFEST = 1.0, 1e9  # Pa, the range in which a stiffness is sought
 
 
 # Fitting a target --------------------------------------------------------------------------------------------------
 
 
 def bounce(model: Model, character: Character, target: int, patch: np.ndarray | None = None) -> Oscillation:
-    """How the flesh swings at a target after a push: the slowest visible mode at its pose.
+    """How the tissue swings at a target after a push: the slowest visible mode in its pose.
 
-    target: index into character.targets; patch (V,): weights of the surface vertices that are looked at, default the
-    target's region. Raises ValueError or dynamorph.Error.
+    target: index into character.targets; patch (V,): weights of the observed surface vertices, by default the target's
+    region. Raises FitError or dynamorph.Error.
     """
     character, patch = checked(model, character, target, patch)
     engine = full_engine(model, character)
@@ -62,13 +64,14 @@ def fit_oscillation(
     patch: np.ndarray | None = None,
     mass_share: float | None = None,
 ) -> Material:
-    """The material with which the flesh swings at a target as observed: see `oscillation`, and `bounce` for the rest.
+    """The material with which the tissue swings at a target as observed: see `oscillation`, and `bounce` for the other
+    arguments.
 
-    frequency: Hz, as seen (damped); decay: 1/s. mass_share: the part of the damping that is in proportion to mass, 0
-    to 1, default what the target has now. Poisson's ratio and density stay. Other targets' damping is not counted.
+    frequency: Hz, as seen (damped); decay: 1/s. mass_share: the part of the damping that is in proportion to mass, 0 to
+    1, by default that of the target. Poisson's ratio and density stay. The damping of other targets is ignored.
     """
     if not (np.isfinite([frequency, decay]).all() and frequency > 0.0 and decay >= 0.0):
-        raise ValueError(f"frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero")
+        raise FitError(f"frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero")
     character, patch = checked(model, character, target, patch)
     now = character.targets[target].material
     omega_now = natural_frequency(model, full_engine(model, character), target, patch)
@@ -87,10 +90,10 @@ def fit_oscillation(
 def _stiffness_for(
     model: Model, character: Character, target: int, omega: float, omega_now: float, patch: np.ndarray
 ) -> float:
-    """Young's modulus with which the flesh at a target swings at omega, rad/s.
+    """Young's modulus with which the tissue at a target swings at omega, rad/s.
 
-    omega^2 ~ E where the target has the flesh to itself, so the first step lands; where other regions hold it too,
-    secant steps on log omega^2 over log E follow.
+    omega^2 ~ E where no other region holds the tissue, so the first step is exact. Elsewhere, secant steps on log
+    omega^2 over log E follow.
     """
     wanted, slope = 2 * log(omega), 1.0
     stiffness, reached = log(character.targets[target].material.stiffness), 2 * log(omega_now)
@@ -104,8 +107,8 @@ def _stiffness_for(
         now = 2 * log(natural_frequency(model, full_engine(model, stiffer), target, patch))
         slope = max((now - reached) / step, 0.05)
         stiffness, reached = stiffness + step, now
-    raise ValueError(
-        f"'{character.targets[target].name}' cannot swing at {omega / (2 * pi):.3g} Hz: its size, or the flesh around "
+    raise FitError(
+        f"'{character.targets[target].name}' cannot swing at {omega / (2 * pi):.3g} Hz: its size, or the tissue around "
         "its region, sets the pace"
     )
 
@@ -118,29 +121,27 @@ def fit_force_displacement(
     displacements: np.ndarray,
     patch: np.ndarray | None = None,
 ) -> Material:
-    """The material with which forces push the flesh, at a target's pose, as far as was measured: least squares on E.
+    """The material for which forces displace the tissue, in a target's pose, as measured: least squares on E.
 
-    forces (k, 3) newtons on the patch as a whole, displacements (k, 3) metres of the patch's mean from where it is
+    forces (k, 3) newtons on the patch as a whole, displacements (k, 3) meters of the patch's mean from its place
     without force; both in bind space, the mesh's own axes before the armature. patch (V,): weights of the surface
-    vertices that are pushed. The model's own law and modes answer, so large deflections are right. Poisson's ratio,
-    density and damping stay. Raises ValueError when the measurements cannot be met.
+    vertices that are pushed. The model's own law and modes are used, so large deflections are right. Poisson's ratio,
+    density and damping stay. Raises FitError when no stiffness fits the measurements.
     """
     forces, displacements = _measurements(forces, displacements)
     character, patch = checked(model, character, target, patch)
     press = _Press(model, character, target, patch)
     linear = _Press(unreduced(model, law="LINEAR"), character, target, patch)
     now = character.targets[target].material
-    # Exact if the law is linear and the target has all the flesh; else a start.
+    # Exact if the law is linear and no other target shares the tissue; otherwise a first guess.
     answer = linear(now.stiffness, forces)
     along = (answer * displacements).sum()
     if along <= 0.0:
-        raise ValueError("the displacements go against the forces: check signs, axes and units (newtons, metres)")
+        raise FitError("the displacements go against the forces: check signs, axes and units (newtons, metres)")
     start = log(now.stiffness * (answer**2).sum() / along)
     stiffness, misses = _least_squares(lambda log_e: press(exp(log_e), forces) - displacements, start)
-    if not (misses**2).sum() <= 0.25 * (displacements**2).sum():  # nor if they are not numbers
-        raise ValueError(
-            "no stiffness meets these displacements: check axes and units (newtons, metres), and the patch"
-        )
+    if not (misses**2).sum() <= 0.25 * (displacements**2).sum():  # also true for NaN
+        raise FitError("no stiffness meets these displacements: check axes and units (newtons, metres), and the patch")
     return replace(now, stiffness=exp(stiffness))
 
 
@@ -149,26 +150,26 @@ def _measurements(forces: np.ndarray, displacements: np.ndarray) -> tuple[np.nda
     if forces.ndim != 2 or forces.shape[1] != 3 or forces.shape != displacements.shape:
         raise ValueError(f"forces and displacements: expected (k, 3) each, got {forces.shape}, {displacements.shape}")
     if not (np.isfinite(forces).all() and np.isfinite(displacements).all()):
-        raise ValueError("some forces or displacements are not numbers: remove those rows")
+        raise FitError("some forces or displacements are not numbers: remove those rows")
     if not (forces.any() and displacements.any()):
-        raise ValueError("all forces or all displacements are zero: measure at least one push that moves the flesh")
-    order = np.argsort(np.linalg.norm(forces, axis=1))  # each answer helps to find the next
+        raise FitError("all forces or all displacements are zero: measure at least one push that moves the body")
+    order = np.argsort(np.linalg.norm(forces, axis=1))  # each solution is the first guess of the next
     return forces[order], displacements[order]
 
 
 class _Press:
-    """Pushes a patch of the flesh at a target's pose: (Young's modulus Pa, forces (k, 3) N) -> displacements (k, 3)."""
+    """Pushes a patch of the skin in a target's pose: (Young's modulus Pa, forces (k, 3) N) -> displacements (k, 3)."""
 
     def __init__(self, model: Model, character: Character, target: int, patch: np.ndarray):
         self.model, self.character, self.target = model, character, target
-        self.carriers = np.zeros(len(model.nodes))  # how much of the patch each node carries, sum 1
+        self.carriers = np.zeros(len(model.nodes))  # weights of the nodes in the patch, with sum 1
         np.add.at(self.carriers, model.embedding_nodes, model.embedding_weights * patch[:, None])
         self.weights = _at_target(character, target)
         self.bones = np.tile(np.eye(3, 4), (model.node_weights.shape[1], 1, 1))
-        self.guesses: list[np.ndarray] = []  # where the flesh came to rest the last time
+        self.guesses: list[np.ndarray] = []  # equilibria found last time
 
     def __call__(self, stiffness: float, forces: np.ndarray) -> np.ndarray:
-        """NaN where the flesh finds no rest."""
+        """NaN where no equilibrium is found."""
         engine = self.model.engine(_with_stiffness(self.character, self.target, stiffness))
         simulation = self.model.stepper(engine, 1.0, tolerance=1e-9, max_iterations=100)
         answers: list[np.ndarray] = []
@@ -185,7 +186,9 @@ class _Press:
 
 
 def _least_squares(residual: Callable[[float], np.ndarray], x: float) -> tuple[float, np.ndarray]:
-    """The x of the least sum of squares, and what is left: Gauss-Newton with a difference quotient. NaN is far off."""
+    """The x with the least sum of squares, and the residual: Gauss-Newton with a difference quotient. NaN counts as far
+    away.
+    """
     nudge = 1e-4
     r = residual(x)
     for _ in range(20):
@@ -206,9 +209,8 @@ def _least_squares(residual: Callable[[float], np.ndarray], x: float) -> tuple[f
 
 
 def with_bounce(reference: float, material: Material, frequency: float) -> Material:
-    """The material with which such flesh swings `frequency` times a second, and settles as soon as now.
-
-    The dampings keep their proportion.
+    """The material with which such tissue swings at `frequency` Hz, with the same settle time. The dampings keep their
+    proportion.
     """
     now = swing(reference, material)
     undamped = (2 * pi * frequency) ** 2 + now.decay**2
@@ -221,13 +223,16 @@ def with_bounce(reference: float, material: Material, frequency: float) -> Mater
 
 
 def checked(model: Model, character: Character, target: int, patch: np.ndarray | None) -> tuple[Character, np.ndarray]:
-    """The character that is simulated, and the weights (V,) of its surface vertices, by default the target's region.
+    """The simulated character, and the weights (V,) of its surface vertices, by default the target's region.
 
-    The neutral target is all sets', so its region is all of the flesh.
+    The neutral target belongs to all sets, so its region is the whole body.
     """
     character = character.by_method()
     if not len(model.tets):
-        raise ValueError(f"'{character.name}': the model has no flesh to fit: choose another Method and build it")
+        raise FitError(
+            f"'{character.name}': the model simulates nothing, so no material can be fitted: choose another Method "
+            "and build it"
+        )
     if not 0 <= target < len(character.targets):
         raise ValueError(f"target: expected 0 to {len(character.targets) - 1}, got {target}")
     if patch is None:
@@ -238,12 +243,12 @@ def checked(model: Model, character: Character, target: int, patch: np.ndarray |
     if patch.shape != (len(character.vertices),) or not np.isfinite(patch).all() or (patch < 0.0).any():
         raise ValueError(f"patch: expected a weight of 0 or more for each of {len(character.vertices)} vertices")
     if not patch.any():
-        raise ValueError("the patch is empty: paint the vertices that were measured")
+        raise FitError("the patch is empty: paint the vertices that were measured")
     return character, patch / patch.sum()
 
 
 def target_indices(character: Character) -> list[range]:
-    """Where each target set's targets are among all; the first of each is neutral."""
+    """The index of each target set's targets among all targets; the first of each is the neutral one."""
     ends = np.cumsum([len(target_set.targets) for target_set in character.target_sets]).tolist()
     return [range(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
 
@@ -256,11 +261,13 @@ def _at_target(character: Character, target: int) -> np.ndarray:
 
 
 def _with_stiffness(character: Character, target: int, stiffness: float) -> Character:
-    """The character with another Young's modulus at one target. All sets' neutrals are one to the artist."""
+    """The character with another Young's modulus at one target. To the artist the neutral targets of all sets are
+    one.
+    """
     ranges = target_indices(character)
     neutrals = [indices[0] for indices in ranges]
     if character.settings.method == "SHAPE" and target not in neutrals:
-        raise ValueError("with the method Shape the flesh is the neutral target's everywhere: fit that one")
+        raise FitError("with the Method Shape the material is the neutral target's everywhere: fit that target")
     targets = list(character.targets)
     for index in neutrals if target in neutrals else [target]:
         targets[index] = replace(targets[index], material=replace(targets[index].material, stiffness=stiffness))
@@ -280,10 +287,10 @@ def full_engine(model: Model, character: Character) -> FullModel:
 
 
 def natural_frequency(model: Model, engine: FullModel, target: int, patch: np.ndarray) -> float:
-    """Undamped angular frequency, rad/s, of the mode that answers most to a push on the patch.
+    """Undamped angular frequency, rad/s, of the mode that responds most to a push on the patch. engine: the unreduced
+    model.
 
-    engine: of the unreduced model. A mode phi of unit mass moves by |phi|^2 / omega^2 for a unit force: modes are
-    compared by that, over the patch.
+    A mode phi of unit mass moves by |phi|^2 / omega^2 under a unit force: modes are compared by that, over the patch.
     """
     if model.settings.hold == "THICKNESS":
         return _body_frequency(model, engine, target, patch)
@@ -297,10 +304,11 @@ def natural_frequency(model: Model, engine: FullModel, target: int, patch: np.nd
 
 
 def _body_frequency(model: Model, engine: FullModel, target: int, patch: np.ndarray) -> float:
-    """The same of a body that is held by thickness: the lowest mode with at least EFFECTIVE of the effective mass.
+    """`natural_frequency` of a body that is held by thickness: the lowest mode with at least EFFECTIVE of the effective
+    mass.
 
-    With the patch (V,) moving as one along an axis, s its pattern on the nodes, a mode phi of unit mass has the
-    effective mass (phi^T M s)^2 of s^T M s. Where no mode has as much, the one that has most.
+    If the patch (V,) moves as one along an axis, with pattern s on the nodes, a mode phi of unit mass has the effective
+    mass (phi^T M s)^2 out of s^T M s. If no mode has enough, the one that has most.
     """
     omega, shapes = engine.linear_modes(target, min(SEARCHED, engine.dofs - 1))
     free = engine.body.free_nodes

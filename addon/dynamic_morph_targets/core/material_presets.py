@@ -12,9 +12,9 @@ import numpy as np
 
 from .settings import Material
 
-POISSON = 0.4  # real flesh is nearly incompressible, 0.5; linear tetrahedra lock above 0.4
+POISSON = 0.4  # real soft tissue is nearly incompressible, 0.5; linear tetrahedra lock above 0.4
 TABLE_BEGIN, TABLE_END = "<!-- presets -->", "<!-- end of presets -->"
-REFERENCE = 2 * pi * 5.0  # rad/s, at which the presets have the damping that was measured: flesh bounces at about 5 Hz
+REFERENCE = 2 * pi * 5.0  # rad/s, at which the presets have the measured damping; soft tissue bounces at about 5 Hz
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,11 @@ class Preset:
 
 
 def _preset(label: str, density: float, loss: float, source: str, *, young: float = 0.0, shear: float = 0.0) -> Preset:
-    """From Young's or the shear modulus (Pa), density (kg/m^3) and loss factor.
+    """A preset from Young's or the shear modulus (Pa), density (kg/m^3) and loss factor.
 
     A shear modulus becomes E = 2 mu (1 + nu), so that the engine's mu is the measured one. Tissue loses about the same
-    fraction at any frequency; alpha = zeta w, beta = zeta / w is the flattest that Rayleigh damping can be about w.
+    fraction at any frequency; alpha = zeta w, beta = zeta / w is the flattest approximation by Rayleigh damping around
+    w.
     """
     stiffness = young or 2 * shear * (1 + POISSON)
     zeta = loss / 2

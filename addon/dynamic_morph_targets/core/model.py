@@ -11,6 +11,7 @@ import dynamorph
 import numpy as np
 
 from .character import Character, Skeleton
+from .errors import ModelFileError, SceneError
 from .settings import ModelSettings
 
 EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
@@ -60,7 +61,7 @@ class Model:
         return [field.name for field in fields(cls) if field.type == "np.ndarray"]
 
     def to_arrays(self) -> tuple[dict[str, np.ndarray], dict]:
-        """(arrays, metadata) for `model_file`, the same for each build of the same: how long it took is left out."""
+        """(arrays, metadata) for `model_file`. The same model gives the same bytes: the build times are left out."""
         meta = {
             "settings": asdict(self.settings),
             "bone_names": list(self.bone_names),
@@ -71,18 +72,18 @@ class Model:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
-        """The inverse of `to_arrays`. Raises ValueError when something is missing."""
-        arrays = dict.fromkeys(("held", "hold", "thickness"), np.zeros(0)) | arrays  # older ones have none
+        """The inverse of `to_arrays`. Raises ModelFileError when something is missing."""
+        arrays = dict.fromkeys(("held", "hold", "thickness"), np.zeros(0)) | arrays  # older models have none
         try:
             return cls(
                 **{name: arrays[name] for name in cls.array_names()},
                 bone_names=tuple(meta["bone_names"]),
                 settings=ModelSettings(**meta["settings"]),
-                dependencies={"engine": engine_hash(1), **meta["dependencies"]},  # the first had no number
+                dependencies={"engine": engine_hash(1), **meta["dependencies"]},  # the first models had no number
                 summary={"seconds": {}, **meta["summary"]},
             )
         except (KeyError, TypeError) as error:
-            raise ValueError(f"The stored model is incomplete ({error}): build it again") from error
+            raise ModelFileError(f"The stored model is incomplete ({error}): build it again") from error
 
     @property
     def skeleton(self) -> Skeleton:
@@ -94,24 +95,23 @@ class Model:
         return ~self.pinned.astype(bool)
 
     def soft_body(self, probed: bool = False) -> dynamorph.SoftBody:
-        """probed: every free node has a transform of its own."""
+        """The engine's body. probed: every free node has a transform of its own."""
         mesh, weights = dynamorph.TetMesh(self.nodes, self.tets), None if probed else self.node_weights
         held, pinned = self.held if len(self.held) else None, (~self.free).tolist()
         return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, pinned, weights, held)
 
     def at_nodes(self, values: np.ndarray) -> np.ndarray:
-        """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; overshoots slightly."""
+        """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; may overshoot slightly."""
         embedding = dynamorph.Embedding(self.embedding_nodes, self.embedding_weights)
         return dynamorph.extend_to_nodes(dynamorph.TetMesh(self.nodes, self.tets), embedding, values)
 
     def engine(self, character: Character, probed: bool = False) -> EngineModel:
-        """The engine's model with the materials and blending of `character`. Raises ValueError if it is of another.
-
-        probed: as for `soft_body`.
+        """The engine's model with the materials and blending of `character`. Raises SceneError if the model is not that
+        character's. probed: as for `soft_body`.
         """
         character = character.by_method()
         if len(character.targets) != len(self.displacements):
-            raise ValueError(f"'{character.name}' has other targets than its model: build it again")
+            raise SceneError(f"'{character.name}' has other targets than its model: build it again")
         targets = morph_targets(character, self.displacements)
         blending = dynamorph.Blending.__members__[character.settings.blending]
         law = dynamorph.Law.__members__[self.settings.law]
@@ -135,7 +135,7 @@ class Model:
         return bind @ np.linalg.inv(self.to_bind).T
 
     def on_nodes(self, force: np.ndarray) -> np.ndarray:
-        """Forces on the nodes (n, 3) that carry those on the surface's vertices (V, 3), world space."""
+        """Forces on the nodes (n, 3) equivalent to those on the surface's vertices (V, 3), world space."""
         carried = (self.embedding_weights[:, :, None] * force[:, None]).reshape(-1, 3)
         nodes = self.embedding_nodes.ravel()
         return np.column_stack([np.bincount(nodes, axis, len(self.nodes)) for axis in carried.T])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Frequency and decay of a damped oscillation, read off a track. NumPy only."""
+"""Frequency and decay of a damped oscillation, from a track. NumPy only."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from .errors import FitError
 from .settings import Material
 
-REST = 0.05  # of the amplitude: an oscillation has settled when this much is left
+REST = 0.05  # fraction of the amplitude at which an oscillation has settled
 
 
 @dataclass(frozen=True)
@@ -35,34 +36,36 @@ class Oscillation:
 
 
 def decay_of(settle: float) -> float:
-    """The decay (1/s) of an oscillation that settles within so many seconds."""
+    """The decay (1/s) of an oscillation with this settle time in seconds."""
     if not settle > 0.0:
-        raise ValueError(f"the motion settles in {settle} s: give a time above zero")
+        raise FitError(f"the motion settles in {settle} s: give a time above zero")
     return log(1 / REST) / settle
 
 
 def oscillation(times: np.ndarray, positions: np.ndarray) -> Oscillation:
-    """Frequency and decay of a point that swings freely about its rest.
+    """Frequency and decay of a point that swings freely about its rest position.
 
-    times (n,) s, increasing, need not be even; positions (n,), (n, 2) or (n, 3), any unit: only the direction in
-    which the point moves most is used. Begin where the body is let go, and leave out the first moments if fast ripples
-    show. Least squares by variable projection (Golub & Pereyra 1973), from the highest peak of the spectrum. Raises
-    ValueError when there is no oscillation of at least two periods to see.
+    times (n,) s, increasing, need not be evenly spaced; positions (n,), (n, 2) or (n, 3), any unit: only the direction
+    in which the point moves most is used. Begin at the release, and leave out the first moments if fast ripples show.
+    Least squares by variable projection (Golub & Pereyra 1973), from the highest peak of the spectrum. Raises
+    FitError when there is no visible oscillation of at least two periods.
     """
     times, along = _track(times, positions)
     best = min((_refine(times, along, *start) for start in _starts(times, along)), key=lambda fit: fit[2])
     decay, omega, squares = best
     if squares > 0.5 * np.square(along).sum():
-        raise ValueError("no oscillation found: noise or another motion hides it; track a point that swings more")
+        raise FitError("no oscillation found: noise or another motion hides it; track a point that swings more")
     if omega * times[-1] < 4 * pi:
-        raise ValueError("fewer than two periods: record longer, or push less damped flesh; the motion hardly swings")
+        raise FitError(
+            "fewer than two periods: record longer, or lower the damping of the real body; the motion hardly swings"
+        )
     if decay > 0.5 * hypot(decay, omega):
-        raise ValueError("too damped: the point hardly swings back; measure force and displacement instead")
+        raise FitError("too damped: the point hardly swings back; measure force and displacement instead")
     jacobian = _jacobian(times, along, decay, omega)
     variance = squares / (len(times) - 5) * np.linalg.inv(jacobian.T @ jacobian).diagonal()
     decay_error, omega_error = np.sqrt(variance[:2])
     if decay < -3 * decay_error:
-        raise ValueError("the motion grows: cut the record where the body is let go")
+        raise FitError("the motion grows: cut the record where the body is let go")
     return Oscillation(omega / (2 * pi), max(decay, 0.0), omega_error / (2 * pi), decay_error)
 
 
@@ -70,15 +73,15 @@ def _track(times: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nda
     """Times from zero (n,), and the motion along its principal direction (n,), centred."""
     times, positions = np.asarray(times, float), np.asarray(positions, float)
     if times.ndim != 1 or len(times) < 10 or positions.ndim > 2 or len(positions) != len(times):
-        raise ValueError(
+        raise FitError(
             f"expected at least 10 times (n,) and positions (n,) or (n, 3), got {times.shape} and {positions.shape}"
         )
     if not (np.isfinite(times).all() and np.isfinite(positions).all()):
-        raise ValueError("some times or positions are not numbers: remove those samples")
+        raise FitError("some times or positions are not numbers: remove those samples")
     if not (np.diff(times) > 0).all():
-        raise ValueError("times must increase from sample to sample: sort them and remove repeated ones")
+        raise FitError("times must increase from sample to sample: sort them and remove repeated ones")
     if not np.ptp(positions, axis=0).any():
-        raise ValueError("the point does not move: track one that swings")
+        raise FitError("the point does not move: track one that swings")
     positions = positions.reshape(len(times), -1)
     centred = positions - positions.mean(axis=0)
     _, size, directions = np.linalg.svd(centred, full_matrices=False)
@@ -95,13 +98,13 @@ def _starts(times: np.ndarray, along: np.ndarray) -> list[tuple[float, float]]:
 
 
 def _refine(times: np.ndarray, along: np.ndarray, decay: float, omega: float) -> tuple[float, float, float]:
-    """Gauss-Newton on decay and frequency, with the amplitudes always at their best: (decay, omega, squares)."""
+    """Gauss-Newton on decay and frequency, with optimal amplitudes at each step: (decay, omega, squares)."""
     guess = np.array([decay, omega])
     squares = np.square(_residual(times, along, *guess)).sum()
     for _ in range(50):
         residual = _residual(times, along, *guess)
         step = np.linalg.lstsq(_jacobian(times, along, *guess), residual, rcond=None)[0][:2]
-        step *= min(1.0, 0.3 * guess[1] / max(np.abs(step).max(), 1e-300))  # else it may leave the peak
+        step *= min(1.0, 0.3 * guess[1] / max(np.abs(step).max(), 1e-300))  # otherwise it may leave the peak
         while np.abs(step).max() > 1e-10 * abs(guess[1]):
             tried = np.square(_residual(times, along, *(guess + step))).sum()
             if tried < squares:
@@ -133,7 +136,7 @@ def _jacobian(times: np.ndarray, along: np.ndarray, decay: float, omega: float) 
 
 
 def read_columns(path: Path, counts: tuple[int, ...]) -> np.ndarray:
-    """Numbers (n, c) of a CSV file, c one of `counts`; a first line of names is skipped. Raises ValueError, OSError."""
+    """Numbers (n, c) of a CSV file, c one of `counts`; a first line of names is skipped. Raises FitError, OSError."""
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = [row for row in csv.reader(file) if row]
     if rows and not re.match(r"\s*[-+.\d]", rows[0][0]):
@@ -144,27 +147,27 @@ def read_columns(path: Path, counts: tuple[int, ...]) -> np.ndarray:
         table = np.empty(0)
     if table.ndim != 2 or table.shape[1] not in counts:
         wanted = " or ".join(map(str, counts))
-        raise ValueError(f"'{path.name}': expected {wanted} numbers with commas between them in every line")
+        raise FitError(f"'{path.name}': expected {wanted} numbers with commas between them in every line")
     return table
 
 
 def damped(omega: float, material: Material) -> Oscillation:
-    """Of a mode that would swing at omega, rad/s, without damping."""
+    """The oscillation of a mode that would swing at omega, rad/s, without damping."""
     decay = (material.mass_damping + material.stiffness_damping * omega**2) / 2
-    if decay >= omega:  # creeps back; the slower of the two exponentials is the one that shows
+    if decay >= omega:  # it creeps back, and the slower of the two exponentials is visible
         return Oscillation(0.0, omega**2 / (decay + sqrt(decay**2 - omega**2)))
     return Oscillation(sqrt(omega**2 - decay**2) / (2 * pi), decay)
 
 
 def swing(reference: float, material: Material) -> Oscillation:
-    """How flesh with a reference of `references` swings when it is of this material."""
+    """How tissue with this reference frequency swings with this material."""
     return damped(_omega(reference, material), material)
 
 
 def stiffness_for(reference: float, material: Material, frequency: float) -> float:
-    """Young's modulus with which such flesh swings `frequency` times a second, or as often as its damping lets it.
+    """Young's modulus with which such tissue swings at `frequency` Hz, or as fast as its damping permits.
 
-    With x = w0^2: x - (alpha + beta x)^2 / 4 = (2 pi frequency)^2, of whose two roots the upper is nearly overdamped.
+    With x = w0^2: x - (alpha + beta x)^2 / 4 = (2 pi frequency)^2. Of its two roots the upper one is nearly overdamped.
     """
     alpha, beta = material.mass_damping, material.stiffness_damping
     if alpha * beta >= 1.0:  # overdamped whatever the stiffness
@@ -178,15 +181,15 @@ def stiffness_for(reference: float, material: Material, frequency: float) -> flo
 
 
 def damping_for(reference: float, material: Material, settle: float) -> tuple[float, float]:
-    """Mass and stiffness damping, in their present proportion, with which such flesh settles within so many seconds.
+    """Mass and stiffness damping, in their present proportion, with which such tissue has this settle time in seconds.
 
-    Critical damping settles soonest: more only makes it creep.
+    Critical damping settles soonest: more damping only makes it creep.
     """
     omega = _omega(reference, material)
     wanted = min(decay_of(settle), omega)
     now = (material.mass_damping + material.stiffness_damping * omega**2) / 2
     if not now:
-        return wanted, wanted / omega**2  # the flattest about this frequency
+        return wanted, wanted / omega**2  # the flattest damping around this frequency
     return material.mass_damping * wanted / now, material.stiffness_damping * wanted / now
 
 

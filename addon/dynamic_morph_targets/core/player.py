@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Model + moving rig -> frames, step by step: the bake and Live both run this. Never touches bpy."""
+"""Model + moving rig -> frames, step by step: the bake and Live both use this. Never touches bpy."""
 
 from __future__ import annotations
 
@@ -17,10 +17,18 @@ from .posing import Posing
 from .rig_samples import ForceField, RigSamples
 from .settings import SimulationSettings
 
-CHUNK = 32  # frames whose rig is turned into matrices at once: bounds memory, hides NumPy's call overhead
-CHUNK_NODES = 2**18  # transforms of nodes made at once, if those are known: 25 MB
-TELEPORT = 18.0  # body sizes a second off its course in one step: no motion, but a cut
-STEP = ("steps", "iterations", "converged", "residual", "energy", "teleported", "seconds")  # what a frame's steps say
+CHUNK = 32  # frames whose rig becomes matrices at once; bounds memory and amortizes NumPy's call overhead
+CHUNK_NODES = 2**18  # transforms of nodes computed at once, if those are known: 25 MB
+TELEPORT = 18.0  # body sizes per second off its course in one step; more is a cut, not a motion
+STEP = (
+    "steps",
+    "iterations",
+    "converged",
+    "residual",
+    "energy",
+    "teleported",
+    "seconds",
+)  # statistics of a frame's steps
 NO_STEPS = dict.fromkeys(STEP, 0) | {"converged": True}
 State = tuple[Sequence[np.ndarray], Sequence[np.ndarray]]  # of the engine: coordinates, bones' transforms
 
@@ -36,12 +44,11 @@ class Frame:
 
 
 class Player:
-    """One character, stepped frame by frame: a bake and playback both run this.
+    """One character, stepped frame by frame, for bakes and playback.
 
-    keep_going() -> bool is asked at every frame, of an unreduced model at every iteration; False raises
-    dynamorph.Cancelled. number: the frame it is at; passes: how often it has begun again. amounts: what `shown`
-    applies. engine: model.engine(character), if it is at hand
-    already; afterwards None for static morph targets.
+    keep_going() -> bool is asked at every frame, for an unreduced model at every iteration; False raises
+    dynamorph.Cancelled. number: the current frame; passes: how often it has begun again. amounts: applied by `shown`.
+    engine: model.engine(character), if it exists already; afterwards None for static morph targets.
     """
 
     def __init__(
@@ -59,7 +66,7 @@ class Player:
         self.engine: EngineModel | None = None
         self._keep_going = keep_going
         self.character = character.by_method()
-        self._first: RigSamples | None = None  # the sample that it began with
+        self._first: RigSamples | None = None  # the first sample
         self._shapes = np.zeros((len(self.character.targets), 0))
         self._simulation: EngineSimulation | _NothingMoves = _NothingMoves()
         if model.settings.method != "STATIC":
@@ -71,7 +78,7 @@ class Player:
 
     @property
     def state(self) -> State:
-        """What it goes on from; to be kept, and set to go on from there again."""
+        """The state from which it continues. It can be kept, and set again to continue from there."""
         return self._simulation.state
 
     @state.setter
@@ -80,7 +87,7 @@ class Player:
 
     @property
     def past(self) -> np.ndarray:
-        """Its coordinates now and at the last three steps: (4, dofs)."""
+        """The coordinates now and at the last three steps: (4, dofs)."""
         return np.array(self.state[0])
 
     @past.setter
@@ -89,7 +96,7 @@ class Player:
 
     @property
     def probed(self) -> bool:
-        """Whether it asks for `RigSamples.nodes`."""
+        """Whether it needs `RigSamples.nodes`."""
         return self.character.probed and self.engine is not None
 
     @property
@@ -98,17 +105,17 @@ class Player:
         return float(np.linalg.norm(np.ptp(self.character.vertices @ self.character.to_bind.T, axis=0)))
 
     def run(self, rig: RigSamples) -> Iterator[Frame]:
-        """One of each of settings.frames, one pass; rig: 1 + (end - first) * substeps samples."""
+        """Yields one frame per entry of settings.frames, in one pass; rig: 1 + (end - first) * substeps samples."""
         settings = self.settings
         frames = chain([self.begin(rig)], self.play(rig[1:], settings.simulated[1:]))
         yield from islice(frames, settings.run_up * settings.samples, None)
 
     def begin(self, rig: RigSamples) -> Frame:
-        """The frame settings.first. rig: its sample and those that follow it, of which the first counts."""
+        """The frame settings.first. rig: its sample and those that follow it; only the first is used."""
         self._hold_targets(rig[:1])
-        bones, weights = self.posing.posed(rig[:2])  # or nodes, if those are known
+        bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
         if self.settings.begin == "REST":
-            self.state = [self.dry(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
+            self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
         else:
             held = self.settings.held > 0
@@ -121,14 +128,13 @@ class Player:
         return Frame(self.number, self._simulation.coordinates, weights[0], begun)
 
     def resume(self, first: RigSamples, state: State) -> None:
-        """Go on from the `state` of another player that began with the sample `first`; its next frames are to come."""
+        """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
         self._hold_targets(first)
         self.state = state
 
     def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
-        """From `frame`, the last of a cycle, back to the first, where the soft skin goes on as it came.
-
-        What the rig has travelled meanwhile, its past travels back.
+        """Goes from `frame`, the last of a cycle, back to the first, with the soft skin in its present motion. The
+        distance that the rig has traveled is removed from its past.
         """
         first, last = self._ends(rig)
         turn, shift = _rigid_fit(last, first)
@@ -141,14 +147,16 @@ class Player:
         return Frame(self.number, frame.coordinates, self.posing.posed(rig[:1])[1][0], NO_STEPS)
 
     def pose_gap(self, rig: RigSamples) -> float:
-        """How far the skin of the last pose, moved as a whole, is off that of the first: metres, at most."""
+        """The largest distance, in meters, of the skin of the last pose from that of the first, after a rigid
+        motion.
+        """
         first, last = self._ends(rig)
         turn, shift = _rigid_fit(last, first)
         return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
 
     def gap(self, first: Frame, second: Frame) -> float:
-        """The largest distance, in metres, between the soft skins of two frames in one pose, as `shown` by targets of
-        full influence: what others hide at the seam of a loop is seen elsewhere.
+        """The largest distance, in meters, between the soft skins of two frames in one pose, as `shown` with full
+        influence of the targets: what a lower influence hides at the seam of a loop is visible elsewhere.
         """
         displacement = np.tensordot(second.weights - first.weights, self.model.details, 1)
         if self.engine is not None:
@@ -162,9 +170,8 @@ class Player:
         return frame
 
     def play(self, rig: RigSamples, numbers: Sequence[int] | np.ndarray) -> Iterator[Frame]:
-        """The frames `numbers`, which follow the last, and what is kept between; rig: settings.substeps samples each.
-
-        Force fields change from frame to frame.
+        """The frames `numbers`, which follow the last one, and the samples between; rig: settings.substeps samples
+        each. Force fields change from frame to frame.
         """
         substeps, samples = self.settings.substeps, self.settings.samples
         stride = substeps // samples
@@ -188,9 +195,8 @@ class Player:
                     yield Frame(time, self._simulation.coordinates, weights[end - 1], report)
 
     def exchange(self, character: Character, settings: SimulationSettings | None = None) -> Player:
-        """A player that goes on from here with the materials, poses and blending of `character`.
-
-        settings: others with steps as long.
+        """A player that continues from here with the materials, poses and blending of `character`. settings: others
+        with the same time step.
         """
         other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
         other.amounts.gains, other.number, other.passes = self.amounts.gains, self.number, self.passes
@@ -199,8 +205,8 @@ class Player:
             other.state = self.state
         return other
 
-    def dry(self, weights: np.ndarray) -> np.ndarray:
-        """Coordinates (..., dofs) of the targets' shapes blended by the weights (..., J): what does not move."""
+    def static(self, weights: np.ndarray) -> np.ndarray:
+        """Coordinates (..., dofs) of the targets' shapes blended by the weights (..., J): the static part."""
         return weights @ self._shapes
 
     def shown(self, frame: Frame) -> np.ndarray:
@@ -208,7 +214,7 @@ class Player:
         return self.amounts.shown(frame.coordinates, frame.weights)
 
     def _ask(self) -> None:
-        """Raises dynamorph.Cancelled when it is not to go on."""
+        """Raises dynamorph.Cancelled when the caller wants it to stop."""
         if self._keep_going and not self._keep_going():
             raise dynamorph.Cancelled("cancelled")
 
@@ -224,24 +230,24 @@ class Player:
             scheme=dynamorph.Scheme.__members__[settings.scheme],
             gravity=settings.gravity,
             teleport=TELEPORT * engine.body.size * settings.step,
-            keep_going=self._keep_going if full else None,  # a reduced step takes less than the question
+            keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking
         )
 
     def _hold_targets(self, first: RigSamples) -> None:
-        """Sculpted shapes are what the artist saw under gravity, so each is held up in its own pose."""
+        """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
         self._first = first
         if any(self.settings.gravity):
             self._simulation.hold_targets(self.posing.target_frames(first))
 
     def _push(self, fields: Sequence[ForceField], sample: int, bones: np.ndarray) -> np.ndarray | None:
-        """What the force fields do to the nodes, from where the flesh is now; None without any."""
+        """The forces of the force fields on the nodes at the present displacement; None without any."""
         if not fields or self.engine is None:
             return None
         return self.posing.skin.push(fields, sample, bones, self.engine.displacement(self._simulation.coordinates))
 
 
 class _NothingMoves:
-    """In the place of the engine's simulation for static morph targets: there are no coordinates."""
+    """Replaces the engine's simulation for static morph targets, which have no coordinates."""
 
     coordinates = np.zeros(0)
     state: State = (), ()
@@ -257,7 +263,7 @@ class _NothingMoves:
 
 
 def _rigid_fit(points: np.ndarray, onto: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The rotation (3, 3) and shift (3,) that carry points (V, 3) nearest to others, as a whole."""
+    """The rotation (3, 3) and translation (3,) that bring points (V, 3) nearest to others."""
     if not len(points):
         return np.eye(3), np.zeros(3)
     centre, goal = points.mean(axis=0), onto.mean(axis=0)

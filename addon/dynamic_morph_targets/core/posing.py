@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A posed rig as the engine asks for it: transforms of bones or nodes, target weights, and the skin there.
-
-Never touches bpy.
+"""A posed rig as the engine needs it: transforms of bones or nodes, target weights, and the posed skin. Never touches
+bpy.
 """
 
 from __future__ import annotations
@@ -14,11 +13,12 @@ import dynamorph
 import numpy as np
 
 from .character import Character, Skeleton, Target, TargetSet
+from .errors import SceneError
 from .geometry import determinant, inverse
 from .model import Model
 from .rig_samples import ForceField, RigSamples
 
-FLAT = 1e-9  # determinant of a node's transform below which it has no size
+FLAT = 1e-9  # determinant of a node's transform below which it counts as collapsed
 
 
 class WithTargets(Protocol):
@@ -35,21 +35,21 @@ class WithTargets(Protocol):
 
 
 def placing_bones(character: WithTargets) -> list[int]:
-    """Indices of the bones whose rotations place targets in pose space; those that are missing left out."""
+    """Indices of the bones whose rotations place targets in pose space; missing bones are left out."""
     names = character.skeleton.names
     placing = {bone for target in character.targets for bone in target.bones}
     return [index for index, name in enumerate(names) if name in placing]
 
 
 def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
-    """Raises dynamorph.Error, naming both, when two targets have the same pose; ValueError on a missing bone."""
+    """Raises dynamorph.Error, naming both, when two targets have the same pose; SceneError on a missing bone."""
     names = character.skeleton.names
     sets = []
     for target_set in character.target_sets:
         named = sorted({bone for target in target_set.targets for bone in target.bones})
         missing = [bone for bone in named if bone not in names]
         if missing:
-            raise ValueError(f"'{character.name}': bone '{missing[0]}' of target set '{target_set.name}' is missing")
+            raise SceneError(f"'{character.name}': bone '{missing[0]}' of target set '{target_set.name}' is missing")
         sets.append(
             dynamorph.TargetSet(
                 [names.index(bone) for bone in named],
@@ -62,7 +62,9 @@ def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
 
 
 class Posing:
-    """A character's poses. probed: whether `RigSamples.nodes` says where its nodes are, as the bones do not."""
+    """A character's poses. probed: whether `RigSamples.nodes` determines where its nodes are, because the bones do
+    not.
+    """
 
     def __init__(self, model: Model, character: Character, probed: bool):
         self._model = model
@@ -76,7 +78,7 @@ class Posing:
         return self.frames(rig), self._space.weights(local)
 
     def frames(self, rig: RigSamples) -> np.ndarray:
-        """The transforms that the engine asks for: of the bones (S, B + 1, 3, 4), or of the free nodes (S, n, 3, 4)."""
+        """The transforms for the engine: of the bones (S, B + 1, 3, 4), or of the free nodes (S, n, 3, 4)."""
         model = self._model
         if not self._probed:
             return rig.skin_matrices(model.skeleton, model.to_bind)
@@ -91,7 +93,7 @@ class Posing:
         return frames
 
     def target_frames(self, rig: RigSamples) -> np.ndarray:
-        """Transforms as `frames` of the targets' captured poses (J, ...), with the armature where it stood then."""
+        """`frames` of the targets' captured poses (J, ...), with the armature as it was then."""
         targets = self._character.targets
         pose = self._model.skeleton.pose(np.array([target.local for target in targets]))
         rig_world = np.array([_resized(target.rig_world, rig.rig_world[0]) for target in targets])
@@ -99,7 +101,9 @@ class Posing:
         return self.frames(RigSamples(pose, rig_world, object_world, nodes=rig.held))
 
     def skinned(self, rig: RigSamples) -> np.ndarray:
-        """The skin at rest, posed as the rig is: (S, V, 3), world space; of it what moves as is known."""
+        """The skin at rest, posed by the rig: (S, V, 3), world space; of a probed skin, the part whose motion is
+        known.
+        """
         return np.array([self.skin.posed(frame) for frame in self.frames(rig)])[:, self.skin.known]
 
     @cached_property
@@ -108,7 +112,7 @@ class Posing:
 
 
 class Skin:
-    """The skin in world space: where it is, and which nodes carry what acts on it."""
+    """The skin in world space, and the nodes that carry the forces on it."""
 
     def __init__(self, model: Model, character: Character):
         self.model = model
@@ -151,7 +155,9 @@ class Skin:
 
 
 def _resized(world: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """The place and tilt of a world transform (4, 4) with the size of another: a scale may have been applied since."""
+    """The position and orientation of a world transform (4, 4) with the scale of another: a scale may have been applied
+    since.
+    """
     u, _, vt = np.linalg.svd(world[:3, :3])
     _, sizes, axes = np.linalg.svd(like[:3, :3])
     out = world.copy()

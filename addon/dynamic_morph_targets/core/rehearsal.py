@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which frequency keeps a shot within its limits: the lowest that does, so that the tissue stays as lively as it may.
+"""Finds the frequency that keeps a shot within its limits: the lowest one, so that the tissue stays as lively as
+possible.
 
-How far tissue moves falls with its frequency, but by how much depends on what shakes it, so it is tried: from what was
-asked for upwards until the shot is within its limits, and then back if that was much farther than needed. No bpy.
+The motion of tissue decreases with its frequency, but how fast depends on the excitation, so frequencies are tried:
+upward from the requested one until the shot is within its limits, and then back if that was much farther than needed.
+No bpy.
 """
 
 from __future__ import annotations
@@ -12,16 +14,18 @@ import math
 from . import judge
 
 TRIES = 6  # at most
-STIFFER = 0.75  # power of the excess by which the frequency is raised: displacements fall with its square or slower
-FACTOR = 1.06, 4.0  # by which it is raised at least and at most
-LIVELY = 0.75  # of the limits: what uses less of them is tried with a lower frequency
+STIFFER = (
+    0.75  # power of the excess by which the frequency is raised; displacements decrease with its square or more slowly
+)
+FACTOR = 1.06, 4.0  # smallest and largest factor by which it is raised
+LIVELY = 0.75  # of the limits; motion that uses less of them is tried with a lower frequency
 AIM = 0.87  # of the limits: then
-INSIDE = 0.25  # of the way between two tried frequencies, at least, lies the next from both
-CLOSE = 1.05  # ratio of two frequencies between which none is tried
+INSIDE = 0.25  # of the way between two tried frequencies; the next is at least that far from both
+CLOSE = 1.05  # ratio of two frequencies between which no other is tried
 
 
 class Rehearsal:
-    """The frequencies that were tried for one shot, Hz, and by how much the motion was too large with each."""
+    """The frequencies that were tried for one shot, Hz, and the factor by which the motion was too large with each."""
 
     def __init__(self, asked: float):
         self.asked = asked
@@ -33,11 +37,11 @@ class Rehearsal:
 
     @property
     def best(self) -> float:
-        """The lowest frequency that keeps the limits; the highest tried while none does."""
+        """The lowest frequency that keeps the limits; while none does, the highest one tried."""
         return min(self._within, default=max(self.tried))
 
     def next(self) -> float | None:
-        """The frequency to be tried now, or None: `best` is to be kept."""
+        """The frequency to try next, or None to keep `best`."""
         beyond = [frequency for frequency in self.tried if frequency not in self._within]
         if not beyond or len(self.tried) >= TRIES or not all(map(math.isfinite, self.tried.values())):
             return None

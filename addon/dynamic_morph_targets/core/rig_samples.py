@@ -14,8 +14,10 @@ from .geometry import inverse, invertible
 def hold_collapsed(
     samples: RigSamples, skeleton: Skeleton, before: np.ndarray | None = None
 ) -> tuple[RigSamples, list[str]]:
-    """Bones scaled to zero (the pop-to-nothing trick) follow their parents as they last did; returns warnings naming
-    them. before (B, 4, 4): the pose ahead of the samples, without such bones, if it is known.
+    """Bones scaled to zero (a common way to hide parts) follow their parents as they last did; returns warnings that
+    name them.
+
+    before (B, 4, 4): the pose before the samples, without such bones, if it is known.
     """
     pose = samples.pose if before is None else np.concatenate([before[None], samples.pose])
     good = invertible(pose)
@@ -23,7 +25,7 @@ def hold_collapsed(
         return samples, []
     times = np.arange(len(pose))[:, None]
     last = np.maximum.accumulate(np.where(good, times, -1), axis=0)
-    held = np.where(last >= 0, last, good.argmax(axis=0))  # before its first size: that first size
+    held = np.where(last >= 0, last, good.argmax(axis=0))  # before its first nonzero size, that size is used
     pose = pose.copy()
     collapsed = np.flatnonzero(~good.all(axis=0))
     for b in collapsed:  # parents come first
@@ -72,10 +74,10 @@ class ForceField:
 
 @dataclass(frozen=True)
 class PosedNodes:
-    """n nodes of the flesh where Blender's own modifiers put them, at S sample times.
+    """n nodes of the cage where Blender's own modifiers put them, at S sample times.
 
-    rest (n, 3) bind space. points (S, 4, n, 3) float32, the object's space: of the nodes, and of the nodes moved by
-    `reach` metres along each axis of bind space.
+    rest (n, 3) bind space. points (S, 4, n, 3) float32, the object's space: the nodes, and the nodes moved by `reach`
+    meters along each axis of bind space.
     """
 
     rest: np.ndarray
@@ -121,7 +123,7 @@ class RigSamples:
         pose, rig_world, object_world = (part[samples] for part in (self.pose, self.rig_world, self.object_world))
         return RigSamples(pose, rig_world, object_world, fields, nodes, self.held)
 
-    def and_then(self, other: RigSamples) -> RigSamples:
+    def concatenate(self, other: RigSamples) -> RigSamples:
         """These samples and others of the same rig, without fields."""
         nodes = self.nodes
         if nodes and other.nodes:
@@ -135,7 +137,7 @@ class RigSamples:
         )
 
     def moved(self, transforms: np.ndarray) -> RigSamples:
-        """The first of these samples, moved as a whole by transforms (S, 4, 4) of the world, without fields."""
+        """The first of these samples, moved rigidly by world transforms (S, 4, 4), without fields."""
         count = len(transforms)
         pose = np.broadcast_to(self.pose[0], (count, *self.pose.shape[1:]))
         nodes = self.nodes
@@ -146,14 +148,14 @@ class RigSamples:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of what grows with the samples, about."""
+        """Approximate bytes of what grows with the number of samples."""
         return self.pose.nbytes + (self.nodes.points.nbytes if self.nodes else 0)
 
     def skin_matrices(self, skeleton: Skeleton, to_bind: np.ndarray) -> np.ndarray:
-        """The transforms that carry bind space to world space, one for each bone and one for the object itself.
+        """The transforms from bind space to world space, one for each bone and one for the object itself.
 
-        Returns (S, B + 1, 3, 4). The last one moves vertices without weights, as Blender's Armature modifier leaves
-        those where the object puts them.
+        Returns (S, B + 1, 3, 4). The last one moves vertices without weights, which Blender's Armature modifier leaves
+        where the object puts them.
         """
         from_bind = np.eye(4)
         from_bind[:3, :3] = inverse(to_bind)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What of a character is hard: parts that one bone carries, and heads. NumPy only, never bpy."""
+"""The hard parts of a character: parts that one bone carries, and heads. NumPy only, never bpy."""
 
 from __future__ import annotations
 
@@ -11,27 +11,29 @@ import numpy as np
 from .character import Skeleton
 from .geometry import connected_parts, determinant, loose_parts
 
-RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rigidly
-NEARLY_ALL = 0.95  # of its vertices follow the bone of a rigid part
-COINCIDE = 1e-5  # of the body's size: points nearer than this are at one place
-SOFT_SHARE = 0.12  # of the volume of its parts that is soft, at most, in a character that is wholly hard
+RIGID = 0.99  # of its weight; a vertex that has more from one bone follows it rigidly
+NEARLY_ALL = 0.95  # of its vertices; more of them follow the bone of a rigid part
+COINCIDE = 1e-5  # of the body's size; points nearer than this are at one place
+SOFT_SHARE = 0.12  # of the volume of its parts; a wholly hard character has less soft volume
 NAMED_HEAD = re.compile(r"(?<![a-z])(head|skull)(?![a-z])", re.IGNORECASE)
-NAMED_SHARE = (0.005, 0.6)  # of the area, that a bone so named carries with all below it, if it is a head
-SHARE = (0.03, 0.45)  # the same of one without a name
-PART_OF_HEAD = 0.4  # of a head's area, at most, hangs on one bone below it: an ear, a jaw
-ELONGATED = 3.0  # of the widths of a head, the largest over the smallest, at most
-NECK = 0.85  # of a head's width, that of the ring where it begins, at most
-NECK_SHARE = 0.06  # of the area, at most, is carried by the bone of a neck
+NAMED_SHARE = (0.005, 0.6)  # of the area; a bone with such a name carries more if it is a head
+SHARE = (0.03, 0.45)  # the same for a bone without such a name
+PART_OF_HEAD = 0.4  # of a head's area, at most, belongs to one bone below it, such as an ear or a jaw
+ELONGATED = 3.0  # largest ratio of the widths of a head
+NECK = 0.85  # of a head's width; the ring where it begins is narrower
+NECK_SHARE = 0.06  # of the area, at most, belongs to the bone of a neck
 ON_NECK = 0.5  # how rigid the skin of a neck is
 ALIKE = 0.15  # relative difference of a limb from the one on the other side, at most
-WHOLLY = 0.8  # of its weight from head bones makes skin as rigid as bone
+WHOLLY = 0.8  # of its weight; skin with more from head bones is as rigid as bone
 
 
 # Points and parts ----------------------------------------------------------------------------------------------------
 
 
 def coincident(points: np.ndarray, reach: float) -> np.ndarray:
-    """For each of the points (V, 3) the first (V,) at its place: within `reach`, and up to a few times as far."""
+    """For each of the points (V, 3) the index (V,) of the first point at its place: within `reach`, or up to a few
+    times as far.
+    """
     if not len(points):
         return np.arange(0)
     scaled = (points - points.min(axis=0)) / (2.0 * max(reach, 1e-300))
@@ -48,19 +50,19 @@ def coincident(points: np.ndarray, reach: float) -> np.ndarray:
 
 
 def vertex_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """The area (V,) of the skin about each vertex."""
+    """The area (V,) of the skin around each vertex."""
     return np.bincount(triangles.ravel(), np.repeat(triangle_areas(points, triangles) / 3.0, 3), len(points))
 
 
 def triangle_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(T,)."""
+    """Areas (T,)."""
     corners = points[triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.linalg.norm(across, axis=1) / 2.0
 
 
 def part_volumes(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Labels (V,) of the loose parts of a mesh and the volume (P,) of each; an open part is closed from its middle."""
+    """Labels (V,) of the loose parts of a mesh and the volume (P,) of each; an open part is closed from its center."""
     labels = loose_parts(points, triangles)
     count = labels.max(initial=-1) + 1
     sizes = np.bincount(labels, minlength=count)
@@ -71,10 +73,9 @@ def part_volumes(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray,
 
 
 def rigid_parts(labels: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether (P,) each part is carried as a whole, but for a few stray vertices, and the bone (P,) that does most of
-    it: by one bone, or by the same weights everywhere.
-
-    labels (V,): the part's number; weights (V, B + 1): the skin's.
+    """Whether (P,) each part, except for a few stray vertices, is carried as a whole, and the bone (P,) that
+    contributes most: by one bone, or with the same weights everywhere. labels (V,): the part's number; weights (V, B +
+    1): the skin's.
     """
     count = labels.max(initial=-1) + 1
     sums = np.zeros((count, weights.shape[1]))
@@ -102,7 +103,8 @@ def joined_to_soft(labels: np.ndarray, rigid: np.ndarray, first: np.ndarray) -> 
 
 
 def heads(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray) -> list[int]:
-    """The bones that carry a head with all that hangs on them: those that are called so, else one that looks so.
+    """The bones that carry a head with everything attached to them: those with such a name, otherwise one that looks
+    like a head.
 
     weights (V, B + 1); points (V, 3) bind space; triangles (T, 3).
     """
@@ -114,15 +116,16 @@ def heads(skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles
     if not named:
         return _looking_like_heads(skeleton, below, share, weights[:, :-1] @ below.T, points, triangles, areas)
     topmost = [bone for bone in named if not any(below[other, bone] for other in named if other != bone)]
-    return [bone for bone in topmost if share[bone] <= NAMED_SHARE[1]]  # of one that is nearly all head, none
+    return [
+        bone for bone in topmost if share[bone] <= NAMED_SHARE[1]
+    ]  # a character that is almost only a head has none
 
 
 def head_rigidity(
     skeleton: Skeleton, weights: np.ndarray, points: np.ndarray, triangles: np.ndarray, found: list[int]
 ) -> np.ndarray:
-    """How rigid (V,) the skin is because of the heads on the bones `found`: 1 on them, less along the neck, 0 beyond.
-
-    Arguments as for `heads`.
+    """How rigid (V,) the heads on the bones `found` make the skin: 1 on them, less along the neck, 0 beyond. Arguments
+    as for `heads`.
     """
     below, areas = _below(skeleton), vertex_areas(points, triangles)
     share = weights[:, :-1].T @ areas / max(areas.sum(), 1e-300)
@@ -137,7 +140,7 @@ def head_rigidity(
 
 
 def _below(skeleton: Skeleton) -> np.ndarray:
-    """Whether (B, B) the second bone hangs on the first, or is it."""
+    """Whether (B, B) the second bone is the first or one of its descendants."""
     below = np.eye(len(skeleton.names), dtype=bool)
     for bone in range(len(skeleton.names) - 1, -1, -1):  # parents come first
         if skeleton.parents[bone] >= 0:
@@ -154,9 +157,8 @@ def _looking_like_heads(
     triangles: np.ndarray,
     areas: np.ndarray,
 ) -> list[int]:
-    """The bone with the thickest compact blob at the end of a neck that has no twin on the other side, if there is one.
-
-    below: see `_below`; share (B,), carried (V, B): of the area and of each vertex's weight, with all that hangs on it.
+    """The bone with the thickest compact blob at the end of a neck without a twin on the other side, if there is one.
+    below: see `_below`; share (B,), carried (V, B): of the area and of each vertex's weight, including descendants.
     """
     candidates = []
     least, most = SHARE[0] * (1.0 - ALIKE), SHARE[1] * (1.0 + ALIKE)  # a twin may be a little smaller, or larger

@@ -24,15 +24,15 @@ class Material:
         return e * nu / ((1 + nu) * (1 - 2 * nu)), e / (2 * (1 + nu))
 
 
-# What targets do to the flesh: the same names in the interface and on the command line.
+# What targets do to the soft tissue: the same names in the interface and on the command line.
 METHODS = {
     "DYNAMIC": ("Dynamic", "Shape, stiffness, damping and density follow the pose"),
-    "SHAPE": ("Shape", "The rest shape follows the pose, the flesh is the neutral one's everywhere"),
-    "SINGLE": ("Single", "The neutral target alone: an ordinary soft body"),
-    "STATIC": ("Static", "Geometric morph targets: the shape follows the pose, nothing moves by itself"),
+    "SHAPE": ("Shape", "The rest shape follows the pose, and the material is the neutral target's everywhere"),
+    "SINGLE": ("Single", "Only the neutral target counts, as in an ordinary soft body"),
+    "STATIC": ("Static", "The shape follows the pose as geometric morph targets do, and nothing moves by itself"),
 }
-POINT_CACHES = ("PC2", "MDD")  # sinks that are files of every vertex at every frame
-# What `dynamorph report` compares: changes of ModelSettings. What they do not name stays the object's own.
+POINT_CACHES = ("PC2", "MDD")  # forms that are files of every vertex at every frame
+# The variants that `dynamorph report` compares, as changes of ModelSettings. All other settings are the object's own.
 VARIANTS: dict[str, dict[str, str]] = {
     "static morphs": {"method": "STATIC"},
     "pose-dependent shape": {"method": "SHAPE"},
@@ -43,10 +43,10 @@ VARIANTS: dict[str, dict[str, str]] = {
         for material, method in (("single", "SINGLE"), ("DMT", "DYNAMIC"))
     },
 }
-# Settings that a built model does not depend on: they are applied when it is simulated.
+# Settings on which a built model does not depend, because they are applied when it is simulated.
 FREE_SETTINGS = {"blending"}
-ENGINE = 1  # of what is computed: raised when the same scene gives another model or another motion than before
-# Settings that came later, at the value that builds what was built before: a model from then stays up to date.
+ENGINE = 1  # version of the computation; raised when the same scene gives a different model or motion than before
+# Settings that were added later, with the value that reproduces earlier models, which so stay up to date.
 LATER_SETTINGS = {
     "cage_thickness": 0.0,
     "cage_grading": 0.0,
@@ -59,33 +59,32 @@ LATER_SETTINGS = {
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """What a built model depends on, apart from the character itself. method: see METHODS."""
+    """Everything that a built model depends on, apart from the character itself. method: see METHODS."""
 
     method: str = "DYNAMIC"
     law: str = "STABLE_STVK"
     solver: str = "REDUCED"
     blending: str = "EVEN"
     modes: int = 20
-    fit_to_shot: bool = False  # choose the modes from how the shot moves
+    fit_to_shot: bool = False  # choose the modes from the motion of the shot
     cage_nodes: int = 2000
-    cage_thickness: float = 0.0  # metres that the cage stands off the skin at least
-    cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer ones where targets move the skin
-    pin_radius: float = 0.4  # fraction of the way from a bone to the skin that is held by the bone
+    cage_thickness: float = 0.0  # smallest distance from the skin to the cage, meters
+    cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer tets where targets move the skin
+    pin_radius: float = 0.4  # fraction of the way from a bone to the skin within which the bone holds nodes
     separate: bool = True  # cut the tetrahedra that join parts of the skin that merely touch
     hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
-    hold_head: bool = False  # the skin of the head is held like something rigid; with one_cage
+    hold_head: bool = False  # the skin of the head is held as if it were rigid; with one_cage
 
 
 @dataclass(frozen=True)
 class SimulationSettings:
     """One run: frames start..end at `fps`, each in `substeps` steps; gravity (3,) world, m/s^2.
 
-    samples: states a frame that are kept, of which `substeps` is a multiple.
-    begin: REST has the targets' shapes without motion at the first frame, SETTLE is in balance and moves with the rig.
-    preroll: frames before `start`; preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range
-    is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for modes beyond them; amount: on all
-    of it.
+    samples: states per frame that are kept; `substeps` is a multiple of it. begin: REST has the targets' shapes without
+    motion at the first frame, SETTLE is in balance and moves with the rig. preroll: frames before `start`;
+    preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range is a cycle. gains: factors on
+    the modes' motion about the targets' shapes, 1 for further modes; amount: on all of it.
     """
 
     start: int = 1
@@ -108,7 +107,7 @@ class SimulationSettings:
 
     @property
     def frames(self) -> np.ndarray:
-        """Those of the result, with fractions for the samples between them."""
+        """The frames of the result, with fractions for the samples between them."""
         return self.times[self.run_up * self.samples :]
 
     @property
@@ -128,31 +127,33 @@ class SimulationSettings:
 
     @property
     def simulated(self) -> np.ndarray:
-        """The whole frames, with those that are dropped."""
+        """The whole frames, including those that are dropped."""
         return np.arange(self.first, self.end + 1)
 
     @property
     def times(self) -> np.ndarray:
-        """Of all states, as `frames`, with those that are dropped."""
+        """The times of all states, like `frames`, including those that are dropped."""
         if self.samples == 1:
             return self.simulated
         return self.first + np.arange((self.end - self.first) * self.samples + 1) / self.samples
 
     def reached(self, states: int) -> int:
-        """The frame that is done with so many states; the first without any."""
+        """The frame that is finished after so many states; without any, the first."""
         return self.first + max(states - 1, 0) // self.samples
 
     @property
     def step(self) -> float:
-        """Seconds a step."""
+        """The time step in seconds."""
         return 1.0 / (self.fps * self.substeps)
 
 
 @dataclass(frozen=True)
 class OutputSettings:
-    """What a bake becomes in Blender. sink: MODES, FRAMES, PC2 or MDD."""
+    """The form of a bake in Blender. sink: MODES, FRAMES, PC2 or MDD."""
 
     sink: str = "MODES"
-    keys: int = 0  # of MODES, at most; 0: as many as there are
-    every: int = 1  # of FRAMES: a key at every n-th frame,
-    tolerance: float = 0.0  # or, if this is not 0, where the surface is off by more than so many metres without it
+    keys: int = 0  # largest number of keys for MODES; 0: no limit
+    every: int = 1  # for FRAMES: a key at every n-th frame,
+    tolerance: float = (
+        0.0  # or, if this is not 0, only where the surface would otherwise be off by more than this, meters
+    )

@@ -20,7 +20,7 @@ from .player import STEP, Frame, Player
 from .rig_samples import RigSamples
 from .settings import SimulationSettings
 
-CHECKED = 10  # frames looked at for inverted tetrahedra: those with the largest coordinates
+CHECKED = 10  # frames that are checked for inverted tetrahedra: those with the largest coordinates
 
 
 def simulate(
@@ -30,10 +30,11 @@ def simulate(
     settings: SimulationSettings,
     progress: Progress | None = None,
 ) -> Iterator[Frame]:
-    """Yields one of each of settings.frames, in one pass.
+    """Yields one frame per entry of settings.frames, in one pass. rig: 1 + (end - first) * substeps samples, from
+    settings.first on.
 
-    rig: 1 + (end - first) * substeps samples, from settings.first on. progress(fraction, message) -> bool is asked at
-    every frame, of an unreduced model at every iteration; False raises dynamorph.Cancelled.
+    progress(fraction, message) -> bool is asked at every frame, for an unreduced model at every iteration; False raises
+    dynamorph.Cancelled.
     """
     return _player(model, character, settings, progress).run(rig)
 
@@ -44,7 +45,7 @@ def _player(model: Model, character: Character, settings: SimulationSettings, pr
     def keep_going() -> bool:
         done = (player.number - settings.first) / len(settings.simulated)
         message = f"Simulating frame {player.number}"
-        if settings.loop:  # nobody knows how many passes it takes
+        if settings.loop:  # the number of passes is not known
             done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
         return progress is None or progress(done, message)
 
@@ -59,7 +60,7 @@ def build_for(
     progress: Progress | None = None,
     previous: Model | None = None,
 ) -> Model:
-    """`build.build` for a character in a shot, to which its modes are fitted if it says so; else no shot is needed."""
+    """`build.build` for a character and, if its modes are fitted, for this shot."""
 
     if rig is None or settings is None:
         return build(character, progress, previous)
@@ -75,19 +76,19 @@ def build_for(
 
 
 class Shot:
-    """A bake in the making: the moving rig comes in stretches, so that a long shot takes no more memory than a short
-    one, and it can be kept after each and gone on with, by another process too. A loop is one stretch. The run-up is
-    part of the shot, but not of its bake.
+    """A bake in progress. The moving rig comes in chunks, so that a long shot takes no more memory than a short one. It
+    can be kept after each chunk and resumed, also by another process. A loop is one chunk.
 
-    progress(fraction, message) -> bool; False raises dynamorph.Cancelled.
+    The run-up is part of the shot, but not of its bake. progress(fraction, message) -> bool; False raises
+    dynamorph.Cancelled.
     """
 
     def __init__(
         self, model: Model, character: Character, settings: SimulationSettings, progress: Progress | None = None
     ):
         self.player = _player(model, character, settings, progress)
-        self.done = 0  # of settings.times
-        self._coordinates: list[np.ndarray] = []  # a stretch each, like the next two
+        self.done = 0  # number of settings.times
+        self._coordinates: list[np.ndarray] = []  # one entry per chunk, like the next two
         self._weights: list[np.ndarray] = []
         self._steps: list[np.ndarray] = []
         self._loop: dict = {}
@@ -99,7 +100,9 @@ class Shot:
         return self.done == len(self.player.settings.times)
 
     def play(self, rig: RigSamples) -> None:
-        """The next stretch: the sample of the first frame, unless that is done, then settings.substeps a frame."""
+        """Simulates the next chunk: the sample of the first frame, unless that is done, then settings.substeps per
+        frame.
+        """
         if self.is_complete:
             return
         began, player = time.perf_counter(), self.player
@@ -118,7 +121,7 @@ class Shot:
         self._seconds += time.perf_counter() - began
 
     def kept(self) -> dict[str, np.ndarray]:
-        """All that `resume` asks for."""
+        """Everything that `resume` needs."""
         coordinates, bones = self.player.state
         return {
             "coordinates": np.concatenate(self._coordinates),
@@ -129,7 +132,7 @@ class Shot:
         }
 
     def resume(self, kept: dict[str, np.ndarray], first: RigSamples) -> None:
-        """Go on after the frames of another shot of the same; first: the sample of the first frame."""
+        """Continues after the frames of another instance of the same shot; first: the sample of the first frame."""
         self._coordinates, self._weights, self._steps = ([kept[name]] for name in ("coordinates", "weights", "steps"))
         self.done = len(kept["coordinates"])
         self.player.resume(first, (list(kept["past"]), list(kept["bones"])))
@@ -140,18 +143,18 @@ class Shot:
         model, character, settings = player.model, player.character, player.settings
         kept = slice(settings.run_up * settings.samples, None)
         coordinates, weights = (np.concatenate(rows)[kept] for rows in (self._coordinates, self._weights))
-        dry = player.dry(weights)
+        static = player.static(weights)
         report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
-        report.update(_worst_elements(player, coordinates, dry))
+        report.update(_worst_elements(player, coordinates, static))
         coordinates, free = player.amounts.shown(coordinates, weights), model.basis.T
         if model.settings.solver == "FULL" and player.engine is not None:
-            coordinates, dry, free, report["compression_error"] = _compress(model, coordinates, dry)
+            coordinates, static, free, report["compression_error"] = _compress(model, coordinates, static)
         modes = node_modes(model, free)
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
         names = tuple(target.name for target in character.targets)
-        return Bake(settings.frames, coordinates, weights, surface, model.details, names, dry, modes), report
+        return Bake(settings.frames, coordinates, weights, surface, model.details, names, static, modes), report
 
 
 def bake(
@@ -168,13 +171,13 @@ def bake(
 
 
 def part_of(bake: Bake, members: slice, from_body: np.ndarray | None = None) -> Bake:
-    """The same shot of some of its vertices; from_body (3, 3): of a displacement into the space that they are in."""
+    """The same shot for some of its vertices; from_body (3, 3): maps displacements to the space of these vertices."""
     turn = np.eye(3) if from_body is None else from_body
     return replace(bake, modes=bake.modes[:, members] @ turn.T, details=bake.details[:, members] @ turn.T)
 
 
 def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
-    """Of what the steps to each of `frames` (F,) did (F, STEP)."""
+    """Statistics of the steps to each of `frames` (F,), from (F, STEP)."""
     by_name = dict(zip(STEP, steps.T, strict=True))
     moving = by_name["steps"] > 0
     rates = by_name["steps"][moving] / by_name["seconds"][moving]
@@ -182,15 +185,17 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
     report = {
         "steps": int(by_name["steps"].sum()),
         "engine_seconds": float(by_name["seconds"].sum()),
-        "steps_per_second": float(np.median(rates)) if len(rates) else 0.0,  # the median: machines have other work
+        "steps_per_second": float(np.median(rates))
+        if len(rates)
+        else 0.0,  # the median, because machines have other work
         "iterations": int(by_name["iterations"].sum()),
-        "residual": float(by_name["residual"].max()),  # of the largest force
+        "residual": float(by_name["residual"].max()),  # relative to the largest force
         "energy": float(by_name["energy"].max()),  # elastic, J
         "warnings": warnings,
     }
     unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
-        warnings.append(f"Steps did not converge at {_some(unconverged)}: raise Substeps")
+        warnings.append(f"Steps did not converge at {_some(unconverged)}: raise Substeps Per Frame")
     cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
         warnings.append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
@@ -198,7 +203,7 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
 
 
 def _whole(frames: np.ndarray) -> list[int]:
-    """The frames that steps, named by where they ended, belong to."""
+    """The frames to which steps belong, given the times at which they ended."""
     return np.unique(np.ceil(frames)).astype(int).tolist()
 
 
@@ -207,23 +212,23 @@ def _some(numbers: list[int]) -> str:
     return f"frame{'s' * (len(numbers) > 1)} {listed}"
 
 
-def _worst_elements(player: Player, coordinates: np.ndarray, dry: np.ndarray) -> dict:
+def _worst_elements(player: Player, coordinates: np.ndarray, static: np.ndarray) -> dict:
     """The smallest det F and the largest number of inverted tetrahedra over the most deformed frames.
 
-    coordinates, dry (F, dofs): with and without motion.
+    coordinates, static (F, dofs): with and without motion.
     """
     if player.engine is None:
         return {"smallest_det": 1.0, "inverted": 0}
     model, displacement = player.model, player.engine.displacement
-    strength = np.abs(coordinates - dry).max(axis=1, initial=0.0)
+    strength = np.abs(coordinates - static).max(axis=1, initial=0.0)
     rest = _volumes(model.nodes, model.tets)
     smallest, inverted = np.inf, 0
     for k in np.argsort(strength)[-CHECKED:]:
         moved = _volumes(model.nodes + displacement(coordinates[k]), model.tets) / rest
         smallest = min(smallest, moved.min())
         inside_out = model.tets[moved <= 0]
-        sculpted = _volumes(model.nodes + displacement(dry[k]), inside_out)
-        inverted = max(inverted, int((sculpted > 0).sum()))  # not what the sculpt itself inverts
+        sculpted = _volumes(model.nodes + displacement(static[k]), inside_out)
+        inverted = max(inverted, int((sculpted > 0).sum()))  # without those that the sculpt itself inverts
     return {"smallest_det": float(smallest), "inverted": inverted}
 
 
@@ -242,16 +247,18 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
     return modes
 
 
-def _compress(model: Model, wet: np.ndarray, dry: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+def _compress(
+    model: Model, dynamic: np.ndarray, static: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
 
-    wet, dry (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3 free),
-    and the largest error of `wet` in metres.
+    dynamic, static (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3
+    free), and the largest error of `dynamic` in meters.
     """
-    _, s, modes = np.linalg.svd(wet, full_matrices=False)
+    _, s, modes = np.linalg.svd(dynamic, full_matrices=False)
     modes = modes[: min(model.settings.modes, len(s))]
-    _, s, others = np.linalg.svd(dry - dry @ modes.T @ modes, full_matrices=False)
-    modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(dry)]])
-    coordinates = wet @ modes.T
-    error = float(np.abs(wet - coordinates @ modes).max())
-    return coordinates, dry @ modes.T, modes, error
+    _, s, others = np.linalg.svd(static - static @ modes.T @ modes, full_matrices=False)
+    modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(static)]])
+    coordinates = dynamic @ modes.T
+    error = float(np.abs(dynamic - coordinates @ modes).max())
+    return coordinates, static @ modes.T, modes, error

@@ -9,14 +9,14 @@ import numpy as np
 
 from .baked import Bake
 
-NEGLIGIBLE = 1e-7  # of the bounding box: displacements that no key is made for
-KEYFRAME_BYTES = 72  # that Blender takes for one
+NEGLIGIBLE = 1e-7  # of the bounding box; smaller displacements get no key
+KEYFRAME_BYTES = 72  # that Blender accepts for a slider
 NAME_BYTES = 59  # Blender has room for 63, cuts within a letter, and may add ".001"
 
 
 @dataclass(frozen=True)
 class Key:
-    """A shape key to be: its points (V, 3), and its values (F,) with the motion and without, where there are any."""
+    """A shape key to create: its points (V, 3), and its values (F,) with and without the motion, if it has any."""
 
     name: str
     points: np.ndarray
@@ -43,7 +43,7 @@ def scaled_keys(bake: Bake, basis: np.ndarray) -> list[Key]:
         return (basis + displacement).astype(np.float32)
 
     for k, mode in enumerate(bake.modes):
-        motion, shapes = bake.coordinates[:, k], bake.dry[:, k]
+        motion, shapes = bake.coordinates[:, k], bake.static[:, k]
         largest = max(np.abs(motion).max(), np.abs(shapes).max()) or 1.0
         needed = np.abs(mode).max() * np.abs(shapes).max() > negligible
         without = shapes / largest if needed else None
@@ -53,7 +53,7 @@ def scaled_keys(bake: Bake, basis: np.ndarray) -> list[Key]:
         largest = np.abs(weights).max()
         if np.abs(detail).max() * largest > negligible:
             name = _fit(names[count + j])
-            values = weights / largest  # with the motion too: the strips may be moved apart
+            values = weights / largest  # also with the motion, because the strips may be moved apart
             lowest = -1.0 if weights.min() < 0.0 else 0.0
             keys.append(Key(name, points(largest * detail), lowest, values if len(bake.modes) else None, values))
     return keys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much each target counts over a pose space, and which poses are far from all of them. Never touches bpy."""
+"""How much each target counts in pose space, and which poses are far from all of them. Never touches bpy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SLACK = 1.1  # on half the widest gap between neighbours
 class Influence:
     """Weights (F, J) of the targets at F poses, and the distance (F, S) in radians to each set's nearest target.
 
-    sets (S,): as in a Character, but without shapes; limits (S,): the distance from which on a pose is outside.
+    sets (S,): as in a Character, but without shapes; limits (S,): the distance beyond which a pose is uncovered.
     """
 
     sets: tuple[TargetSet, ...]
@@ -30,22 +30,21 @@ class Influence:
         return self.nearest > self.limits
 
     def by_set(self) -> list[tuple[int, range]]:
-        """The sets with more than the neutral target, by index, and where their targets are among all."""
+        """The sets with more than the neutral target, by index, and the slice of their targets among all."""
         ends = np.cumsum([len(target_set.targets) for target_set in self.sets]).tolist()
         ranges = [range(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
         return [(s, targets) for s, targets in enumerate(ranges) if len(targets) > 1]
 
     def worst(self) -> tuple[int, int] | None:
-        """Indices (pose, set) of the largest distance as compared to its limit; None when nothing is outside."""
+        """Indices (pose, set) of the largest distance relative to its limit; None when every pose is covered."""
         excess = self.nearest / self.limits
         pose, s = np.unravel_index(excess.argmax(), excess.shape)
         return (int(pose), int(s)) if excess[pose, s] > 1.0 else None
 
 
 class Space:
-    """The pose space of one soft skin: what `posing.pose_space` asks of a Character, and no more.
-
-    order (B,): where the skeleton's bones are among those of the armature's pose.
+    """The pose space of one soft skin: the parts of a Character that `posing.pose_space` needs. order (B,): the index
+    of the skeleton's bones among those of the armature's pose.
     """
 
     def __init__(self, name: str, skeleton: Skeleton, target_sets: tuple[TargetSet, ...], order: list[int]):

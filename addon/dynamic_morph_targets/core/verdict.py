@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The verdict on a bake, as the bake stores it: read here for the panel, whatever the text says. No bpy."""
+"""The verdict on a bake, as stored with the bake. The panel reads it here, whatever the text contains. No bpy."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from math import isfinite
+
+from . import records
+from .errors import RecordError
 
 REMEDIES = ("REHEARSE", "STIFFEN", "CAGE", "SOFTNESS")
 UNREADABLE = "The verdict on this bake cannot be read: bake again"
@@ -32,14 +33,12 @@ class Verdict:
 
 @lru_cache(maxsize=16)
 def parsed(text: str) -> Verdict | None:
-    """None without a verdict. A text that is none is a verdict that says so."""
+    """The verdict in a text; None without a text. An unreadable text gives a verdict that says so."""
     if not text:
         return None
     try:
-        values = json.loads(text)
-    except (ValueError, RecursionError):
-        values = None
-    if not isinstance(values, dict) or not isinstance(values.get("text"), str):
+        values = records.verdict(text)
+    except RecordError:
         return Verdict(False, UNREADABLE)
     frame, factor = _number(values.get("frame")), _number(values.get("factor"))
     vertices = values.get("vertices")
@@ -73,9 +72,4 @@ def _figures(values: dict[str, object]) -> Iterator[tuple[str, str]]:
 
 def _number(value: object) -> float | None:
     """A finite number, or None."""
-    if not isinstance(value, (int, float)) or isinstance(value, bool):
-        return None
-    try:
-        return float(value) if isfinite(value) else None
-    except OverflowError:
-        return None
+    return float(value) if records.is_number(value) else None

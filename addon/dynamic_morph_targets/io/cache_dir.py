@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A folder that processes share, on one machine or many: built models, and bakes that were not finished.
+"""A folder that processes share, on one machine or many, with built models and unfinished bakes.
 
-Files are named by a hash of all that they depend on, written whole or not at all, and never changed: whoever finds one
-may use it. What a process was killed over, another goes on with.
+Files are named by a hash of everything that they depend on, written completely or not at all, and never changed:
+whoever finds one may use it. Another process can continue the work of one that was killed.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if TYPE_CHECKING:  # they need the engine
     from ..core.model import Model
     from ..core.simulate import Shot
 
-VERSION = 1  # of what an unfinished bake holds
+VERSION = 1  # version of the content of an unfinished bake
 BLOCK = 2**20
 
 
 class Share:
-    """The folder; made when something is first kept there. Raises OSError where it cannot be used."""
+    """The folder. It is created when something is first kept in it. Raises OSError where it cannot be used."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -46,9 +46,10 @@ class Share:
     def bake_path(
         self, name: str, inputs: dict, character: Character, files: list[Path], blender: tuple[int, int, int]
     ) -> Path:
-        """Where the bake of the object `name` is kept while it is unfinished. All that it depends on but the model,
-        which may not be there yet, is what was authored (`inputs`), the `files` that hold what moves it, and the
-        version of Blender.
+        """The file of the unfinished bake of the object `name`.
+
+        Except for the model, which may not exist yet, it depends on what was authored (`inputs`), on the `files` that
+        contain what moves it, and on the version of Blender.
         """
         from ..core import build
 
@@ -56,12 +57,16 @@ class Share:
         return self.folder / f"{_hash([VERSION, blender, *depends_on])}.unfinished"
 
     def unfinished(self, path: Path, model: Model) -> dict[str, np.ndarray]:
-        """What `simulate.Shot.resume` asks for, and the last `pose`, of a bake with this model; empty without one."""
+        """The arguments of `simulate.Shot.resume`, and the last `pose`, of a bake with this model; empty without
+        one.
+        """
         found = self._read(path)
         return found[0] if found and found[1].get("model") == _modes_hash(model) else {}
 
     def keep(self, path: Path, shot: Shot, pose: np.ndarray) -> None:
-        """What is done of a `simulate.Shot` up to this pose (B, 4, 4), in place of what was kept before."""
+        """Store the finished part of a `simulate.Shot` up to this pose (B, 4, 4), in place of the part stored
+        before.
+        """
         meta = {"model": _modes_hash(shot.player.model)}
         model_file.save(path, model_file.pack(shot.kept() | {"pose": pose}, meta))
 
@@ -70,7 +75,7 @@ class Share:
 
     @staticmethod
     def _read(path: Path) -> tuple[dict[str, np.ndarray], dict] | None:
-        """(arrays, metadata) of a file, or None. A damaged one is as good as none: it is written again."""
+        """(arrays, metadata) of a file, or None. A damaged file counts as missing and is written again."""
         with suppress(FileNotFoundError, errors.ModelFileError):
             return model_file.unpack(path.read_bytes())
         return None
@@ -81,12 +86,12 @@ def _hash(what: object) -> str:
 
 
 def _modes_hash(model: Model) -> str:
-    """Of what the coordinates of a bake mean: another machine's modes may have other signs."""
+    """A hash of the meaning of a bake's coordinates: modes computed on another machine may have other signs."""
     return hashlib.sha256(model.nodes.tobytes() + model.basis.tobytes()).hexdigest()
 
 
 def _file_hash(path: Path) -> str:
-    """Empty for a file that is not there: Blender shows nothing of it."""
+    """The hash of a file; empty if it does not exist, because Blender shows nothing of it."""
     digest = hashlib.sha256()
     if not path.is_file():
         return ""

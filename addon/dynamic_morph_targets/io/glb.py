@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The animation of a binary glTF file as several, one for each part of its time. NumPy only, never bpy.
+"""Splits the animation of a binary glTF file into several, one for each part of its time. NumPy only, never bpy.
 
-A .glb is a header, then chunks: JSON, which says where everything is, and bytes. The parts need no other bytes than the
-whole, only times of their own, which are appended.
+A .glb is a header, then chunks: JSON, which describes the layout, and bytes. The parts need no other bytes than the
+whole, only their own times, which are appended.
 
 Blender's exporter can write several animations itself, but not these: it makes one of every Action or NLA track of an
-object, also of muted tracks, leaves out what moves without one of its own, and in 4.5 fails on tracks of shape keys.
+object, including muted tracks, leaves out what moves without one of its own, and in 4.5 fails on tracks of shape keys.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..core.errors import ExportError
+
 HEADER, CHUNK = "<4sII", "<I4s"  # magic, version, length; length, kind
 FLOAT = 5126
 SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, FLOAT: 4}  # bytes of a number, by componentType
@@ -23,7 +25,7 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: float) -> bytes:
-    """A file whose one animation has a key at each frame, with an animation for each part in its place.
+    """The file with its one animation, which has a key at each frame, replaced by one animation per part.
 
     parts: by name, the first frame and the last, counted from the animation's first. Each begins at time 0.
     """
@@ -50,8 +52,8 @@ def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: floa
             output = accessors[sampler["output"]]
             keys = accessors[sampler["input"]]["count"]
             if keys <= last:
-                raise ValueError(f"The animation has {keys} keys, the clip '{name}' is to end with the {last + 1}th")
-            each = output["count"] // keys  # values a key: of weights, one a morph
+                raise ExportError(f"The animation has {keys} keys, the clip '{name}' is to end with the {last + 1}th")
+            each = output["count"] // keys  # values per key; for weights, one per morph target
             size = SIZES[output["componentType"]] * WIDTHS[output["type"]]
             begin = output.get("byteOffset", 0) + first * each * size
             accessors.append({**output, "byteOffset": begin, "count": len(times) * each})

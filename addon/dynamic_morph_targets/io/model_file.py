@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # for type checkers alone: Blender does not have it
 
 FORMAT = "dynamorph model"
 VERSION = 4  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only; 4: stiffness
-ABANDONED = 3600.0  # seconds after which nobody writes to a part of a file any more
+ABANDONED = 3600.0  # seconds after which an incomplete file is abandoned
 TAGS = {
     "<f8": "F64", "<f4": "F32", "<i8": "I64", "<i4": "I32", "<i2": "I16", "|i1": "I8",
     "<u8": "U64", "<u4": "U32", "<u2": "U16", "|u1": "U8", "|b1": "BOOL",
@@ -42,7 +42,7 @@ TAGS = {
 
 
 def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
-    """The model as bytes. meta: anything JSON can hold. Raises ModelFileError for other content."""
+    """The model as bytes. meta: anything that JSON can represent. Raises ModelFileError for other content."""
     tensors, hashes, chunks, offset = {}, {}, [], 0
     for name, array in arrays.items():
         array = np.asarray(array)
@@ -66,11 +66,11 @@ def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
 
 
 def unpack(buffer: Buffer) -> tuple[dict[str, np.ndarray], dict]:
-    """The inverse of `pack`: arrays of their own memory, and the description. Raises ModelFileError.
+    """The inverse of `pack`: arrays with their own memory, and the description. Raises ModelFileError.
 
-    What an older version wrote comes out as this one would have written it.
+    Files of older versions are converted to this version.
     """
-    import dynamorph  # not before: an add-on without its engine still writes reports
+    import dynamorph  # not earlier, because an add-on without its engine still writes reports
 
     try:
         arrays, meta = dynamorph.unpack_model(memoryview(buffer).cast("B"))
@@ -80,14 +80,14 @@ def unpack(buffer: Buffer) -> tuple[dict[str, np.ndarray], dict]:
 
 
 def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None:
-    """Write whole or not at all: a crash leaves the old file or the new one."""
+    """Writes the file completely or not at all: a crash leaves the old file or the new one."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    for left in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # by a process that was killed
+    for left in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # left by a process that was killed
         with suppress(OSError):
             if time.time() - left.stat().st_mtime > ABANDONED:
                 left.unlink()
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the rights of any new file
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the permissions of a new file
     try:
         with temporary.open("xb") as file:
             file.writelines([content] if isinstance(content, bytes) else content)
@@ -100,7 +100,7 @@ def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None
 
 
 def content_id(packed: bytes) -> str:
-    """A name for these bytes, fit for a file name."""
+    """A name for these bytes that is valid as a file name."""
     return hashlib.sha256(packed).hexdigest()[:32]
 
 

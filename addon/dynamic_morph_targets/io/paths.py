@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the files of a bake go by default. Never touches bpy."""
+"""Default paths of the files of a bake. Never touches bpy."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ UNSAFE = re.compile(r"[\x00-,./:-@[-^`{-\xfe]")  # in the names of files, as bpy
 
 
 def clean_name(name: str) -> str:
-    """What `bpy.path.clean_name` gives, for a thread, which must not ask it."""
+    """The result of `bpy.path.clean_name`, for threads, which must not call it."""
     return UNSAFE.sub("_", name)
 
 
 def file_path(file: str, name: str) -> Path:
-    """The file of an object, as named with `OBJECT` in the place of its name."""
+    """The file of an object: a path in which `OBJECT` is replaced by the object's name."""
     return Path(file.replace(OBJECT, clean_name(name))).resolve()
 
 
 def cache_path(folder: Path, name: str, content: str, sink: str) -> Path:
-    """Of a point cache: named by a hash of its content, so that none is changed that another .blend plays."""
+    """The path of a point cache. It is named by a hash of its content, so that no file changes that another .blend
+    plays.
+    """
     return file_path(str(folder / CACHE_FOLDER / f"{OBJECT}-{content[:12]}.{sink.lower()}"), name)

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..core.baked import Bake, samples_per_frame, surfaces
 
-ALIGNMENT = 64  # of the arrays in a clip, so that a program may use them where they are
-PADDING_FIELD = 0xD935  # of a ZIP entry's extra fields, as zipalign writes it
+ALIGNMENT = 64  # alignment of the arrays in a clip, so that a program can use them in place
+PADDING_FIELD = 0xD935  # tag of a ZIP entry's extra field, as zipalign writes it
 
 
 def point_cache(bake: Bake, vertices: np.ndarray) -> Iterator[bytes]:
@@ -47,7 +47,7 @@ def raw(bake: Bake, vertices: np.ndarray, fps: float) -> bytes:
         "details": bake.details,
         "coordinates": bake.coordinates,
         "weights": bake.weights,
-        "dry": bake.dry,
+        "dry": bake.static,
         "frames": bake.frames,
         "fps": [fps],
     }
@@ -56,7 +56,7 @@ def raw(bake: Bake, vertices: np.ndarray, fps: float) -> bytes:
         for name, array in arrays.items():
             npy = io.BytesIO()
             np.lib.format.write_array(npy, np.ascontiguousarray(array, "<f4"), version=(1, 0), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy")  # of 1980: the time would make other bytes
+            entry = zipfile.ZipInfo(f"{name}.npy")  # 1980, because the current time would change the bytes
             padding = -(buffer.tell() + 30 + len(entry.filename) + 4) % ALIGNMENT
             entry.extra = PADDING_FIELD.to_bytes(2, "little") + padding.to_bytes(2, "little") + bytes(padding)
             archive.writestr(entry, npy.getvalue())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reports of many bakes as one page: HTML to look at, JSON beside it for programs. Never touches bpy."""
+"""The reports of many bakes as one page: HTML for people, JSON beside it for programs. Never touches bpy."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def read(folder: Path) -> dict[str, dict]:
 
 
 def failures(reports: dict[str, dict], expected: int | None = None) -> list[str]:
-    """What is wrong with them, a line each. expected: how many there should be."""
+    """Everything that is wrong with the reports, one per line. expected: how many there should be."""
     found = [
         f"{name}: {report['error'] or report['exit_code']}" for name, report in reports.items() if report["exit_code"]
     ]

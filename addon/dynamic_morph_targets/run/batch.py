@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build and Bake as one path for the button, the command line and scripts; and where a built model is kept.
+"""Build and Bake as one path for the button, the command line and scripts.
 
-A job has three phases: `prepare` reads Blender, `compute` runs in a thread and never touches bpy, `commit` writes
-Blender all at once, so that it is one undo step and an error before it changes nothing.
+The work has three parts: `read` reads Blender, `compute` runs in threads that never touch bpy, `write` changes Blender
+all at once, so that it is one undo step and an error before it changes nothing.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from ..core.errors import Cancelled, SceneError
+from ..core.rig_samples import RigSamples
+from .bake_result import write_all
 from .job import Job
 
 running: Batch | None = None  # the work whose progress the panels draw
@@ -25,7 +27,7 @@ class Batch:
     goal: the button's, as in Job, or "BAKE_ALL".
     """
 
-    def __init__(self, jobs: list[Job], goal: str):
+    def __init__(self, jobs: Sequence[Job], goal: str):
         self.jobs = jobs
         self.goal = goal
         self.undone = False  # by the user, since it began
@@ -43,7 +45,7 @@ class Batch:
     def fraction(self) -> float:
         return sum(job.fraction for job in self.jobs) / len(self.jobs)
 
-    def cancel(self):
+    def cancel(self) -> None:
         for job in self.jobs:
             job.cancelled = True
 
@@ -51,41 +53,54 @@ class Batch:
         """The work, main thread. Yields when it has held that for about so many seconds, and every `pause` seconds
         while a thread computes. Raises Cancelled, SceneError and what the threads raise.
         """
+        yield from self.read(seconds, pause)
+        yield from self.compute(seconds, pause)
+        yield from self.write()
+
+    def read(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        """The first part of the work: all that the jobs begin with, and the first chunk of their rigs."""
         for job in self.jobs:
             self._at = job
             job.read()
             yield from self._turn(reading=True)
-        for job in filter(Job.needs_cage, self.jobs):
-            self._at = job
-            job.start_cage()
-            while not job.wait(pause):
-                yield from self._turn(reading=True)
         for job in self.jobs:
-            self._at = job
-            while not job.sample(seconds):
-                yield from self._turn(reading=True)
-        for job in self.jobs:
-            self._at = job
-            yield from self._computed(job, pause)
-            while job.go_on():
-                yield from self._turn(reading=True)
-                while not job.sample(seconds):
+            if job.computation.needs_cage:
+                self._at = job
+                job.start_cage()
+                while not job.wait(pause):
                     yield from self._turn(reading=True)
+        for job in self.jobs:
+            yield from self._sampled(job, seconds)
+
+    def compute(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
+        """The second part, for which the rest of the rigs is read. Nothing is written."""
+        for job in self.jobs:
+            yield from self._computed(job, pause)
+            while job.next_chunk():
+                yield from self._turn(reading=True)
+                yield from self._sampled(job, seconds)
                 yield from self._computed(job, pause)
+
+    def write(self) -> Iterator[None]:
+        """The last part, when all can be written: all of it, or nothing."""
         while waiting := next((job for job in self.jobs if job.must_wait()), None):
             self._at = waiting
             yield from self._turn()
-        for job in self.jobs:
-            job.target()
-        for job in self.jobs:
-            job.commit()
+        writers = [job.writer() for job in self.jobs]
+        write_all([writer for writer in writers if writer.request.stored])
+
+    def _sampled(self, job: Job, seconds: float) -> Iterator[None]:
+        self._at = job
+        while not job.sample(seconds):
+            yield from self._turn(reading=True)
 
     def _computed(self, job: Job, pause: float) -> Iterator[None]:
+        self._at = job
         job.start()
         while not job.wait(pause):
             yield from self._turn()
 
-    def _turn(self, reading=False) -> Iterator[None]:
+    def _turn(self, reading: bool = False) -> Iterator[None]:
         """The window's turn, and what came of it."""
         yield
         if self._at.cancelled:
@@ -93,12 +108,12 @@ class Batch:
         if reading and self.undone:
             raise SceneError(f"The scene was undone while '{self.name}' was read: nothing was written, start again")
 
-    def abandon(self):
+    def abandon(self) -> None:
         """Cancel, and leave the thread to end when the engine notices; what it comes to is dropped."""
         self.cancel()
         winding_down[:] = [thread for thread in (*winding_down, *self._threads()) if thread.is_alive()]
 
-    def stop(self):
+    def stop(self) -> None:
         """Cancel, and wait until the thread has left the engine."""
         self.cancel()
         for thread in self._threads():
@@ -108,15 +123,27 @@ class Batch:
         return [job.thread for job in self.jobs if job.thread.is_alive()]
 
 
-def run(job: Job, tick=None):
+def run(job: Job, tick: Callable[[Job], object] | None = None) -> None:
     """The whole job at once. tick(job) is called in the main thread about ten times a second."""
-    run_all(Batch([job], job.goal), tick and (lambda _batch: tick(job)))
+    run_all(Batch([job], job.request.goal), tick and (lambda _batch: tick(job)))
 
 
-def run_all(batch: Batch, tick=None):
+def run_all(batch: Batch, tick: Callable[[Batch], object] | None = None) -> None:
     """All jobs at once, or nothing. tick(batch): as in `run`."""
+    _exhaust(batch, batch.steps(), tick)
+
+
+def read_rig(job: Job) -> RigSamples:
+    """All that a job reads, at once, to be used otherwise: returns the rig."""
+    batch = Batch([job], job.request.goal)
+    _exhaust(batch, batch.read())
+    return job.take_rig()
+
+
+def _exhaust(batch: Batch, steps: Iterator[None], tick: Callable[[Batch], object] | None = None) -> None:
+    """All steps; if one fails, no thread is left."""
     try:
-        for _ in batch.steps():
+        for _ in steps:
             if tick:
                 tick(batch)
     except BaseException:
@@ -124,7 +151,7 @@ def run_all(batch: Batch, tick=None):
         raise
 
 
-def stop():
+def stop() -> None:
     """Cancel what runs, and wait until no thread is in the engine: Blender, its file or the add-on goes away."""
     global running
     if running:

@@ -14,65 +14,47 @@ import numpy as np
 from ..core import keys
 from ..core.baked import Bake
 from ..core.errors import ExportError, SceneError
-from ..core.settings import SimulationSettings
-from ..scene import skin
 from ..scene.references import rig_of
-from ..scene.skin import find
 from ..write import actions, live_key
 from ..write.actions import Clip, laid_out
 from ..write.bake import write_keys
 from ..write.exports import FORMATS, check_bake, check_place, frames_kept, stand_ins, write_file
 from . import batch
+from .bake_input import handles
 from .batch import run_all
+from .computation import of_meshes
 from .job import Job
 
 
 class ClipJob(Job):
-    """Simulates one of the clips with the model as it is built, and writes nothing: `result` and `carried` are it."""
-
-    settings: SimulationSettings
+    """Simulates one of the clips with the built model, and writes nothing: the result is in `result` and `carried`."""
 
     def __init__(self, obj: bpy.types.Object, clip: Clip, clips: Sequence[Clip]):
-        super().__init__(obj, "BAKE", frames=(clip.first, clip.last))
-        self.name = f"{obj.name}: {clip.name}"
-        self.clip, self._clips = clip, clips
+        name, frames = f"{obj.name}: {clip.name}", (clip.first, clip.last)
+        # The clip alone: before its first frame there is nothing to run up on.
+        changes = {"loop": clip.cyclic, "preroll_pose": "HELD", "samples": 1}
+        super().__init__(obj, "BAKE", frames, name=name, whole=True, stored=False, changes=changes)
+        self._clips = clips
 
-    def read(self, whole: bool = False) -> None:
-        super().read(whole=True)  # it may be a loop
+    def read(self) -> None:
+        super().read()
         if self.reasons:
             why = "; ".join(self.reasons)
             raise SceneError(f"The model of '{self.character.name}' is out of date ({why}): press Build Model first")
 
     def sample(self, seconds: float = np.inf) -> bool:
-        with laid_out(rig_of(skin.find(self.session_uid)), self._clips):
+        with laid_out(rig_of(self.request.target.find()), self._clips):
             return super().sample(seconds)
-
-    def commit(self) -> None:
-        self._probe = None
-
-    def _next_stretch(self, obj: bpy.types.Object) -> None:
-        """The clip alone: before its first frame there is nothing to run up on."""
-        self.settings = replace(self.settings, loop=self.clip.cyclic, preroll_pose="HELD", samples=1)
-        super()._next_stretch(obj)
-
-    def _read_kept(self, obj: bpy.types.Object) -> None:
-        """It becomes no part of the bake that there is."""
-
-    def _read_output(self, obj: bpy.types.Object) -> None:
-        """It becomes nothing in Blender."""
-
-    def _make_keys(self) -> None:
-        """It becomes keys together with the other clips: `joined`."""
 
 
 def joined(bakes: Sequence[Bake]) -> Bake:
-    """Bakes of one mesh by the same modes, one after the other in time. Raises SceneError."""
+    """Bakes of one mesh with the same modes, joined one after the other in time. Raises SceneError."""
     first = bakes[0]
     if not all(np.array_equal(bake.modes, first.modes) for bake in bakes):
         raise SceneError("Each clip has modes of its own, which the Full solver makes: choose the Reduced one")
     together = {
         name: np.concatenate([getattr(bake, name) for bake in bakes])
-        for name in ("frames", "coordinates", "weights", "dry")
+        for name in ("frames", "coordinates", "weights", "static")
     }
     return replace(first, **together)
 
@@ -89,7 +71,7 @@ def export(
 
     key: of FORMATS. takes: SCENE, the bake over `frames` (first, last), or ACTIONS, see `ActionsExport`; tick(batch) is
     then called about ten times a second. Selection, frame, keys and curves are afterwards as before. Raises
-    ExportError, OSError, and with ACTIONS as `jobs.run`.
+    ExportError, OSError, and with ACTIONS as `batch.run_all`.
     """
     if takes == "ACTIONS":
         batch = ActionsExport(obj, key, path)
@@ -106,7 +88,7 @@ class ActionsExport(batch.Batch):
     to `path`, whole or not at all: an animation for each, by its name, of bones and of shape keys that all clips share.
 
     It needs no bake, and leaves the one that there is as it is. key: of a format that skins. Raises ExportError, and as
-    `actions.clips_of` and `jobs.Batch`.
+    `actions.clips_of` and `batch.Batch`.
     """
 
     def __init__(self, obj: bpy.types.Object, key: str, path: Path):
@@ -125,19 +107,23 @@ class ActionsExport(batch.Batch):
 
     @property
     def warnings(self) -> list[str]:
-        return [f"{job.clip.name}: {warning}" for job in self.jobs for warning in job.warnings]
+        return [
+            f"{clip.name}: {text}" for clip, job in zip(self.clips, self.jobs, strict=True) for text in job.warnings
+        ]
 
-    def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
-        yield from super().steps(seconds, pause)
-        self._write_clips()
+    def write(self) -> Iterator[None]:
+        yield from super().write()
+        with self.jobs[0].request.scene.as_context():
+            self._write_clips()
 
     def _write_clips(self) -> None:
         obj, job = self.jobs[0].target(), self.jobs[0]
-        pieces = [find(follower.session_uid) for follower in job.followers]
-        wholes = [joined(each) for each in zip(*([job.result, *job.carried] for job in self.jobs), strict=True)]
+        pieces = [handle.find() for handle in handles(job.input.followers)]
+        outcomes = [job.outcome for job in self.jobs]
+        wholes = [joined(each) for each in zip(*([o.bake, *o.carried] for o in outcomes), strict=True)]
         budget = obj.dynamorph.output.keys
         wholes = [keys.with_fewer_keys(bake, budget) if budget else bake for bake in wholes]
-        bakes = [bake for whole in wholes for bake in job.of_meshes(whole)]
+        bakes = [bake for whole in wholes for bake in of_meshes(job.input, job.model, whole)]
         with ExitStack() as stack:
             stack.enter_context(frames_kept())
             stack.enter_context(actions.laid_out(rig_of(obj), self.clips))

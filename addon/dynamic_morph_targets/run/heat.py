@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the viewport colors the skin by: how far it moves away from the animation, and how firmly it is held.
 
-Values are one for each vertex of a mesh, 0 to 1; `overlays` draws them.
+There is one value from 0 to 1 for each vertex of a mesh; `overlays` draws them.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from functools import lru_cache
 import bpy
 import numpy as np
 
-from ..core import engine
+from ..core import engine, errors
 from ..core.errors import SceneError
 from ..scene import extract, model_store, references, skin
-from ..write import bake
+from ..write import bake_reading
 from . import live
 
-LIMIT = 0.05  # of the body's size, where Max Displacement is 0
-# Colors from 0 to 1 that those who see red and green alike can tell apart too, and the one beyond.
+LIMIT = 0.05  # of the body's size; used when Max Displacement is 0
+# Colors from 0 to 1, also for people who confuse red and green, and the color beyond 1.
 RAMP = np.array([[0.10, 0.14, 0.40], [0.13, 0.52, 0.62], [0.75, 0.83, 0.40], [0.99, 0.75, 0.22], [0.85, 0.20, 0.12]])
 BEYOND = np.array([1.0, 0.1, 0.9])
 
@@ -31,7 +31,7 @@ def colors(values: np.ndarray) -> np.ndarray:
 
 
 def limit_of(obj: bpy.types.Object) -> float:
-    """How far the skin may move, of the body's size."""
+    """The limit of the skin's displacement, of the body's size."""
     return obj.dynamorph.simulation.max_displacement or LIMIT
 
 
@@ -62,11 +62,13 @@ def _linear(obj: bpy.types.Object) -> np.ndarray:
 
 
 def _baked_motion(obj: bpy.types.Object) -> np.ndarray:
-    """Of the vertices (V, 3), local space: what the bake's keys add now, without what they add for the shapes alone."""
+    """The motion of the vertices (V, 3), local space: the present effect of the bake's keys without that of the shapes
+    alone.
+    """
     keys = obj.data.shape_keys
     render = bpy.context.scene.render
     time = bpy.context.scene.frame_current_final * render.frame_map_old / render.frame_map_new
-    shapes = bake.shape_curves(obj)
+    shapes = bake_reading.shape_curves(obj)
     basis = references.key_points(keys.reference_key)
     motion = np.zeros_like(basis)
     for reference in obj.dynamorph.bake.keys:
@@ -117,7 +119,7 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
             return f"'{obj.name}' has no model with a hold by thickness: set Hold to Thickness and build"
         character = extract.character(obj)
     except engine.expected_errors() as error:
-        return str(error)
+        return errors.sentence(error)
     on_skin = np.einsum("va,va->v", model.embedding_weights, model.hold[model.embedding_nodes]).clip(0.0, 1.0)
     if len(on_skin) != len(character.vertices):
         return f"'{obj.name}' has other vertices than its model: press Build Model"
@@ -125,6 +127,6 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
 
 
 def forget() -> None:
-    """Free what is kept of bakes and models."""
+    """Free the cached data of bakes and models."""
     _points.cache_clear()
     _holds.cache_clear()

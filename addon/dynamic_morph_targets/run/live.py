@@ -11,18 +11,20 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..core import engine
+from ..core import engine, errors, logger
 from ..scene import events, references, staleness
 from ..scene.skin import followers, soft_skins
 from ..write import bake, live_key, muting, regions, storage
 from .session import Session, simulation_settings, way_to_skin
 
-SCRUBBED = 0.02  # seconds between two looks whether the artist still drags through the timeline
+SCRUBBED = 0.02  # seconds between two checks whether the artist still drags through the timeline
 AWAY = {"EDIT", "SCULPT"}  # modes that show or hold a mesh of their own
 sessions: dict[int, Session] = {}  # by Object.session_uid
-_problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and how its model stood then
+_problems: dict[int, tuple[str, tuple[str, ...]]] = {}  # why an object does not play, and the state of its model then
 lent: set[int] = set()  # objects whose live key shows something else for a while
-_any_live: bool | None = None  # whether an object of this file is live; None: to be seen
+_hidden: list[int] = []  # session ids of the objects whose live key is hidden while their file is saved
+_asleep = True  # whether the extension was enabled and has not yet looked for what is live
+_any_live: bool | None = None  # whether an object of this file is live; None: not known yet
 
 
 # On, off, and the present frame ------------------------------------------------------------------------------------
@@ -32,22 +34,24 @@ def is_on(obj: bpy.types.Object) -> bool:
     return bool(obj.dynamorph.live.key.name) and obj.session_uid not in lent
 
 
-def obstacle(obj: bpy.types.Object) -> str:
-    """Why the flesh of an object cannot be shown, or ''; what it takes longer to see is raised by `turn_on`."""
+def disabled_reason(obj: bpy.types.Object) -> str:
+    """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by
+    `turn_on`.
+    """
     if obj.dynamorph.bake.exists:
-        return "The bake shows the motion already: press Free Bake first"
+        return "The bake shows the motion already: press Delete Bake first"
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 
 
 def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:
-    """Add the live key and show the present frame. Raises what keeps it from playing, before anything is changed.
+    """Add the live key and show the present frame. Raises what prevents it from playing, before anything is changed.
 
-    There must be no `obstacle`.
+    There must be no `disabled_reason`.
     """
     global _any_live
     session = Session(obj, scene)
-    session.flesh.add_keys(obj)
+    session.tissue.add_keys(obj)
     sessions[obj.session_uid], _any_live = session, True
     _problems.pop(obj.session_uid, None)
     follow(obj, scene)
@@ -61,7 +65,7 @@ def turn_off(obj: bpy.types.Object) -> None:
 
 
 def refresh(obj: bpy.types.Object) -> None:
-    """Show at once what was changed in the settings of an object, if it is live."""
+    """Show changed settings of an object at once, if it is live."""
     if is_on(obj):
         follow(obj, bpy.context.scene, arrives=False)
 
@@ -77,7 +81,7 @@ def _stated(obj: bpy.types.Object) -> tuple[str, ...]:
 
 
 def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) -> None:
-    """Show what the flesh does at the scene's time. What is in the way is kept, see `problem`."""
+    """Show the state of the soft skin at the scene's time. Problems are recorded, see `problem`."""
     uid, rig = obj.session_uid, references.rig_of(obj)
     if problem(obj) or obj.mode in AWAY or (rig and rig.mode == "EDIT"):
         return
@@ -86,17 +90,25 @@ def follow(obj: bpy.types.Object, scene: bpy.types.Scene, arrives: bool = True) 
         session = sessions.get(uid)
         if session is None or not session.fits(obj, settings):
             session = sessions[uid] = Session(obj, scene)
-            muting.show_target(obj, "")  # a target that came with another build: now Live shows it
-        if live_key.find(obj, session.flesh.skin.written) is None:
+            muting.show_target(obj, "")  # a target of another build, which Live now shows
+        if live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
             return
-        session.flesh.show(session.values(obj, settings, scene.frame_float, arrives))
-    except Exception as error:  # whatever it is: raised in a handler, it would be printed at every frame
-        sessions.pop(uid, None)
-        expected = isinstance(error, engine.expected_errors())
-        text = str(error) if expected else f"{type(error).__name__}: {error}"
-        _problems[uid] = text, _stated(obj)
-        events.redraw(events.PANELS)
+        if obj.data.library and live_key.is_hidden(obj):  # it was linked since: as it was saved
+            live_key.hide(obj, False)
+        session.tissue.show(session.values(obj, settings, scene.frame_float, arrives))
+    except engine.expected_errors() as error:
+        _stop(obj, errors.sentence(error))
+    except Exception as bug:  # raised in a handler, it would be printed at every frame
+        logger.log_once(bug)
+        _stop(obj, logger.bug_sentence(bug))
+
+
+def _stop(obj: bpy.types.Object, why: str) -> None:
+    """Stop Live of `obj` at what it shows now; the panel says why."""
+    sessions.pop(obj.session_uid, None)
+    _problems[obj.session_uid] = why, _stated(obj)
+    events.redraw(events.PANELS)
 
 
 def holds_still(scene: bpy.types.Scene) -> bool:
@@ -110,11 +122,13 @@ def holds_still(scene: bpy.types.Scene) -> bool:
 
 @persistent
 def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """frame_change_pre: what is written before Blender evaluates the frame does not make it do so twice.
+    """frame_change_pre: writing before Blender evaluates the frame does not make it evaluate twice.
 
-    The rig is not read from there but by itself, which changes frames too, in a scene of its own.
+    The rig is not read from there but separately, in a scene of its own, which changes frames too.
     """
     global _any_live
+    if _asleep:
+        _wake()
     if _any_live is None:
         _any_live = any(is_on(obj) for obj in soft_skins(bpy.data.objects))
     if not _any_live or scene != bpy.context.scene or holds_still(scene):
@@ -132,8 +146,9 @@ def _frame_changed(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | Non
 
 
 def is_scrubbing() -> bool:
-    """Whether the artist drags through the timeline of a window. Blender 5.2 crashes when a scene is removed from a
-    handler meanwhile, as reading the rig does.
+    """Whether the artist drags through the timeline of a window.
+
+    Blender 5.2 crashes when a handler removes a scene meanwhile, as reading the rig does.
     """
     return any(window.screen.is_scrubbing for window in bpy.context.window_manager.windows)
 
@@ -166,7 +181,7 @@ def _edited(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             session.rig_changed()
         if reskinned and way_to_skin(obj) != session.skinning:
             del sessions[obj.session_uid]
-        if is_on(obj) and live_key.find(obj, session.flesh.skin.written) is None:
+        if is_on(obj) and live_key.find(obj, session.tissue.skin.written) is None:
             turn_off(obj)
 
 
@@ -186,7 +201,7 @@ def _moves(update: bpy.types.DepsgraphUpdate) -> bool:
 
 @persistent
 def _undone(*_args: object) -> None:
-    """undo_post, redo_post. What was simulated stays true; how the rig moves may not."""
+    """undo_post, redo_post. The simulated frames stay valid; the motion of the rig may not."""
     global _any_live
     _any_live = None
     _problems.clear()
@@ -196,22 +211,60 @@ def _undone(*_args: object) -> None:
 
 @persistent
 def _loaded(*_args: object) -> None:
-    """load_post: the ids may be those of other objects now."""
-    global _any_live
-    _any_live = None
-    sessions.clear()
-    _problems.clear()
+    """load_post: the ids may now belong to other objects."""
+    _forget()
+    _wake()
 
 
 @persistent
 def _before_save(*_args: object) -> None:
-    """save_pre: note what the live keys look like, by which they are found after a rename."""
+    """save_pre: record the shapes of the live keys, which identify them after a rename, and hide the keys.
+
+    In a file that is opened without the extension, the skin would stay frozen at the last frame.
+    """
     skins = soft_skins(bpy.data.objects)
     for obj in [each for skin in skins for each in (skin, *followers(skin))]:
         block = live_key.find(obj)
         if block is not None and obj.library is None:
             blocks = obj.data.shape_keys.key_blocks
             obj.dynamorph.live.key.refer_to(blocks, blocks.find(block.name))
+    _hidden[:] = _hide()
+
+
+@persistent
+def _after_save(*_args: object) -> None:
+    """save_post, save_post_fail: show what was hidden for the file."""
+    for obj in soft_skins(bpy.data.objects):
+        if obj.session_uid in _hidden:
+            live_key.hide(obj, False)
+    _hidden.clear()
+
+
+def _hide() -> list[int]:
+    """Hide Live wherever it shows. Returns the session ids of those objects."""
+    # While add-ons are enabled Blender shows them no data: then there is nothing of ours to hide either.
+    skins = soft_skins(getattr(bpy.data, "objects", ()))
+    shown = [
+        obj for obj in skins if obj.library is None and obj.dynamorph.live.key.name and not live_key.is_hidden(obj)
+    ]
+    for obj in shown:
+        live_key.hide(obj, True)
+    return [obj.session_uid for obj in shown]
+
+
+def _wake() -> None:
+    """Show Live again where it was hidden when its file was saved, or when the add-on was disabled."""
+    global _asleep
+    _asleep = False
+    for obj in soft_skins(bpy.data.objects):
+        if obj.dynamorph.live.key.name and live_key.is_hidden(obj):
+            live_key.hide(obj, False)
+
+
+def _wake_late() -> None:
+    """By a timer, for when the add-on is enabled: then Blender does not show it its data yet."""
+    if _asleep:
+        _wake()
 
 
 HANDLERS = {
@@ -221,6 +274,8 @@ HANDLERS = {
     "redo_post": _undone,
     "load_post": _loaded,
     "save_pre": _before_save,
+    "save_post": _after_save,
+    "save_post_fail": _after_save,
 }
 
 
@@ -228,20 +283,32 @@ LISTENERS = {events.Event.SHOWN_CHANGED: refresh}
 
 
 def register() -> None:
+    global _asleep
     events.add(HANDLERS)
     events.subscribe(LISTENERS)
-    _loaded()
+    _forget()
+    _asleep = True
+    events.soon(_wake_late, 0.0)
 
 
 def unregister() -> None:
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)
-    events.forget(_after_scrubbing)
-    _loaded()
+    for look in (_after_scrubbing, _wake_late):
+        events.forget(look)
+    _forget()
+    _hide()
+
+
+def _forget() -> None:
+    global _any_live
+    _any_live = None
+    sessions.clear()
+    _problems.clear()
 
 
 def remove_soft_skin(obj: bpy.types.Object) -> None:
-    """Its targets, model and bake; shape keys and settings stay. Raises SinkError."""
+    """Remove its targets, model and bake; shape keys and settings stay. Raises SinkError."""
     turn_off(obj)
     bake.free(obj)
     muting.show_target(obj, "")

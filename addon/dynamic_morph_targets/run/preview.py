@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shake tests and single modes: a motion of the armature that nobody keyed, played at once."""
+"""Shake tests and single modes: a motion of the armature without keyframes, played at once."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ DELTAS = ("delta_location", "delta_rotation_euler", "delta_rotation_quaternion")
 
 
 class Preview:
-    """The live key lent to something that shows the flesh in motion for a while; the rig may be moved along.
-
+    """Borrows the live key for something that shows the soft skin in motion for a while; the rig may be moved along.
     Raises SceneError or SinkError.
     """
 
     def __init__(self, obj: bpy.types.Object, operator: type[Operator]):
+        rig_motion.check_not_rendering()
         self.name, self.label = operator.bl_idname, operator.bl_label
-        self.session_uid = obj.session_uid
-        self.flesh = session.Flesh(obj, bpy.context.scene)
+        self.object = skin.ObjectHandle.of(obj)
+        self.tissue = session.Tissue(obj, bpy.context.scene)
         self._movers: list[_Mover] = []
         self._was_live = live.is_on(obj)
         self._sculpt = obj.dynamorph.sculpt.shown.name
         if not self._was_live:
-            self.flesh.add_keys(obj)
-        live.lent.add(self.session_uid)
+            self.tissue.add_keys(obj)
+        live.lent.add(self.object.session_uid)
 
     def show(self, values: np.ndarray, transform: Matrix | None = None) -> None:
-        """values: see Flesh.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
-        obj = skin.find(self.session_uid)
-        if not self.flesh.show(values):
+        """values: see Tissue.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
+        obj = self.object.find()
+        if not self.tissue.show(values):
             raise SceneError("The live key was removed: the test stops")
         if transform is not None:
             self._movers = self._movers or [_Mover(moved) for moved in movers(obj)]
@@ -53,11 +53,11 @@ class Preview:
 
     def end(self) -> None:
         """Put everything back."""
-        live.lent.discard(self.session_uid)
+        live.lent.discard(self.object.session_uid)
         for mover in self._movers:
             mover.restore()
         with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
-            obj = skin.find(self.session_uid)
+            obj = self.object.find()
             if self._was_live:
                 live.refresh(obj)
             else:
@@ -66,17 +66,17 @@ class Preview:
 
 
 class _Mover:
-    """Moves an object by its delta transform, which is neither keyed nor changed by changing the frame."""
+    """Moves an object by its delta transform, which is neither keyed nor affected by frame changes."""
 
     def __init__(self, obj: bpy.types.Object):
-        self.session_uid = obj.session_uid
+        self.object = skin.ObjectHandle.of(obj)
         self.before = [getattr(obj, name).copy() for name in DELTAS]
         self.basis = obj.matrix_basis.copy()  # with the deltas
         self.parent = obj.matrix_world @ self.basis.inverted()
 
     def move(self, transform: Matrix) -> None:
         """transform: in world space, of the object as it stood."""
-        obj = skin.find(self.session_uid)
+        obj = self.object.find()
         moved = self.parent.inverted() @ transform @ self.parent @ self.basis
         turn = moved.to_quaternion() @ self.basis.to_quaternion().inverted()
         _, euler, quaternion = self.before
@@ -89,13 +89,13 @@ class _Mover:
 
     def restore(self) -> None:
         with suppress(SceneError):  # it was deleted
-            obj = skin.find(self.session_uid)
+            obj = self.object.find()
             for name, value in zip(DELTAS, self.before, strict=True):
                 setattr(obj, name, value)
 
 
 def _matrix(euler: Euler, order: str) -> Matrix:
-    """The rotation of an Euler property, which has the order of the object's own rotation whatever it says."""
+    """The rotation of an Euler property, which uses the order of the object's own rotation."""
     euler = euler.copy()
     euler.order = order
     return euler.to_matrix()
@@ -118,7 +118,7 @@ def is_running(operator: str) -> bool:
 
 
 def begin_preview(obj: bpy.types.Object, operator: type[Operator]) -> Preview:
-    """Ends the one that runs."""
+    """Also ends the running one."""
     global preview
     end_preview()
     preview = Preview(obj, operator)
@@ -150,19 +150,19 @@ def shake(kind: str, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shaken(
-    obj: bpy.types.Object, flesh: session.Flesh, kind: str, seconds: float = SECONDS
+    obj: bpy.types.Object, tissue: session.Tissue, kind: str, seconds: float = SECONDS
 ) -> tuple[RigSamples, np.ndarray]:
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
-    still = rig_motion.sample_present(obj, flesh.probe)
+    still = rig_motion.sample_present(obj, tissue.probe)
     rig_world = still.rig_world[0]
-    settings = flesh.player.settings
+    settings = tissue.player.settings
     count = 1 + round(seconds * settings.fps) * settings.substeps
     heights, angles = shake(kind, np.arange(count) * settings.step)
     transforms = np.array([Matrix.Rotation(angle, 4, "Z") for angle in angles])
     origin = rig_world[:3, 3]
     transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
-    transforms[:, 2, 3] += heights * flesh.player.size
+    transforms[:, 2, 3] += heights * tissue.player.size
     samples = still.moved(transforms)
     transforms[:, :3, 3] /= skin.unit_scale()
     return samples, transforms

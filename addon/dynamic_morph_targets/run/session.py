@@ -23,14 +23,16 @@ from ..write.reconcile import reconcile
 if TYPE_CHECKING:  # it needs the engine
     from ..core.player import Frame, State
 
-BLOCK = 16  # frames whose rig is read at once: to set up costs as much as five frames, more would be felt as a jerk
-CATCH_UP = 8  # frames that playback may drop: they are simulated all the same
-RIG_BYTES = 2**28  # of the rig's matrices that are kept, as reading them again takes a while
-KEPT = 250  # latest frames from which it can go on again, when settings are changed there
-STATE_BYTES = 2**28  # that those may take, where each has the transforms of nodes
+# Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
+# stutter.
+BLOCK = 16
+CATCH_UP = 8  # frames that playback may drop; they are simulated nevertheless
+RIG_BYTES = 2**28  # bytes of the rig's matrices that are kept, because reading them again takes a while
+KEPT = 250  # latest frames from which it can resume after a change of settings
+STATE_BYTES = 2**28  # bytes that those may take if each has the transforms of nodes
 
 
-class Flesh:
+class Tissue:
     """A built soft skin that can be stepped and shown. Raises SceneError when its model is not up to date."""
 
     def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
@@ -48,20 +50,21 @@ class Flesh:
         self.modes = len(modes)
         self.target_names = [target.name for target in self.character.by_method().targets]
         own, details = self.character.own, self.model.details
-        self.skin = Surface(obj, self.character.vertices[own], modes[:, own], details[:, own])
+        self.skin = Surface(skin.ObjectHandle.of(obj), self.character.vertices[own], modes[:, own], details[:, own])
         self.followers: list[Surface] = []
         for follower in extract.followers(obj, self.character):
             if follower.members:
                 moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
             else:
                 moved, kept = carrying.carried(self.model, nodes, follower)
-            self.followers.append(Surface(skin.find(follower.session_uid), follower.points, moved, kept))
+            handle = skin.ObjectHandle(follower.session_uid, follower.name)
+            self.followers.append(Surface(handle, follower.points, moved, kept))
 
     @property
-    def vertices(self) -> dict[int, int]:
-        """How many the meshes have that share the cage, by session_uid."""
-        parts = {part.session_uid: len(part.points) for part in self.character.parts}
-        return {self.skin.session_uid: self.character.own.stop} | parts
+    def vertices(self) -> dict[skin.ObjectHandle, int]:
+        """The number of vertices of each mesh that shares the cage, by session_uid."""
+        parts = {skin.ObjectHandle(part.session_uid, part.name): len(part.points) for part in self.character.parts}
+        return {self.skin.object: self.character.own.stop} | parts
 
     def values(self, frame: Frame) -> np.ndarray:
         """What `points` asks for: (r + J,) coordinates as shown, and target weights."""
@@ -73,7 +76,7 @@ class Flesh:
 
     def add_keys(self, obj: bpy.types.Object) -> None:
         """The live keys of the soft skin `obj` and of what follows it. Raises SinkError."""
-        live_key.add(obj, self.target_names, [skin.find(surface.session_uid) for surface in self.followers])
+        live_key.add(obj, self.target_names, [surface.object.find() for surface in self.followers])
 
     def show(self, values: np.ndarray) -> bool:
         """Write the live keys; False when that of the skin is gone."""
@@ -84,7 +87,7 @@ class Flesh:
         return shown
 
     def moved(self, values: np.ndarray) -> float:
-        """How far a point is, at most, from where the targets' shapes alone would have it: metres."""
+        """The largest distance of a point from where the targets' shapes alone would have it: meters."""
         to_bind, in_cage = self.character.to_bind, zip(self.followers, self.character.parts, strict=False)
         others = ((surface, to_bind @ np.linalg.inv(part.from_body)) for surface, part in in_cage)
         return max(
@@ -94,19 +97,19 @@ class Flesh:
 
     def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:
         """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""
-        motion = values[: self.modes] - self.player.dry(values[self.modes :])
+        motion = values[: self.modes] - self.player.static(values[self.modes :])
         return _blended(motion, surface.shapes[: self.modes]).reshape(-1, 3)
 
 
 class Surface:
-    """A mesh whose live key shows the flesh: the soft skin's own, or one that follows it.
+    """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
 
-    vertices (V, 3), modes (r, V, 3), details (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): what the key
-    shows.
+    vertices (V, 3), modes (r, V, 3), details (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): the points of
+    the key.
     """
 
-    def __init__(self, obj: bpy.types.Object, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
-        self.session_uid = obj.session_uid
+    def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
+        self.object = handle
         self.written: np.ndarray | None = None
         self._rest = vertices.astype(np.float32).ravel()
         shapes = np.concatenate([modes, details])
@@ -118,7 +121,7 @@ class Surface:
 
     def show(self, values: np.ndarray) -> bool:
         """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
-        block = live_key.find(skin.find(self.session_uid), self.written)
+        block = live_key.find(self.object.find(), self.written)
         if block is None or 3 * len(block.points) != len(self._rest):
             return False
         self.written = self.points(values)
@@ -127,7 +130,9 @@ class Surface:
 
 
 def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """(k,) times (k, 3 V), float32. Not by @, which wakes threads: where they have to wait, a hundred times as long."""
+    """(k,) times (k, 3 V), float32. Not with @, which wakes threads: if they must wait, it takes a hundred times as
+    long.
+    """
     return np.einsum("k,kv->v", values.astype(np.float32), shapes)
 
 
@@ -157,10 +162,10 @@ class Rig:
 
 
 class Session:
-    """One object that plays: what is simulated of it since it last began, and how to go on."""
+    """One object that plays: its simulation since it last began, and the state from which it continues."""
 
     def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
-        self.flesh = Flesh(obj, scene)
+        self.tissue = Tissue(obj, scene)
         self.content_id = obj.dynamorph.model.content_id
         self.first = self.last = 0  # frames simulated from and to, while there are any
         self.now: int | None = None  # the one that shows, or just before
@@ -169,40 +174,40 @@ class Session:
         self.skinning = way_to_skin(obj)
         self._placing, self._material = _placing(obj), _materials(obj)
         self._sampled = _sampling(obj)
-        settings = self.flesh.player.settings
-        moving = len(self.flesh.probe.rest) if self.flesh.probe else 1
+        settings = self.tissue.player.settings
+        moving = len(self.tissue.probe.rest) if self.tissue.probe else 1
         self._kept = min(KEPT, max(1, STATE_BYTES // (4 * 96 * moving)))
-        self.rig = Rig(settings.start, settings.substeps, self.flesh.character.skeleton, self.flesh.probe)
+        self.rig = Rig(settings.start, settings.substeps, self.tissue.character.skeleton, self.tissue.probe)
 
     def fits(self, obj: bpy.types.Object, settings: SimulationSettings) -> bool:
-        """Whether this is still a session of the object's model, with steps as long."""
-        mine = self.flesh.player.settings
+        """Whether this is still a session of the object's model, with the same time step."""
+        mine = self.tissue.player.settings
         same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
-        if self.flesh.probe and _placing(obj) != self._placing:
+        if self.tissue.probe and _placing(obj) != self._placing:
             return False  # the nodes were posed as the targets were captured
         return same and self.content_id == obj.dynamorph.model.content_id
 
     def values(self, obj: bpy.types.Object, settings: SimulationSettings, time: float, arrives: bool) -> np.ndarray:
-        """What `Flesh.show` asks for, at a frame or between two. arrives: the start of the range begins anew, else it
+        """What `Tissue.show` asks for, at a frame or between two. arrives: the start of the range begins anew, else it
         shows.
 
         Raises SceneError.
         """
-        self._heed(obj, settings)
+        self._sync_settings(obj, settings)
         before, share = math.floor(time), time % 1.0
         if share and self._frames and before + 1 == self.first:  # a shutter that opens before the first frame
             before, share = self.first, 0.0
         elif not share or before not in self._frames:
             self._reach(obj, before, arrives)
         self.now = before
-        values = self.flesh.values(self._frames[before])
+        values = self.tissue.values(self._frames[before])
         if share:  # as Blender goes between the keyframes of a bake
             if before == self.last:
                 self._advance(obj)
-            values += share * (self.flesh.values(self._frames[before + 1]) - values)
-        if not np.isfinite(values).all():  # Python and drivers can set a gain to anything
+            values += share * (self.tissue.values(self._frames[before + 1]) - values)
+        if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise errors.SelfCheckError(
-                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' influence"
+                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' Motion Amount"
             )
         return values
 
@@ -210,54 +215,58 @@ class Session:
         """How far the points (V, 3) of each mesh are, at the frame that shows, from where the targets' shapes alone
         would have them: local space, by session_uid. Empty before the first frame.
         """
-        flesh = self.flesh
+        tissue = self.tissue
         if self.now not in self._frames:
             return {}
-        values = flesh.values(self._frames[self.now])
-        return {surface.session_uid: flesh.motion(values, surface) for surface in (flesh.skin, *flesh.followers)}
+        values = tissue.values(self._frames[self.now])
+        return {
+            surface.object.session_uid: tissue.motion(values, surface) for surface in (tissue.skin, *tissue.followers)
+        }
 
     def knows(self, time: float) -> bool:
-        """Whether a frame, or a time between two, is simulated already."""
+        """Whether a frame, or a time between two, has been simulated already."""
         return {math.floor(time), math.ceil(time)} <= self._frames.keys()
 
     def rig_changed(self) -> None:
-        """The rig moves otherwise from here on."""
+        """The rig moves differently from now on."""
         self.rig.forget()
         self._rewind()
 
-    def _heed(self, obj: bpy.types.Object, settings: SimulationSettings) -> None:
-        """Take over what the artist has changed; what was simulated beyond the frame that shows is then forgotten."""
+    def _sync_settings(self, obj: bpy.types.Object, settings: SimulationSettings) -> None:
+        """Apply what the artist has changed; the frames simulated after the one that shows are then dropped."""
         age = staleness.model_age(obj)
         if age:
             raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
-        for uid, count in self.flesh.vertices.items():
-            mesh = skin.find(uid).data
+        for handle, count in self.tissue.vertices.items():
+            mesh = handle.find().data
             if len(mesh.vertices) != count:
                 raise SceneError(
                     f"Mesh '{mesh.name}' has {len(mesh.vertices)} vertices, its model {count}: press Build Model"
                 )
         placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
-        player = self.flesh.player
+        player = self.tissue.player
         changed = (placing, materials) != (self._placing, self._material)
         if changed or _physics(settings) != _physics(player.settings):
             self._rewind()
             if placing != self._placing:
-                _, self.flesh.character = model_store.current_model(obj)
+                _, self.tissue.character = model_store.current_model(obj)
             else:
-                self.flesh.character = _with_materials(self.flesh.character, materials)
+                self.tissue.character = _with_materials(self.tissue.character, materials)
             self._placing, self._material = placing, materials
-            player = player.exchange(self.flesh.character, settings)
+            player = player.exchange(self.tissue.character, settings)
         if sampled != self._sampled:
             self._sampled = sampled
             self.rig_changed()
         player.settings, player.amounts.amount = settings, settings.amount
-        player.amounts.gains = _gains(obj, self.flesh.modes)
+        player.amounts.gains = _gains(obj, self.tissue.modes)
         player.amounts.influence = _influence(obj, player.character)
-        self.flesh.player = player
+        self.tissue.player = player
 
     def _reach(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
-        """Have a frame simulated: from the last one on, or where playback cannot have come from there, begin at it."""
-        settings = self.flesh.player.settings
+        """Simulate up to a frame: from the last one on, or, if playback cannot have come from there, beginning at
+        it.
+        """
+        settings = self.tissue.player.settings
         starts = arrives and number == settings.start
         if starts and settings.loop and self._frames and settings.end - CATCH_UP <= self.last <= settings.end:
             while self.last < settings.end:
@@ -270,7 +279,7 @@ class Session:
 
     def _run_up(self, obj: bpy.types.Object, number: int) -> None:
         """Begin at a frame as a bake that starts there does."""
-        player = self.flesh.player
+        player = self.tissue.player
         first = number - player.settings.run_up
         frame = player.begin(self.rig.after(obj, first))
         for before in range(first, number):
@@ -279,10 +288,10 @@ class Session:
 
     def _begin_again(self, obj: bpy.types.Object) -> None:
         """From the end of a cycle to its start, without a jump."""
-        settings = self.flesh.player.settings
+        settings = self.tissue.player.settings
         first, last = (self.rig.after(obj, frame)[:1] for frame in (settings.start, settings.end))
-        cycle = first.and_then(last)
-        self._start(settings.start, self.flesh.player.begin_again(cycle, self._frames[settings.end]))
+        cycle = first.concatenate(last)
+        self._start(settings.start, self.tissue.player.begin_again(cycle, self._frames[settings.end]))
 
     def _start(self, number: int, frame: Frame) -> None:
         self._frames, self._states = {}, {}
@@ -291,14 +300,14 @@ class Session:
 
     def _advance(self, obj: bpy.types.Object) -> None:
         number = self.last + 1
-        self._keep(number, self.flesh.player.advance(self.rig.after(obj, self.last)[1:], number))
+        self._keep(number, self.tissue.player.advance(self.rig.after(obj, self.last)[1:], number))
 
     def _keep(self, number: int, frame: Frame) -> None:
         self._frames[number], self.last = frame, number
-        self._states[number % self._kept] = number, self.flesh.player.state
+        self._states[number % self._kept] = number, self.tissue.player.state
 
     def _rewind(self) -> None:
-        """Forget the frames after the one that shows; if its state is no longer kept, all of them."""
+        """Drop the frames after the one that shows; if its state is no longer stored, all of them."""
         now = self.now
         if now == self.last:
             return
@@ -306,13 +315,13 @@ class Session:
         if now is None or kept is None or kept[0] != now:
             self._frames = {}
             return
-        self.flesh.player.state = kept[1]
+        self.tissue.player.state = kept[1]
         self._frames = {k: frame for k, frame in self._frames.items() if k <= now}
         self.last = now
 
 
 def simulation_settings(obj: bpy.types.Object, scene: bpy.types.Scene) -> SimulationSettings:
-    """As `extract.simulation_settings`, of which whole frames show."""
+    """`run_settings.simulation_settings` without samples between frames."""
     return replace(run_settings.simulation_settings(obj, scene), samples=1)
 
 
@@ -370,6 +379,6 @@ def _with_materials(character: Character, materials: dict[str, Material]) -> Cha
 
 
 def way_to_skin(obj: bpy.types.Object) -> tuple:
-    """What the way from the rig to the skin depends on besides weights."""
+    """What the mapping from the rig to the skin depends on besides weights."""
     rig = references.rig_of(obj)
     return rig and references.bones_key(rig.data), skinning.skinning_settings(obj)

@@ -1,31 +1,34 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Handlers that notice what ages models and bakes, and what a running job must hear of."""
+"""Handlers that notice edits which outdate models and bakes, and events that concern a running job."""
 
 from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import events, rig_motion, skin, staleness
+from ..scene import events, model_store, references, rig_motion, skin, staleness
 from ..scene.references import rig_of
 from ..scene.skin import soft_skins
 from ..write import bake_influence, storage, targets
 from ..write.reconcile import reconcile
-from . import batch, live
+from . import batch, heat, live
 
-PATIENCE = 1.0  # seconds without an edit, after which it is looked at
-OWNER = object()  # of the subscriptions
+PATIENCE = 1.0  # seconds without an edit before the check
+OWNER = object()  # owner of the subscriptions
 
 
 @persistent
 def _before_load(*_args: object) -> None:
-    """load_pre: the job's results would have nowhere to go."""
+    """load_pre: the job's results would have no place to go, and what is kept in memory belongs to nothing any more."""
     batch.stop()
+    model_store.forget()
+    references.forget()
+    heat.forget()
 
 
 @persistent
 def _after_undo(*_args: object) -> None:
-    """undo_post, redo_post: what a job has read so far is of another scene, and curves are others again."""
+    """undo_post, redo_post: what a job has read so far belongs to another scene, and the curves have changed."""
     if batch.running:
         batch.running.undone = True
     events.soon(_look_at_animations, PATIENCE)
@@ -66,7 +69,7 @@ def _changed(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 def look_soon() -> None:
-    """Look a while later whether the models still fit their meshes and cages."""
+    """Check a while later whether the models still fit their meshes and cages."""
     events.soon(_look_at_meshes, PATIENCE)
 
 
@@ -128,7 +131,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    batch.stop()
+    _before_load()
     bpy.msgbus.clear_by_owner(OWNER)
     events.unsubscribe(LISTENERS)
     events.remove(HANDLERS)

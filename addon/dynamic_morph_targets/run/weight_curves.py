@@ -25,12 +25,12 @@ from ..scene import checks, events, references, rig_motion, skin
 from ..scene.references import bones_key
 from . import batch
 
-PATIENCE = 0.5  # seconds without an edit, after which the graph is brought up to date
+PATIENCE = 0.5  # seconds without an edit before the graph is updated
 SLICE = 0.02  # seconds of reading frames, between which Blender does other things
 
 
 def space_of(obj: bpy.types.Object) -> Space:
-    """The pose space of `obj` as it is authored now. Raises what tells the artist why there is none."""
+    """The pose space of `obj` as it is authored now. Raises errors that tell the artist why there is none."""
     rig = checks.armature_modifier(obj).object
     targets = _placed_targets(obj)
     placing = {rig.data.bones.get(name) for target in targets for name in target.bone_names()} - {None}
@@ -70,7 +70,7 @@ def _space(session_uid: int, _authored: tuple) -> Space:
 
 
 def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Influence:
-    """At the evaluated pose, F = 1. Raises what `jobs.expected_errors` names."""
+    """At the evaluated pose, F = 1. Raises the exceptions of `engine.expected_errors`."""
     space = space_of(obj)
     rig = checks.armature_modifier(obj).object.evaluated_get(depsgraph)
     if len(rig.pose.bones) != len(space.order):
@@ -83,9 +83,8 @@ def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Influe
 
 @dataclass(eq=False)
 class Shot:
-    """An armature's evaluated poses (F, B, 4, 4) from frame `start` on, of a skeleton with these bones.
-
-    stale: an animation was edited since. problem: why there are no poses.
+    """An armature's evaluated poses (F, B, 4, 4) from frame `start` on, for a skeleton with these bones. stale: an
+    animation was edited since. problem: why there are no poses.
     """
 
     start: int
@@ -100,7 +99,7 @@ shots: dict[int, Shot] = {}  # by the armature object's session_uid
 
 
 class Reading:
-    """An armature that is read frame after frame, from start to end, until it is a shot."""
+    """An armature that is read frame by frame, from start to end, until it is a shot."""
 
     def __init__(self, obj: bpy.types.Object, start: int, end: int):
         rig = checks.armature_modifier(obj).object
@@ -111,7 +110,9 @@ class Reading:
         self._sampling: rig_motion.RigSampling | None = None
 
     def advance(self, obj: bpy.types.Object, seconds: float = np.inf) -> bool:
-        """Read on for about so long; True when all is read. Raises SceneError, which the shot remembers."""
+        """Reads on for about so many seconds; True when everything is read. Raises SceneError, which the shot
+        records.
+        """
         try:
             if self._sampling is None:
                 self._sampling = rig_motion.RigSampling(obj, self._shot.start, self._shot.end, 1)
@@ -138,7 +139,7 @@ def curves(obj: bpy.types.Object, start: int, end: int) -> Influence:
 
 
 def drawn(obj: bpy.types.Object) -> tuple[Shot, Influence] | None:
-    """What is known of the frames, by the present targets; evaluates nothing. Raises as `weights_now` does."""
+    """The known frames with the present targets; evaluates nothing. Raises like `weights_now`."""
     rig = checks.armature_modifier(obj).object
     shot = shots.get(rig.session_uid)
     if shot is None or not len(shot.pose) or shot.bones != bones_key(rig.data):
@@ -165,7 +166,7 @@ _reading: Reading | None = None  # for the graph
 
 
 def update_soon(wait: float = PATIENCE) -> None:
-    """Bring the graph up to date when nothing has asked for it in the meantime."""
+    """Update the graph unless something needs it earlier."""
     events.soon(_update, wait)
 
 
@@ -226,7 +227,9 @@ _bars_drawn = False  # since the last change of frame
 
 
 def follow_frames() -> None:
-    """Called where bars are drawn: draw them again at the next frame. Blender plays without redrawing the sidebar."""
+    """Called where bars are drawn: redraws them at the next frame, because Blender plays without redrawing the
+    sidebar.
+    """
     global _bars_drawn
     _bars_drawn = True
 

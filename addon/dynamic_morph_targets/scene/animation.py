@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The animation of an object and its shape keys: curves, keyed and driven values, and what of it has changed."""
+"""The animation of an object and its shape keys: curves, keyed and driven values, and what has changed in it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def curves(action, slot) -> list:
 
 
 def keys_of(obj):
-    """The shape keys of `obj`, by name too; empty when the artist has removed all."""
+    """The shape keys of `obj` by name; empty when the artist has removed all of them."""
     return obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
 
 
@@ -30,7 +30,7 @@ def baked_keys(obj) -> set[str]:
 
 
 def moving_keys(obj) -> list[str]:
-    """The keys that count: not muted, and with a curve, a driver, or a value."""
+    """The keys with an effect: not muted, and with a curve, a driver or a value."""
     animated = baked_keys(obj) | driven_keys(obj) | _played_keys(obj)
     return [name for name, key in list(keys_of(obj).items())[1:] if not key.mute and (key.value or name in animated)]
 
@@ -55,7 +55,7 @@ def _keys_at(obj, paths) -> set[str]:
 
 
 def source_files() -> list[Path]:
-    """The files that hold what moves the scene: the .blend, its libraries and caches."""
+    """The files that contain what moves the scene: the .blend, its libraries and caches."""
     outside = (*bpy.data.libraries, *bpy.data.cache_files)
     files = [bpy.data.filepath, *(bpy.path.abspath(each.filepath, library=each.library) for each in outside)]
     return [Path(file) for file in files]
@@ -68,7 +68,7 @@ STRIP_FIELDS = (
 
 
 def animation(obj) -> list[tuple[str, str]]:
-    """(name, hash of the F-curves and NLA strips) of the objects that move the skin: all and their parents."""
+    """(name, hash of the F-curves and NLA strips) of the objects that move the skin, including all their parents."""
     moving = []
     for mover in (rig_of(obj), obj, *(modifier.object for modifier in skinning.armature_modifiers(obj))):
         while mover is not None and mover not in moving:

@@ -31,106 +31,114 @@ class DynamorphLive(PropertyGroup):
     muted: CollectionProperty(name="Muted", description="Target keys that Live muted", type=DynamorphKey)
     slot: EnumProperty(
         name="Slot", description="Which of two sets of settings is in use",
-        items=(("A", "A", "Settings A"), ("B", "B", "Settings B")), default="A",
+        items=(("A", "A", "The first set of settings", 0), ("B", "B", "The second set of settings", 1)), default="A",
     )  # fmt: skip
     other: StringProperty(name="Other Slot", description="The settings of the slot that is not in use, as JSON")
-    checks: StringProperty(name="Targets", description="How far each target is missed, a line each")
+    checks: StringProperty(
+        name="Targets", description="How far the skin at rest is from each target's shape, one target per line"
+    )
 
 
 class DynamorphSimulation(PropertyGroup):
     """How a shot is simulated."""
 
     use_scene_range: BoolProperty(
-        name="Scene Range", description="Bake the frames of the scene", default=True, override=OVERRIDE
+        name="Scene Range", description="Bake the frame range of the scene", default=True, override=OVERRIDE
     )
-    start: IntProperty(name="Start", description="First frame", default=1, override=OVERRIDE)
-    end: IntProperty(name="End", description="Last frame", default=250, override=OVERRIDE)
+    start: IntProperty(name="Frame Start", description="First frame of the bake", default=1, override=OVERRIDE)
+    end: IntProperty(name="Frame End", description="Last frame of the bake", default=250, override=OVERRIDE)
     substeps: IntProperty(
-        name="Substeps",
-        description="Steps a frame; 0 chooses as many as keep a step below 1/120 s",
+        name="Substeps Per Frame",
+        description="How many time steps the simulation takes per frame. 0 takes as many as keep a step below 1/120 s. "
+        "Raise it where steps do not converge",
         default=0, min=0, max=1000, soft_max=20, override=OVERRIDE,
     )  # fmt: skip
     samples: IntProperty(
-        name="Samples",
-        description="Times a frame at which the motion is kept, so that motion blur sees it swing between two frames. "
-        "Substeps are rounded up to a multiple",
+        name="Samples Per Frame",
+        description="How many states per frame are kept. Raise it for motion blur, which then follows the swing "
+        "between two frames. The substeps are rounded up to a multiple",
         default=1, min=1, max=32, soft_max=8, override=OVERRIDE,
     )  # fmt: skip
     scheme: EnumProperty(
-        name="Scheme",
-        description="Time integration",
+        name="Integrator",
+        description="How the simulation steps through time",
         items=(
-            ("BDF2", "BDF2", "Second order: keeps the bounce"),
-            ("EULER", "Implicit Euler", "First order: damps strongly"),
+            ("BDF2", "BDF2", "Second order. It keeps the bounce", 0),
+            ("EULER", "Implicit Euler", "First order. It damps the motion strongly", 1),
         ),
         default="BDF2", override=OVERRIDE,
     )  # fmt: skip
     gravity: FloatProperty(
         name="Gravity",
-        description="Factor on the scene's gravity. Targets do not sag: in a target's own pose and tilt it is balanced",
+        description="Multiplies the scene's gravity. The sculpted shapes do not sag: in a target's own pose and "
+        "orientation, gravity is in balance",
         default=1.0, min=-10.0, max=10.0, soft_min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
     fields: FloatProperty(
         name="Force Fields",
-        description="Factor on the scene's Wind and Force fields, whose strength is newtons on a square metre of skin",
+        description="Multiplies the scene's Wind and Force fields. Their strength is newtons per square meter of skin",
         default=1.0, min=0.0, soft_max=1.0, override=OVERRIDE,
     )  # fmt: skip
     amount: FloatProperty(
         name="Amount",
-        description="How much of the motion shows, in Live and in the next bake: 0 none, 1 as simulated",
+        description="How much of the motion shows, in Live and in the next bake. 0 shows none, 1 shows it as simulated",
         default=1.0, min=0.0, max=4.0, soft_max=2.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     max_displacement: FloatProperty(
         name="Max Displacement",
-        description="How far the skin may move away from the animation, as a part of the body's size. The first bake "
-        "of a shot rehearses it and raises Bounce until this holds. 0: no limit",
+        description="How far the skin may move away from the animation, as a fraction of the body's size. The first "
+        "bake of a shot rehearses it and raises Bounce until the skin stays within the limit. 0 is no limit",
         default=0.0, min=0.0, max=1.0, soft_max=0.2, precision=3, subtype="FACTOR", override=OVERRIDE,
     )  # fmt: skip
     max_thickness: FloatProperty(
         name="Of Thickness",
-        description="How far the skin may move away from the animation, as a part of how thick the body is there. "
-        "0: no limit",
+        description="How far the skin may move away from the animation, as a fraction of the body's thickness at that "
+        "place. 0 is no limit",
         default=0.0, min=0.0, max=10.0, soft_max=1.0, precision=2, subtype="FACTOR", override=OVERRIDE,
     )  # fmt: skip
     rehearsed: StringProperty(
-        name="Rehearsed", description="What the rehearsal of the shot has set, for the artist", override=OVERRIDE
+        name="Rehearsed", description="What the rehearsal of the shot has changed", override=OVERRIDE
     )
     begin: EnumProperty(
-        name="Begin",
-        description="What the flesh does before the first frame",
+        name="Initial State",
+        description="The state of the soft tissue at the first frame",
         items=(
-            ("REST", "Rest", "It has the targets' shape, at rest, and the first motion hits it"),
-            ("SETTLE", "Settle", "It is in balance with gravity, and moves with the rig as if that had always moved"),
+            ("REST", "Rest Shape", "It starts in the targets' shape without motion, so the first motion hits it", 0),
+            (
+                "SETTLE", "Settled",
+                "It is in balance with gravity and moves with the rig as if the rig had always moved",
+                1,
+            ),
         ),
         default="SETTLE", override=OVERRIDE,
     )  # fmt: skip
     preroll: IntProperty(
-        name="Pre-Roll", description="Frames that are simulated before the start",
+        name="Pre-Roll", description="How many frames are simulated before the first frame",
         default=0, min=0, max=10_000, soft_max=100, override=OVERRIDE,
     )  # fmt: skip
     preroll_pose: EnumProperty(
         name="Pre-Roll Pose",
-        description="What the rig does in the frames before the start. A loop needs no animated ones",
+        description="What the rig does in the pre-roll frames. A loop needs no animated pre-roll",
         items=(
-            ("HELD", "Held", "It holds the pose of the start"),
-            ("ANIMATED", "Animated", "It moves as its animation says: by keyframes before the start, or extrapolated"),
+            ("HELD", "Held", "It holds the pose of the first frame", 0),
+            ("ANIMATED", "Animated", "It plays its animation before the first frame, keyframed or extrapolated", 1),
         ),
         default="HELD", override=OVERRIDE,
     )  # fmt: skip
     keep_outside: BoolProperty(
         name="Keep Other Frames",
-        description="Bake the range into the last bake, of which the other frames stay as they are. The rig runs up to "
-        "the range for a second, and where the two meet they are blended",
+        description="Bake this range into the last bake and keep its other frames. The simulation starts one second "
+        "before the range, and the two are blended where they meet",
         override=OVERRIDE,
     )  # fmt: skip
     loop: BoolProperty(
-        name="Loop", description="The range is a cycle: its last frame continues with its first, without a jump",
+        name="Loop", description="Make the range a cycle, whose last frame continues with its first without a jump",
         override=OVERRIDE,
     )  # fmt: skip
 
     @property
     def is_patch(self) -> bool:
-        """Whether the range is to go into the last bake."""
+        """Whether the range goes into the last bake."""
         return self.keep_outside and not self.use_scene_range
 
     def steps_per_frame(self, fps: float) -> int:
@@ -141,28 +149,34 @@ class DynamorphOutput(PropertyGroup):
     """What a bake becomes."""
 
     sink: EnumProperty(
-        name="Bake To", description="What plays the motion in Blender",
+        name="Bake To", description="What stores the motion and plays it in Blender",
         items=(
-            ("MODES", "Shape Keys", "A few keys, the modes, with a curve each: small, editable, for engines too"),
-            ("FRAMES", "Shape Key a Frame", "The surface at single frames as keys, and curves that blend them"),
-            ("PC2", "Point Cache (PC2)", "A file with the surface at every frame, played by a Mesh Cache modifier"),
-            ("MDD", "Point Cache (MDD)", "As PC2, for programs that read only that"),
+            (
+                "MODES", "Shape Keys",
+                "One key and one curve per mode. They are small, editable and suit game engines",
+                0,
+            ),
+            ("FRAMES", "Shape Key Per Frame", "The surface at single frames as keys, and curves that blend them", 1),
+            ("PC2", "Point Cache (PC2)", "A file with the surface at every frame, played by a Mesh Cache modifier", 2),
+            ("MDD", "Point Cache (MDD)", "The same as PC2, for programs that read only MDD", 3),
         ),
         default=OutputSettings.sink, override=OVERRIDE,
     )  # fmt: skip
     keys: IntProperty(
         name="Keys",
-        description="How many shape keys the motion may take; the best for this shot are found. 0: one for each mode",
+        description="How many shape keys the motion may take. The bake finds the best ones for this shot. 0 makes one "
+        "per mode",
         default=OutputSettings.keys, min=0, soft_max=32, override=OVERRIDE,
     )  # fmt: skip
     every: IntProperty(
-        name="Frame Step", description="Frames from one key to the next", default=OutputSettings.every,
+        name="Frame Step",
+        description="How many frames there are from one key to the next", default=OutputSettings.every,
         min=1, soft_max=10, override=OVERRIDE,
     )  # fmt: skip
     tolerance: FloatProperty(
         name="Tolerance",
-        description="How far the surface may be off between keys, which then are where they are needed. 0: a key at "
-        "regular frames",
+        description="How far the surface may be off between keys. Keys are then placed where they are needed. 0 "
+        "places them at regular frames",
         default=OutputSettings.tolerance, min=0.0, soft_max=0.01, precision=4, subtype="DISTANCE", override=OVERRIDE,
     )  # fmt: skip
 
@@ -172,7 +186,7 @@ class DynamorphOutput(PropertyGroup):
 
 
 class DynamorphBake(PropertyGroup):
-    """What a bake changed, so that Free Bake can undo exactly that."""
+    """What a bake changed, so that Delete Bake can undo exactly that."""
 
     keys: CollectionProperty(name="Keys", description="Shape keys that the bake added", type=DynamorphKey)
     cache: StringProperty(name="Cache", description="File name of the point cache, if one plays the motion")
@@ -184,7 +198,7 @@ class DynamorphBake(PropertyGroup):
     active_index: IntProperty(name="Active Key", description="Index of the active shape key before the bake")
     basis: StringProperty(name="Basis", description="Hash of the Basis that the keys belong to")
     summary: StringProperty(name="Result", description="What the last bake made")
-    warnings: StringProperty(name="Warnings", description="Of the last bake, a line each")
+    warnings: StringProperty(name="Warnings", description="Warnings of the last bake, one per line")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
     verdict: StringProperty(name="Verdict", description="How believable the last bake looks, as JSON")
@@ -192,8 +206,8 @@ class DynamorphBake(PropertyGroup):
         name="Was Rendered", description="Whether renders showed the point cache before plain skinning was shown",
         default=True,
     )  # fmt: skip
-    content_id: StringProperty(name="Bake Id", description="Hash of all that the bake was made from")
-    digest: StringProperty(name="Result Id", description="Hash of what was simulated")
+    content_id: StringProperty(name="Bake Id", description="Hash of everything that the bake was made from")
+    digest: StringProperty(name="Result Id", description="Hash of the simulated motion")
 
     @property
     def exists(self) -> bool:
@@ -209,8 +223,8 @@ class DynamorphSculpt(PropertyGroup):
     in_editmode: BoolProperty(name="In Edit Mode", description="Whether Edit Mode showed the Armature modifier before")
     on_cage: BoolProperty(name="On Cage", description="Whether Edit Mode edited through the modifier before")
     key: PointerProperty(name="Key", description="The shape key that is sculpted", type=DynamorphKey)
-    is_new: BoolProperty(name="New", description="Whether it began with what the other targets show in its pose")
+    is_new: BoolProperty(name="New", description="Whether the key began as the blend of the other targets in its pose")
     shown: PointerProperty(
-        name="Shown", description="The target's shape key that is turned on to be looked at before there is a model",
+        name="Shown", description="The target's shape key that is turned on to show it before a model exists",
         type=DynamorphKey,
     )  # fmt: skip

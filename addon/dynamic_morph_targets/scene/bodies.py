@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Several meshes as one body: the soft skin's own, and those that are With Body or Held, in one cage.
+"""Several meshes as one body: the soft skin's own mesh, and those that are With Body or Held, in one cage.
 
 `extract.character` calls this for soft skins with One Cage. Reads only.
 """
@@ -19,7 +19,10 @@ from . import checks, mesh_data, rig_motion, skinning
 from .nearest import nearest
 from .skin import clothes_in, parts_in, parts_of
 
-NEAR, FAR = 0.03, 0.1  # body sizes: within the first, other meshes have all of the sculpt of the skin, beyond none
+NEAR, FAR = (
+    0.03,
+    0.1,
+)  # body sizes; within the first distance, other meshes take over the whole sculpt of the skin, beyond the second none
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class _Mesh:
 
 
 def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray) -> Character:
-    """The character `own` of the mesh of `obj` alone, with what belongs to its body. Raises SceneError.
+    """The character `own` of the mesh of `obj` alone, extended by the meshes of its body. Raises SceneError.
 
     groups: the vertex groups of `obj`; world, rig_world (4, 4): of it and its armature when the scene starts.
     """
@@ -60,7 +63,7 @@ def joined(obj, own: Character, groups, world: np.ndarray, rig_world: np.ndarray
         head = rigid.head_rigidity(own.skeleton, whole.weights, bind, whole.triangles, found)
         rigidity = np.maximum(rigidity, np.where(painted & (softness > 0.0), 0.0, head))
     softness, rigidity = softness[same], _most(rigidity, same)
-    if own.settings.hold == "BONES" or own.painted:  # then nothing asks how rigid the skin is
+    if own.settings.hold == "BONES" or own.painted:  # then nothing uses the rigidity of the skin
         softness = softness * (1.0 - rigidity)
     joint_bones = dict.fromkeys(
         bone for each in (obj, *(mesh.obj for mesh in meshes)) for bone in skinning.deforming_bones(each, rig)
@@ -106,9 +109,8 @@ def _read(obj, piece, rig, world: np.ndarray, own: Character) -> _Mesh:
 
 
 class _Whole:
-    """All meshes of a body together, and what the others take over from its own mesh.
-
-    slices: of the vertices of each mesh, the own one first.
+    """All meshes of a body together, and what the others inherit from its own mesh. slices: of the vertices of each
+    mesh, the own one first.
     """
 
     def __init__(self, obj, own: Character, groups, meshes: list[_Mesh], slices: list[slice]):
@@ -128,7 +130,7 @@ class _Whole:
         return found, found.distances / np.linalg.norm(np.ptp(bind, axis=0))
 
     def _carried(self, values: np.ndarray, beyond: float) -> np.ndarray:
-        """Values (V', ...) of the own mesh on all meshes: (V, ...); `beyond` far from its skin."""
+        """Values (V', ...) of the own mesh transferred to all meshes: (V, ...); `beyond` far from its skin."""
         if not self.meshes or not (values != beyond).any():
             shape = (len(self.vertices) - len(values), *values.shape[1:])
             return np.concatenate([values, np.full(shape, beyond)])
@@ -137,8 +139,8 @@ class _Whole:
         return np.concatenate([values, beyond + share * (found.carry(values) - beyond)])
 
     def painted(self, use: str, group: str, values: np.ndarray, neutral: float) -> tuple[np.ndarray, np.ndarray]:
-        """The values (V,) that the own mesh has (V',) by a painted group, and where (V,) they are painted. A mesh with
-        a group of that name has its own.
+        """The values (V,) of a painted group, from the own mesh (V',), and where (V,) they are painted. A mesh with a
+        group of that name keeps its own values.
         """
         found = self._carried(values, neutral)
         painted = np.zeros(len(found), bool)
@@ -173,7 +175,9 @@ class _Whole:
 
 
 def _attached(obj, own: Character, groups, meshes: list[_Mesh]) -> tuple[np.ndarray, np.ndarray]:
-    """The pieces (V,) of all meshes, as `Character.pieces`, and what (V,) of them is held. Raises SceneError."""
+    """The attachments (V,) of all meshes, like `Character.pieces`, and which (V,) of them are held. Raises
+    SceneError.
+    """
     pieces, held = [own.pieces.copy()], [_held(parts_in(obj), groups, len(own.vertices))]
     wholly = {piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice == "HELD"}
     for mesh in meshes:
@@ -200,10 +204,8 @@ def _coincident(bind: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
 
 
 def _closed_seams(pieces, held, same, beside, triangles) -> tuple[np.ndarray, np.ndarray]:
-    """Pieces and rigidity (V,), so that no seam opens: a point that is also one of something that the bones alone move
-    is moved by them too, and the skin around it is held.
-
-    beside (P,): the first vertex at each point of other rigid meshes.
+    """Attachments and rigidity (V,) without open seams: a point shared with something that only the bones move is also
+    moved by them, and the skin around it is held. beside (P,): the first vertex at each point of other rigid meshes.
     """
     still = np.isin(same, np.concatenate([same[pieces == -1], beside])) & (pieces >= 0)
     pieces = np.where(still, -1, pieces).astype(np.int32)
@@ -220,9 +222,8 @@ def _most(values: np.ndarray, same: np.ndarray) -> np.ndarray:
 
 
 def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
-    """Refuse a character that is rigid by what was found, unless the artist has said what is soft.
-
-    beside: bind-space points and triangles of what its bones alone move. Raises SceneError.
+    """Refuses a character that was found to be rigid, unless the artist has said what is soft. beside: bind-space
+    points and triangles of what only its bones move. Raises SceneError.
     """
     settings = obj.dynamorph
     if settings.soft_group or any(not piece.reason for piece in settings.pieces):
@@ -240,7 +241,7 @@ def _refuse_hard(obj, whole: _Whole, pieces, rigidity, beside):
 
 
 def beside_body(obj, rig, meshes, world: np.ndarray, rig_world: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Points (P, 3), in the local space of `obj` at rest, and triangles of the meshes that its bones alone move.
+    """Points (P, 3), in the local space of `obj` at rest, and triangles of the meshes that only its bones move.
 
     meshes: the objects that belong to its body; world, rig_world: as for `joined`. Raises SceneError.
     """
@@ -256,7 +257,7 @@ def beside_body(obj, rig, meshes, world: np.ndarray, rig_world: np.ndarray) -> l
 
 
 def _rest_world(other, rig, rig_world: np.ndarray) -> np.ndarray:
-    """World transform (4, 4), metres, of an object parented to the armature or its bones while that is at rest."""
+    """World transform (4, 4), meters, of an object parented to the armature or its bones while that is at rest."""
     if other == rig:
         return rig_world
     basis = np.array(other.matrix_parent_inverse) @ np.array(other.matrix_basis)

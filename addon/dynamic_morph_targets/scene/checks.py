@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What keeps a mesh from being simulated, and what is not likely to be meant, as data. Reads only.
+"""What prevents a mesh from being simulated, and what looks unintended, as data. Reads only.
 
-`problems`, `next_steps` and `notes` take a fraction of a millisecond, so that a panel asks them whenever it draws. What
-reads points, weights or poses is asked when a soft skin is added or built. What a fix does is in `setup_operators`.
+`problems`, `next_steps` and `notes` take a fraction of a millisecond, so a panel calls them whenever it draws. Checks
+that read points, weights or poses run when a soft skin is added or built. `write/fixes` has the fixes.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from .references import key_points, rig_of
 from .skin import cache_modifier
 from .skinning import armature_for, armature_modifiers, beyond_bones, deforming_bones, main_modifier
 
-SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets nearer than this in all bones together
-PLAUSIBLE = (0.02, 20.0)  # metres from corner to corner; a body of another size is probably not meant
-# Modifiers that may change the number of vertices: before the Armature they break the match with the shape keys.
+SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets that are nearer than this over all bones
+PLAUSIBLE = (0.02, 20.0)  # meters from corner to corner; a body of another size is probably unintended
+# Modifiers that may change the number of vertices. Before the Armature they break the match with the shape keys.
 GENERATING = {
     "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
     "NODES", "OCEAN", "PARTICLE_INSTANCE", "REMESH", "SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "VOLUME_TO_MESH", "WELD",
@@ -37,7 +37,7 @@ DEFORMING = {
 
 @dataclass(frozen=True)
 class Problem:
-    """text: what is wrong, with the object's name, and the remedy; fix: the key of `setup_operators.FIXES`, or ''."""
+    """text: what is wrong, with the object's name, and the remedy; fix: the key of `fixes.FIXES`, or ''."""
 
     text: str
     fix: str = ""
@@ -47,7 +47,7 @@ class Problem:
 
 
 def problems(obj) -> Iterator[Problem]:
-    """What keeps the mesh object `obj` from being simulated, in the order in which an artist would put it right."""
+    """What prevents the mesh object `obj` from being simulated, in the order in which an artist would fix it."""
     yield from mesh(obj)
     missing = list(skinning_problems(obj))
     yield from missing
@@ -65,7 +65,7 @@ def problems(obj) -> Iterator[Problem]:
 
 
 def next_steps(obj) -> Iterator[Problem]:
-    """What a soft skin needs besides before it can be built. The neutral target alone is enough, but not for Static."""
+    """What a soft skin lacks before it can be built. The neutral target alone is enough, except for Static."""
     if len(active_targets(obj)) >= 2 or obj.dynamorph.model.method != "STATIC":
         return
     if len(obj.dynamorph.targets) > 1:
@@ -81,7 +81,7 @@ def next_steps(obj) -> Iterator[Problem]:
 
 
 def hints(obj) -> Iterator[str]:
-    """What a soft skin could have besides, for who looks at its targets."""
+    """Suggestions for an artist who looks at the targets."""
     if len(obj.dynamorph.targets) == 1:
         yield (
             "The body is soft without targets. A target changes its shape and stiffness in a pose: pose the armature, "
@@ -90,7 +90,7 @@ def hints(obj) -> Iterator[str]:
 
 
 def notes(obj) -> Iterator[Problem]:
-    """What does not hinder a simulation, but will be ignored or will hide its result."""
+    """What does not prevent a simulation, but will be ignored or will hide its result."""
     for modifier in armature_modifiers(obj)[-1:]:
         for before in _modifiers_before(obj, modifier):
             if before.type in DEFORMING and before != cache_modifier(obj):
@@ -108,7 +108,7 @@ def notes(obj) -> Iterator[Problem]:
 
 
 def _scene_drivers(armature) -> Iterator[Problem]:
-    """Drivers of the rig that read a scene: it is sampled in a scene of its own, where they stand still."""
+    """Drivers of the rig that read a scene. The rig is sampled in a scene of its own, where they stand still."""
     owners = (owner.animation_data for owner in (armature, armature.data) if owner.animation_data)
     for variable in (each for owner in owners for curve in owner.drivers for each in curve.driver.variables):
         if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
@@ -120,7 +120,7 @@ def _scene_drivers(armature) -> Iterator[Problem]:
 
 
 def outgrown(obj) -> str:
-    """Says that the mesh was edited since its model was built, as far as the number of vertices tells; or ''."""
+    """A message if the mesh was edited since its model was built, judging by the number of vertices; otherwise ''."""
     model, count = obj.dynamorph.model, len(obj.data.vertices)
     if not model.content_id or model.vertices in (0, count):
         return ""
@@ -131,7 +131,7 @@ def outgrown(obj) -> str:
 
 
 def shared_mesh(obj) -> Iterator[Problem]:
-    """Yields nothing when `obj` has its mesh for itself."""
+    """Yields nothing when `obj` is the only user of its mesh."""
     users = obj.data.users - obj.data.use_fake_user
     if users > 1:
         yield Problem(
@@ -143,11 +143,13 @@ def shared_mesh(obj) -> Iterator[Problem]:
 
 def nothing_soft(obj) -> str:
     """Says that a character is rigid everywhere."""
-    return f"'{obj.name}': nothing soft found: paint Softness"
+    return f"'{obj.name}': nothing soft found: paint the Softness Map"
 
 
 def meshes_on(rig) -> list:
-    """The mesh objects of the scene that an armature moves: those it skins, and those that hang on it or its bones."""
+    """The mesh objects of the scene that an armature moves: those that it skins, and those parented to it or its
+    bones.
+    """
     hanging = set(rig.children_recursive)
     return [
         other
@@ -157,7 +159,7 @@ def meshes_on(rig) -> list:
 
 
 def follower(obj, piece) -> Iterator[Problem]:
-    """What keeps the mesh object `piece` from moving with the flesh of the soft skin `obj`."""
+    """What prevents the mesh object `piece` from moving with the soft skin `obj`."""
     body, armature = obj.name, rig_of(obj)
     modifiers = armature_modifiers(piece)
     if piece == obj:
@@ -174,7 +176,9 @@ def follower(obj, piece) -> Iterator[Problem]:
         yield Problem(f"'{piece.name}' is a soft skin of its own: choose Own Cage")
     elif piece.dynamorph.follows not in (None, obj):
         other = piece.dynamorph.follows.name
-        yield Problem(f"'{piece.name}' follows '{other}': free the bake of that first, or turn its Live off")
+        yield Problem(
+            f"'{piece.name}' follows '{other}': delete the bake of that soft skin first, or turn its Live off"
+        )
     if piece.mode == "EDIT":
         yield Problem(f"'{piece.name}' is in Edit Mode: leave it first")
     if not piece.data.vertices:
@@ -245,7 +249,7 @@ def _armature(armature):
 
 
 def _bones(obj, armature):
-    """Of each kind of problem only the first bone: its fix repairs all."""
+    """For each kind of problem only the first bone, because its fix repairs all of them."""
     bones = deforming_bones(obj, armature)
     if not bones:
         yield Problem(
@@ -269,7 +273,7 @@ def _keys(obj):
     targets = active_targets(obj)
     if keys is None:
         if len(targets) > 1:  # a bake, like Add Soft Skin, makes the Basis that it needs
-            yield Problem(f"'{obj.name}' has no shape keys: add a Basis and one key a target", "ADD_BASIS")
+            yield Problem(f"'{obj.name}' has no shape keys: add a Basis and one key per target", "ADD_BASIS")
         return
     if not keys.use_relative:
         yield Problem(
@@ -291,7 +295,7 @@ def _keys(obj):
 def shapes(obj) -> Iterator[Problem]:
     """Coordinates that are not numbers, in the Basis and the targets' keys."""
     keys = obj.data.shape_keys
-    if keys is None:  # there is only the mesh
+    if keys is None:  # only the mesh exists
         return
     for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in active_targets(obj)[1:])):
         bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
@@ -303,7 +307,7 @@ def shapes(obj) -> Iterator[Problem]:
 
 
 def poses(name: str, targets: tuple[Target, ...], skeleton: Skeleton) -> Iterator[Problem]:
-    """Targets of one set that the rotations of the targets' bones, and of no others, cannot tell apart."""
+    """Targets of one set that the rotations of the targets' bones alone cannot distinguish."""
     for target in targets[1:]:
         if not target.bones:
             yield Problem(
@@ -322,18 +326,18 @@ def poses(name: str, targets: tuple[Target, ...], skeleton: Skeleton) -> Iterato
 
 
 def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
-    """Whether targets with these transforms (B, 4, 4) of the bones that place them cannot be told apart."""
+    """Whether targets with these transforms (B, 4, 4) of the bones that place them cannot be distinguished."""
     return bool(np.linalg.norm(turned(first, second)) < SAME_POSE)
 
 
 def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray) -> Iterator[Problem]:
-    """Whether a body is likely to be meant as it is.
+    """Whether the size and the weights of a body look intended.
 
     vertices, to_bind: as of `Character`; left (V,): which of them no bone moves.
     """
     size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
     if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
-        yield Problem(f"'{name}' is {size:.3g} m long: check the scale, it will move like something of that size")
+        yield Problem(f"'{name}' is {size:.3g} m long and will move like something of that size: check the scale")
     count = int(left.sum())
     if count:
         yield Problem(

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import contextmanager
 from enum import Enum
 
 import bpy
 
 PANELS = {("VIEW_3D", "UI"), ("PROPERTIES", "WINDOW")}  # types of area and region
 VIEWS = {("VIEW_3D", "WINDOW")}
+EVALUATED = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsgraph_update_post")
 
 
 class Event(Enum):
@@ -29,8 +31,10 @@ def subscribe(listeners: dict[Event, Callable]):
 
 
 def unsubscribe(listeners: dict[Event, Callable]):
+    """Those of them that have subscribed."""
     for event, listener in listeners.items():
-        _listeners[event].remove(listener)
+        if listener in _listeners[event]:
+            _listeners[event].remove(listener)
 
 
 def emit(event: Event, *args):
@@ -45,8 +49,26 @@ def add(handlers: dict[str, Callable]):
 
 
 def remove(handlers: dict[str, Callable]):
+    """Those of them that were added."""
     for name, handler in handlers.items():
-        getattr(bpy.app.handlers, name).remove(handler)
+        if handler in getattr(bpy.app.handlers, name):
+            getattr(bpy.app.handlers, name).remove(handler)
+
+
+@contextmanager
+def unheard():
+    """What Blender evaluates meanwhile, in a scene of ours, is told to no handler: neither to those of other add-ons,
+    which would take its frames for the artist's, nor to ours.
+    """
+    told = [getattr(bpy.app.handlers, name) for name in EVALUATED]
+    kept = [list(handlers) for handlers in told]
+    for handlers in told:
+        handlers.clear()
+    try:
+        yield
+    finally:
+        for handlers, before in zip(told, kept, strict=True):
+            handlers[:] = before
 
 
 def soon(look: Callable, seconds: float):

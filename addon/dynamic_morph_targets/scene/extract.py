@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender scene -> scene_data. Reads only; what cannot be simulated is refused here, with the remedy.
+"""Blender scene -> Character. Reads only. What cannot be simulated is refused here, with the remedy.
 
-Skinning is Blender's: shape keys first, then the Armature modifier, weights normalised over the deforming bones.
+Skinning is Blender's: shape keys first, then the Armature modifier, weights normalized over the deforming bones.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from .references import rest_skeleton, rig_of
 from .rig_motion import at_rest, rig_scene
 from .skin import clothes_in, parts_in, unit_scale
 
-FAR = 0.1  # body sizes: what follows the flesh from further away does not move like it
+FAR = 0.1  # body sizes; a mesh farther away than this does not move like the tissue
 
 
 # The character -----------------------------------------------------------------------------------------------------
 
 
 def character(obj, without_targets=False) -> Character:
-    """The soft skin authored on `obj`, whose references `write.reconcile` has brought up to date. without_targets: the
-    neutral one is enough. Raises SceneError.
+    """The soft skin authored on `obj`, whose references `write.reconcile` has updated. without_targets: the neutral
+    target is enough. Raises SceneError.
     """
     modifier = armature_modifier(obj)
     if not obj.dynamorph.targets:
@@ -79,19 +79,21 @@ def character(obj, without_targets=False) -> Character:
     )
     if not own.settings.one_cage:
         return own
-    from . import bodies  # which reads the other meshes by what is here
+    from . import bodies  # imported here, because it uses functions of this module
 
     return bodies.joined(obj, own, groups, world, rig_world)
 
 
 def model_settings(obj) -> ModelSettings:
-    """How the model of `obj` is to be built; lengths in metres, the panels' are in Blender units."""
+    """The build settings of `obj`, with lengths in meters; the panels' lengths are in Blender units."""
     chosen = obj.dynamorph.model.settings()
     return replace(chosen, cage_thickness=unit_scale() * chosen.cage_thickness)
 
 
 def followers(obj, character: Character) -> list[Follower]:
-    """The other meshes that the flesh of `obj` carries along; character: what was read of it. Raises SceneError."""
+    """The other meshes that the soft skin of `obj` carries along; character: the result of reading it. Raises
+    SceneError.
+    """
     if character.settings.one_cage:
         return list(character.parts)
     pieces = clothes_in(obj)
@@ -123,7 +125,7 @@ def followers(obj, character: Character) -> list[Follower]:
 
 
 def far_followers(character: Character, found: list[Follower]) -> list[str]:
-    """Warnings about what is too far from the skin to move as if it were flesh."""
+    """Warnings about meshes that are too far from the skin to move with it."""
     far = FAR * np.linalg.norm(np.ptp(character.vertices @ character.to_bind.T, axis=0))
     return [
         f"'{follower.name}' is up to {follower.skin.distances.max():.2g} m from the skin of '{character.name}': if it "
@@ -134,14 +136,14 @@ def far_followers(character: Character, found: list[Follower]) -> list[str]:
 
 
 def warnings(obj, character: Character) -> list[str]:
-    """What will be ignored, or is not likely to be meant."""
+    """What will be ignored, or looks unintended."""
     left = _left_behind(obj, VertexGroups(obj))
     found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, left))
     return [problem.text for problem in found]
 
 
 def first_look(obj) -> list[str]:
-    """All that is in the way of simulating `obj`, or not likely to be meant, before it is a soft skin."""
+    """Everything that prevents a simulation of `obj` or looks unintended, before it is a soft skin."""
     found = [*checks.problems(obj), *checks.notes(obj)]
     try:
         to_bind = stretch(worlds_at_start(obj, rig_of(obj))[0])
@@ -167,7 +169,7 @@ def _left_behind(obj, groups: VertexGroups) -> np.ndarray:
 def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[TargetSet, ...]:
     """The targets of the whole body, then those of each region, each set with the neutral target first.
 
-    Regions share out the flesh: where their groups add up to less than one the body has the rest.
+    Regions divide the tissue between them: where their groups add up to less than one, the body has the rest.
     """
     neutral, *others = checks.active_targets(obj)
     groups = list(dict.fromkeys(target.region for target in others if target.region))
@@ -198,7 +200,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
         raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
     material = target.material()
     for field, value in (*vars(material).items(), ("influence", target.influence)):
-        if not np.isfinite(value):  # property limits do not stop what Python or a driver sets
+        if not np.isfinite(value):  # property limits do not restrict Python or drivers
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]
     shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, groups)
@@ -212,7 +214,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
 
 
 def _own_cage(obj, rig, to_bind) -> OwnCage | None:
-    """The artist's cage as it is when the scene starts and the armature is at rest, bind space. Raises SceneError."""
+    """The artist's cage as it is when the scene starts with the armature at rest, bind space. Raises SceneError."""
     cage = obj.dynamorph.model.cage_object
     if cage is None:
         return None

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh of an object as arrays: points, triangles, vertex groups, skin weights, and where it stands.
+"""The mesh of an object as arrays: points, triangles, vertex groups, skin weights, and its transform.
 
-Skinning is Blender's: shape keys first, then the Armature modifier, weights normalised over the deforming bones.
+Skinning is Blender's: shape keys first, then the Armature modifier, weights normalized over the deforming bones.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from .references import key_points, rest_skeleton
 from .rig_motion import in_metres, not_a_number, rig_scene
 from .skin import unit_scale
 
-MEMBER = 0.5  # weight from which a vertex belongs to a piece
-NO_WEIGHT = 1e-4  # Blender leaves a vertex alone when its weights sum to less
+MEMBER = 0.5  # smallest weight with which a vertex belongs to an attachment
+NO_WEIGHT = 1e-4  # Blender does not move a vertex whose weights sum to less
 
 
 def rest_points(obj) -> np.ndarray:
@@ -37,7 +37,9 @@ def rest_points(obj) -> np.ndarray:
 
 
 def target_shape(obj, key_name: str, groups: VertexGroups | None = None) -> np.ndarray:
-    """What the shape key adds at value 1: (V, 3), local space. groups: those of `obj`, for who has read them."""
+    """The displacement by the shape key at value 1: (V, 3), local space. groups: those of `obj`, if they were read
+    already.
+    """
     block = obj.data.shape_keys.key_blocks[key_name]
     shape = key_points(block).astype(np.float64) - key_points(block.relative_key)
     if block.vertex_group in obj.vertex_groups:  # Blender ignores the name of a group that is gone
@@ -78,9 +80,9 @@ class VertexGroups:
 
 
 def skin_weights(obj, rig=None, groups: VertexGroups | None = None) -> np.ndarray:
-    """Skin weights (V, B + 1) of any mesh with an Armature modifier, as `Character.weights`. Raises SceneError.
+    """Skin weights (V, B + 1) of any mesh with an Armature modifier, like `Character.weights`. Raises SceneError.
 
-    rig: the armature object that is meant, if `obj` may have several; groups: those of `obj`, for who has read them.
+    rig: the armature object to use, if `obj` may have several; groups: those of `obj`, if they were read already.
     """
     modifier = armature_modifier(obj)
     modifier = next((each for each in skinning.armature_modifiers(obj) if each.object == rig), modifier)
@@ -101,7 +103,7 @@ def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) ->
 
 
 def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
-    """Weights (V,) of the vertex group that the artist chose for Soft or Stiffness. Raises SceneError."""
+    """Weights (V,) of the vertex group chosen as softness or stiffness map. Raises SceneError."""
     if group not in obj.vertex_groups:
         raise SceneError(f"'{obj.name}': the vertex group '{group}' for {use} is gone: choose another")
     return groups.weights([group])[:, 0].clip(0.0, 1.0)
@@ -117,15 +119,15 @@ def stiffness(obj, groups: VertexGroups) -> np.ndarray:
     if not settings.stiffness_group:
         return np.ones(len(obj.data.vertices))
     if not np.isfinite(settings.stiffness_factor):
-        raise SceneError(f"'{obj.name}': the Factor of the Stiffness group is not a number: set it again")
+        raise SceneError(f"'{obj.name}': the Stiffness Factor is not a number: set it again")
     return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 
 def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
-    """Which piece each vertex belongs to, as `Character.pieces` says. Where groups overlap the first one counts.
+    """The attachment that each vertex belongs to, like `Character.pieces`. Where groups overlap, the first one counts.
 
-    parts: the pieces that are parts of the object `mesh`, of which `groups` are; first: number of the first cage of
-    its own. Raises SceneError.
+    parts: the attachments that are parts of the object `mesh`, whose `groups` these are; first: number of the first
+    cage of its own. Raises SceneError.
     """
     gone = next((part for part in parts if part.group not in mesh.vertex_groups), None)
     if gone:
@@ -140,7 +142,7 @@ def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
 
 
 def members_of(parts, groups: VertexGroups):
-    """Each of the parts of a mesh with its vertices (V,) bool, without those of the parts before it."""
+    """Each part of a mesh with its vertices (V,) bool, without those of the parts before it."""
     taken = None
     for part, weights in zip(parts, groups.weights([part.group for part in parts]).T, strict=True):
         members = weights >= MEMBER
@@ -156,8 +158,9 @@ def bone_segments(bones, to_local, to_bind) -> np.ndarray:
 
 
 def carried(points: np.ndarray, to_local: np.ndarray) -> np.ndarray:
-    """Points (..., 3) of another object in local space. Rounded like the stretch: the last digits of this transform
-    (4, 4) change when both objects are moved.
+    """Points (..., 3) of another object in local space.
+
+    Rounded like the stretch, because the last digits of this transform (4, 4) change when both objects are moved.
     """
     size = np.cbrt(abs(determinant(to_local[:3, :3])))
     units = 10.0 ** np.round(np.log10(np.maximum([size, size * np.abs(points).max()], 1e-300)))
@@ -166,7 +169,7 @@ def carried(points: np.ndarray, to_local: np.ndarray) -> np.ndarray:
 
 
 def mesh_triangles(mesh) -> np.ndarray:
-    """The faces (T, 3), cut into triangles as Blender draws them."""
+    """The faces (T, 3), triangulated as Blender draws them."""
     mesh.calc_loop_triangles()
     triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
     mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
@@ -174,8 +177,8 @@ def mesh_triangles(mesh) -> np.ndarray:
 
 
 def worlds_at_start(obj, rig) -> list[np.ndarray]:
-    """World transforms of both, metres, when the scene starts: a model that depended on the current frame would age by
-    playing. Raises SceneError.
+    """World transforms of both, meters, when the scene starts: a model that depended on the current frame would become
+    outdated by playing. Raises SceneError.
     """
     with rig_scene(obj, rig) as (scene, _follower):
         scene.frame_set(bpy.context.scene.frame_start)
@@ -194,10 +197,10 @@ def stretch(world) -> np.ndarray:
     """An object's scale without its rotation: the symmetric factor of the world transform's polar decomposition."""
     values, vectors = np.linalg.eigh(world[:3, :3].T @ world[:3, :3])
     stretch = (vectors * np.sqrt(values)) @ vectors.T
-    # Rounded, or the object's rotation would show in the last digits and make the model out of date.
+    # Rounded, because the object's rotation would otherwise change the last digits and outdate the model.
     return _rounded(stretch, 10.0 ** np.floor(np.log10(stretch.max())))
 
 
 def _rounded(values: np.ndarray, unit: float) -> np.ndarray:
-    """To five digits after the unit, which has the values' size: Blender's transforms have about seven."""
+    """Rounded to five digits relative to the size of the values: Blender's transforms have about seven."""
     return np.round(values / unit, 5) * unit + 0.0  # no negative zeros

@@ -30,16 +30,17 @@ def _choice_made(piece, _context):
 
 
 class DynamorphPiece(PropertyGroup):
-    """Eyes, teeth, clothes: another mesh object, or a part of this mesh or of that one. `name` is what it was called
-    when found.
+    """Eyes, teeth or clothes: another mesh object, or a part of this mesh or of the other one. `name` is the name it
+    had when it was found.
     """
 
     object: PointerProperty(
-        name="Object", description="Another mesh on the same armature; none for a part of this mesh",
+        name="Object", description="Another mesh on the same armature. Leave it empty for a part of this mesh",
         type=bpy.types.Object, poll=_is_other_mesh, override=OVERRIDE,
     )  # fmt: skip
     group: StringProperty(
-        name="Vertex Group", description="Of a part of the mesh: its vertices have a weight of a half or more",
+        name="Vertex Group",
+        description="Limits the attachment to the vertices that have a weight of 0.5 or more in this group",
         override=OVERRIDE,
     )  # fmt: skip
     choice: EnumProperty(
@@ -48,17 +49,17 @@ class DynamorphPiece(PropertyGroup):
         items=(
             ("WITH_BODY", "With Body", "The soft tissue that it is in, or nearest to, carries it along", 0),
             ("OWN_CAGE", "Own Cage", "It is simulated by itself, in a cage of its own", 1),
-            ("RIGID", "Rigid", "Its bones alone", 2),
+            ("RIGID", "Rigid", "Only its bones move it", 2),
             (
                 "HELD", "Held",
-                "It is as hard as bone, in one cage with the soft skin that it touches: their seam stays closed",
+                "It is as hard as bone, in one cage with the soft skin that it touches, so their seam stays closed",
                 3,
             ),
         ),
         default="WITH_BODY", override=OVERRIDE, update=_choice_made,
     )  # fmt: skip
     reason: StringProperty(
-        name="Reason", description="Why the attachment was listed so. It is empty where the artist has chosen",
+        name="Reason", description="Why the attachment was listed this way. It is empty where the artist has chosen",
         override=OVERRIDE,
     )  # fmt: skip
 
@@ -68,17 +69,21 @@ class DynamorphModel(PropertyGroup):
 
     method: EnumProperty(
         name="Method",
-        description="What the targets do to the flesh",
-        items=tuple((method, *texts) for method, texts in METHODS.items()),
+        description="What the targets do to the soft tissue",
+        items=tuple((method, *texts, number) for number, (method, texts) in enumerate(METHODS.items())),
         default=ModelSettings.method, override=OVERRIDE,
     )  # fmt: skip
     law: EnumProperty(
-        name="Law",
-        description="How the flesh resists deformation",
+        name="Material Model",
+        description="How the soft tissue resists deformation",
         items=(
-            ("LINEAR", "Linear", "Fastest; good for small jiggle, swells when it rotates far"),
-            ("STVK", "StVK", "St. Venant-Kirchhoff: right under large rotations, may stay inverted after a hard stop"),
-            ("STABLE_STVK", "Stable StVK", "As StVK, and recovers from any compression"),
+            ("LINEAR", "Linear", "Fastest. Good for small jiggle, but it swells when it rotates far", 0),
+            (
+                "STVK", "StVK",
+                "St. Venant-Kirchhoff. Right under large rotations, but may stay inverted after a hard stop",
+                1,
+            ),
+            ("STABLE_STVK", "Stable StVK", "The same as StVK, but it recovers from any compression", 2),
         ),
         default=ModelSettings.law,
         override=OVERRIDE,
@@ -87,96 +92,101 @@ class DynamorphModel(PropertyGroup):
         name="Solver",
         description="How many degrees of freedom are simulated",
         items=(
-            ("REDUCED", "Reduced", "A few characteristic modes: fast"),
-            ("FULL", "Full", "Every node of the cage: slow, the reference"),
+            ("REDUCED", "Reduced", "Simulates a few characteristic modes, which is fast", 0),
+            ("FULL", "Full", "Simulates every node of the cage, which is slow. Use it as a reference", 1),
         ),
         default=ModelSettings.solver,
         override=OVERRIDE,
     )  # fmt: skip
     blending: EnumProperty(
         name="Blending",
-        description="What happens halfway between two targets",
+        description="How the skin looks halfway between two targets",
         items=(
-            ("FORCES", "Forces", "The forces are blended: the stiffer target's shape dominates"),
-            ("EVEN", "Even", "Halfway in pose is halfway in shape, whatever the stiffness"),
+            ("FORCES", "Forces", "The forces are blended, so the stiffer target's shape dominates", 0),
+            ("EVEN", "Even", "Halfway in pose is halfway in shape, whatever the stiffness", 1),
         ),
         default=ModelSettings.blending, override=OVERRIDE,
     )  # fmt: skip
     modes: IntProperty(
-        name="Modes", description="How many displacement modes the reduced solver uses",
+        name="Detail (Modes)",
+        description="How many displacement modes the reduced solver uses. More modes show finer ripples and cost more "
+        "time",
         default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40,
         override=OVERRIDE,
     )  # fmt: skip
     fit_to_shot: BoolProperty(
         name="Fit Modes to Shot",
-        description="Choose the modes from how the shot moves when the model is built: as accurate with far fewer of "
-        "them. The model then suits other shots less; build it again for each",
+        description="Choose the modes from the motion of the shot when the model is built. Far fewer modes are then as "
+        "accurate, but the model suits other shots less: build it again for each shot",
         default=ModelSettings.fit_to_shot, override=OVERRIDE,
     )  # fmt: skip
     cage_nodes: IntProperty(
-        name="Cage Nodes", description="About how many nodes the simulated cage of tetrahedra has",
+        name="Cage Nodes",
+        description="Approximate number of nodes of the simulated cage of tetrahedra. More nodes follow the body more "
+        "closely and take longer to build",
         default=ModelSettings.cage_nodes, min=50, max=200_000, soft_max=20_000,
         override=OVERRIDE,
     )  # fmt: skip
     cage_thickness: FloatProperty(
         name="Cage Thickness",
-        description="How far the cage stands off the skin at least. It does so anyway by about a tenth of the size of "
-        "its tetrahedra",
+        description="Smallest distance from the skin to the cage. Without it the cage is about a tenth of the size of "
+        "its tetrahedra away",
         default=ModelSettings.cage_thickness, min=0.0, soft_max=0.1, subtype="DISTANCE", override=OVERRIDE,
     )  # fmt: skip
     cage_grading: FloatProperty(
-        name="Cage Grading",
-        description="How much finer the cage is where targets move the skin, at the expense of the rest: for sculpts "
-        "of small detail. 0: the same everywhere, which is best for how flesh swings",
+        name="Cage Adaptivity",
+        description="How much finer the cage is where targets move the skin, at the expense of the rest. Raise it for "
+        "sculpts of small detail. 0 is the same everywhere, which is best for how soft tissue swings",
         default=ModelSettings.cage_grading, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE,
     )  # fmt: skip
     cage_object: PointerProperty(
         name="Cage Object",
-        description="Closed mesh around the skin in rest pose, as it is when the scene starts, to be filled with "
-        "tetrahedra instead of the automatic cage",
+        description="Closed mesh around the skin in rest pose, as it is when the scene starts. It is filled with "
+        "tetrahedra and replaces the automatic cage",
         type=bpy.types.Object, poll=_is_other_mesh, update=_cage_chosen, override=OVERRIDE,
     )  # fmt: skip
     pin_radius: FloatProperty(
         name="Bone Pinning",
-        description="How far from a bone to the skin the flesh is held by the bone: 0 only at the bone",
+        description="How far the hold of a bone reaches on the way from the bone to the skin. 0 holds the soft tissue "
+        "only at the bone",
         default=ModelSettings.pin_radius, min=0.0, max=0.95, subtype="FACTOR",
         override=OVERRIDE,
     )  # fmt: skip
     separate: BoolProperty(
         name="Split Touching Parts",
         description="Cut the cage where it joins parts of the skin that merely touch, such as an arm and the side it "
-        "hangs at, so that they move by themselves",
+        "hangs at, so that each moves on its own",
         default=ModelSettings.separate, override=OVERRIDE,
     )  # fmt: skip
     hold: EnumProperty(
         name="Hold",
         description="What holds the soft tissue against the skeleton",
         items=(
-            ("BONES", "Bones", "What is near a bone is fixed to it; see Bone Pinning", 0),
+            ("BONES", "Bones", "What is near a bone is fixed to it, as far as Bone Pinning says", 0),
             ("THICKNESS", "Thickness", "The core of the body and its thin parts are held, wherever its bones are", 1),
         ),
         default=ModelSettings.hold, override=OVERRIDE,
     )  # fmt: skip
     one_cage: BoolProperty(
         name="One Cage",
-        description="Simulate the meshes that are With Body together with this one, in a cage around all of them, so "
+        description="Simulate the meshes that are With Body together with this one, in one cage around all of them, so "
         "that their seams stay closed",
         default=ModelSettings.one_cage, override=OVERRIDE,
     )  # fmt: skip
     hold_head: BoolProperty(
         name="Hold Head",
         description="Hold the skin of the head as if it were bone, less and less along the neck. What is painted in "
-        "the Soft group stays soft",
+        "the softness map stays soft",
         default=ModelSettings.hold_head, override=OVERRIDE,
     )  # fmt: skip
-    head: StringProperty(name="Head", description="Bone of the head that was found when the attachments were")
-    vertices: IntProperty(name="Vertices", description="Of the mesh when the model was built")
-    cage: StringProperty(name="Cage", description="What the cage of the model is made of")
+    head: StringProperty(name="Head", description="Bone of the head, found together with the attachments")
+    vertices: IntProperty(name="Vertices", description="Number of vertices of the mesh when the model was built")
+    cage: StringProperty(name="Cage", description="Size of the cage of the model")
     built: StringProperty(name="Built With", description="The settings of the built model, as JSON")
-    content_id: StringProperty(name="Model Id", description="Hash of the model; the name of its file if it has one")
+    content_id: StringProperty(name="Model Id", description="Hash of the model, which is also the name of its file")
     summary: StringProperty(name="Result", description="What the last build made")
-    warnings: StringProperty(name="Warnings", description="Of the last build, a line each")
-    stale: StringProperty(name="Out of Date", description="Why the model must be built again, as the mesh says")
+    warnings: StringProperty(name="Warnings", description="Warnings of the last build, one per line")
+    stale: StringProperty(name="Out of Date", description="Why a change of the mesh requires another build")
 
     def settings(self) -> ModelSettings:
         """As the panels show them: lengths in Blender units."""
@@ -187,9 +197,13 @@ class DynamorphMode(PropertyGroup):
     """One displacement mode of the built model, as the artist wants to see it."""
 
     gain: FloatProperty(
-        name="Gain", description="Factor on this mode's motion about the targets' shapes, in Live and in the next bake",
+        name="Gain",
+        description="Multiplies this mode's motion about the targets' shapes, in Live and in the next bake",
         default=1.0, min=0.0, max=10.0, soft_max=2.0, override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     solo: BoolProperty(
-        name="Solo", description="Show only the solo modes while Live plays", override=OVERRIDE, update=shown_changed
+        name="Solo",
+        description="Show only this mode, and others that are solo, while Live plays",
+        override=OVERRIDE,
+        update=shown_changed,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a built model is kept: in the .blend, or in a file beside it."""
+"""Where a built model is stored: in the .blend, or in a file beside it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PACKED = "dynamorph_model"  # custom property of the Object: the model's bytes, 
 
 
 def stored_model(obj) -> bytes | None:
-    """The packed model of `obj`, or None. Raises ModelFileError when there should be one."""
+    """The packed model of `obj`, or None. Raises ModelFileError when it should exist but does not."""
     packed = obj.get(PACKED)
     if isinstance(packed, bytes):  # of version 0.1's first files
         return packed
@@ -32,7 +32,7 @@ def stored_model(obj) -> bytes | None:
         return None
     folders = preferences.model_folders(blend_folder())
     paths = [folder / f"{content_id}.dynamorph" for folder in folders]
-    # The id comes from the .blend, which may be anybody's: it must not lead out of the folder.
+    # The id comes from a .blend that may not be trusted: it must not lead out of the folder.
     path = next(filter(Path.is_file, paths), None) if re.fullmatch("[0-9a-f]{32}", content_id) else None
     if path is None:
         places = " and ".join(f"'{folder}'" for folder in folders) or "beside the .blend"
@@ -63,12 +63,12 @@ def load_model(obj):
 @lru_cache(maxsize=4)
 def _load(session_uid: int, _content_id: str):
     build, _ = engine.engine()
-    try:
-        return build.Model.from_arrays(*model_file.unpack(stored_model(find(session_uid))))
-    except errors.ModelFileError:
-        raise
-    except ValueError as error:  # it lacks something, or has what this version does not know
-        raise errors.ModelFileError(str(error)) from error
+    return build.Model.from_arrays(*model_file.unpack(stored_model(find(session_uid))))
+
+
+def forget():
+    """Free the models that are kept in memory: their objects are going away."""
+    _load.cache_clear()
 
 
 def stale_reasons(obj, character) -> list[str]:
@@ -91,7 +91,7 @@ def current_model(obj):
 
 
 def fit_input(obj, target):
-    """What the fits of `materials` ask for: (model, character, index there) of one of the object's targets.
+    """The input of the fits in `material_fit`: (model, character, index there) of one of the object's targets.
 
     Raises SceneError unless the model is up to date.
     """
@@ -103,7 +103,7 @@ def fit_input(obj, target):
 
 
 def index_in(character, obj, target) -> int | None:
-    """Where one of the object's targets is among those of the character that is simulated; None if it is not."""
+    """The index of one of the object's targets among those of the simulated character; None if it is not there."""
     names = [each.name for each in character.by_method().targets]
     first = 0 if target == obj.dynamorph.targets[0] else 1  # a shape key may be called like the neutral target
     return names.index(target.name, first) if target.name in names[first:] else None

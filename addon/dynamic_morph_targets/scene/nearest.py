@@ -19,7 +19,7 @@ def nearest(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> 
 
     A point that is a vertex of the mesh gets that vertex's values exactly.
     """
-    centre = vertices.mean(axis=0)  # the tree has single precision
+    centre = vertices.mean(axis=0)  # the tree uses single precision
     tree = BVHTree.FromPolygons((vertices - centre).tolist(), triangles.tolist(), all_triangles=True)
     corners = triangles[[tree.find_nearest(point)[2] for point in (points - centre).tolist()]]
     weights = _closest(points, vertices[corners])
@@ -29,7 +29,7 @@ def nearest(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> 
 def _closest(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Barycentric coordinates (P, 3) of the points nearest to (P, 3) on triangles (P, 3, 3)."""
     on_plane, on_edges = _on_plane(points, corners), _on_edges(points, corners)
-    # Where a triangle has next to no area, those on its plane are anything, or NaN.
+    # On a triangle with almost no area, those on its plane are arbitrary or NaN.
     nearer = _distances(points, corners, on_plane) <= _distances(points, corners, on_edges)
     return np.where(((on_plane >= 0.0).all(axis=1) & nearer)[:, None], on_plane, on_edges)
 

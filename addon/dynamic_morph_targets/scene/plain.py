@@ -5,9 +5,9 @@ from __future__ import annotations
 
 
 def plain(group, skip=()) -> dict:
-    """The simple settings of a property group by name, fit for JSON: numbers, texts, enums and arrays of numbers.
+    """The simple settings of a property group by name, as JSON data: numbers, texts, enums and arrays of numbers.
 
-    Groups and lists within it are left out, what follows from a built model, and what `skip` names.
+    Groups and lists within it, values that follow from a built model, and what `skip` names are left out.
     """
     out = {}
     for prop in group.bl_rna.properties:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The nodes of the flesh as a mesh that Blender poses as it poses the skin, where that is not linear in the bones.
+"""The nodes of the cage as a mesh that Blender poses as it poses the skin, where that is not linear in the bones.
 
-With Preserve Volume, bendy bones or several Armature modifiers a node's transform is no sum of bone matrices. It is
+With Preserve Volume, bendy bones or several Armature modifiers, a node's transform is not a sum of bone matrices. It is
 read from Blender instead: a mesh of the nodes, and of the nodes moved a little along each axis, with the body's own
-Armature modifiers and its vertex groups carried into the flesh.
+Armature modifiers and its vertex groups extended into the cage.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from ..core.rig_samples import PosedNodes
 from . import skinning
 from .mesh_data import NO_WEIGHT, VertexGroups
 
-REACH = 0.01  # body sizes: the nodes' shifts. Bendy bones bend within a long one, float32 rounds off a short one
-NEGLIGIBLE = 0.01  # part of a node's weights, below which the engine too forgets a bone (`SoftBody`)
+REACH = (
+    0.01  # body sizes; the nodes' offsets. Bendy bones bend within a long one, and float32 loses digits of a short one
+)
+NEGLIGIBLE = 0.01  # fraction of a node's weights below which the engine also ignores a bone (`SoftBody`)
 MASK = "Dynamorph Mask "  # vertex groups, one for each modifier
 
 
@@ -65,10 +67,10 @@ class Probe:
         return PosedNodes(self.rest, self.reach, np.empty((count, 4, len(self.rest), 3), np.float32))
 
     def in_poses(self, scene, probe, rig, poses: np.ndarray) -> PosedNodes:
-        """The nodes in poses (S, B, 4, 4) of the armature, the objects being where they are at the scene's frame.
+        """The nodes in poses (S, B, 4, 4) of the armature, with the objects where they are at the scene's frame.
 
-        A copy of the armature takes the poses, without constraints, drivers and animation; other armatures stay as
-        they are.
+        A copy of the armature takes the poses, without constraints, drivers and animation; other armatures stay as they
+        are.
         """
         samples = self.empty_samples(len(poses))
         stand_in = rig.copy()
@@ -114,9 +116,9 @@ class Probe:
 
 def _skin_groups(obj, others) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
     """What the K Armature modifiers of `obj` read: names of G vertex groups, their weights (V, G), of which Blender
-    sees the ratios, the part (V, K) that each modifier has in the result, and which groups are its bones' (K, G).
+    uses the ratios, the part (V, K) that each modifier has in the result, and which groups are its bones' (K, G).
 
-    others: objects of which the character has the vertices besides; what skins those counts as what skins `obj`.
+    others: further objects whose vertices the character has; their skinning counts like that of `obj`.
     """
     meshes, modifiers = (obj, *others), skinning.armature_modifiers(obj)
     bones = [
@@ -131,7 +133,7 @@ def _skin_groups(obj, others) -> tuple[list[str], np.ndarray, np.ndarray, np.nda
 
 
 def _weights_and_masks(obj, names: list[str], of_modifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of one mesh, as `_skin_groups`. A modifier that it lacks has no part in it."""
+    """`_skin_groups` of one mesh. A modifier that it lacks has no part in the result."""
     groups = VertexGroups(obj)
     weights = groups.weights(names)
     masks = np.zeros((len(weights), len(of_modifiers)))
@@ -140,7 +142,7 @@ def _weights_and_masks(obj, names: list[str], of_modifiers: np.ndarray) -> tuple
         if modifier.vertex_group in obj.vertex_groups:
             painted = groups.weights([modifier.vertex_group])[:, 0]
             mask[:] = 1.0 - painted if modifier.invert_vertex_group else painted
-        if not modifier.use_multi_modifier:  # one that is goes back to before the first, also where it has no weights
+        if not modifier.use_multi_modifier:  # one that does goes back to before the first, even where it has no weights
             mask *= weights @ own > NO_WEIGHT
     totals = weights.sum(axis=1, keepdims=True)
     return weights / np.where(totals > NO_WEIGHT, totals, np.inf), masks

@@ -16,6 +16,7 @@ from . import events
 from .bake_properties import DynamorphBake, DynamorphLive, DynamorphOutput, DynamorphSculpt, DynamorphSimulation
 from .model_properties import DynamorphMode, DynamorphModel, DynamorphPiece
 from .references import OVERRIDE, OVERRIDE_LIST
+from .registration import of_classes
 from .target_properties import DynamorphBone, DynamorphBonePose, DynamorphKey, DynamorphTarget
 
 
@@ -30,23 +31,26 @@ class DynamorphSettings(PropertyGroup):
         name="Active Target", description="Index of the target selected in the list", override=OVERRIDE
     )
     soft_group: StringProperty(
-        name="Soft",
-        description="Vertex group: 1 where the skin is soft, 0 where the bones hold it. All is soft without a group",
+        name="Softness Map",
+        description="Vertex group that is 1 where the skin is soft and 0 where the bones hold it. Without a group all "
+        "of the skin is soft",
         override=OVERRIDE,
     )
-    groups: StringProperty(name="Groups", description="Names of the vertex groups, a line each, to follow renames")
+    groups: StringProperty(name="Groups", description="Names of the vertex groups, one per line, to follow renames")
     stiffness_group: StringProperty(
-        name="Stiffness",
-        description="Vertex group of places that are stiffer, or softer, than the targets say; see Factor",
+        name="Stiffness Map",
+        description="Vertex group of places that are stiffer or softer than the targets say. Stiffness Factor sets by "
+        "how much",
         override=OVERRIDE,
     )
     stiffness_factor: FloatProperty(
-        name="Factor",
-        description="On the stiffness where the Stiffness group is 1; there is no change where it is 0",
+        name="Stiffness Factor",
+        description="Multiplies the stiffness where the stiffness map is 1. Where the map is 0, the stiffness stays "
+        "the same",
         default=4.0, min=0.01, max=100.0, soft_min=0.1, soft_max=10.0, override=OVERRIDE,
     )  # fmt: skip
     pieces: CollectionProperty(
-        name="Attachments", description="Parts of the mesh, and other meshes, that do not simply belong to the body",
+        name="Attachments", description="Parts of the mesh and other meshes that do not simply belong to the body",
         type=DynamorphPiece, override=OVERRIDE_LIST,
     )  # fmt: skip
     active_piece_index: IntProperty(
@@ -58,7 +62,10 @@ class DynamorphSettings(PropertyGroup):
     )  # fmt: skip
     had_keys: BoolProperty(name="Had Shape Keys", description="Whether the mesh had a Basis before it followed")
     model: PointerProperty(
-        name="Model", description="How the model is built, and what came of it", type=DynamorphModel, override=OVERRIDE
+        name="Model",
+        description="How the model is built, and the result of the last build",
+        type=DynamorphModel,
+        override=OVERRIDE,
     )
     modes: CollectionProperty(
         name="Modes", description="Displacement modes of the built model", type=DynamorphMode, override=OVERRIDE_LIST
@@ -70,7 +77,9 @@ class DynamorphSettings(PropertyGroup):
         name="Simulation", description="How a shot is simulated", type=DynamorphSimulation, override=OVERRIDE
     )
     live: PointerProperty(name="Live", description="Simulation during playback", type=DynamorphLive)
-    output: PointerProperty(name="Output", description="What a bake becomes", type=DynamorphOutput, override=OVERRIDE)
+    output: PointerProperty(
+        name="Output", description="The form in which the motion is stored", type=DynamorphOutput, override=OVERRIDE
+    )
     bake: PointerProperty(name="Bake", description="What the last bake changed", type=DynamorphBake)
     sculpt: PointerProperty(name="Sculpt", description="Sculpting in a target's pose", type=DynamorphSculpt)
 
@@ -82,12 +91,12 @@ class DynamorphSettings(PropertyGroup):
 
     @property
     def active_piece(self):
-        """The piece selected in the list, or None."""
+        """The attachment selected in the list, or None."""
         return self.pieces[self.active_piece_index] if self.active_piece_index < len(self.pieces) else None
 
 
 def _paint_surface(which: str, other: str):
-    """The update of a toggle that colors the surface: only one of the two does, and viewports draw anew."""
+    """The update of a toggle that colors the surface: turning one on turns the other off and redraws the viewports."""
 
     def update(display, _context):
         if getattr(display, which) and getattr(display, other):
@@ -103,20 +112,21 @@ def _show_influence(display, _context):
 
 
 class DynamorphDisplay(PropertyGroup):
-    """What the 3D viewport shows besides; for the session, like Blender's own overlays of a window."""
+    """Overlays of the 3D viewport; they last for the session, like Blender's own overlays of a window."""
 
-    cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra, with the nodes that the bones hold")
+    cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra and the nodes that the bones hold")
     influence: BoolProperty(
-        name="Influence", description="Draw each target's weight over the frames, shading those far from every target",
+        name="Target Weights",
+        description="Draw each target's weight over the frames, and shade the frames that are far from every target",
         update=_show_influence,
     )  # fmt: skip
     heat: BoolProperty(
         name="Heat Map",
-        description="Color the skin by how far it moves away from the animation, as a part of Max Displacement",
+        description="Color the skin by how far it moves away from the animation, as a fraction of Max Displacement",
         update=_paint_surface("heat", "hold"),
     )  # fmt: skip
     hold: BoolProperty(
-        name="Show Hold", description="Color the skin by how firmly the skeleton holds it, as the model was built",
+        name="Show Hold", description="Color the skin by how firmly the skeleton holds it in the built model",
         update=_paint_surface("hold", "heat"),
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
@@ -138,7 +148,7 @@ CLASSES = (
     DynamorphSettings,
     DynamorphDisplay,
 )
-_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+_register_classes, _unregister_classes = of_classes(CLASSES)
 
 
 def register():
@@ -148,6 +158,7 @@ def register():
 
 
 def unregister():
-    del bpy.types.WindowManager.dynamorph
-    del bpy.types.Object.dynamorph
+    for owner in (bpy.types.WindowManager, bpy.types.Object):
+        if hasattr(owner, "dynamorph"):
+            del owner.dynamorph
     _unregister_classes()

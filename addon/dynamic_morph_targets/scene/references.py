@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the settings refer to by name: shape keys, bones and the rig, and how each is told from others."""
+"""What the settings refer to by name (shape keys, bones and the rig), and how each is distinguished from others."""
 
 from __future__ import annotations
 
 import hashlib
+from functools import lru_cache
 
 import numpy as np
 from bpy.props import IntProperty, StringProperty
@@ -37,7 +38,7 @@ def rest_skeleton(armature) -> Skeleton:
 
 
 def bones_key(armature) -> tuple:
-    """The bones' names and where they rest, to be compared."""
+    """The bones' names and rest places, for comparison."""
     rest = np.empty(16 * len(armature.bones), np.float32)
     armature.bones.foreach_get("matrix_local", rest)
     return tuple(armature.bones.keys()), rest.tobytes()
@@ -51,21 +52,48 @@ def key_points(block) -> np.ndarray:
 
 
 def key_hash(block) -> str:
-    """Identifies a shape key by what it sculpts, whatever its name or place in the list."""
-    return _hash(_key_shape(block))
+    """Identifies a shape key by its shape, whatever its name or place in the list."""
+    return _hash("shape", block, _key_shape(block))
 
 
 def basis_hash(blocks) -> str:
-    """Tells when the mesh itself was edited, which changes all its shape keys."""
-    return _hash(key_points(blocks[0]))
+    """Detects edits of the mesh itself, which change all its shape keys."""
+    return _hash("points", blocks[0], key_points(blocks[0]))
 
 
-def _hash(points: np.ndarray) -> str:
-    return hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
+_hashes: dict[tuple, tuple] = {}  # by what of which shape key: its fingerprint, and its hash
+
+
+def forget():
+    """Free what is kept of shape keys: their file is closed."""
+    _hashes.clear()
+
+
+def _hash(what: str, block, points: np.ndarray) -> str:
+    """Of points (V, 3) float32 of a shape key. Blender does not say which keys an edit has changed, so all are asked
+    after each step of a slider; hashing takes five times as long as a look whether they are the same.
+    """
+    where, seen = (what, block.id_data.session_uid, block.name), _fingerprint(points)
+    if _hashes.get(where, ("",))[0] != seen:
+        _hashes[where] = seen, hashlib.blake2b(points.tobytes(), digest_size=8).hexdigest()
+    return _hashes[where][1]
+
+
+def _fingerprint(points: np.ndarray) -> tuple[int, ...]:
+    """A number that changes with any of the points (V, 3) float32; of this process only."""
+    words = points.ravel().view(np.uint32)
+    pairs = words[: len(words) // 2 * 2].view(np.uint64)
+    return len(words), int(pairs @ _factors(len(pairs))), *words[2 * len(pairs) :].tolist()
+
+
+@lru_cache(maxsize=4)
+def _factors(count: int) -> np.ndarray:
+    """Odd, so that no change of a single word is lost; random, so that several do not cancel out."""
+    return np.random.default_rng(1).integers(2**63, size=count, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
 
 
 def key_reach(block) -> float:
-    """How far a shape key moves a point, at most. Unlike the hash it survives an edit of the Basis."""
+    """The largest displacement by a shape key. Unlike the hash it survives an edit of the Basis."""
     return float(np.abs(_key_shape(block)).max(initial=0.0))
 
 
@@ -80,7 +108,7 @@ class KeyReference:
     key_hash: StringProperty(name="Key Hash", description="Identifies the sculpted shape", override=OVERRIDE)
 
     def refer_to(self, blocks, index: int):
-        """Point at `blocks[index]`. Writes only what changed: a write tags the object for evaluation."""
+        """Point at `blocks[index]`. Writes only what changed, because writing tags the object for evaluation."""
         block = blocks[index]
         for field, value in (("name", block.name), ("key_index", index), ("key_hash", key_hash(block))):
             if getattr(self, field) != value:

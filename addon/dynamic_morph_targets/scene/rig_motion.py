@@ -15,7 +15,7 @@ from ..core.character import Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import determinant, invertible, turned
 from ..core.rig_samples import ForceField, RigSamples
-from . import checks, skinning
+from . import checks, events, skinning
 from .checks import armature_modifier, refuse
 from .references import rest_skeleton
 from .skin import unit_scale
@@ -34,7 +34,7 @@ def at_rest(rig):
 
 
 def in_metres(worlds: np.ndarray, unit: float) -> np.ndarray:
-    """World transforms (..., 4, 4) for the world in metres instead of Blender units of `unit` metres."""
+    """World transforms (..., 4, 4) of a world in meters instead of Blender units of `unit` meters."""
     return worlds * np.array([unit, unit, unit, 1.0])[:, None]
 
 
@@ -43,7 +43,7 @@ def not_a_number(name: str, frame: int) -> str:
 
 
 def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
-    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4), metres.
+    """The evaluated pose now: skeleton, local transforms (B, 4, 4), armature's world transform (4, 4), meters.
 
     depsgraph: where it is evaluated, if not where the artist sees it.
     """
@@ -81,7 +81,7 @@ def bones_turned(obj, skeleton: Skeleton, first: np.ndarray, second: np.ndarray)
 
 
 def pose_order(rig, skeleton: Skeleton) -> list[int]:
-    """Where the skeleton's bones are among those of the armature object's pose."""
+    """The index of the skeleton's bones among those of the armature object's pose."""
     return [rig.pose.bones.find(name) for name in skeleton.names]
 
 
@@ -103,7 +103,7 @@ def _ordered(columns: np.ndarray, order) -> np.ndarray:
 
 
 def _rows(matrix) -> tuple[tuple[float, ...], ...]:
-    """A Blender matrix for NumPy, which asks Blender for each number when it gets the matrix itself."""
+    """A Blender matrix as rows for NumPy, which would ask Blender for each number if it got the matrix itself."""
     return tuple(map(tuple, matrix))
 
 
@@ -116,7 +116,7 @@ def sample_rig(obj, start: int, end: int, substeps: int, probe=None) -> RigSampl
 
 
 def sample_present(obj, probe=None) -> RigSamples:
-    """One sample of the rig as the artist sees it posed now; probe: as in `RigSampling`. Raises SceneError."""
+    """One sample of the rig in the pose that the artist sees; probe: as in `RigSampling`. Raises SceneError."""
     skeleton, local, rig_world = current_pose(obj)
     pose, world = skeleton.pose(local)[None], world_now(obj)[None]
     if probe is None:
@@ -141,7 +141,8 @@ class RigSampling:
     def __init__(self, obj, start: int, end: int, substeps: int):
         rig = armature_modifier(obj).object
         self.start, self.substeps = start, substeps
-        self.probe = self._nodes = self._held = None
+        self.probe: object | None = None
+        self._nodes = self._held = None
         self.done, self.count = 0, 1 + (end - start) * substeps
         self._unit = unit_scale()
         self._skeleton = rest_skeleton(rig.data)
@@ -155,13 +156,12 @@ class RigSampling:
 
     @property
     def frame(self) -> int:
-        """The frame that comes next."""
+        """The frame that is read next."""
         return self.start + self.done // self.substeps
 
     def advance(self, obj, seconds: float = np.inf) -> bool:
-        """Read on for about so long; True when all is read. obj: the same object, which may have moved in memory.
-
-        Raises SceneError.
+        """Reads on for about so many seconds; True when everything is read. obj: the same object, which may have moved
+        in memory. Raises SceneError.
         """
         ends = time.perf_counter() + seconds
         rig = armature_modifier(obj).object
@@ -199,7 +199,7 @@ class RigSampling:
             field.strength[s] = moved.field.strength * obj.dynamorph.simulation.fields
 
     def samples(self) -> RigSamples:
-        """All that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
+        """Everything that was read. Raises SceneError when some of it is not a number, or scaled to zero."""
         worlds = in_metres(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
         fields = tuple(replace(field, world=in_metres(field.world, self._unit)) for field in self._fields)
         pose = _ordered(self._columns, self._order)
@@ -224,13 +224,13 @@ class RigSampling:
 
 
 def _moving(obj, rig) -> tuple[str, ...]:
-    """Names of what moves `obj`: the armature, the object, the bones, and other armatures that skin it."""
+    """Names of everything that moves `obj`: the armature, the object, the bones, and other armatures that skin it."""
     others = (modifier.object.name for modifier in skinning.armature_modifiers(obj))
     return (rig.name, obj.name, *rest_skeleton(rig.data).names, *others)
 
 
 def _force_fields(view_layer) -> list:
-    """The objects whose force field pushes skin. Raises SceneError for kinds that would act otherwise than shown."""
+    """The objects whose force field pushes skin. Raises SceneError for kinds that would act differently than shown."""
     found = []
     for obj in view_layer.objects:
         field = obj.field
@@ -261,8 +261,7 @@ def rig_scene(obj, rig, probe=None):
     That copies the mesh object's transform, which makes the dependency graph evaluate it, with its parents, constraints
     and drivers, but not the mesh. It is empty, or a probe's mesh that is skinned like the body.
     """
-    if render_runs():
-        raise SceneError("Blender is rendering: wait until it is done")
+    check_not_rendering()
     user = bpy.context.scene.render
     scene = bpy.data.scenes.new("Dynamorph Sampling")
     mesh = probe and probe.mesh()
@@ -275,7 +274,8 @@ def rig_scene(obj, rig, probe=None):
             probe.dress(follower, obj)
         scene.collection.objects.link(rig)
         scene.collection.objects.link(follower)
-        yield scene, follower
+        with events.unheard():
+            yield scene, follower
     finally:
         bpy.data.scenes.remove(scene)
         bpy.data.objects.remove(follower)
@@ -284,5 +284,11 @@ def rig_scene(obj, rig, probe=None):
 
 
 def render_runs() -> bool:
-    """Whether Blender renders beside this thread. Data that is added or removed then makes it crash."""
+    """Whether Blender renders beside this thread. Adding or removing data then makes it crash."""
     return threading.current_thread() is threading.main_thread() and bpy.app.is_job_running("RENDER")
+
+
+def check_not_rendering():
+    """Raises SceneError while `render_runs`."""
+    if render_runs():
+        raise SceneError("Blender is rendering: wait until it is done")

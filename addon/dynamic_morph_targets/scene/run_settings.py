@@ -13,14 +13,14 @@ from .skin import unit_scale
 
 
 def output_settings(obj) -> OutputSettings:
-    """What the bakes of `obj` become, lengths in metres."""
+    """The form of the bakes of `obj`, with lengths in meters."""
     chosen = obj.dynamorph.output.settings()
     return replace(chosen, tolerance=unit_scale() * chosen.tolerance)
 
 
 def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSettings:
-    """The run that `obj` asks for in `scene`; frames (start, end) and substeps override it, which are rounded up to a
-    multiple of the samples a frame. Raises SceneError.
+    """The run that `obj` requests in `scene`; frames (start, end) and substeps override it. Substeps are rounded up to
+    a multiple of the samples per frame. Raises SceneError.
 
     The scene's gravity is taken as m/s^2 whatever its unit scale. Blender's own simulations take it as Blender units
     per s^2.

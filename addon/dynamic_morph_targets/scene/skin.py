@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from dataclasses import dataclass
+
 import bpy
 
 from ..core.errors import SceneError
@@ -10,21 +13,73 @@ from .references import rig_of
 
 
 def unit_scale() -> float:
-    """Metres in a Blender unit, as the scene's unit settings say. All that is read of the world is in metres."""
+    """Meters per Blender unit, from the scene's unit settings. Everything that is read of the world is in meters."""
     units = bpy.context.scene.unit_settings
     return 1.0 if units.system == "NONE" else units.scale_length
 
 
+@dataclass(frozen=True)
+class ObjectHandle:
+    """Which object is meant: its session id outlives undo and renames; Python references do not.
+
+    name: what it was called when the handle was made, for messages; empty where that is not known.
+    """
+
+    session_uid: int
+    name: str
+
+    @classmethod
+    def of(cls, obj) -> ObjectHandle:
+        return cls(obj.session_uid, obj.name)
+
+    def find(self):
+        """The object. Raises SceneError when it was deleted."""
+        obj = next((obj for obj in bpy.data.objects if obj.session_uid == self.session_uid), None)
+        if obj is None:
+            name = f"'{self.name}'" if self.name else "The object"
+            raise SceneError(f"{name} was deleted while the job ran: nothing was written")
+        return obj
+
+
+@dataclass(frozen=True)
+class SceneHandle:
+    """Which scene and view layer are meant, whatever the window shows meanwhile; as `ObjectHandle`."""
+
+    session_uid: int
+    name: str
+    view_layer: str
+
+    @classmethod
+    def present(cls) -> SceneHandle:
+        scene = bpy.context.scene
+        return cls(scene.session_uid, scene.name, bpy.context.view_layer.name)
+
+    def find(self):
+        """The scene. Raises SceneError when it was deleted."""
+        scene = next((scene for scene in bpy.data.scenes if scene.session_uid == self.session_uid), None)
+        if scene is None:
+            raise SceneError(f"Scene '{self.name}' was deleted while the job ran: nothing was written")
+        return scene
+
+    @contextmanager
+    def as_context(self):
+        """Let `bpy.context` have the scene for a while. Raises SceneError."""
+        scene = self.find()
+        if scene == bpy.context.scene:
+            yield
+            return
+        layer = scene.view_layers.get(self.view_layer) or scene.view_layers[0]
+        with bpy.context.temp_override(scene=scene, view_layer=layer):
+            yield
+
+
 def find(session_uid: int):
-    """The object with this id, which outlives undo and renames; Python references do not. Raises SceneError."""
-    obj = next((obj for obj in bpy.data.objects if obj.session_uid == session_uid), None)
-    if obj is None:
-        raise SceneError("The object was deleted while the job ran: nothing was written")
-    return obj
+    """The object with this session id, where its name is not known. Raises SceneError."""
+    return ObjectHandle(session_uid, "").find()
 
 
 def named_targets(obj) -> list[tuple]:
-    """(name, target) of all targets; the neutral's name is empty, because a shape key may be called like it."""
+    """(name, target) of all targets; the neutral target's name is empty, because a shape key may have the same name."""
     return [(target.name if i else "", target) for i, target in enumerate(obj.dynamorph.targets)]
 
 
@@ -34,24 +89,24 @@ def soft_skins(objects):
 
 
 def parts_in(obj) -> list:
-    """The pieces of a soft skin that are parts of its own mesh."""
+    """The attachments of a soft skin that are parts of its own mesh."""
     return parts_of(obj, None)
 
 
 def parts_of(obj, mesh) -> list:
-    """The pieces of a soft skin that are parts of another mesh object; None: of its own."""
+    """The attachments of a soft skin that are parts of another mesh object; None: of its own."""
     return [piece for piece in obj.dynamorph.pieces if piece.group and piece.object == mesh]
 
 
 def clothes_in(obj) -> list:
-    """The other meshes that the flesh of a soft skin is to carry along, without those that are deleted."""
+    """The other meshes that a soft skin should carry along, without deleted ones."""
     choices = {"WITH_BODY", "HELD"} if obj.dynamorph.model.one_cage else {"WITH_BODY"}
     pieces = [piece.object for piece in obj.dynamorph.pieces if not piece.group and piece.choice in choices]
     return [piece for piece in dict.fromkeys(pieces) if piece and piece.users_scene]
 
 
 def is_shown_on(obj) -> bool:
-    """Whether there are keys of a bake or of Live on a mesh."""
+    """Whether a mesh has keys of a bake or of Live."""
     return obj.dynamorph.bake.exists or bool(obj.dynamorph.live.key.name)
 
 
@@ -63,12 +118,12 @@ def cache_modifier(obj):
 
 
 def followers(obj) -> list:
-    """The meshes that show the motion of the soft skin `obj` now, by its bake or by Live."""
+    """The meshes that now show the motion of the soft skin `obj`, by its bake or by Live."""
     return [other for other in bpy.data.objects if other.dynamorph.follows == obj]
 
 
 def mesh_in(context):
-    """The mesh object that buttons and panels are about, or None: the active one, of an armature the soft skin on it.
+    """The mesh object that buttons and panels refer to, or None: the active one; for an armature, the soft skin on it.
 
     Of several soft skins on one armature, a selected one; without any, the largest mesh.
     """

@@ -11,7 +11,9 @@ SKINNING_FIELDS = ("use_deform_preserve_volume", "use_multi_modifier", "vertex_g
 
 
 def beyond_bones(obj) -> str:
-    """What makes Blender's skinning of `obj` more than sums of bone matrices, which the engine knows; '' if nothing."""
+    """What makes Blender's skinning of `obj` more than sums of bone matrices, which the engine supports; '' if
+    nothing.
+    """
     modifiers = armature_modifiers(obj)
     if len(modifiers) > 1:
         return "several Armature modifiers"
@@ -22,10 +24,12 @@ def beyond_bones(obj) -> str:
 
 
 def skinning_settings(obj) -> list:
-    """What a bake depends on of the Armature modifiers and of bones that bend, fit for JSON."""
+    """Settings of the Armature modifiers and of bendy bones that a bake depends on, as JSON data."""
     found = []
     for modifier in armature_modifiers(obj):
-        segments = [bone.bbone_segments for bone in deforming_bones(obj, modifier.object)]  # no names, which may change
+        segments = [
+            bone.bbone_segments for bone in deforming_bones(obj, modifier.object)
+        ]  # without names, which may change
         found.append([*(getattr(modifier, name) for name in SKINNING_FIELDS), segments])
     return found
 
@@ -42,8 +46,9 @@ def armature_modifiers(obj) -> list:
 
 
 def armature_for(obj):
-    """The armature that `obj` was most likely weighted for: its parent, or the only one of the scene with bones named
-    like its vertex groups; or None."""
+    """The armature for which `obj` was most likely weighted: its parent, or the only one of the scene whose bones are
+    named like its vertex groups; or None.
+    """
     parent = obj.parent
     if parent and parent.type == "ARMATURE" and obj.parent_type in {"OBJECT", "ARMATURE"}:
         return parent

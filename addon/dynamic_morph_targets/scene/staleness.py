@@ -1,36 +1,37 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a model and a bake were made from, and what has changed since, as sentences for the panels.
 
-Compared are settings, which the panels may do whenever they draw; the mesh is looked at by `jobs.show_stale`, and the
-animation by `look_at_animation`, a while after an edit.
+Only settings are compared, so panels can do it whenever they draw. `storage.show_stale` examines the mesh and
+`look_at_animation` the animation, a while after an edit.
 """
 
 from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from functools import lru_cache
 from zlib import crc32
 
 import bpy
 import numpy as np
 
-from ..core.errors import SceneError
+from ..core import records
+from ..core.errors import RecordError, SceneError
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from . import animation, run_settings, skin, skinning
 from .plain import plain
 from .references import KEY_REFERENCE
 from .skin import clothes_in, followers, named_targets, parts_in
 
-SCULPT = "sculpt"  # in the records of targets: what tells a renamed one from another
-# Of targets: what no result depends on, as the stiffness and the region say it, or how the add-on goes on with them.
+SCULPT = "sculpt"  # in the records of targets; identifies a renamed target
+# Properties of targets on which no result depends: the stiffness and the region contain them, or they only steer the
+# add-on.
 UNUSED = ("rig_world", "frequency", "by_hand", "auto_region", "auto_bones")
 
 
 def look_at_animation(obj):
-    """Look at the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
+    """Examine the animation that moves `obj`, so that `outdated` knows whether it changed since the bake."""
     record = obj.dynamorph.bake
-    seen = json.dumps(animation.animation(obj)) if record.exists else ""
+    seen = records.animation_text(animation.animation(obj)) if record.exists else ""
     if record.animation != seen:
         record.animation = seen
 
@@ -38,11 +39,14 @@ def look_at_animation(obj):
 def model_changes(obj) -> list[str]:
     """The settings that have changed since the model of `obj` was built. Reads no mesh: fit for drawing."""
     built = obj.dynamorph.model.built
-    return _changes(obj, _parsed(built), model_inputs(obj)) if built else []
+    try:
+        return _changes(obj, records.build_inputs(built), model_inputs(obj)) if built else []
+    except RecordError as error:
+        return [str(error)]
 
 
 def model_age(obj) -> list[str]:
-    """Why the model of `obj` must be built again: its settings, else what its mesh was last seen to say."""
+    """Why the model of `obj` must be built again: its settings, otherwise the last examination of its mesh."""
     return model_changes(obj) or [text for text in [obj.dynamorph.model.stale] if text]
 
 
@@ -53,18 +57,16 @@ def outdated(obj) -> list[str]:
     if not (record.exists and record.inputs):
         return []
     try:
+        then, seen = records.bake_inputs(record.inputs), records.animation(record.animation)
         now = bake_inputs(obj, run_settings.simulation_settings(obj, bpy.context.scene))
-    except SceneError as error:
+    except (RecordError, SceneError) as error:
         return [str(error)]
-    then = _parsed(record.inputs)
-    if settings.simulation.is_patch:  # the range is that of the next patch
-        now["simulation"] |= {name: then["simulation"][name] for name in ("start", "end")}
+    now["simulation"] |= _kept_range(then.get("simulation", {}), now["simulation"], settings.simulation.is_patch)
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
         found.append("the model was built again")
     if obj.dynamorph.model.stale:
         found.append(obj.dynamorph.model.stale)
-    seen = _parsed(record.animation or "[]")
     found += _piece_changes(obj)
     found += [
         f'animation of "{name}" changed'
@@ -76,9 +78,14 @@ def outdated(obj) -> list[str]:
     return found
 
 
-@lru_cache(maxsize=64)
-def _parsed(text: str):
-    return json.loads(text)
+def _kept_range(then: dict, now: dict, is_patch: bool) -> dict:
+    """The ends of the range that are as good as those of the bake: it has all frames up to there, unless it is a loop,
+    which its range is part of. is_patch: the range is that of the next patch.
+    """
+    loops = then.get("loop") or now["loop"]
+    covers = {"start": lambda baked: baked <= now["start"], "end": lambda baked: baked >= now["end"]}
+    known = {name: then[name] for name in covers if records.is_number(then.get(name))}
+    return {name: baked for name, baked in known.items() if is_patch or (not loops and covers[name](baked))}
 
 
 def model_inputs(obj) -> dict:
@@ -117,11 +124,11 @@ def bake_inputs(obj, simulation: SimulationSettings) -> dict:
 
 
 def _changes(obj, then: dict, now: dict) -> list[str]:
-    """What differs between two inputs of `obj`, as sentences. What `then` does not know has not changed."""
+    """The differences between two inputs of `obj`, as sentences. Entries that `then` lacks have not changed."""
     settings = obj.dynamorph
     found = _target_changes(obj, then["targets"], now["targets"])
     known = {"model": settings.model, "simulation": settings.simulation, "output": settings.output}
-    known |= {"groups": None, "scene": None}
+    known |= {"groups": settings, "scene": None}
     for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
         found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]
@@ -147,7 +154,7 @@ def _target_changes(obj, then: dict, now: dict) -> list[str]:
 
 
 def _piece_changes(obj) -> list[str]:
-    """Which other meshes do not show what the bake of `obj` should show."""
+    """The other meshes that do not show what the bake of `obj` should show."""
     wanted, shown = clothes_in(obj), followers(obj)
     found = [f'attachment "{piece.name}" is new' for piece in wanted if piece not in shown]
     return found + [
@@ -156,6 +163,6 @@ def _piece_changes(obj) -> list[str]:
 
 
 def _title(group, name: str) -> str:
-    """The name that the panels show for a setting."""
+    """The name of a setting in the panels."""
     own = group and group.bl_rna.properties.get(name)
     return own.name if own else {"fps": "Frame rate"}.get(name, name.replace("_", " ").capitalize())

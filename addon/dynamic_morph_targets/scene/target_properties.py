@@ -17,10 +17,11 @@ from ..core.character import Skeleton
 from ..core.settings import Material
 from .events import shown_changed
 from .references import OVERRIDE, OVERRIDE_LIST, KeyReference, key_hash, key_reach
+from .skin import unit_scale
 
 NEUTRAL = "Neutral"
 IDENTITY = tuple(np.eye(4).ravel())
-NEVER = 1e5  # frames: of a swing that nothing damps
+NEVER = 1e5  # seconds, or frames, for a swing that nothing damps
 
 
 class DynamorphKey(KeyReference, PropertyGroup):
@@ -48,11 +49,6 @@ class DynamorphBonePose(PropertyGroup):
     )
 
 
-def _seconds_a_frame() -> float:
-    render = bpy.context.scene.render
-    return render.fps_base / render.fps
-
-
 def _get_bounce(target) -> float:
     return oscillation.swing(target.bounce_reference, target.material()).frequency if target.is_measured else 0.0
 
@@ -63,26 +59,44 @@ def _set_bounce(target, frequency: float):
         target.frequency, target.by_hand = frequency, True
 
 
-def _get_settle(target) -> float:
+def _get_settle_time(target) -> float:
     if not target.is_measured:
         return 0.0
-    return min(oscillation.swing(target.bounce_reference, target.material()).settle / _seconds_a_frame(), NEVER)
+    return min(oscillation.swing(target.bounce_reference, target.material()).settle, NEVER)
 
 
-def _set_settle(target, frames: float):
+def _set_settle_time(target, seconds: float):
     if target.is_measured:
         target.mass_damping, target.stiffness_damping = oscillation.damping_for(
-            target.bounce_reference, target.material(), frames * _seconds_a_frame()
+            target.bounce_reference, target.material(), seconds
         )
 
 
+def _frames_per_second() -> float:
+    render = bpy.context.scene.render
+    return render.fps / render.fps_base
+
+
+def _get_settle(target) -> float:
+    return min(_get_settle_time(target) * _frames_per_second(), NEVER)
+
+
+def _set_settle(target, frames: float):
+    _set_settle_time(target, frames / _frames_per_second())
+
+
 def _get_weight(target) -> float:
-    return target.density * target.volume if target.is_measured else 0.0
+    return target.density * target.volume / _kilograms() if target.is_measured else 0.0
 
 
 def _set_weight(target, weight: float):
     if target.is_measured:
-        target.density = weight / target.volume
+        target.density = weight * _kilograms() / target.volume
+
+
+def _kilograms() -> float:
+    """Kilograms per unit of a property with the unit MASS: Blender scales what it shows by the scene's unit scale."""
+    return unit_scale() ** 3
 
 
 _computed = False  # whether a stiffness that is written now follows from something else
@@ -90,7 +104,7 @@ _computed = False  # whether a stiffness that is written now follows from someth
 
 @contextmanager
 def as_computed():
-    """What is written to a stiffness meanwhile does not count as set by hand."""
+    """A stiffness written inside this context does not count as set by hand."""
     global _computed
     before, _computed = _computed, True
     try:
@@ -118,54 +132,53 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     mute: BoolProperty(name="Mute", description="Leave this target out of the model", override=OVERRIDE)
     stiffness: FloatProperty(
         name="Stiffness",
-        description="Young's modulus at this target, in pascal: fat about 3e3, relaxed muscle 2e4, flexed muscle 2e5",
+        description="Young's modulus at this target in pascals. Raise it to make the soft tissue firmer",
         default=Material.stiffness, min=1.0, max=1e12, soft_min=1e3, soft_max=1e6, step=10000, precision=0,
         override=OVERRIDE, update=_stiffness_set,
     )  # fmt: skip
     poisson: FloatProperty(
         name="Poisson's Ratio",
-        description="How much the flesh keeps its volume: 0 not at all, near 0.5 entirely. Values over 0.4 make "
-        "coarse cages too stiff",
+        description="How well the soft tissue keeps its volume. 0 is not at all, near 0.5 is entirely. Values over "
+        "0.4 make coarse cages too stiff",
         default=Material.poisson, min=0.0, max=0.49, soft_max=0.45, override=OVERRIDE,
     )  # fmt: skip
     density: FloatProperty(
         name="Density",
-        description="Mass per volume at this target, in kg/m³: water 1000",
+        description="Mass per volume at this target in kg/m³. Water has 1000",
         default=Material.density, min=1.0, max=1e5, soft_min=500.0, soft_max=2000.0, step=1000, precision=0,
         override=OVERRIDE,
     )  # fmt: skip
     mass_damping: FloatProperty(
         name="Mass Damping",
-        description="Rayleigh damping in proportion to mass, in 1/s: calms slow, large motion",
+        description="Rayleigh damping in proportion to mass, in 1/s. Raise it to calm slow, large motion",
         default=Material.mass_damping, min=0.0, max=1e4, soft_max=20.0, override=OVERRIDE,
     )  # fmt: skip
     stiffness_damping: FloatProperty(
         name="Stiffness Damping",
-        description="Rayleigh damping in proportion to stiffness, in seconds: calms fast ripples",
+        description="Rayleigh damping in proportion to stiffness, in seconds. Raise it to calm fast ripples",
         default=Material.stiffness_damping, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
     )  # fmt: skip
     radius: FloatProperty(
         name="Radius",
-        description="How far from its pose, over all its bones, the target reaches: it has faded out there. 0: as far "
-        "as there is no nearer target",
+        description="Distance from its pose, over all its bones, at which the target has faded out. 0 reaches until "
+        "another target is nearer",
         default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
     )  # fmt: skip
     influence: FloatProperty(
-        name="Influence",
-        description="How much of the motion shows in this target's pose, within its region: at 0 there is the sculpted "
-        "shape alone",
+        name="Motion Amount",
+        description="How much of the motion shows in this target's pose and region. 0 shows the sculpted shape alone",
         default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     region: StringProperty(
         name="Region",
-        description="Vertex group that the target is limited to. The targets of a region form a set of their own, with "
-        "the neutral target at rest: they do not compete with those of the rest of the body",
+        description="Vertex group that the target is limited to. The targets of a region form a set with the neutral "
+        "target: they do not compete with the targets of the rest of the body",
         override=OVERRIDE, update=_region_chosen,
     )  # fmt: skip
     auto_region: BoolProperty(
         name="Automatic Region",
-        description="Whether the region is made from what is sculpted, together with the targets that share a bone "
-        "with this one. A region that you choose or paint stays as it is",
+        description="Whether the region is made from the sculpt, together with the targets that share a bone with "
+        "this one. A region that you choose or paint stays as it is",
         override=OVERRIDE,
     )  # fmt: skip
     made_region: StringProperty(
@@ -178,7 +191,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
     )  # fmt: skip
     auto_bones: BoolProperty(
         name="Automatic Bones",
-        description="Whether Finish Sculpting chooses the bones, by what is sculpted. Bones that you choose stay",
+        description="Whether Finish Sculpting chooses the bones from the sculpt. Bones that you choose stay",
         override=OVERRIDE,
     )  # fmt: skip
     pose: CollectionProperty(
@@ -191,65 +204,76 @@ class DynamorphTarget(KeyReference, PropertyGroup):
 
     frequency: FloatProperty(
         name="Frequency",
-        description="Natural frequency in hertz that the next build gives the stiffness of this target. 0: the "
-        "stiffness in pascals counts as it is",
+        description="Natural frequency from which the next build computes the stiffness of this target. 0 keeps the "
+        "stiffness in pascals as it is",
         default=0.0, min=0.0, max=1000.0, override=OVERRIDE,
     )  # fmt: skip
     by_hand: BoolProperty(
         name="Set by Hand",
-        description="Whether the artist has set the bounce or the stiffness, which no build or rehearsal then changes",
+        description="Whether the artist has set the bounce or the stiffness. No build or rehearsal then changes them",
         override=OVERRIDE,
     )  # fmt: skip
 
-    # What artists call it. Computed from the properties above and from what the last build measured.
+    # The artist's view, computed from the properties above and from what the last build measured.
     bounce: FloatProperty(
-        name="Bounce (Hz)",
-        description="Natural frequency: how often a second the soft tissue swings after a push, in this pose. Sets the "
-        "stiffness, and both dampings so that it settles as soon as before",
-        min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, options={"SKIP_SAVE"},
-        get=_get_bounce, set=_set_bounce,
+        name="Bounce",
+        description="Natural frequency of the soft tissue in this pose. It sets the stiffness, and both dampings so "
+        "that the settle time stays the same. Lower it for softer, slower motion",
+        min=0.05, max=1000.0, soft_min=0.5, soft_max=20.0, step=10, precision=2, subtype="FREQUENCY",
+        options={"SKIP_SAVE"}, get=_get_bounce, set=_set_bounce,
+    )  # fmt: skip
+    settle_time: FloatProperty(
+        name="Settle Time",
+        description="Time until a twentieth of a swing is left, in this pose. It sets both dampings and keeps their "
+        "proportion. Raise it for skin that wobbles longer",
+        min=0.001, max=NEVER, soft_min=0.05, soft_max=5.0, step=10, precision=2, subtype="TIME_ABSOLUTE",
+        options={"SKIP_SAVE"},
+        get=_get_settle_time, set=_set_settle_time,
     )  # fmt: skip
     settle: FloatProperty(
         name="Settle (Frames)",
-        description="Frames until a twentieth of a swing is left, in this pose. Sets both dampings, in the proportion "
-        "they have",
-        min=0.1, max=NEVER, soft_min=1.0, soft_max=100.0, step=100, precision=1, options={"SKIP_SAVE"},
-        get=_get_settle, set=_set_settle,
+        description="Settle Time in frames of the scene, for scripts and drivers of earlier files",
+        min=0.1, max=NEVER, options={"SKIP_SAVE"}, get=_get_settle, set=_set_settle,
     )  # fmt: skip
     weight: FloatProperty(
-        name="Weight (kg)",
-        description="Of the flesh in the target's region, with what the bones hold. Sets the density and nothing else: "
-        "heavier flesh bounces slower",
-        min=1e-6, max=1e6, soft_max=100.0, step=10, precision=3, options={"SKIP_SAVE"},
+        name="Mass",
+        description="Mass of the soft tissue in the target's region, with what the bones hold. It sets only the "
+        "density: heavier tissue bounces more slowly",
+        min=1e-12, max=1e12, soft_max=100.0, step=10, precision=3, unit="MASS", options={"SKIP_SAVE"},
         get=_get_weight, set=_set_weight,
     )  # fmt: skip
     bounce_reference: FloatProperty(
-        name="Bounce Reference", description="Undamped, in Hz, where stiffness over density is 1; by the last build",
+        name="Bounce Reference",
+        description="Undamped frequency in Hz where stiffness over density is 1, measured by the last build",
         options={"SKIP_SAVE"},
     )  # fmt: skip
     poisson_reference: FloatProperty(
-        name="Poisson Reference", description="Poisson's ratio that it was measured at", options={"SKIP_SAVE"}
+        name="Poisson Reference",
+        description="Poisson's ratio at which the bounce reference was measured",
+        options={"SKIP_SAVE"},
     )
     volume: FloatProperty(
-        name="Volume", description="Of the flesh in the target's region, in m³, by the last build",
+        name="Volume", description="Volume of the soft tissue in the target's region in m³, measured by the last build",
         options={"SKIP_SAVE"},
     )  # fmt: skip
 
     @property
     def is_measured(self) -> bool:
-        """Whether the last build knows how the flesh swings at this target; else bounce, settle and weight are 0."""
+        """Whether the last build measured how the soft tissue swings at this target. If not, bounce, settle time and
+        mass are 0.
+        """
         measured = self.bounce_reference > 0.0 and self.volume > 0.0
         return measured and math.isclose(self.poisson, self.poisson_reference, rel_tol=1e-5)
 
     def set_references(self, bounce: float, volume: float, poisson: float):
-        """As `materials.references` gives them, measured at this Poisson's ratio."""
+        """Store what the build measured at this Poisson's ratio: bounce in Hz, volume in m^3."""
         self.bounce_reference, self.volume, self.poisson_reference = bounce, volume, poisson
 
     def material(self) -> Material:
         return Material(self.stiffness, self.poisson, self.density, self.mass_damping, self.stiffness_damping)
 
     def set_material(self, material: Material, by_hand=False):
-        """Its stiffness then counts as it is. by_hand: no rehearsal changes it either."""
+        """Use this material with its stiffness as it is. by_hand: no rehearsal changes it either."""
         with as_computed():
             for name, value in asdict(material).items():
                 setattr(self, name, value)
@@ -261,8 +285,8 @@ class DynamorphTarget(KeyReference, PropertyGroup):
             self.stiffness = stiffness
 
     def set_frequency(self, frequency: float, damping: tuple[float, float]):
-        """Let it swing so often a second, with this mass and stiffness damping: at once if it is measured, else from
-        the next build on. It does not count as set by hand.
+        """Let it swing at this frequency (Hz), with this mass and stiffness damping: at once if it is measured,
+        otherwise from the next build on. It does not count as set by hand.
         """
         self.mass_damping, self.stiffness_damping = damping
         self.frequency, self.by_hand = frequency, False
@@ -294,7 +318,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         self.rig_world = rig_world.ravel()
 
     def placing(self) -> tuple:
-        """All that places the target among others, to be compared: cheap enough for every frame."""
+        """Everything that places the target among others, for comparison: cheap enough for every frame."""
         return self.region, self.radius, self.bone_names(), self.pose_bytes()
 
     def pose_bytes(self) -> bytes:

@@ -11,12 +11,13 @@ from bpy.types import Operator
 from ..core.errors import SceneError
 from ..run import live
 from ..scene import skin
+from ..scene.registration import of_classes
 from ..write import attachments, bake
 from .base import SoftSkinOperator, listed
 
 
 class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
-    """List the other meshes on the armature and the loose parts of this mesh, to choose what moves each"""
+    """List the other meshes on the armature and the loose parts of this mesh, so that you can choose what moves each"""
 
     bl_idname = "dynamorph.find_pieces"
     bl_label = "Find Attachments"
@@ -32,7 +33,7 @@ class DYNAMORPH_OT_find_pieces(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_add_piece(SoftSkinOperator, Operator):
-    """Add the other selected meshes to the list; without any, an attachment whose object or group is then chosen"""
+    """Add the other selected meshes to the list. Without a selection, add an attachment to choose an object for"""
 
     bl_idname = "dynamorph.add_piece"
     bl_label = "Add Attachment"
@@ -48,18 +49,18 @@ class DYNAMORPH_OT_add_piece(SoftSkinOperator, Operator):
 
 
 class PieceOperator(SoftSkinOperator):
-    """Mixin: works on the piece selected in the list."""
+    """Mixin: works on the attachment selected in the list."""
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and skin.mesh_in(context).dynamorph.active_piece is None:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and skin.mesh_in(context).dynamorph.active_piece is None:
             return "Select an attachment in the list first"
-        return obstacle
+        return disabled_reason
 
 
 class DYNAMORPH_OT_remove_piece(PieceOperator, Operator):
-    """Remove the selected attachment from the list, and its baked keys; the mesh itself stays"""
+    """Remove the selected attachment from the list together with its baked keys. The mesh itself stays"""
 
     bl_idname = "dynamorph.remove_piece"
     bl_label = "Remove Attachment"
@@ -74,7 +75,7 @@ class DYNAMORPH_OT_remove_piece(PieceOperator, Operator):
 
 
 class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
-    """Select the attachment in the viewport: its object, or the vertices of the part in Edit Mode"""
+    """Select the attachment in the viewport: its object, or its vertices in Edit Mode"""
 
     bl_idname = "dynamorph.select_piece"
     bl_label = "Select Attachment"
@@ -113,4 +114,4 @@ CLASSES = (
     DYNAMORPH_OT_remove_piece,
     DYNAMORPH_OT_select_piece,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What all buttons have in common: when they are grey, and how errors are told."""
+"""What all buttons have in common: when they are grayed out, and how errors are reported."""
 
 from __future__ import annotations
 
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core import engine, errors
+from ..core import engine, errors, logger
 from ..run import batch
 from ..scene import skin
 from ..write.reconcile import reconcile
@@ -14,14 +14,17 @@ from ..write.reconcile import reconcile
 LISTED = 5  # names in a report
 
 
-def guarded(operator, action, *args) -> set[str]:
-    """Call `action`; what the artist can do something about becomes a report, and the operator is cancelled."""
+def report_errors(operator, action, *args) -> set[str]:
+    """Call `action`. An error becomes a report, a bug is also logged, and the operator is cancelled."""
     try:
         return action(*args) or {"FINISHED"}
     except errors.Cancelled:
         operator.report({"WARNING"}, "Cancelled: nothing was changed")
     except engine.expected_errors() as error:
-        operator.report({"ERROR"}, str(error))
+        operator.report({"ERROR"}, errors.sentence(error))
+    except Exception as bug:
+        logger.log_bug(bug)
+        operator.report({"ERROR"}, logger.bug_sentence(bug))
     return {"CANCELLED"}
 
 
@@ -32,46 +35,55 @@ class SoftSkinOperator:
 
     needs_soft_skin = True
     on_override = False  # whether a library override keeps what the button changes
+    on_linked_mesh = False  # whether a local object with a linked mesh does
 
     @classmethod
     def poll(cls, context):
-        obstacle = cls.obstacle(context)
-        if obstacle:
-            cls.poll_message_set(iface_(obstacle))
-        return not obstacle
+        disabled_reason = cls.disabled_reason(context)
+        if disabled_reason:
+            cls.poll_message_set(iface_(disabled_reason))
+        return not disabled_reason
 
     @classmethod
-    def obstacle(cls, context) -> str:
-        """Why the button is grey, or ''."""
+    def disabled_reason(cls, context) -> str:
+        """Why the button is grayed out, or ''."""
         obj = skin.mesh_in(context)
         if obj is None:
             return "Select the character's mesh object"
         if obj.library:
-            text = iface_("'{name}' is linked: make a library override to change its materials, else make it local")
+            text = iface_("'{name}' is linked: make a library override to change its materials, or make it local")
             return text.format(name=obj.name)
         if obj.override_library and not cls.on_override:
             text = iface_("'{name}' is a library override, which would lose this when saved: make it local")
+            return text.format(name=obj.name)
+        if obj.data.library and not (obj.override_library or cls.on_override or cls.on_linked_mesh):
+            text = iface_(
+                "The mesh of '{name}' is linked, so shape keys and weights would be lost when saved: make it local "
+                "(Object > Relations > Make Local > Selected Objects and Data)"
+            )
             return text.format(name=obj.name)
         if cls.needs_soft_skin and not obj.dynamorph.targets:
             return "Press Add Soft Skin first"
         return at_work()
 
     def execute(self, context):
-        obj = skin.mesh_in(context)
+        return report_errors(self, self._apply_reconciled, skin.mesh_in(context))
+
+    def _apply_reconciled(self, obj):
         if obj and obj.dynamorph.targets:
             reconcile(obj)  # a script may have renamed a key just now
-        return guarded(self, self.apply, obj)
+        return self.apply(obj)
 
 
 def at_work() -> str:
-    """Which job is to be waited for, or ''."""
+    """Which job must end first, or ''."""
     if not batch.running:
         return ""
     return iface_("Wait until '{name}' is done, or cancel it").format(name=batch.running.name)
 
 
 def listed(names: list[str]) -> str:
-    """As many as a report has room for."""
+    """As many names as a report has room for."""
     first, more = ", ".join(names[:LISTED]), len(names) - LISTED
     return rpt_("{names} and {count} more").format(names=first, count=more) if more > 0 else first
 
@@ -82,11 +94,11 @@ class TargetOperator(SoftSkinOperator):
     neutral_too = False
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        settings = not obstacle and skin.mesh_in(context).dynamorph
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        settings = not disabled_reason and skin.mesh_in(context).dynamorph
         if settings and settings.active_target is None:
             return "Select a target in the list"
         if settings and settings.active_target_index == 0 and not cls.neutral_too:
             return "Select a target other than the neutral one"
-        return obstacle
+        return disabled_reason

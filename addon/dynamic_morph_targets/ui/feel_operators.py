@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that say how soft a skin feels, and those that mend what the verdict on a bake has found."""
+"""Buttons that set how soft a skin feels, and those that repair what the verdict on a bake has found."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ..core import verdict
 from ..core.errors import SceneError
 from ..core.feel import FEELS, Feel
 from ..run import job, live
+from ..scene.registration import of_classes
 from .base import SoftSkinOperator
 from .job_operators import JobOperator, StartsJob
 
@@ -21,8 +22,8 @@ MOST_NODES = 200_000
 
 
 def give_feel(obj, feel: Feel):
-    """Let the neutral target feel so, with every other target that was not set by hand as much stiffer than it as it
-    was; and limit the motion.
+    """Give the neutral target this feel and limit the motion. Every other target that was not set by hand keeps its
+    ratio of stiffness to the neutral target.
     """
     settings = obj.dynamorph
     neutral, *others = settings.targets
@@ -39,7 +40,7 @@ def give_feel(obj, feel: Feel):
 
 
 class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
-    """Set how soft the skin feels: its bounce, how soon it settles and how far it may move"""
+    """Set how soft the skin feels: its bounce, its settle time and how far it may move"""
 
     bl_idname = "dynamorph.apply_feel"
     bl_label = "Apply Feel"
@@ -55,7 +56,7 @@ class DYNAMORPH_OT_apply_feel(SoftSkinOperator, Operator):
     @classmethod
     def description(cls, _context, given):
         feel = FEELS[given.feel]
-        text = rpt_("{feel}. It sets Bounce to {frequency:g} Hz, with its limits; targets set by hand stay as they are")
+        text = rpt_("{feel}. It sets Bounce to {frequency:g} Hz and the limits. Targets set by hand stay as they are")
         return text.format(feel=rpt_(feel.tooltip), frequency=feel.frequency)
 
     def apply(self, obj):
@@ -75,7 +76,7 @@ def _verdict(obj) -> verdict.Verdict:
 
 
 class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
-    """Go to the frame in which the skin moves worst, select the vertices there, and show the heat map"""
+    """Go to the frame in which the skin looks worst, select the vertices there, and show the heat map"""
 
     bl_idname = "dynamorph.show_worst"
     bl_label = "Show Worst Place"
@@ -83,7 +84,7 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
     def apply(self, obj):
         found = _verdict(obj)
         if found.frame is None:
-            raise SceneError(f"'{obj.name}': its verdict names no frame: bake again")
+            raise SceneError(f"'{obj.name}': the verdict names no frame: bake again")
         if obj.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Edit Mode has a selection of its own
         mesh = obj.data
@@ -101,7 +102,7 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_rehearse(JobOperator, Operator):
-    """Rehearse the shot, raise Bounce until the skin stays within its limits, and bake; what was set by hand stays"""
+    """Rehearse the shot, raise Bounce until the skin stays within its limits, and bake. Values set by hand stay"""
 
     bl_idname = "dynamorph.rehearse"
     bl_label = "Rehearse and Bake"
@@ -112,7 +113,7 @@ class DYNAMORPH_OT_rehearse(JobOperator, Operator):
 
 
 class DYNAMORPH_OT_stiffen(StartsJob, Operator):
-    """Raise Bounce by as much as the verdict on the bake asks for, also where it was set by hand, and bake again"""
+    """Raise Bounce by as much as the verdict on the bake asks for, even where it was set by hand, and bake again"""
 
     bl_idname = "dynamorph.stiffen"
     bl_label = "Raise Bounce and Bake"
@@ -122,7 +123,7 @@ class DYNAMORPH_OT_stiffen(StartsJob, Operator):
         factor = _verdict(obj).factor
         measured = [target for target in obj.dynamorph.targets if target.is_measured]
         if not measured:
-            raise SceneError(f"'{obj.name}': its bounce is not known yet: press Build Model first")
+            raise SceneError(f"'{obj.name}': the bounce has not been measured yet: press Build Model first")
         before = measured[0].bounce
         for target in measured:
             by_hand = target.by_hand
@@ -132,7 +133,7 @@ class DYNAMORPH_OT_stiffen(StartsJob, Operator):
 
 
 class DYNAMORPH_OT_refine_cage(StartsJob, Operator):
-    """Build the cage of twice as many nodes, and bake again"""
+    """Build a cage with twice as many nodes, and bake again"""
 
     bl_idname = "dynamorph.refine_cage"
     bl_label = "Refine Cage and Bake"
@@ -142,7 +143,7 @@ class DYNAMORPH_OT_refine_cage(StartsJob, Operator):
         model = obj.dynamorph.model
         before = model.cage_nodes
         if before >= MOST_NODES:
-            raise SceneError(f"'{obj.name}': the cage has as many nodes as it can have: raise Bounce instead")
+            raise SceneError(f"'{obj.name}': the cage has the maximum number of nodes: raise Bounce instead")
         model.cage_nodes = min(round(FINER * before), MOST_NODES)
         self.report({"INFO"}, f"Cage Nodes {before} → {model.cage_nodes}")
 
@@ -154,4 +155,4 @@ CLASSES = (
     DYNAMORPH_OT_stiffen,
     DYNAMORPH_OT_refine_cage,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

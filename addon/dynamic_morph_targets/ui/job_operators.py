@@ -13,27 +13,28 @@ from ..run import batch
 from ..run.batch import run_all
 from ..run.job import Job
 from ..scene import events
+from ..scene.registration import of_classes
 from ..scene.skin import is_shown_on, mesh_in, soft_skins
 from ..write import bake, live_key
-from .base import SoftSkinOperator, at_work, guarded
+from .base import SoftSkinOperator, at_work, report_errors
 
-TICK = 0.05  # seconds between two turns of a job
-SLICE = 0.035  # of which it may hold the window, about
-SHOWN = 0.1  # seconds between two looks of its progress
+TICK = 0.05  # seconds from one turn of a job to the next
+SLICE = 0.035  # seconds of a turn that may block the window, approximately
+SHOWN = 0.1  # seconds between two updates of the progress bar
 
 
 class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
-    """Remove the baked shape keys, curves and modifier, and restore the target keys"""
+    """Delete the baked shape keys, curves and modifier, and restore the target keys"""
 
     bl_idname = "dynamorph.free_bake"
-    bl_label = "Free Bake"
+    bl_label = "Delete Bake"
     needs_soft_skin = False
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if obstacle:
-            return obstacle
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if disabled_reason:
+            return disabled_reason
         obj = mesh_in(context)
         return "" if obj.dynamorph.targets or is_shown_on(obj) else "Press Add Soft Skin first"
 
@@ -44,12 +45,14 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
 
 
 class JobOperator(SoftSkinOperator):
-    """Mixin: runs a job, in a window with a progress bar while Blender stays usable, else at once."""
+    """Mixin: runs a job. In a window it shows a progress bar and Blender stays usable; in the background it runs at
+    once.
+    """
 
     goal = "BUILD"
 
     def _jobs(self, obj) -> list[Job]:
-        """The jobs to be done one after the other; obj: the mesh of the context."""
+        """The jobs to run one after the other; obj: the mesh of the context."""
         return [Job(obj, self.goal, rebuild=self.goal == "BUILD")]
 
     def _batch(self, obj) -> batch.Batch:
@@ -63,23 +66,23 @@ class JobOperator(SoftSkinOperator):
     def invoke(self, context, _event):
         if bpy.app.background:
             return self.execute(context)
-        return guarded(self, self._begin, context)
+        return report_errors(self, self._begin, context)
 
     def modal(self, context, event):
-        if event.type == "ESC" and event.value == "PRESS":  # used up: it must not also stop the playback
+        if event.type == "ESC" and event.value == "PRESS":  # not passed on: it must not also stop the playback
             self.batch.cancel()
         elif event.type != "TIMER":
             return {"PASS_THROUGH"}
         result = {"CANCELLED"}
         try:
-            result = guarded(self, self._tick, context)
+            result = report_errors(self, self._tick, context)
         finally:
             if result != {"RUNNING_MODAL"}:
                 self._end(context)
         return result
 
     def cancel(self, _context):
-        """Blender ends the operator itself, because the window closes or another file is opened."""
+        """Blender itself ends the operator because the window closes or another file is opened."""
         batch.stop()
 
     def _begin(self, context):
@@ -111,19 +114,19 @@ class JobOperator(SoftSkinOperator):
 
     def _done(self, batch):
         for job in batch.jobs:
-            built_first = job.bake and job.reasons
+            built_first = job.input.is_bake and job.reasons
             text = rpt_("{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}")
             self.report({"INFO"}, text.format(name=job.name, result=job.summary(), reasons="; ".join(job.reasons)))
-            if job.rehearsed:
-                self.report({"INFO"}, f"{job.name}: {job.rehearsed}")
+            if job.outcome.rehearsed:
+                self.report({"INFO"}, f"{job.name}: {job.outcome.rehearsed}")
         for job in batch.jobs:
-            for warning in job.warnings:  # after the rest, because the status bar shows the last report
+            for warning in job.warnings:  # last, because the status bar shows the last report
                 self.report({"WARNING"}, warning)
         return {"FINISHED"}
 
 
 class StartsJob(SoftSkinOperator):
-    """Mixin: what `apply` does is a step of its own; in a window the operator `job` goes on from there."""
+    """Mixin: `apply` is an undo step of its own; in a window, the operator `job` continues from there."""
 
     job = ""
 
@@ -135,7 +138,7 @@ class StartsJob(SoftSkinOperator):
 
 
 def press(operator, name: str, **settings):
-    """Let another button go on where `operator` ends; what keeps that one from it is reported."""
+    """Call another operator where `operator` ends, and report what prevents it."""
     module, function = name.split(".")
     button = getattr(getattr(bpy.ops, module), function)
     try:
@@ -153,7 +156,7 @@ class DYNAMORPH_OT_build(JobOperator, Operator):
 
 
 class DYNAMORPH_OT_bake(JobOperator, Operator):
-    """Simulate the frame range and write the motion as Bake To says; builds the model first if it is out of date"""
+    """Simulate the frame range and write the motion in the form that Bake To says. An outdated model is built first"""
 
     bl_idname = "dynamorph.bake"
     bl_label = "Bake Soft Skin"
@@ -161,14 +164,14 @@ class DYNAMORPH_OT_bake(JobOperator, Operator):
 
 
 class DYNAMORPH_OT_bake_all(JobOperator, Operator):
-    """Bake every soft skin of the scene, one after the other; none of them changes before all are done"""
+    """Bake every soft skin of the scene, one after the other. None of them changes before all are done"""
 
     bl_idname = "dynamorph.bake_all"
     bl_label = "Bake All"
     goal = "BAKE_ALL"
 
     @classmethod
-    def obstacle(cls, context):
+    def disabled_reason(cls, context):
         if not _own_skins(context.scene):
             return "The scene has no soft skin of its own: press Add Soft Skin first, or make a linked one local"
         return at_work()
@@ -178,12 +181,14 @@ class DYNAMORPH_OT_bake_all(JobOperator, Operator):
 
 
 def _own_skins(scene) -> list:
-    """The soft skins whose bake would be saved."""
-    return [skin for skin in soft_skins(scene.objects) if not (skin.library or skin.override_library)]
+    """The soft skins whose bake would be saved with the file."""
+    return [
+        skin for skin in soft_skins(scene.objects) if not (skin.library or skin.override_library or skin.data.library)
+    ]
 
 
 class DYNAMORPH_OT_cancel(Operator):
-    """Stop the running build or bake; what was there before stays"""
+    """Stop the running build or bake. The previous model and bake stay"""
 
     bl_idname = "dynamorph.cancel"
     bl_label = "Cancel Soft Skin Job"
@@ -201,4 +206,4 @@ CLASSES = (
     DYNAMORPH_OT_free_bake,
     DYNAMORPH_OT_cancel,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that show the flesh without a bake: Live, shake tests, single modes; and those that compare settings."""
+"""Buttons that show the motion without a bake (Live, shake tests, single modes), and those that compare settings."""
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Iterator
@@ -18,41 +17,43 @@ from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
+from ..core import records
 from ..core.errors import SceneError, SinkError
 from ..run import live, preview
 from ..run.preview import SECONDS, SWING, Preview, end_preview, is_running, movers, shaken
 from ..scene import events, model_store, rig_motion, skin
+from ..scene.registration import of_classes
 from ..write import comparison
 from ..write.slots import put_slot, slot_settings
-from .base import SoftSkinOperator, guarded
+from .base import SoftSkinOperator, report_errors
 from .job_operators import JobOperator, press
 
-FIRST_LOOK = 2.0  # seconds of the hop in which a new soft skin shows itself
+FIRST_LOOK = 2.0  # seconds of the hop that shows a new soft skin
 NAVIGATION = {
     "MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM",
     "MOUSEROTATE", "MOUSESMARTZOOM", "NDOF_MOTION",
 }  # fmt: skip
 
 
-class FleshOperator(SoftSkinOperator):
-    """Mixin: shows the flesh of the built model, which nothing else may show meanwhile."""
+class TissueOperator(SoftSkinOperator):
+    """Mixin: shows the motion of the built model, which nothing else may show meanwhile."""
 
     @classmethod
-    def obstacle(cls, context):
-        return super().obstacle(context) or live.obstacle(skin.mesh_in(context))
+    def disabled_reason(cls, context):
+        return super().disabled_reason(context) or live.disabled_reason(skin.mesh_in(context))
 
 
-class DYNAMORPH_OT_live(FleshOperator, Operator):
-    """Simulate while Blender plays, without a bake; again: stop that"""
+class DYNAMORPH_OT_live(TissueOperator, Operator):
+    """Simulate while Blender plays, without a bake. Press again to stop"""
 
     bl_idname = "dynamorph.live"
     bl_label = "Live Soft Skin"
 
     @classmethod
-    def obstacle(cls, context):
+    def disabled_reason(cls, context):
         obj = skin.mesh_in(context)
         playing = obj is not None and live.is_on(obj)
-        return super(FleshOperator, cls).obstacle(context) if playing else super().obstacle(context)
+        return super(TissueOperator, cls).disabled_reason(context) if playing else super().disabled_reason(context)
 
     def apply(self, obj):
         end_preview()
@@ -63,44 +64,49 @@ class DYNAMORPH_OT_live(FleshOperator, Operator):
 
 
 class EndsLive(JobOperator):
-    """Mixin: builds a model, and in a window turns Live on then and lets the armature hop."""
+    """Mixin: builds a model. In a window it then turns Live on and lets the armature hop."""
 
     def modal(self, context, event):
         result = super().modal(context, event)
         if result == {"FINISHED"}:
-            guarded(self, self._look, context)
+            report_errors(self, self._look, context)
         return result
 
     def _look(self, context):
-        obj = skin.find(self.batch.jobs[0].session_uid)
-        obstacle = live.obstacle(obj)
-        if obstacle:
-            raise SceneError(obstacle)
+        request = self.batch.jobs[0].request
+        if request.scene.find() != context.scene:  # the artist has gone on in another one
+            return
+        obj = request.target.find()
+        disabled_reason = live.disabled_reason(obj)
+        if disabled_reason:
+            raise SceneError(disabled_reason)
         live.turn_on(obj, context.scene)
         if skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
             press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK)
 
 
 class DYNAMORPH_OT_first_look(EndsLive, Operator):
-    """Build a new soft skin, turn Live on and let it hop, so that it shows how it moves; Esc stops"""
+    """Build a new soft skin, turn Live on and let the armature hop to show how the skin moves. Esc stops it"""
 
     bl_idname = "dynamorph.first_look"
     bl_label = "Build Soft Skin"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
 
-class PreviewOperator(FleshOperator):
-    """Mixin: shows a Preview, in a window by and by until it ends or is stopped with Esc, else all frames at once."""
+class PreviewOperator(TissueOperator):
+    """Mixin: shows a Preview. In a window it plays until it ends or Esc stops it; in the background all frames run at
+    once.
+    """
 
-    bl_options = {"REGISTER"}  # nothing stays that could be undone
+    bl_options = {"REGISTER"}  # it leaves nothing that could be undone
 
     def apply(self, obj):
         running = Preview(obj, type(self))
         try:
             moved = []
-            for values, transform in self.frames(obj, running.flesh):
+            for values, transform in self.frames(obj, running.tissue):
                 running.show(values, transform)
-                moved.append(running.flesh.moved(values))
+                moved.append(running.tissue.moved(values))
         finally:
             running.end()
         self._report(max(moved))
@@ -108,10 +114,10 @@ class PreviewOperator(FleshOperator):
     def invoke(self, context, _event):
         if bpy.app.background:
             return self.execute(context)
-        return guarded(self, self._begin, context)
+        return report_errors(self, self._begin, context)
 
     def modal(self, context, event):
-        if self.running is not preview.preview:  # stopped by its button, by undo, or by what else ends previews
+        if self.running is not preview.preview:  # stopped by its button, by undo or by anything else that ends previews
             return self._end(context)
         if event.type == "ESC" and event.value == "PRESS":
             return self._end(context)
@@ -119,7 +125,7 @@ class PreviewOperator(FleshOperator):
             return {"PASS_THROUGH"} if self.passes(event) else {"RUNNING_MODAL"}
         result = {"CANCELLED"}
         try:
-            result = guarded(self, self._tick)
+            result = report_errors(self, self._tick)
         finally:
             if result != {"RUNNING_MODAL"}:
                 self._end(context)
@@ -139,11 +145,11 @@ class PreviewOperator(FleshOperator):
         self.running = preview.begin_preview(obj, type(self))
         self.largest = 0.0
         try:
-            self.left = self.frames(obj, self.running.flesh)
+            self.left = self.frames(obj, self.running.tissue)
         except BaseException:
             end_preview()
             raise
-        self.fps = self.running.flesh.player.settings.fps
+        self.fps = self.running.tissue.player.settings.fps
         self.began, self.done = time.monotonic(), 0
         self.timer = context.window_manager.event_timer_add(1.0 / self.fps, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -151,12 +157,14 @@ class PreviewOperator(FleshOperator):
         return {"RUNNING_MODAL"}
 
     def _tick(self):
-        """Show the frame of this moment: a slow window drops some, as playback does."""
+        """Show the frame that is due now. A slow window drops frames, as playback does."""
+        if rig_motion.render_runs():  # which reads what would be written
+            return {"RUNNING_MODAL"}
         due = 1 + int((time.monotonic() - self.began) * self.fps) - self.done
         frames = list(islice(self.left, due))
         self.done += len(frames)
         for values, _ in frames:
-            self.largest = max(self.largest, self.running.flesh.moved(values))
+            self.largest = max(self.largest, self.running.tissue.moved(values))
         if frames:
             self.running.show(*frames[-1])
         if len(frames) == due:
@@ -172,51 +180,51 @@ class PreviewOperator(FleshOperator):
         return {"CANCELLED"}
 
     def _report(self, largest: float):
-        text = rpt_("The flesh moves by up to {distance:.1f} mm")
+        text = rpt_("The skin moves by up to {distance:.1f} mm")
         self.report({"INFO"}, text.format(distance=1000 * largest))
 
 
 class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
-    """Shake the armature in place, without keyframes, to see how the flesh swings; Esc stops"""
+    """Shake the armature in place, without keyframes, to see how the skin swings. Esc stops it"""
 
     bl_idname = "dynamorph.shake_test"
     bl_label = "Shake Test"
 
     kind: EnumProperty(
         name="Kind",
-        description="How the armature is moved",
+        description="How the test moves the armature",
         items=(
-            ("STOMP", "Stomp", "Rise, drop and stop dead"),
-            ("TWIST", "Twist", "Turn about the vertical, quickly, and back"),
-            ("HOP", "Hop", "Up and down, twice"),
+            ("STOMP", "Stomp", "Rise, drop and stop abruptly", 0),
+            ("TWIST", "Twist", "Turn quickly about the vertical axis and back", 1),
+            ("HOP", "Hop", "Move up and down twice", 2),
         ),
         options={"SKIP_SAVE"},
     )  # fmt: skip
     seconds: FloatProperty(
-        name="Seconds", description="How long the test takes", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
+        name="Seconds", description="Duration of the test", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
     )
 
     def passes(self, event) -> bool:
-        """Not what may be undone: it would remember the rig where it is shaken to."""
+        """Only navigation: an undo step would store the rig in its shaken position."""
         return event.type in NAVIGATION
 
-    def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, Matrix]]:
+    def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, Matrix]]:
         for moved in movers(obj):
             if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
                 raise SceneError(f"'{moved.name}' rotates by Axis Angle: choose another rotation mode to twist it")
-        return self._played(flesh, *shaken(obj, flesh, self.kind, self.seconds))
+        return self._played(tissue, *shaken(obj, tissue, self.kind, self.seconds))
 
     @staticmethod
-    def _played(flesh, samples, transforms):
-        player, substeps = flesh.player, flesh.player.settings.substeps
+    def _played(tissue, samples, transforms):
+        player, substeps = tissue.player, tissue.player.settings.substeps
         count = len(samples) // substeps
-        yield flesh.values(player.begin(samples[:2])), Matrix(transforms[0])
+        yield tissue.values(player.begin(samples[:2])), Matrix(transforms[0])
         for k, frame in enumerate(player.play(samples[1:], range(1, count + 1)), 1):
-            yield flesh.values(frame), Matrix(transforms[k * substeps])
+            yield tissue.values(frame), Matrix(transforms[k * substeps])
 
 
 class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
-    """Swing the selected mode alone, about the targets' shape in the present pose; again, or Esc: stop"""
+    """Swing only the selected mode about the targets' shape in the current pose. Press again, or Esc, to stop"""
 
     bl_idname = "dynamorph.play_mode"
     bl_label = "Play Mode"
@@ -224,27 +232,27 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
     def passes(self, _event) -> bool:
         return True  # to select other modes meanwhile
 
-    def frames(self, obj, flesh) -> Iterator[tuple[np.ndarray, None]]:
-        """A swing a second; in the background, one."""
-        if not flesh.modes:
+    def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, None]]:
+        """One swing per second; in the background, a single swing."""
+        if not tissue.modes:
             raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
-        weights = flesh.player.begin(rig_motion.sample_present(obj, flesh.probe)).weights
-        return self._swinging(obj.session_uid, flesh, weights)
+        weights = tissue.player.begin(rig_motion.sample_present(obj, tissue.probe)).weights
+        return self._swinging(obj.session_uid, tissue, weights)
 
     @staticmethod
-    def _swinging(session_uid: int, flesh, weights):
-        fps = flesh.player.settings.fps
-        dry = np.concatenate([flesh.player.dry(weights), weights])
+    def _swinging(session_uid: int, tissue, weights):
+        fps = tissue.player.settings.fps
+        static = np.concatenate([tissue.player.static(weights), weights])
         k = 0
         while k < fps or not bpy.app.background:
             settings = skin.find(session_uid).dynamorph
-            index = min(settings.active_mode_index, flesh.modes - 1)
-            mode = np.zeros_like(dry)
+            index = min(settings.active_mode_index, tissue.modes - 1)
+            mode = np.zeros_like(static)
             mode[index] = 1.0
-            amplitude = SWING * flesh.player.size / flesh.moved(dry + mode)
+            amplitude = SWING * tissue.player.size / tissue.moved(static + mode)
             if index < len(settings.modes):
                 amplitude *= settings.modes[index].gain
-            yield dry + amplitude * math.sin(2.0 * math.pi * k / fps) * mode, None
+            yield static + amplitude * math.sin(2.0 * math.pi * k / fps) * mode, None
             k += 1
 
 
@@ -252,17 +260,17 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
 
 
 class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
-    """Show the mesh as its rig alone moves it, to compare; again, or when the file is saved: show the soft skin"""
+    """Show the mesh as the rig alone moves it, for comparison. Pressing again or saving the file shows the soft skin"""
 
     bl_idname = "dynamorph.show_plain"
     bl_label = "Show Plain Skinning"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not comparison.can_show(skin.mesh_in(context)):
-            return "Turn Live on or bake first: there is only plain skinning to be seen"
-        return obstacle
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not comparison.can_show(skin.mesh_in(context)):
+            return "Turn Live on or bake first: only plain skinning exists so far"
+        return disabled_reason
 
     def apply(self, obj):
         end_preview()
@@ -270,7 +278,7 @@ class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
-    """Set the gain of all modes to 1, and none solo"""
+    """Set the gain of all modes to 1, and turn solo off"""
 
     bl_idname = "dynamorph.reset_gains"
     bl_label = "Reset Gains"
@@ -281,7 +289,7 @@ class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
-    """Measure how far the soft skin at rest, in each target's pose, is from what was sculpted for it"""
+    """Measure how far the soft skin at rest in each target's pose is from the sculpted shape"""
 
     bl_idname = "dynamorph.check_targets"
     bl_label = "Check Targets"
@@ -296,43 +304,43 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
-    """Go to the other of two sets of settings, to compare them: materials, simulation, gains of modes"""
+    """Switch to the other of two sets of settings to compare them: materials, simulation and gains of modes"""
 
     bl_idname = "dynamorph.swap_slot"
-    bl_label = "Swap A and B"
+    bl_label = "Compare A and B"
 
     def apply(self, obj):
         record = obj.dynamorph.live
         left = slot_settings(obj)
-        put_slot(obj, json.loads(record.other) if record.other else left)
-        record.other = json.dumps(left)
+        put_slot(obj, records.slot(record.other) if record.other else left)
+        record.other = records.text(left)
         record.slot = "B" if record.slot == "A" else "A"
         live.refresh(obj)
 
 
 class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
-    """Make the other set of settings the same as this one"""
+    """Copy this set of settings to the other one"""
 
     bl_idname = "dynamorph.copy_slot"
     bl_label = "Copy to Other Slot"
 
     def apply(self, obj):
-        obj.dynamorph.live.other = json.dumps(slot_settings(obj))
+        obj.dynamorph.live.other = records.text(slot_settings(obj))
 
 
 @persistent
 def _before_change(*_args):
-    """What a preview moves must not be saved, nor stay where undo passes by."""
+    """What a preview moves must neither be saved nor end up in an undo step."""
     end_preview()
 
 
 @persistent
 def _before_save(*_args):
-    """save_pre: a file that is opened or rendered elsewhere shows the soft skin."""
+    """save_pre: a saved file shows the soft skin wherever it is opened or rendered."""
     _before_change()
     for obj in skin.soft_skins(bpy.data.objects):
         if obj.library is None and comparison.is_plain(obj):
-            with suppress(SinkError):  # in Edit Mode the panel goes on saying it
+            with suppress(SinkError):  # in Edit Mode the panel keeps saying that plain skinning is shown
                 comparison.show(obj, False)
 
 
@@ -348,7 +356,7 @@ CLASSES = (
     DYNAMORPH_OT_swap_slot,
     DYNAMORPH_OT_copy_slot,
 )
-_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+_register_classes, _unregister_classes = of_classes(CLASSES)
 
 
 def register():

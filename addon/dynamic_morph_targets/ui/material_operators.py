@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons of a target's material: presets and fits to what was seen."""
+"""Buttons of a target's material: presets, and fits to observations."""
 
 from __future__ import annotations
 
-import bpy
 from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
 
 from ..core import material_fit, material_presets, oscillation
 from ..scene import model_store, skin
-from .base import TargetOperator, guarded
+from ..scene.registration import of_classes
+from .base import TargetOperator, report_errors
 
 
 class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
@@ -22,8 +22,8 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
 
     preset: EnumProperty(
         name="Material",
-        description="What the flesh is made of at this target",
-        items=[(key, preset.label, preset.source) for key, preset in material_presets.PRESETS.items()],
+        description="Measured material of the soft tissue at this target",
+        items=[(key, p.label, p.source, number) for number, (key, p) in enumerate(material_presets.PRESETS.items())],
     )
 
     @classmethod
@@ -36,7 +36,7 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
-    """Set stiffness and damping of the selected target so that the flesh swings as observed, on the cage as built"""
+    """Set stiffness and damping of the selected target so that the built skin swings as observed"""
 
     bl_idname = "dynamorph.fit_material"
     bl_label = "Fit Bounce"
@@ -44,25 +44,31 @@ class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
     on_override = True
 
     frequency: FloatProperty(
-        name="Bounce (Hz)", description="Swings a second after a push", default=3.0, min=0.01, max=1000.0
+        name="Bounce",
+        description="Observed natural frequency, in swings per second after a push",
+        default=3.0,
+        min=0.01,
+        max=1000.0,
+        subtype="FREQUENCY",
     )
     settle: FloatProperty(
-        name="Settle (s)",
-        description="Seconds until a twentieth of the swing is left",
+        name="Settle Time",
+        description="Observed time until a twentieth of the swing is left",
+        subtype="TIME_ABSOLUTE",
         default=1.0,
         min=0.001,
         max=1000.0,
     )
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not skin.mesh_in(context).dynamorph.model.content_id:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not skin.mesh_in(context).dynamorph.model.content_id:
             return "Press Build Model first: the bounce is measured on its cage"
-        return obstacle
+        return disabled_reason
 
     def invoke(self, context, _event):
-        return guarded(self, self._ask, context)
+        return report_errors(self, self._ask, context)
 
     def _ask(self, context):
         obj = skin.mesh_in(context)
@@ -80,4 +86,4 @@ CLASSES = (
     DYNAMORPH_OT_apply_material,
     DYNAMORPH_OT_fit_material,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

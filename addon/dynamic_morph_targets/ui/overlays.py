@@ -14,13 +14,14 @@ from functools import lru_cache
 import bpy
 import gpu
 import numpy as np
+from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 from mathutils import Matrix
 
-from ..core import engine, errors
+from ..core import engine, errors, logger
 from ..core.rig_samples import RigSamples
 from ..run import heat
-from ..scene import checks, model_store, references, rig_motion, skin
+from ..scene import checks, events, model_store, references, rig_motion, skin
 from .gpu_drawing import (
     MARGIN,
     PADDING,
@@ -263,7 +264,7 @@ def _draw_surface_legend():
         shown = painted(context, obj)
     except engine.expected_errors() as error:
         text = context.preferences.themes[0].user_interface.wcol_box.text
-        draw_text(str(error), left + pixels(PADDING), bottom + pixels(MARGIN), text)
+        draw_text(errors.sentence(error), left + pixels(PADDING), bottom + pixels(MARGIN), text)
         return
     right, top = right - pixels(GIZMOS), top - pixels(MARGIN)
     if shown and right - pixels(LEGEND) > left:
@@ -286,12 +287,17 @@ def _draw_scale(right: float, top: float, title: str, low: str, high: str):
 
 
 def _quietly(draw):
-    """A callback that draws nothing where `draw` fails: an error would come back at every redraw, in the console."""
+    """A callback that draws nothing where `draw` fails, and logs a bug once: it would come back at every redraw.
+
+    What is expected the panel or the legend says.
+    """
 
     def callback():
         try:
             draw()
-        except Exception:  # the object, its rig or its model is going, or being edited
+        except Exception as error:
+            if not isinstance(error, engine.expected_errors()):
+                logger.log_once(error)
             gpu.state.depth_test_set("NONE")
             gpu.state.depth_mask_set(False)
             gpu.state.blend_set("NONE")
@@ -302,7 +308,17 @@ def _quietly(draw):
 _handles = []
 
 
+@persistent
+def _before_load(*_args):
+    """load_pre."""
+    forget()
+
+
+HANDLERS = {"load_pre": _before_load}
+
+
 def register():
+    events.add(HANDLERS)
     if not bpy.app.background:
         in_view, on_top = (_draw_surface, _draw_cage), (draw_graph, _draw_surface_legend)
         for draw, moment in [(draw, "POST_VIEW") for draw in in_view] + [(draw, "POST_PIXEL") for draw in on_top]:
@@ -310,6 +326,7 @@ def register():
 
 
 def unregister():
+    events.remove(HANDLERS)
     while _handles:
         bpy.types.SpaceView3D.draw_handler_remove(_handles.pop(), "WINDOW")
     forget()
@@ -319,4 +336,3 @@ def forget():
     """Free what is kept on the graphics card, and cages."""
     for cache in (_cage, _order, _cage_batches, graph_batches):
         cache.cache_clear()
-    heat.forget()

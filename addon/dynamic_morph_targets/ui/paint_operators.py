@@ -15,23 +15,30 @@ from ..core import engine
 from ..core.errors import SceneError
 from ..run import heat
 from ..scene import mesh_data, skin
+from ..scene.registration import of_classes
 from ..write import bake, storage
 from ..write.fixes import owned
 from .base import SoftSkinOperator
 
-STEPS = 1000  # of softness that are told apart in a vertex group
+STEPS = 1000  # levels of softness that a vertex group distinguishes
 
 
 @dataclass(frozen=True)
 class Painted:
-    """A vertex group that the artist paints. field: of DynamorphSettings; start: weight of a new group everywhere."""
+    """A map that the artist paints. name: of a new vertex group; label: of the map; field: of DynamorphSettings; start:
+    weight of a new group everywhere.
+    """
 
     name: str
+    label: str
     field: str
     start: float
 
 
-PAINTED = {"SOFT": Painted("Soft", "soft_group", 1.0), "STIFFNESS": Painted("Stiffness", "stiffness_group", 0.0)}
+PAINTED = {
+    "SOFT": Painted("Soft", "Softness Map", "soft_group", 1.0),
+    "STIFFNESS": Painted("Stiffness", "Stiffness Map", "stiffness_group", 0.0),
+}
 
 
 def is_painting(obj, which: str) -> bool:
@@ -45,15 +52,17 @@ def is_painting(obj, which: str) -> bool:
 
 
 class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
-    """Paint the vertex group in Weight Paint, made if there is none; press again to go back to the mode before"""
+    """Paint the map in Weight Paint, with a new vertex group if there is none. Press again to leave Weight Paint"""
 
     bl_idname = "dynamorph.paint_group"
-    bl_label = "Paint Soft Skin Group"
+    bl_label = "Paint Soft Skin Map"
 
     which: EnumProperty(
-        name="Which",
-        description="What the painted weights say",
-        items=[(key, painted.name, f"Where the skin is painted {painted.name}") for key, painted in PAINTED.items()],
+        name="Map",
+        description="The map to paint",
+        items=[
+            (key, painted.label, f"Paint the {painted.label}", i) for i, (key, painted) in enumerate(PAINTED.items())
+        ],
     )
 
     def apply(self, obj):
@@ -85,8 +94,8 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             _set_brush(weights)
 
     def _start(self, obj) -> dict[int, np.ndarray]:
-        """Weights (V,) of a new group, by session_uid of each mesh that gets one. Softness begins with what the hold by
-        thickness comes to: all 1 would say that thin parts are soft.
+        """Weights (V,) of a new group, by session_uid of each mesh that gets one. A new softness map starts from the
+        hold by thickness: 1 everywhere would make thin parts soft.
         """
         with suppress(*engine.expected_errors()):
             if self.which == "SOFT" and obj.dynamorph.model.hold == "THICKNESS":
@@ -105,18 +114,18 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
 
 
 def _softness_of_hold(obj) -> dict[int, np.ndarray]:
-    """How soft the model takes the vertices (V,) of each mesh in its cage to be, by session_uid. Raises SceneError."""
+    """Softness (V,) in the model of the vertices of each mesh in its cage, by session_uid. Raises SceneError."""
     return {uid: 1.0 - held for uid, held in heat.holds(obj).items()}
 
 
 def _write_groups(name: str, weights: dict[int, np.ndarray]):
-    """As `_write_group`, for each mesh by session_uid."""
+    """`_write_group` for each mesh, by session_uid."""
     for uid, values in weights.items():
         _write_group(skin.find(uid), name, values)
 
 
 def _write_group(obj, name: str, weights: np.ndarray):
-    """Let the vertex group of this name, made if there is none, have weights (V,), to a thousandth."""
+    """Write weights (V,), rounded to a thousandth, to the vertex group of this name; it is created if there is none."""
     group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
     steps = np.round(weights * STEPS).astype(int)
     for step in np.unique(steps):
@@ -124,7 +133,7 @@ def _write_group(obj, name: str, weights: np.ndarray):
 
 
 def _set_brush(weights: np.ndarray):
-    """Let the first stroke show: the brush paints 0 where most of the weights (V,) are over a half, else 1."""
+    """Make the first stroke visible: the brush paints 0 if most of the weights (V,) are over a half, otherwise 1."""
     tools = bpy.context.scene.tool_settings
     shared = getattr(tools.weight_paint, "unified_paint_settings", None) or tools.unified_paint_settings
     shared.weight = 0.0 if np.median(weights) > 0.5 else 1.0
@@ -134,17 +143,17 @@ def _set_brush(weights: np.ndarray):
 
 
 class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
-    """Replace the Soft vertex group, of all meshes in the cage, by how soft the model takes each vertex to be"""
+    """Fill the softness map of all meshes in the cage with the softness that the built model gives each vertex"""
 
     bl_idname = "dynamorph.hold_to_group"
     bl_label = "Softness from Hold"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not skin.mesh_in(context).dynamorph.model.content_id:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not skin.mesh_in(context).dynamorph.model.content_id:
             return "Press Build Model first: it computes the hold"
-        return obstacle
+        return disabled_reason
 
     def apply(self, obj):
         bake.check_not_edited(obj)
@@ -160,4 +169,4 @@ CLASSES = (
     DYNAMORPH_OT_paint_group,
     DYNAMORPH_OT_hold_to_group,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

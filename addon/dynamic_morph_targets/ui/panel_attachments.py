@@ -10,11 +10,11 @@ from ..run import batch
 from ..write import attachments
 from .widgets import draw_message
 
-FEW_NOTES = 3  # about what is left alone
+FEW_NOTES = 3  # notes about meshes that are left alone
 
 
 class DYNAMORPH_UL_pieces(UIList):
-    """The pieces of a character, each with what moves it."""
+    """The attachments of a character, each with what moves it."""
 
     def draw_item(self, _context, layout, data, item, _icon, _active_data, _active_property, _index):
         row = layout.row(align=True)

@@ -74,19 +74,21 @@ def draw_live(layout, obj):
         row.operator("dynamorph.shake_test", text=kind.capitalize()).kind = kind
     row = body.row(align=True)
     slot = obj.dynamorph.live.slot
-    row.operator("dynamorph.swap_slot", text=f"Settings {slot}", icon="FILE_REFRESH")
+    row.operator("dynamorph.swap_slot", text=f"Compare {slot}", icon="FILE_REFRESH")
     row.operator("dynamorph.copy_slot", text=f"Copy to {'A' if slot == 'B' else 'B'}", icon="COPYDOWN")
 
 
 def draw_plain(layout, obj):
-    """The look at plain skinning in the place of a bake or of Live."""
+    """The button that shows plain skinning in place of a bake or of Live."""
     if not skin.is_shown_on(obj):
         return
     plain = comparison.is_plain(obj)
     text = "Show Soft Skin" if plain else "Show Plain Skinning"
     layout.operator("dynamorph.show_plain", text=text, icon="HIDE_OFF" if plain else "HIDE_ON", depress=plain)
     if plain:
-        draw_message(layout, "This is plain skinning: the soft skin is hidden until you press Show Soft Skin or save")
+        draw_message(
+            layout, "Plain skinning is shown: the soft skin stays hidden until you press Show Soft Skin or save"
+        )
 
 
 REMEDIES = {
@@ -97,7 +99,7 @@ REMEDIES = {
 
 
 def draw_verdict(layout, context, obj):
-    """How believable the bake looks, where it looks worst, and what mends it."""
+    """How believable the bake looks, where it looks worst, and the button that repairs it."""
     found = verdict.parsed(obj.dynamorph.bake.verdict)
     if found is None:
         return
@@ -143,8 +145,8 @@ def draw_bake(layout, context, obj):
         influence = bake_influence.influence(obj)
         if influence:
             row = layout.row()
-            row.use_property_decorate = True  # it is to be keyed
-            row.prop(*influence, text="Influence", slider=True)
+            row.use_property_decorate = True  # for its keyframe button
+            row.prop(*influence, text="Bake Influence", slider=True)
         if settings.bake.summary:
             draw_message(layout, settings.bake.summary, icon="CHECKMARK")
             found = verdict.parsed(settings.bake.verdict)
@@ -159,7 +161,7 @@ def draw_export(layout, obj):
         draw_job(layout, "dynamorph.export_actions", "EXPORT")
         return
     row = layout.row(align=True)
-    # Menus do not ask the buttons in them; a model alone is enough for the Actions as clips.
+    # A menu does not poll its buttons. A model alone is enough to export Actions as clips.
     row.enabled = batch.running is None and (obj.dynamorph.bake.exists or bool(obj.dynamorph.model.content_id))
     row.operator_menu_enum("dynamorph.export", "format", icon="EXPORT")
     row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")

@@ -7,13 +7,13 @@ import numpy as np
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Menu, UIList
 
-from ..core import engine
+from ..core import engine, errors
 from ..run import batch, weight_curves
 from ..scene import checks
 from .widgets import draw_message
 
-FEW_BONES = 8  # of a target: more are folded away
-WIDE = 340  # pixels, at a resolution scale of 1: a list this wide has room for more than names
+FEW_BONES = 8  # more bones of a target than these are folded away
+WIDE = 340  # pixels at a resolution scale of 1; a list this wide has room for more than names
 
 
 class DYNAMORPH_UL_targets(UIList):
@@ -30,7 +30,7 @@ class DYNAMORPH_UL_targets(UIList):
         split = row.split(factor=0.66 if wide else 1.0)
         if block:
             split.prop(block, "name", text="", icon="SHAPEKEY_DATA", emboss=False)
-        else:  # without its key a target cannot be built
+        else:  # a target cannot be built without its key
             split.label(text=item.name, icon="ARMATURE_DATA" if neutral else "ERROR", translate=False)
         if wide:
             split.label(text=f"{item.stiffness / 1000:.3g} kPa", translate=False)
@@ -41,7 +41,7 @@ class DYNAMORPH_UL_targets(UIList):
 
 
 class DYNAMORPH_MT_targets(Menu):
-    """What is done to targets less often."""
+    """Less frequent actions on targets."""
 
     bl_label = "Target Specials"
 
@@ -110,7 +110,7 @@ def draw_target(layout, obj, target):
 
 
 def draw_bones(layout, target):
-    """The bones that place a target; a click on one takes it away."""
+    """The bones that place a target; clicking one removes it."""
     bones = target.bone_names()
     if len(bones) > FEW_BONES:
         header, layout = layout.panel("dynamorph_bones", default_closed=True)
@@ -131,7 +131,7 @@ def draw_material(layout, target):
     row.operator("dynamorph.fit_material", text="Fit Bounce")
     units = column.column(align=True)
     units.enabled = target.is_measured
-    for name in ("bounce", "settle", "weight"):
+    for name in ("bounce", "settle_time", "weight"):
         units.prop(target, name)
     if not target.is_measured:
         column.label(text="Build Model first", icon="INFO")
@@ -147,11 +147,11 @@ def draw_material(layout, target):
 
 
 def draw_influence(layout, context, obj):
-    """How much each target counts in the present pose, and over the frames."""
+    """How much each target counts in the current pose and over the frames."""
     if engine.engine_problem() or len(obj.dynamorph.targets) < 2:
         return
     header, body = layout.panel("dynamorph_influence", default_closed=True)
-    header.label(text="Influence")
+    header.label(text="Target Weights")
     if not body:
         return
     draw_bars(body, context, obj)
@@ -167,13 +167,13 @@ def draw_influence(layout, context, obj):
 def draw_bars(layout, context, obj):
     """Each target's weight now, set by set."""
     depsgraph = context.view_layer.depsgraph
-    if depsgraph is None:  # nothing is evaluated yet
+    if depsgraph is None:  # nothing has been evaluated yet
         return
     weight_curves.follow_frames()
     try:
         now = weight_curves.weights_now(obj, depsgraph)
     except engine.expected_errors() as error:
-        draw_message(layout, str(error))
+        draw_message(layout, errors.sentence(error))
         return
     shown = now.by_set()
     for s, targets in shown:
@@ -183,5 +183,5 @@ def draw_bars(layout, context, obj):
         for target, weight in zip(now.sets[s].targets, now.weights[0, targets.start : targets.stop], strict=True):
             column.progress(factor=weight, text=f"{target.name}  {weight:.2f}")
         if now.outside[0, s]:
-            text = iface_("Outside: {away:.0f}° from the nearest target").format(away=np.degrees(now.nearest[0, s]))
+            text = iface_("Uncovered: {away:.0f}° from the nearest target").format(away=np.degrees(now.nearest[0, s]))
             column.label(text=text, icon="INFO", translate=False)

@@ -10,6 +10,7 @@ from bpy.types import Panel
 from ..core import engine, feel
 from ..run import batch, preview
 from ..scene import checks, skin
+from ..scene.registration import of_classes
 from . import paint_operators
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces
 from .panel_bake import DYNAMORPH_UL_modes, draw_bake, draw_live, draw_model, draw_modes, draw_plain, draw_setup
@@ -63,11 +64,11 @@ def draw_problems(layout, obj):
 
 
 def draw_feel(layout, obj):
-    """How soft the skin feels: the presets, how much of the motion shows, and how far it may go."""
+    """How soft the skin feels: the presets, how much of the motion shows, and its limits."""
     simulation = obj.dynamorph.simulation
     sliders = layout.column()
     sliders.enabled = batch.running is None
-    sliders.use_property_split = False  # beside them there is no room for the names
+    sliders.use_property_split = False  # there is no room for the names beside them
     column = sliders.column(align=True)
     row = column.row(align=True)
     chosen = feel.active(obj.dynamorph.targets[0], simulation)
@@ -102,7 +103,7 @@ def draw_cage(layout, context, obj):
     column.prop(settings.model, "separate")
     column.prop(settings.model, "one_cage")
     draw_painted_group(column, obj, "SOFT")
-    pair = column.column(align=True)  # side by side their names are cut
+    pair = column.column(align=True)  # side by side, their names would be cut off
     pair.use_property_split = False
     pair.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
     pair.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
@@ -129,7 +130,7 @@ def draw_painted_group(layout, obj, which: str):
 
 
 def draw_status(header, _context):
-    """What runs, at the left of the status bar; of every window, wherever it was started."""
+    """What runs, at the left of the status bar of every window, wherever it was started."""
     work = batch.running
     if work:
         text = iface_("{done:.0%}  {message}    Esc: cancel")
@@ -177,7 +178,7 @@ CLASSES = (
     DYNAMORPH_PT_sidebar,
     DYNAMORPH_PT_object_data,
 )
-_register, _unregister = bpy.utils.register_classes_factory(CLASSES)
+_register, _unregister = of_classes(CLASSES)
 
 
 def register():

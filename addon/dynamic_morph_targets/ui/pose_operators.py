@@ -3,20 +3,20 @@
 
 from __future__ import annotations
 
-import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
 from bpy.types import Operator
 
 from ..core.errors import SceneError
 from ..scene import checks, rig_motion
+from ..scene.registration import of_classes
 from ..write import muting, regions, targets
 from ..write.targets import capture
 from .base import TargetOperator, listed
 
 
 class DYNAMORPH_OT_capture_pose(TargetOperator, Operator):
-    """Let the selected target apply at the current pose of the armature, and choose its bones from that pose"""
+    """Place the selected target at the current pose of the armature, and choose its bones from that pose"""
 
     bl_idname = "dynamorph.capture_pose"
     bl_label = "Capture Pose"
@@ -28,7 +28,7 @@ class DYNAMORPH_OT_capture_pose(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_go_to_pose(TargetOperator, Operator):
-    """Pose the armature as it was captured for the selected target"""
+    """Put the armature into the pose that was captured for the selected target"""
 
     bl_idname = "dynamorph.go_to_pose"
     bl_label = "Go to Pose"
@@ -44,19 +44,19 @@ def go_to_pose(operator, obj):
     targets.pose_rig(checks.armature_modifier(obj).object, skeleton, local)
     elsewhere = targets.held_elsewhere(obj, skeleton, local)
     if elsewhere:
-        text = rpt_("Constraints or drivers hold bones off: {bones}")
+        text = rpt_("Constraints or drivers keep bones out of this pose: {bones}")
         operator.report({"WARNING"}, text.format(bones=listed(elsewhere)))
     index = obj.dynamorph.active_target_index
     muting.show_target(obj, obj.dynamorph.active_target.name if index else "")
 
 
 class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
-    """Let the selected pose bones decide when the selected target applies"""
+    """Make the selected pose bones decide when the selected target applies"""
 
     bl_idname = "dynamorph.use_selected_bones"
     bl_label = "Use Selected Bones"
 
-    extend: BoolProperty(name="Extend", description="Keep the bones that the target depends on already", default=True)
+    extend: BoolProperty(name="Extend", description="Keep the bones that the target already depends on", default=True)
 
     def apply(self, obj):
         target = obj.dynamorph.active_target
@@ -70,12 +70,12 @@ class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_remove_bone(TargetOperator, Operator):
-    """The selected target no longer depends on this bone"""
+    """Remove this bone from those that the selected target depends on"""
 
     bl_idname = "dynamorph.remove_bone"
     bl_label = "Remove Bone"
 
-    bone: StringProperty(name="Bone", description="Which of the target's bones", options={"SKIP_SAVE"})
+    bone: StringProperty(name="Bone", description="Bone of the target to remove", options={"SKIP_SAVE"})
 
     def apply(self, obj):
         target = obj.dynamorph.active_target
@@ -89,4 +89,4 @@ CLASSES = (
     DYNAMORPH_OT_use_selected_bones,
     DYNAMORPH_OT_remove_bone,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -19,6 +19,7 @@ from ..core import material_presets
 from ..core.errors import SceneError
 from ..core.settings import Material
 from ..scene import skin
+from ..scene.registration import of_classes
 from ..scene.skin import mesh_in
 from ..write import setups
 from .base import SoftSkinOperator
@@ -43,7 +44,7 @@ class SavesPreset(AddPresetBase):
 
 
 class DYNAMORPH_OT_material_preset(SavesPreset, Operator):
-    """Save the selected target's properties as a preset, or remove one"""
+    """Save the selected target's properties as a preset, or remove a preset"""
 
     bl_idname = "dynamorph.material_preset"
     bl_label = "Add Material Preset"
@@ -54,7 +55,7 @@ class DYNAMORPH_OT_material_preset(SavesPreset, Operator):
 
 
 class DYNAMORPH_OT_setup_preset(SavesPreset, Operator):
-    """Save the settings of model and simulation as a preset, or remove one. Targets and frames are no part of it"""
+    """Save the settings of model and simulation as a preset, or remove a preset. Targets and frames are not included"""
 
     bl_idname = "dynamorph.setup_preset"
     bl_label = "Add Setup Preset"
@@ -72,7 +73,7 @@ class DYNAMORPH_OT_setup_preset(SavesPreset, Operator):
 
 
 class DYNAMORPH_OT_load_preset(SoftSkinOperator, Operator):
-    """Use this preset"""
+    """Apply this preset"""
 
     bl_idname = "dynamorph.load_preset"
     bl_label = "Load Soft Skin Preset"
@@ -85,17 +86,17 @@ class DYNAMORPH_OT_load_preset(SoftSkinOperator, Operator):
         try:
             with bpy.context.temp_override(object=obj):
                 bpy.ops.script.execute_preset(filepath=self.filepath, menu_idname=self.menu_idname)
-        except RuntimeError as error:  # its file is gone, or no script
+        except RuntimeError as error:  # its file is gone or is not a script
             raise SceneError(str(error).strip()) from error
 
 
 class PresetList(PresetPanel):
-    """Mixin: a pop-up that lists presets, each with a button to remove it, and adds one."""
+    """Mixin: a pop-up that lists presets, with buttons to remove each and to add one."""
 
     preset_operator = "dynamorph.load_preset"
 
     def path_menu(self, folders, *args, **options):
-        # An iterator is true though empty: no complaint about missing folders before the first preset is saved.
+        # An empty iterator is true, so Blender does not report missing folders before the first preset is saved.
         Menu.path_menu(self, folders or iter(()), *args, **options)
 
 
@@ -128,4 +129,4 @@ CLASSES = (
     DYNAMORPH_PT_material_presets,
     DYNAMORPH_PT_setup_presets,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -3,51 +3,51 @@
 
 from __future__ import annotations
 
-import bpy
 import numpy as np
 from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 
-from ..core import engine
+from ..core import engine, errors
 from ..core.errors import SceneError
 from ..scene import rig_motion, skin
+from ..scene.registration import of_classes
 from ..write import muting, targets
 from ..write.targets import sculpted_key
-from .base import SoftSkinOperator, TargetOperator, guarded
+from .base import SoftSkinOperator, TargetOperator, report_errors
 from .pose_operators import go_to_pose
 
 SCULPT_MODE = EnumProperty(
     name="Mode",
-    description="Where the shape key is edited, in the pose as it is",
+    description="The mode in which the shape key is edited in the current pose",
     items=(
-        ("SCULPT", "Sculpt Mode", "Sculpt it with brushes", "SCULPTMODE_HLT", 0),
-        ("EDIT", "Edit Mode", "Move its vertices", "EDITMODE_HLT", 1),
+        ("SCULPT", "Sculpt Mode", "Sculpt the shape with brushes", "SCULPTMODE_HLT", 0),
+        ("EDIT", "Edit Mode", "Move the vertices of the shape", "EDITMODE_HLT", 1),
     ),
 )
 
 
 class SculptOperator:
-    """Mixin, before the other: begins to sculpt, which must not have begun already."""
+    """Mixin, listed first: begins to sculpt, unless a target is being sculpted already."""
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and skin.mesh_in(context).dynamorph.sculpt.active:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and skin.mesh_in(context).dynamorph.sculpt.active:
             return "Press Finish Sculpting first"
-        return obstacle
+        return disabled_reason
 
 
 class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
-    """Make a target for the pose as it is, with a shape key that starts as the other targets look there; sculpt it"""
+    """Create a target for the current pose and sculpt it. Its shape starts as the blend of the other targets"""
 
     bl_idname = "dynamorph.new_from_pose"
     bl_label = "New from Pose"
 
-    key: StringProperty(name="Name", description="Of the shape key and target", options={"SKIP_SAVE"})
+    key: StringProperty(name="Name", description="Name of the shape key and of the target", options={"SKIP_SAVE"})
     mode: SCULPT_MODE
 
     def invoke(self, context, _event):
-        return guarded(self, self._ask, context)
+        return report_errors(self, self._ask, context)
 
     def _ask(self, context):
         obj = skin.mesh_in(context)
@@ -66,7 +66,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         targets.begin_sculpting(obj, block, self.mode, is_new=True)
 
     def _check(self, obj):
-        """The pose as it is. Raises SceneError if there can be no new target."""
+        """The current pose. Raises SceneError if it cannot have a new target."""
         targets.check_can_sculpt(obj)
         skeleton, local, rig_world = rig_motion.current_pose(obj)
         bones = rig_motion.bones_turned(obj, skeleton, obj.dynamorph.targets[0].local(skeleton), local)
@@ -75,7 +75,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         other = targets.at_pose_of(obj, skeleton, local, bones)
         # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
         if other and (obj.dynamorph.model.hold != "THICKNESS" or set(bones) <= {*other.bone_names()}):
-            raise SceneError(f"The armature is in the pose of '{other.name}': pose it otherwise, or sculpt that target")
+            raise SceneError(f"The armature is in the pose of '{other.name}': change the pose, or sculpt that target")
         return skeleton, local, rig_world
 
     def _default_name(self, obj) -> str:
@@ -84,7 +84,7 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
-    """Sculpt the selected target in its pose"""
+    """Pose the armature as captured for the selected target, and sculpt its shape key there"""
 
     bl_idname = "dynamorph.sculpt_target"
     bl_label = "Sculpt Target"
@@ -99,24 +99,24 @@ class DYNAMORPH_OT_sculpt_target(SculptOperator, TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
-    """Leave the mode, show all shape keys again, and choose bones and region by what was sculpted"""
+    """Leave the sculpting mode, show all shape keys again, and choose the target's bones and region from the sculpt"""
 
     bl_idname = "dynamorph.finish_sculpt"
     bl_label = "Finish Sculpting"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not skin.mesh_in(context).dynamorph.sculpt.active:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not skin.mesh_in(context).dynamorph.sculpt.active:
             return "No target is being sculpted"
-        return obstacle
+        return disabled_reason
 
     def apply(self, obj):
         targets.finish_sculpting(obj)
         try:
             targets.learn_from_sculpt(obj)
         except engine.expected_errors() as error:  # the mode is left in any case
-            self.report({"WARNING"}, str(error))
+            self.report({"WARNING"}, errors.sentence(error))
 
 
 CLASSES = (
@@ -124,4 +124,4 @@ CLASSES = (
     DYNAMORPH_OT_sculpt_target,
     DYNAMORPH_OT_finish_sculpt,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that make a mesh a soft skin, put right what is in the way, and prepare its cage."""
+"""Buttons that make a mesh a soft skin, fix its problems and prepare its cage."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from bpy.types import Operator
 from ..core.errors import SceneError
 from ..core.feel import FEELS
 from ..scene import checks, extract, references, rig_motion, skin, skinning, target_properties
+from ..scene.registration import of_classes
 from ..write import attachments, bake
 from ..write.fixes import FIXES
 from . import feel_operators
@@ -19,7 +20,7 @@ from .job_operators import JobOperator, StartsJob
 
 
 class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
-    """Make the active mesh a soft skin, which is then built and shown in Live, with a hop of its armature; Esc stops"""
+    """Make the active mesh a soft skin, build it and show it in Live while the armature hops. Esc stops it"""
 
     bl_idname = "dynamorph.add_soft_skin"
     bl_label = "Add Soft Skin"
@@ -27,21 +28,21 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
     job = "dynamorph.first_look"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle, obj = super().obstacle(context), skin.mesh_in(context)
-        if not obstacle and not skinning.armature_modifiers(obj) and not attachments.carried_by(obj):
+    def disabled_reason(cls, context):
+        disabled_reason, obj = super().disabled_reason(context), skin.mesh_in(context)
+        if not disabled_reason and not skinning.armature_modifiers(obj) and not attachments.carried_by(obj):
             return "The mesh needs an Armature modifier with an armature"
-        return obstacle
+        return disabled_reason
 
     def apply(self, obj):
         chosen = _body_meant(obj)
         if chosen != obj:
             self.report(
-                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has most of the soft skin on its armature"
+                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has the largest soft surface on its armature"
             )
         obj = chosen
         if obj.dynamorph.targets:
-            raise SceneError(f"'{obj.name}' has a soft skin already")
+            raise SceneError(f"'{obj.name}' is a soft skin already: press Bake, or add targets")
         in_the_way = extract.first_look(obj)
         rig = references.rig_of(obj)
         skeleton, rig_world = references.rest_skeleton(rig.data), rig_motion.world_now(rig)
@@ -60,7 +61,9 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
 
 
 def _body_meant(obj):
-    """The mesh that is to become a soft skin, which is made active, when `obj`, a helmet say, or its armature is."""
+    """The mesh that becomes a soft skin, and becomes active, when `obj` (a helmet, for example) or its armature is
+    active.
+    """
     active = bpy.context.object
     if "EDIT" in (obj.mode, active.mode):  # what is edited cannot be read
         return obj
@@ -73,7 +76,7 @@ def _body_meant(obj):
 
 
 def _find_attachments(obj) -> list[str]:
-    """List what belongs to the body of `obj`, in one cage with it. Returns what is in the way of that."""
+    """List what belongs to the body of `obj`, in one cage with it. Returns the problems with that."""
     obj.dynamorph.model.one_cage = obj.dynamorph.model.hold_head = True
     problem = next(checks.problems(obj), None)
     if problem:  # which is told already
@@ -87,17 +90,18 @@ def _find_attachments(obj) -> list[str]:
 
 
 class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
-    """Put right what is in the way of a soft skin"""
+    """Fix a problem that prevents a soft skin"""
 
     bl_idname = "dynamorph.fix"
     bl_label = "Fix"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}  # a search would offer only the first problem
     needs_soft_skin = False
+    on_linked_mesh = True  # what is in the way may be of the armature; each fix looks at what it changes
 
     problem: EnumProperty(
         name="Problem",
-        description="What to put right",
-        items=[(key, fix.label, fix.tooltip) for key, fix in FIXES.items()],
+        description="The problem to fix",
+        items=[(key, fix.label, fix.tooltip, number) for number, (key, fix) in enumerate(FIXES.items())],
     )
 
     @classmethod
@@ -114,7 +118,7 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_build_cage(JobOperator, Operator):
-    """Build only the cage of tetrahedra and what the bones hold of it, to look at; Build Model goes on from there"""
+    """Build only the cage of tetrahedra with the nodes that are held, so that you can look at it before Build Model"""
 
     bl_idname = "dynamorph.build_cage"
     bl_label = "Build Cage"
@@ -126,4 +130,4 @@ CLASSES = (
     DYNAMORPH_OT_fix,
     DYNAMORPH_OT_build_cage,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -13,6 +13,7 @@ from ..core.errors import SceneError
 from ..run.live import remove_soft_skin
 from ..scene import checks, mesh_data, rig_motion, skin
 from ..scene.references import key_points, rest_skeleton
+from ..scene.registration import of_classes
 from ..write import muting, regions, suggest, targets
 from ..write.targets import capture, sculpted_key
 from .base import SoftSkinOperator, TargetOperator, listed
@@ -26,10 +27,16 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
     bl_idname = "dynamorph.add_target"
     bl_label = "Add Target"
 
-    key: StringProperty(name="Shape Key", description="The shape key; the active one if empty", options={"SKIP_SAVE"})
+    key: StringProperty(
+        name="Shape Key",
+        description="The shape key to use. If it is empty, the active one is used",
+        options={"SKIP_SAVE"},
+    )
 
     def invoke(self, context, _event):
-        """The only key that can be a target, or a menu of them: the sidebar shows no shape keys to select one in."""
+        """Use the only key that can be a target, or show a menu: the sidebar has no list of shape keys to select one
+        in.
+        """
         names = [] if self.key else targets.eligible(skin.mesh_in(context))
         if len(names) < 2:
             self.key = names[0] if names else self.key
@@ -65,7 +72,7 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
-    """Make targets of the shape keys whose drivers read bones, each at the pose in which its driver turns it on"""
+    """Make targets from the shape keys whose drivers read bones, each at the pose in which its driver turns it on"""
 
     bl_idname = "dynamorph.suggest_targets"
     bl_label = "Suggest from Drivers"
@@ -92,7 +99,7 @@ class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
-    """Remove the selected target; its shape key stays. Removing the neutral target removes the soft skin"""
+    """Remove the selected target. Its shape key stays. Removing the neutral target removes the soft skin"""
 
     bl_idname = "dynamorph.remove_target"
     bl_label = "Remove Target"
@@ -113,15 +120,15 @@ class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_move_target(TargetOperator, Operator):
-    """Move the selected target up or down in the list; the neutral target stays the first"""
+    """Move the selected target up or down in the list. The neutral target always stays first"""
 
     bl_idname = "dynamorph.move_target"
     bl_label = "Move Target"
 
     direction: EnumProperty(
         name="Direction",
-        description="Where the target goes",
-        items=(("UP", "Up", "Towards the neutral target"), ("DOWN", "Down", "Away from the neutral target")),
+        description="Direction in which the target moves",
+        items=(("UP", "Up", "Toward the neutral target", 0), ("DOWN", "Down", "Away from the neutral target", 1)),
     )
 
     def apply(self, obj):
@@ -136,7 +143,7 @@ class DYNAMORPH_OT_move_target(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_duplicate_target(TargetOperator, Operator):
-    """Copy the selected target and its shape key, to start another pose from it"""
+    """Copy the selected target and its shape key, as a start for another pose"""
 
     bl_idname = "dynamorph.duplicate_target"
     bl_label = "Duplicate Target"
@@ -150,19 +157,19 @@ class DYNAMORPH_OT_duplicate_target(TargetOperator, Operator):
         target.set_pose(skeleton, source.local(skeleton), np.array(source.rig_world))
         target.set_bones(source.bone_names(), source.auto_bones)
         regions.update(obj)
-        text = rpt_("'{name}' has the pose of '{source}': pose the armature and press Capture Pose")
+        text = rpt_("'{name}' has the same pose as '{source}': pose the armature and press Capture Pose")
         self.report({"WARNING"}, text.format(name=target.name, source=source.name))
 
 
 class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
-    """Make the target of the other side: names, pose, shape key and region mirrored about the X axis"""
+    """Create the target of the other side, with names, pose, shape key and region mirrored about the X axis"""
 
     bl_idname = "dynamorph.mirror_target"
     bl_label = "Mirror Target"
 
     overwrite: BoolProperty(
         name="Overwrite",
-        description="If there is a shape key of the other side's name, sculpt it anew instead of using it as it is",
+        description="Replace the shape of an existing shape key of the other side. Otherwise that key is used as it is",
     )
 
     def apply(self, obj):
@@ -189,7 +196,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
     def _bones(self, source, skeleton, mirrored) -> list[str]:
         """The target's bones on the other side. Raises SceneError where there is no other side."""
         if bpy.utils.flip_name(source.name) == source.name:
-            raise SceneError(f"'{source.name}' does not say its side: give it a name that ends in .L or _R, say")
+            raise SceneError(f"'{source.name}' does not say its side: give it a name that ends in .L or .R")
         bones = [bpy.utils.flip_name(bone) for bone in source.bone_names()]
         missing = [bone for bone in bones if bone not in skeleton.names]
         if missing:
@@ -208,7 +215,7 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         return ""
 
     def _key(self, obj):
-        """The shape key of the other side; made, or made anew, unless it is to be used as it is."""
+        """The shape key of the other side. It is created, overwritten or used as it is."""
         keys = obj.data.shape_keys
         source = sculpted_key(obj)
         name = bpy.utils.flip_name(source.name)
@@ -242,7 +249,7 @@ class DYNAMORPH_OT_select_key(TargetOperator, Operator):
 
 
 class DYNAMORPH_OT_region_from_sculpt(TargetOperator, Operator):
-    """Make the region of the selected target from what is sculpted, together with the targets that share its bones"""
+    """Make the region of the selected target from the sculpt, together with the targets that share its bones"""
 
     bl_idname = "dynamorph.region_from_sculpt"
     bl_label = "Region from Sculpt"
@@ -269,4 +276,4 @@ CLASSES = (
     DYNAMORPH_OT_select_key,
     DYNAMORPH_OT_region_from_sculpt,
 )
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

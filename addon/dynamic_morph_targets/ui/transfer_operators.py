@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that carry setups: to and from files, and to other meshes."""
+"""Buttons that transfer setups: to and from files, and to other meshes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..run.live import remove_soft_skin
 from ..scene import skin
+from ..scene.registration import of_classes
 from ..write import setups, storage, transfer
-from .base import SoftSkinOperator, guarded, listed
+from .base import SoftSkinOperator, listed, report_errors
 
-FAR = 0.03  # of the source's size: meshes that are further apart were probably not meant
+FAR = 0.03  # of the source's size; meshes that are farther apart were probably not intended
 
 
 class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
-    """Save targets, materials, poses and settings of the soft skin as a file; shapes stay in the .blend"""
+    """Save targets, materials, poses and settings of the soft skin to a file. Shapes stay in the .blend"""
 
     bl_idname = "dynamorph.save_setup"
     bl_label = "Save Setup"
@@ -42,7 +43,7 @@ class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
 
 
 class DYNAMORPH_OT_load_setup(SoftSkinOperator, ImportHelper, Operator):
-    """Give the mesh the targets, materials, poses and settings of a file, in place of those it has"""
+    """Replace the targets, materials, poses and settings of the mesh with those of a file"""
 
     bl_idname = "dynamorph.load_setup"
     bl_label = "Load Setup"
@@ -58,25 +59,26 @@ class DYNAMORPH_OT_load_setup(SoftSkinOperator, ImportHelper, Operator):
 
 
 class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
-    """Give the other selected meshes on the armature this soft skin; its shapes go by the nearest point at rest"""
+    """Copy this soft skin to the other selected meshes on the armature, with shapes by the nearest point at rest"""
 
     bl_idname = "dynamorph.copy_to_selected"
     bl_label = "Copy Soft Skin to Selected"
 
     replace: BoolProperty(
-        name="Replace Soft Skins", description="Replace the soft skins that the other meshes have, with their bakes"
+        name="Replace Soft Skins", description="Replace the soft skins of the other meshes together with their bakes"
     )
     overwrite: BoolProperty(
         name="Overwrite Shapes",
-        description="Overwrite shape keys and vertex groups of the same name on the other meshes; else theirs are used",
+        description="Overwrite shape keys and vertex groups of the same name on the other meshes. Otherwise those are "
+        "kept",
     )
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and not others(context):
-            return "Select the other meshes too, the soft skin last"
-        return obstacle
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not others(context):
+            return "Select the other meshes first, then the soft skin"
+        return disabled_reason
 
     def invoke(self, context, _event):
         """Ask only where there is something to replace or to overwrite."""
@@ -88,7 +90,7 @@ class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
         return self.execute(context)
 
     def execute(self, context):
-        return guarded(self, self._copy, skin.mesh_in(context), others(context))
+        return report_errors(self, self._copy, skin.mesh_in(context), others(context))
 
     def _copy(self, source, others):
         transfer.check(source, others, self.replace)
@@ -117,12 +119,12 @@ def others(context):
 
 
 def report_lacking(operator, obj, lacking: dict[str, list[str]]):
-    """One warning of all that a setup names and `obj` does not have."""
+    """One warning about everything that a setup names and `obj` does not have."""
     if lacking:
         quoted = {rpt_(kind): [f"'{name}'" for name in names] for kind, names in lacking.items()}
         what = "; ".join(f"{kind} {listed(names)}" for kind, names in quoted.items())
         operator.report(
-            {"WARNING"}, rpt_("Left out, because '{name}' has no such: {what}").format(name=obj.name, what=what)
+            {"WARNING"}, rpt_("Left out, because '{name}' does not have them: {what}").format(name=obj.name, what=what)
         )
 
 
@@ -133,4 +135,4 @@ def length(metres: float) -> str:
 
 
 CLASSES = (DYNAMORPH_OT_save_setup, DYNAMORPH_OT_load_setup, DYNAMORPH_OT_copy_to_selected)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -1,27 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons about how much each target counts over the frames."""
+"""Buttons about the targets' weights over the frames."""
 
 from __future__ import annotations
 
-import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
 from ..run import weight_curves
 from ..scene import events, skin
-from .base import SoftSkinOperator, guarded
+from ..scene.registration import of_classes
+from .base import SoftSkinOperator, report_errors
 
 
 class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
-    """Evaluate the armature at every frame of the scene again, for the graph of the targets' influence"""
+    """Evaluate the armature again at every frame of the scene for the graph of the targets' weights"""
 
     bl_idname = "dynamorph.update_influence"
-    bl_label = "Update Influence"
+    bl_label = "Update Target Weights"
     bl_options = {"REGISTER"}
 
     def execute(self, context):
-        return guarded(self, self._update, skin.mesh_in(context), context.scene)
+        return report_errors(self, self._update, skin.mesh_in(context), context.scene)
 
     def _update(self, obj, scene):
         weight_curves.curves(obj, scene.frame_start, scene.frame_end)
@@ -29,26 +29,26 @@ class DYNAMORPH_OT_update_influence(SoftSkinOperator, Operator):
 
 
 class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
-    """Go to the frame whose pose is furthest from all targets: the place for another one"""
+    """Go to the frame whose pose is farthest from all targets, where another target helps most"""
 
     bl_idname = "dynamorph.suggest_pose"
-    bl_label = "Suggest Pose"
+    bl_label = "Find Uncovered Pose"
 
     @classmethod
-    def obstacle(cls, context):
-        obstacle = super().obstacle(context)
-        if not obstacle and len(skin.mesh_in(context).dynamorph.targets) < 2:
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and len(skin.mesh_in(context).dynamorph.targets) < 2:
             return "Add a target first"
-        return obstacle
+        return disabled_reason
 
     def execute(self, context):
-        return guarded(self, self._suggest, skin.mesh_in(context), context.scene)
+        return report_errors(self, self._suggest, skin.mesh_in(context), context.scene)
 
     def _suggest(self, obj, scene):
         found = weight_curves.curves(obj, scene.frame_start, scene.frame_end)
         worst = found.worst()
         if worst is None:
-            self.report({"INFO"}, rpt_("Every frame is near a target: no pose is poorly covered"))
+            self.report({"INFO"}, rpt_("Every frame is near a target: no pose is uncovered"))
             return
         pose, s = worst
         scene.frame_set(scene.frame_start + pose)
@@ -58,4 +58,4 @@ class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
 
 
 CLASSES = (DYNAMORPH_OT_update_influence, DYNAMORPH_OT_suggest_pose)
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = of_classes(CLASSES)

@@ -22,7 +22,7 @@ def draw_problem(layout, problem, icon: str):
 
 
 def draw_job(layout, operator: str, icon: str, text: str | None = None):
-    """The button, with its operator's label or `text`, or in its place the progress of its job."""
+    """The button with its operator's label or `text`, or, while its job runs, the progress."""
     job = batch.running
     if job is None or operator != f"dynamorph.{job.goal.lower()}":
         layout.operator(operator, text=text, icon=icon)
@@ -33,7 +33,7 @@ def draw_job(layout, operator: str, icon: str, text: str | None = None):
 
 
 def draw_outdated(layout, reasons: list[str]):
-    """Up to three of the reasons; while a job runs they are those from before."""
+    """Up to three reasons. While a job runs they are outdated, so none is shown."""
     if reasons and not batch.running:
         more = len(reasons) - 3
         text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
@@ -41,14 +41,14 @@ def draw_outdated(layout, reasons: list[str]):
 
 
 def draw_warnings(layout, warnings: str, said=""):
-    """said: what the panel says elsewhere; a warning that begins so is left out."""
+    """said: text that the panel shows elsewhere; warnings that begin with it are left out."""
     for warning in filter(None, warnings.split("\n")):
         if not (said and warning.startswith(said)):
             draw_message(layout, warning)
 
 
 def draw_message(layout, text: str, icon="ERROR", width=LINE):
-    """Text, translated unless it was put together, and broken into lines, because labels do not wrap."""
+    """Text, translated unless it was formatted, and broken into lines, because labels do not wrap."""
     column = layout.column(align=True)
     for i, line in enumerate(textwrap.wrap(iface_(text), width)):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A clip for each Action of a character's armature, as games have them: where it is played, and its simulation.
+"""A clip for each Action of a character's armature, as games use them: its place in time, and its simulation.
 
-The Actions are laid out one after the other as NLA strips, in the place of the artist's own animation and for as long
-as a `with` lasts. There a bone that one of them moves and another does not is at rest in the other.
+The Actions are laid out one after the other as NLA strips, replacing the artist's own animation while a `with` block
+lasts. A bone that one of them moves and another does not is at rest in the other.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from ..scene import animation
 from ..scene.references import rig_of
 
 POSE = "pose.bones["  # begins the path of what an Action does to a bone
-ASIDE = "Dynamorph Aside"  # what is called like a clip, meanwhile
+ASIDE = "Dynamorph Aside"  # temporary name of other data with the name of a clip
 
 
 @dataclass(frozen=True)
 class Clip:
-    """An Action, by name, and where it is laid out: from its own frame `begin` on it is the scene's `first` to `last`.
-    cyclic: it is a loop."""
+    """An Action, by name, and its place: from its own frame `begin` on it occupies the scene's frames `first` to
+    `last`. cyclic: it is a loop.
+    """
 
     name: str
     begin: int
@@ -39,8 +40,9 @@ class Clip:
 
 
 def clips_of(obj) -> list[Clip]:
-    """Every Action that moves bones of what skins `obj`, over its own range. One of a single frame is a pose, and left
-    out. Raises SceneError."""
+    """Every Action that moves bones that skin `obj`, over its own range. Actions of a single frame are poses, and left
+    out. Raises SceneError.
+    """
     rig, render = rig_of(obj), bpy.context.scene.render
     if rig is None:
         raise SceneError(f"'{obj.name}' has no Armature modifier with an armature: it has no Actions to export")
@@ -64,7 +66,7 @@ def clips_of(obj) -> list[Clip]:
 
 @contextmanager
 def laid_out(rig, clips: Sequence[Clip]) -> Iterator[None]:
-    """`lay_out` for a while, on an armature object that afterwards is as before."""
+    """`lay_out` for the duration of a `with` block, on an armature object that is restored afterwards."""
     had = rig.animation_data is not None
     animation = rig.animation_data or rig.animation_data_create()
     before = animation.action, animation.action_slot, animation.use_nla
@@ -101,7 +103,7 @@ def lay_out(owner, clips: Sequence[Clip]):
         if track.is_solo:
             track.is_solo = False
         for strip in track.strips:
-            strip.name = ASIDE  # no two have one name, and FBX writes it
+            strip.name = ASIDE  # no two have the same name, and FBX writes it
     animation.action, animation.use_nla = None, True
     for clip in clips:
         action = _action(clip)
@@ -128,9 +130,13 @@ def _fill(track, clip: Clip, action, slot):
 
 
 def _slot(action, owner):
-    """The slot of an Action that moves `owner`, of an armature object its bones; one of its name first. Or None."""
+    """The slot of an Action that moves `owner`, for an armature object its bones; preferably one with its name. Or
+    None.
+    """
     fitting = [slot for slot in action.slots if slot.target_id_type in {owner.id_type, "UNSPECIFIED"}]
-    fitting = [slot for slot in fitting if not slot.users() or owner in slot.users()]  # else it is another character's
+    fitting = [
+        slot for slot in fitting if not slot.users() or owner in slot.users()
+    ]  # otherwise it belongs to another character
     for slot in sorted(fitting, key=lambda slot: slot.name_display != owner.name):
         paths = (curve.data_path for curve in animation.curves(action, slot))
         if any(_has(owner, path) for path in paths if owner.id_type == "KEY" or path.startswith(POSE)):
@@ -147,7 +153,7 @@ def _has(owner, path: str) -> bool:
 
 
 def _values(owner, clips) -> dict:
-    """What the clips would change, by path: Blender leaves in place what it has last evaluated."""
+    """The values that the clips would change, by path: Blender leaves the last evaluated values in place."""
     actions = [_action(clip) for clip in clips]
     paths = {curve.data_path for action in actions for curve in animation.curves(action, _slot(action, owner))}
     found = {path: owner.path_resolve(path) for path in paths if _has(owner, path)}

@@ -17,20 +17,22 @@ from ..scene.references import rig_of
 from ..scene.skin import parts_in, parts_of
 from . import bake
 
-PREFIX = "Dynamorph Piece "  # of the vertex groups that are made for loose parts
-FEW = 8  # so many loose parts are a piece each
-LARGE = 0.02  # of the body's area: larger loose parts are a piece each
-RIGID = 0.99  # of its weight a vertex has from the one bone that it follows rigidly
-ACCESSORY = 0.05  # of the soft skin of a character's largest mesh: one with less is not what is meant to be soft
-FEW_BONES = 3  # that are named in a reason
-FEWEST_BONES = 3  # that carry the parts of a character that is wholly hard
+PREFIX = "Dynamorph Piece "  # prefix of the vertex groups for loose parts
+FEW = 8  # up to so many loose parts are separate attachments
+LARGE = 0.02  # fraction of the body's area; larger loose parts are separate attachments
+RIGID = 0.99  # of its weight; a vertex that has more from one bone follows it rigidly
+ACCESSORY = 0.05  # of the soft area of a character's softest mesh; a mesh with less is not the intended soft skin
+FEW_BONES = 3  # names listed in a reason
+FEWEST_BONES = 3  # bones that carry the parts of a wholly hard character
 
 
 # What a character has ----------------------------------------------------------------------------------------------
 
 
 def find(obj) -> list[str]:
-    """Add the pieces of the soft skin `obj` that are not in its list yet; returns their names. Raises SceneError."""
+    """Add the attachments of the soft skin `obj` that are not in its list yet; returns their names. Raises
+    SceneError.
+    """
     if obj.dynamorph.model.one_cage:
         return _find_in_body(obj)
     objects, parts = [(other, _choice(other)) for other in _siblings(obj)], _parts(obj)
@@ -38,7 +40,7 @@ def find(obj) -> list[str]:
 
 
 def remove(obj, index: int):
-    """Take a piece out of the list, with the vertex group that was made for it."""
+    """Remove an attachment from the list, with the vertex group that was made for it."""
     piece = obj.dynamorph.pieces[index]
     owner = piece.object or obj
     group = owner.vertex_groups.get(piece.group)
@@ -54,7 +56,7 @@ def members(obj, group: str) -> np.ndarray:
 
 
 def problem(obj, piece) -> str:
-    """What is wrong with one of the pieces of `obj`, or ''. Reads no mesh: fit for drawing."""
+    """What is wrong with an attachment of `obj`, or ''. Reads no mesh: fast enough for drawing."""
     if not (piece.object or piece.group):
         return f"'{piece.name}' is gone: remove the attachment" if piece.name else "Choose an object or a vertex group"
     if piece.object and not piece.object.users_scene:
@@ -68,7 +70,7 @@ def problem(obj, piece) -> str:
 
 
 def left_alone(obj) -> Iterator[str]:
-    """The meshes of a character that no skin moves, a sentence each."""
+    """The meshes of a character that no skin moves, one sentence each."""
     rig = rig_of(obj)
     children = dict.fromkeys([*(rig.children_recursive if rig else ()), *obj.children_recursive])
     children = [other for other in children if other.users_scene]
@@ -84,7 +86,7 @@ def left_alone(obj) -> Iterator[str]:
 
 
 def _siblings(obj) -> list:
-    """The other meshes on the armature of `obj` that are no piece yet."""
+    """The other meshes on the armature of `obj` that are not attachments yet."""
     rig, known = rig_of(obj), [obj, *(piece.object for piece in obj.dynamorph.pieces)]
     return [
         other
@@ -97,7 +99,7 @@ def _siblings(obj) -> list:
 
 
 def _choice(other) -> str:
-    """What is likely to be meant for another mesh. Eyes and helmets follow one bone."""
+    """The likely choice for another mesh. Eyes and helmets follow one bone."""
     if other.dynamorph.targets:
         return "OWN_CAGE"
     if other.library or other.override_library:
@@ -127,8 +129,8 @@ def _add_part(obj, part: Part) -> str:
 
 
 def body_for(obj):
-    """The mesh that is meant when `obj` is to become a soft skin: itself, unless it is rigid and another one on its
-    armature is not. Of an armature object the mesh with the most soft skin. Raises SceneError.
+    """The mesh to become a soft skin for `obj`: itself, unless it is rigid and another one on its armature is not. For
+    an armature object, the mesh with the largest soft surface. Raises SceneError.
     """
     rig = obj if obj.type == "ARMATURE" else rig_of(obj) or carried_by(obj)
     if rig is None or obj.mode == "EDIT":
@@ -140,7 +142,7 @@ def body_for(obj):
 
 
 def carried_by(obj):
-    """The armature object that `obj` is parented to, by itself or by what it is parented to, if it skins a mesh."""
+    """The armature object that is an ancestor of `obj` by parenting, if it skins a mesh."""
     above = obj.parent
     while above and above.type != "ARMATURE":
         above = above.parent
@@ -154,7 +156,7 @@ def _may_be_soft(other, rig) -> bool:
 
 
 def _soft_area(other, rig) -> float:
-    """Of the skin of a mesh that no single bone carries, in Blender units."""
+    """The area of the skin of a mesh that no single bone carries, in Blender units."""
     try:
         points, triangles = mesh_data.rest_points(other), mesh_data.mesh_triangles(other.data)
         labels = loose_parts(points, triangles)
@@ -167,7 +169,7 @@ def _soft_area(other, rig) -> float:
 
 @dataclass(frozen=True)
 class _Found:
-    """A mesh of the body as it is looked at. labels (P,): of its loose parts; points (P, 3): in the body's bind space;
+    """A mesh of the body under examination. labels (P,): of its loose parts; points (P, 3): in the body's bind space;
     bones (parts,): that carry most of each part.
     """
 
@@ -181,7 +183,7 @@ class _Found:
 
 
 def _find_in_body(obj) -> list[str]:
-    """As `find`, for a soft skin with One Cage: every other mesh and every rigid part, each with a reason."""
+    """`find` for a soft skin with One Cage: every other mesh and every rigid part, each with a reason."""
     checks.check_mesh(obj)
     rig = checks.armature_modifier(obj).object
     world, _ = mesh_data.worlds_at_start(obj, rig)
@@ -235,7 +237,7 @@ def _look_at(obj, other, rig, world: np.ndarray, to_bind: np.ndarray) -> _Found:
 
 
 def _leave_something_soft(found: list[_Found]):
-    """Where all is rigid, but on a bone or two, the largest part is a body after all: a jelly, say."""
+    """If everything is rigid, on one bone or two, the largest part becomes a soft body: a jelly, for example."""
     bones = {bone for each in found for bone in each.bones.tolist()}
     if len(bones) >= FEWEST_BONES or not all(each.hard.all() for each in found):
         return
@@ -245,7 +247,7 @@ def _leave_something_soft(found: list[_Found]):
 
 
 def _all_together(found: list[_Found]) -> tuple:
-    """Weights, points and triangles of all meshes, as `rigid.heads` asks for them."""
+    """Weights, points and triangles of all meshes, as arguments of `rigid.heads`."""
     starts = np.cumsum([0, *(len(each.points) for each in found)])
     triangles = [each.triangles + start for each, start in zip(found, starts, strict=False)]
     together = [np.concatenate([getattr(each, name) for each in found]) for name in ("weights", "points")]
@@ -275,8 +277,8 @@ def _add_mesh(obj, each: _Found, whole: bool, touches: np.ndarray, names) -> str
 
 
 def _add_parts(obj, each: _Found, touches: np.ndarray, names) -> list[str]:
-    """The rigid loose parts of a mesh as pieces: those of a material on a bone together, of more than a few the small
-    ones of a material.
+    """The rigid loose parts of a mesh as attachments: those of one material on one bone together; if there are many,
+    the small ones of one material.
     """
     mesh, labels, owner = each.obj.data, each.labels, None if each.obj == obj else each.obj
     slots = np.zeros(len(each.triangles), np.int32)
@@ -312,7 +314,7 @@ def _add(obj, other, group: str, choice: str, reason: str) -> str:
     piece = obj.dynamorph.pieces.add()
     piece.object, piece.group, piece.name = other, group, group or other.name
     piece.choice = choice
-    piece.reason = reason  # after the choice, which takes it away when the artist makes it
+    piece.reason = reason  # after the choice, whose update clears the reason
     return piece.name
 
 
@@ -321,7 +323,7 @@ def _add(obj, other, group: str, choice: str, reason: str) -> str:
 
 @dataclass(frozen=True)
 class Part:
-    """Loose parts of a mesh that are one piece. members (V,) bool; rigid: each follows one bone."""
+    """Loose parts of a mesh that form one attachment. members (V,) bool; rigid: each follows one bone."""
 
     name: str
     members: np.ndarray
@@ -329,7 +331,7 @@ class Part:
 
 
 def _parts(obj) -> list[Part]:
-    """What the mesh of `obj` has besides its body and the pieces there are already. Raises SceneError."""
+    """The parts of the mesh of `obj` besides its body and the existing attachments. Raises SceneError."""
     checks.check_mesh(obj)
     mesh, points = obj.data, mesh_data.rest_points(obj)
     edges = np.empty((len(mesh.edges), 2), np.int32)
@@ -343,7 +345,7 @@ def _parts(obj) -> list[Part]:
     areas = np.zeros((labels.max() + 1, max(len(mesh.materials), 1)))
     corners = points[triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    slots = slots.clip(0, areas.shape[1] - 1)  # there may be fewer materials than the faces say
+    slots = slots.clip(0, areas.shape[1] - 1)  # faces may refer to more materials than exist
     np.add.at(areas, (labels[triangles[:, 0]], slots), np.linalg.norm(across, axis=1) / 2.0)
     follows_one = rigid_parts(labels, mesh_data.skin_weights(obj))
     known = [piece.group for piece in parts_in(obj)]
@@ -362,10 +364,10 @@ def _parts(obj) -> list[Part]:
 
 
 def grouped(areas: np.ndarray, skip: np.ndarray, body=True) -> list[np.ndarray]:
-    """Which loose parts are one piece: lists of part numbers; body: without the largest, which is the body.
+    """The loose parts that form one attachment: lists of part numbers; body: without the largest, which is the body.
 
-    areas (P, M): of P loose parts by material slot; skip (P,) bool: parts that are left out. Where there are more than
-    a few, small ones of the same material are together.
+    areas (P, M): of P loose parts by material slot; skip (P,) bool: parts that are left out. If there are more than a
+    few, small ones of the same material are together.
     """
     whole = areas.sum(axis=1)
     order = np.argsort(-whole, kind="stable")  # the body first

@@ -10,7 +10,6 @@ there may be a point cache: a Mesh Cache modifier before all others, whose influ
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 from pathlib import Path
 
@@ -25,16 +24,17 @@ from ..scene import animation, checks
 from ..scene.references import basis_hash, key_points, key_reach
 from ..scene.skin import cache_modifier, followers
 from .bake_influence import MOTION, SHAPES, keep_influence, strip_of
+from .bake_reading import baked_names
 from .muting import mute_targets, unmute_targets
 from .reconcile import reconcile
 
-LINEAR = 1  # Keyframe.interpolation as foreach_set knows it
+LINEAR = 1  # the value of Keyframe.interpolation for foreach_set
 
 
 def check(obj, needs_keys=True):
     """Refuse, before any work, data to which a bake cannot be written. Raises SinkError.
 
-    needs_keys: there must be a Basis already, unless the neutral target is alone: then it is made.
+    needs_keys: a Basis must exist already, unless the neutral target is alone: then it is created.
     """
     if obj.type != "MESH":
         raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
@@ -68,7 +68,7 @@ def check_cache(obj, folder: Path | None):
 
 
 def overwritten_keys(obj) -> list[str]:
-    """The artist's own shape keys that move, over which a point cache plays."""
+    """The artist's own shape keys that move, and that a point cache overrides."""
     own = {target.name for target in obj.dynamorph.targets[1:]} | animation.baked_keys(obj)
     return [name for name in animation.moving_keys(obj) if name not in own]
 
@@ -97,52 +97,90 @@ def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
     if it is none itself; its Basis is made if there is none. cache: a point cache (.pc2, .mdd) that plays the motion,
     if the keys do not. Returns the bytes of keys and curves.
     """
-    check(obj, needs_keys=skin is None)
-    reconcile(obj)
-    if bake.modes.shape[1] != len(obj.data.vertices):
-        raise SinkError(
-            f"Mesh '{obj.name}' has {len(obj.data.vertices)} vertices, the bake {bake.modes.shape[1]}: bake again"
-        )
-    record = obj.dynamorph.bake
-    followed = obj.dynamorph.follows
-    follow(obj, skin)
-    keys = scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
-    old = _baked_names(obj)  # now: a new key may look like an old one, or take the name of one that was deleted
-    before = obj.data.shape_keys.animation_data is not None
-    had_animation_data = record.had_animation_data if record.exists else before
-    active_index = obj.active_shape_key_index
-    blocks, action = [], None
-    try:
-        for key in keys:
-            blocks.append(_add_key(obj, key))
-        names = [block.name for block in blocks]  # for now: the old bake may have the names that they should have
-        action = _add_curves(obj.data.shape_keys, names, bake.frames, keys)
-    except BaseException:
-        _remove(obj, blocks, action)
+    new = NewBake(obj, bake, skin, cache)
+    new.replace()
+    return new.size
+
+
+class NewBake:
+    """A bake of `obj` that stands beside the one that it will `replace`, and that can be taken back; as `write_keys`.
+
+    Raises SinkError; what fails while it is made leaves no trace.
+    """
+
+    def __init__(self, obj, bake: Bake, skin=None, cache: Path | None = None):
+        check(obj, needs_keys=skin is None)
+        reconcile(obj)
+        if bake.modes.shape[1] != len(obj.data.vertices):
+            raise SinkError(
+                f"Mesh '{obj.name}' has {len(obj.data.vertices)} vertices, the bake {bake.modes.shape[1]}: bake again"
+            )
+        self._obj, self._bake, self._skin, self._cache = obj, bake, skin, cache
+        self._followed = obj.dynamorph.follows
+        follow(obj, skin)
+        self._had_keys = obj.dynamorph.had_keys
+        self._old = baked_names(obj)  # now: a new key may look like an old one, or take the name of a deleted one
+        record, has_animation_data = obj.dynamorph.bake, obj.data.shape_keys.animation_data is not None
+        self._had_animation_data = record.had_animation_data if record.exists else has_animation_data
+        self._keys: list[Key] = []
+        self._names: list[str] = []  # temporary, because the old bake may still use the final names
+        self._action = None
+        self._is_shown = False
+        active_index = obj.active_shape_key_index
+        try:
+            self._keys = scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
+            for key in self._keys:
+                self._names.append(_add_key(obj, key).name)
+            self._action = bpy.data.actions.new(f"{MOTION} {obj.name}")
+            _add_curves(obj.data.shape_keys, self._action, self._names, bake.frames, self._keys)
+        except BaseException:
+            obj.active_shape_key_index = active_index
+            self.take_back()
+            raise
         obj.active_shape_key_index = active_index
-        if not before:
-            obj.data.shape_keys.animation_data_clear()
-        if followed is None:
+
+    @property
+    def size(self) -> int:
+        """Bytes of keys and curves."""
+        return sum(key.bytes() for key in self._keys)
+
+    def take_back(self):
+        """Remove it: what it stands beside stays, what it has replaced is gone."""
+        obj = self._obj
+        if self._is_shown:
+            free(obj)
+            return
+        active = obj.active_shape_key.name if obj.active_shape_key else ""
+        keys = obj.data.shape_keys
+        _remove(obj, [keys.key_blocks[name] for name in self._names], self._action)
+        obj.active_shape_key_index = max(keys.key_blocks.find(active), 0)
+        _clear_unused(keys, self._had_animation_data)
+        if self._followed is None:
             leave(obj)
-        raise
-    obj.active_shape_key_index = active_index
-    keep_influence(strip_of(obj.data.shape_keys, record.action), strip_of(obj.data.shape_keys, action))
-    _free(obj, old, keep_cache=cache is not None)
-    _record(obj, names, [key.name for key in keys], action, had_animation_data)
-    if cache:
-        _play_cache(obj, cache, bake, skin)
-    mute_targets(obj, record.muted, bake.target_names, skin)
-    return sum(key.bytes() for key in keys)
+        else:
+            obj.dynamorph.follows = self._followed
+
+    def replace(self):
+        """Let it be the bake of its object, in the place of the old one."""
+        obj, skin, record = self._obj, self._skin, self._obj.dynamorph.bake
+        obj.dynamorph.follows, obj.dynamorph.had_keys = skin, self._had_keys  # removing Live may have ended that
+        keep_influence(strip_of(obj.data.shape_keys, record.action), strip_of(obj.data.shape_keys, self._action))
+        _free(obj, self._old, keep_cache=self._cache is not None)
+        _record(obj, self._names, [key.name for key in self._keys], self._action, self._had_animation_data)
+        self._is_shown = True
+        if self._cache:
+            _play_cache(obj, self._cache, self._bake, skin)
+        mute_targets(obj, record.muted, self._bake.target_names, skin)
 
 
 def ensure_basis(obj):
-    """Make the shape key that the others are relative to, unless there is one."""
+    """Create the shape key that the others are relative to, unless it exists."""
     if obj.data.shape_keys is None:
         obj.shape_key_add(name="Basis", from_mix=False)
 
 
 def follow(obj, skin):
-    """Note that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
+    """Record that `obj` will show the motion of the soft skin `skin`, in shape keys; None: its own."""
     settings = obj.dynamorph
     if settings.follows != skin:
         settings.had_keys = settings.had_keys if settings.follows else obj.data.shape_keys is not None
@@ -151,12 +189,13 @@ def follow(obj, skin):
 
 
 def leave(obj):
-    """The inverse of `follow`, when the keys are gone."""
+    """The inverse of `follow`, after the keys are removed."""
     settings, keys = obj.dynamorph, obj.data.shape_keys
     if settings.follows is None:
         return
     settings.follows = None
-    if not settings.had_keys and keys and len(keys.key_blocks) == 1:  # the artist has added none
+    unused = keys and len(keys.key_blocks) == 1 and not keys.animation_data  # else the artist, or a new bake, has keys
+    if unused and not settings.had_keys:
         obj.shape_key_clear()
 
 
@@ -168,68 +207,21 @@ def free(obj):
     """
     baked = (obj, *followers(obj))
     for each in baked:
-        if each.dynamorph.bake.exists and each.data.shape_keys:  # else the artist has removed all there was
-            check(each)
+        check_free(each)
     for each in baked:
         reconcile(each)
-        _free(each, _baked_names(each))
+        _free(each, baked_names(each))
         leave(each)
 
 
-def read_back(obj, samples: int = 1) -> Bake:
-    """The bake of `obj` as its shape keys and curves now have it, at its frames and `samples` times a frame, local
-    space. All keys are modes. Its strips count as they were baked. Raises SinkError.
-    """
-    record, keys = obj.dynamorph.bake, obj.data.shape_keys
-    reconcile(obj)
-    wet, dry = _curves_of(keys, record.action, MOTION), _curves_of(keys, record.action, SHAPES)
-    blocks = [keys.key_blocks[name] for name in _baked_names(obj)] if keys else []
-    paths = [f"{block.path_from_id()}.value" for block in blocks]
-    curves = [curve for curve in (*map(wet.get, paths), *map(dry.get, paths)) if curve]
-    if not curves or record.cache:
-        raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
-    render = bpy.context.scene.render
-    per_frame = render.frame_map_old / render.frame_map_new
-    ends = [end / per_frame for curve in curves for end in curve.range()]
-    first, last = math.ceil(min(ends) - 1e-3), math.floor(max(ends) + 1e-3)
-    frames = first + np.arange((last - first) * samples + 1) / samples
-
-    def values(curve) -> np.ndarray:
-        return np.array([curve.evaluate(time) for time in frames * per_frame]) if curve else np.zeros(len(frames))
-
-    basis = key_points(keys.reference_key).astype(np.float64)
-    return Bake(
-        frames=frames,
-        coordinates=np.array([values(wet.get(path) or dry.get(path)) for path in paths]).T,
-        weights=np.zeros((len(frames), 0)),
-        modes=np.array([key_points(block) - basis for block in blocks]),
-        details=np.zeros((0, *basis.shape)),
-        target_names=tuple(target.name for target in obj.dynamorph.targets),
-        dry=np.array([values(dry.get(path)) for path in paths]).T,
-        key_names=tuple(block.name for block in blocks),
-    )
-
-
-def shape_curves(obj) -> dict:
-    """The curves of the bake of `obj` that play the targets' shapes alone, by path."""
-    return _curves_of(obj.data.shape_keys, obj.dynamorph.bake.action, SHAPES)
-
-
-def _curves_of(keys, action, title: str) -> dict:
-    """The curves of one slot of a bake's Action, by path."""
-    slot = action and next((slot for slot in action.slots if slot.name_display == title), None)
-    if not (keys and slot):
-        return {}
-    return {curve.data_path: curve for curve in animation.curves(action, slot)}
-
-
-def _baked_names(obj) -> list[str]:
-    """Names of the shape keys that the bake added and that are still there; the references must be reconciled."""
-    return [key.name for key in obj.dynamorph.bake.keys if key.name]
+def check_free(obj):
+    """Refuse, before any work, data of which a bake cannot be removed. Raises SinkError."""
+    if obj.dynamorph.bake.exists and obj.data.shape_keys:  # otherwise the artist has removed everything
+        check(obj)
 
 
 def _free(obj, names, keep_cache=False):
-    """keep_cache: the modifier stays for the next one, with the place and the influence that the artist gave it."""
+    """keep_cache: the modifier stays for the next bake, with the place and the influence that the artist gave it."""
     record = obj.dynamorph.bake
     keys = obj.data.shape_keys
     if record.exists and keys:
@@ -237,10 +229,7 @@ def _free(obj, names, keep_cache=False):
         _remove(obj, [keys.key_blocks[name] for name in names], record.action)
         index = keys.key_blocks.find(active)
         obj.active_shape_key_index = index if index >= 0 else min(record.active_index, len(keys.key_blocks) - 1)
-        animation = keys.animation_data
-        unused = animation and not (animation.action or animation.nla_tracks or animation.drivers)
-        if unused and not record.had_animation_data:
-            keys.animation_data_clear()
+        _clear_unused(keys, record.had_animation_data)
     unmute_targets(obj, record.muted)
     modifier = cache_modifier(obj)
     if modifier and not keep_cache:
@@ -253,6 +242,14 @@ def _free(obj, names, keep_cache=False):
     record.summary = record.warnings = record.verdict = ""
 
 
+def _clear_unused(keys, had_animation_data: bool):
+    """Remove the animation data of shape keys that had none, unless something else is in it now."""
+    animation = keys.animation_data
+    unused = animation and not (animation.action or animation.nla_tracks or animation.drivers)
+    if unused and not had_animation_data:
+        keys.animation_data_clear()
+
+
 def _add_key(obj, key: Key):
     block = obj.shape_key_add(name=key.name, from_mix=False)
     block.value = 0.0  # 5.2 creates keys at 1
@@ -262,12 +259,11 @@ def _add_key(obj, key: Key):
     return block
 
 
-def _add_curves(keys, names, frames, values: list[Key]):
-    """An Action with the curves, on NLA tracks above the artist's: without the motion, and with it. Returns it."""
+def _add_curves(keys, action, names, frames, values: list[Key]):
+    """The curves in a new Action, on NLA tracks above the artist's: without the motion, and with it."""
     render = bpy.context.scene.render
-    times = frames * (render.frame_map_old / render.frame_map_new)  # at frame 10 of a remapped scene it may be time 5
+    times = frames * (render.frame_map_old / render.frame_map_new)  # frame 10 of a remapped scene may be time 5
     animation = keys.animation_data or keys.animation_data_create()
-    action = bpy.data.actions.new(f"{MOTION} {keys.user.name}")
     strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
     for title, curves in ((SHAPES, [key.shapes for key in values]), (MOTION, [key.motion for key in values])):
         if all(curve is None for curve in curves):
@@ -278,11 +274,10 @@ def _add_curves(keys, names, frames, values: list[Key]):
             if curve is not None:
                 add_curve(channels, name, times, curve)
         _add_track(animation, title, action, slot, times)
-    return action
 
 
 def add_curve(channels, name: str, times, values):
-    """A curve of the value of the key `name`, linear between the times; of equal values the ends count."""
+    """A curve of the value of the key `name`, linear between the times; runs of equal values keep only their ends."""
     points = np.column_stack([times, values]).astype(np.float32)
     same = points[1:, 1] == points[:-1, 1]
     points = points[~(np.r_[False, same] & np.r_[same, False])]
@@ -313,7 +308,7 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
     modifier = cache_modifier(obj)
     if modifier is None:
         modifier = obj.modifiers.new(MOTION, "MESH_CACHE")
-        obj.modifiers.move(len(obj.modifiers) - 1, 0)  # it has the surface that the others deform
+        obj.modifiers.move(len(obj.modifiers) - 1, 0)  # it holds the surface that the others deform
     render, samples = bpy.context.scene.render, baked.samples_per_frame(bake)
     modifier.cache_format = file.suffix[1:].upper()
     modifier.filepath = str(file)
@@ -333,8 +328,8 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
 
 
 def _remove(obj, blocks, action):
-    """Remove shape keys, and the Action with its strips and the tracks that then are empty; also the copies
-    that Blender makes of it for strips that are duplicated.
+    """Remove shape keys, and the Action with its strips and the tracks that become empty; also the copies of the Action
+    that Blender makes for duplicated strips.
     """
     keys = obj.data.shape_keys
     actions = [action] if action else []
@@ -365,7 +360,7 @@ def _moves_only(action, paths: set[str]) -> bool:
 
 
 def _record(obj, names, wanted, action, had_animation_data):
-    """Give the new keys the names they should have, now that the old bake is gone, and note them."""
+    """Give the new keys their final names, now that the old bake is gone, and record them."""
     blocks = obj.data.shape_keys.key_blocks
     record = obj.dynamorph.bake
     for name, want in zip(names, wanted, strict=True):

@@ -7,8 +7,8 @@ import numpy as np
 
 from ..scene.skin import cache_modifier, followers
 
-SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks, from below, and the Action's slots
-# Of a strip, when it plays what; the ends last, which the others move.
+SHAPES, MOTION = "Dynamorph Shapes", "Dynamorph"  # the tracks from bottom to top, and the Action's slots
+# The timing properties of a strip. The ends come last, because the others move them.
 TIMING = (
     "extrapolation", "use_reverse", "action_frame_start", "action_frame_end", "scale", "repeat", "frame_start_raw",
     "frame_end_raw",
@@ -16,7 +16,9 @@ TIMING = (
 
 
 def influence(obj) -> tuple:
-    """What says how much of the bake's motion shows, an NLA strip or a modifier, and which property; None without."""
+    """What controls how much of the bake's motion shows: an NLA strip or a modifier, and the name of its property; None
+    without.
+    """
     if modifier := cache_modifier(obj):
         return modifier, "factor"
     strip = influence_strip(obj)
@@ -30,7 +32,7 @@ def influence_strip(obj):
 
 
 def show_influence(obj):
-    """Let Blender evaluate anew, which it does not do by itself when an influence is set."""
+    """Make Blender evaluate again, which it does not do by itself when an influence is set."""
     strip = influence_strip(obj)
     if strip:
         strip.mute = strip.mute
@@ -66,14 +68,14 @@ def _strips(keys, action, title: str) -> list:
 
 
 def _keep_timing(old, new):
-    """Let a strip play when another does."""
+    """Make a strip play when another does."""
     if any(getattr(old, name) != getattr(new, name) for name in TIMING):
         for name in TIMING:
             setattr(new, name, getattr(old, name))
 
 
 def _influence(strip) -> tuple:
-    """The influence of a strip, set or animated, to be compared."""
+    """The influence of a strip, set or animated, for comparison."""
     curve = strip.fcurves.find("influence")
     points = np.empty(2 * len(curve.keyframe_points) if curve else 0, np.float32)
     if curve:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Plain against soft: the mesh as its rig alone moves it, for a look, while a bake or Live stays as it is.
+"""Plain against soft: shows the mesh as its rig alone moves it, while a bake or Live stays as it is.
 
-What shows the soft skin is muted, and the targets' own keys count again. Nothing else remembers it: a soft skin is
-shown plain when all that would show it is muted.
+What shows the soft skin is muted, and the targets' own keys count again. No other state is stored: a soft skin is shown
+plain when everything that would show it is muted.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from . import bake, live_key, reconcile
 
 
 def is_plain(obj) -> bool:
-    """Whether `obj` shows plain skinning in the place of its bake or of Live. Fit for drawing."""
+    """Whether `obj` shows plain skinning in place of its bake or of Live. Fast enough for drawing."""
     modifier = skin.cache_modifier(obj)
     hidden = [block.mute for block in _blocks(obj)] + ([not modifier.show_viewport] if modifier else [])
     return bool(hidden) and all(hidden)
 
 
 def can_show(obj) -> bool:
-    """Whether there is anything left of a bake or of Live that could be muted."""
+    """Whether a bake or Live exists that could be muted."""
     return bool(_blocks(obj) or skin.cache_modifier(obj))
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A baked character as a file of another format, and what that format will leave out.
+"""A baked character as a file of another format, and what that format leaves out.
 
 Blender's own exporters write what Blender shows: glTF and FBX the shape keys as morph targets with their values at each
-frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for engines of one's own.
+frame, Alembic and USD the posed surface. A raw clip is the bake alone, before skinning, for other engines.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from ..io import glb, model_file, point_cache
 from ..scene import animation, checks, skin
 from ..scene.references import key_points, rig_of
 from ..scene.skin import followers
-from . import actions, bake
+from . import actions, bake, bake_reading
 
 
 @dataclass(frozen=True)
 class Format:
     """suffix: of its files; write(obj, collection, path, frames, takes), collection: the name of the one that holds the
-    character; skins: whether it has armature and keys, and so a clip for each Action; surface: whether it has what they
-    result in; option: of bpy.app.build_options that it needs."""
+    character; skins: whether it contains armature and keys, and so a clip for each Action; surface: whether it contains
+    the resulting surface; option: of bpy.app.build_options that it needs.
+    """
 
     label: str
     suffix: str
@@ -56,27 +57,25 @@ def check_place(obj, key: str, path: Path):
 
 
 def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), without=()):
-    """Write the character of `obj` as it shows; takes: the clips that are laid out, if each is to be an animation;
-    without: meshes that others stand in for.
-
-    Raises ExportError, OSError.
+    """Write the character of `obj` as it shows; takes: the clips that are laid out, if each becomes an animation;
+    without: meshes that others replace. Raises ExportError, OSError.
     """
     chosen = FORMATS[key]
-    partial = path.with_name(f"{path.stem}.part{path.suffix}")  # exporters look at the suffix
+    partial = path.with_name(f"{path.stem}.part{path.suffix}")  # exporters check the suffix
     try:
         with frames_kept(), _collected(obj, without) as collection:
             chosen.write(obj, collection, partial, frames, takes)
         if not partial.is_file():
             raise ExportError(f"Blender's {chosen.label} exporter wrote nothing: its report says why")
         partial.replace(path)
-    except RuntimeError as error:  # what an operator reports
+    except RuntimeError as error:  # reported by the operator
         raise ExportError(f"'{obj.name}' could not be exported: {str(error).strip()}") from error
     finally:
         partial.unlink(missing_ok=True)
 
 
 def check_bake(obj, key: str):
-    """Refuse a bake that is not there, or not in the form that the format writes. Raises ExportError."""
+    """Refuse a missing bake, or one in a form that the format cannot write. Raises ExportError."""
     chosen = FORMATS[key]
     record = obj.dynamorph.bake
     keys = animation.baked_keys(obj).intersection(animation.keys_of(obj).keys())
@@ -116,7 +115,7 @@ def _write_fbx(obj, collection: str, path: Path, frames, takes):
 def _write_alembic(_obj, collection: str, path: Path, frames, _takes):
     bpy.ops.wm.alembic_export(
         filepath=str(path), collection=collection, start=frames[0], end=frames[1], uvs=True, normals=False,
-        as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes, as a model's
+        as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes such as a model's
     )  # fmt: skip
 
 
@@ -130,9 +129,9 @@ def _write_usd(_obj, collection: str, path: Path, frames, _takes):
 
 
 def _write_raw(obj, _collection: str, path: Path, _frames, _takes):
-    """One row a frame, whatever the bake's samples are: players count by frames."""
+    """One row per frame, whatever the bake's samples are, because players count frames."""
     basis = key_points(obj.data.shape_keys.reference_key)
-    model_file.save(path, point_cache.raw(bake.read_back(obj), basis, _fps()))
+    model_file.save(path, point_cache.raw(bake_reading.read_back(obj), basis, _fps()))
 
 
 def _fps() -> float:
@@ -180,7 +179,7 @@ def _meshes_of(obj) -> list:
 
 
 def _together(obj, without=()) -> list:
-    """The character: its meshes, its armature, and what they hang on; without: meshes that others stand in for."""
+    """The character: its meshes, its armature, and their parents; without: meshes that others replace."""
     meshes = [mesh for mesh in meshes_together(obj) if mesh not in without]
     found, rig = dict.fromkeys((obj, *filter(None, [rig_of(obj)]), *meshes)), rig_of(obj)
     for mesh in meshes:
@@ -201,7 +200,7 @@ def _parents(obj) -> list:
 
 @contextmanager
 def frames_kept():
-    """The scene's frame and range as they were, afterwards."""
+    """Restore the scene's frame and range afterwards."""
     scene = bpy.context.scene
     frame, ends = (scene.frame_current, scene.frame_subframe), (scene.frame_start, scene.frame_end)
     try:
@@ -231,7 +230,7 @@ def _collected(obj, without=()):
 
 @contextmanager
 def stand_ins(meshes):
-    """Copies of mesh objects, by their names, to be changed and written: the originals stay as they are."""
+    """Copies of mesh objects, by name, that can be changed and written: the originals stay as they are."""
     layer, actions_before = bpy.context.view_layer, set(bpy.data.actions)
     names = [(block, block.name) for mesh in meshes for block in (mesh, mesh.data)]
     copies = []
@@ -258,7 +257,7 @@ def stand_ins(meshes):
 
 @contextmanager
 def _sampled(obj, frames):
-    """The frames as the scene's, and `_sampled_keys` of the whole character."""
+    """Use the frames as the scene's, with `_sampled_keys` of the whole character."""
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = frames
     with ExitStack() as stack:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in the way of a soft skin, put right at the press of a button."""
+"""Fixes for what prevents a soft skin, one button each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from . import bake
 
 @dataclass(frozen=True)
 class Fix:
-    """label, tooltip: for the artist; apply(obj): puts it right. Raises SceneError."""
+    """label, tooltip: for the artist; apply(obj): applies the fix. Raises SceneError."""
 
     label: str
     tooltip: str
@@ -23,7 +23,7 @@ class Fix:
 
 
 def owned(data):
-    """`data`, if changes of it are saved. Raises SceneError."""
+    """`data`, if changes to it are saved. Raises SceneError."""
     if not data.is_editable:
         raise SceneError(f"{data.bl_rna.name} '{data.name}' is linked, so the change would be lost: make it local")
     return data
@@ -72,7 +72,7 @@ def _make_single_user(obj):
 
 
 def _add_armature_modifier(obj):
-    """In the first place: what comes before an Armature modifier must not add vertices."""
+    """It becomes the first modifier, because none before an Armature modifier may add vertices."""
     empty = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
     modifier = empty[0] if empty else obj.modifiers.new("Armature", "ARMATURE")
     modifier.object = skinning.armature_for(obj)
@@ -81,7 +81,7 @@ def _add_armature_modifier(obj):
 
 def _move_below(obj):
     *_, armature = skinning.armature_modifiers(obj)
-    for modifier in reversed(checks.generating_before(obj, armature)):  # each to the place next to it: keeps the order
+    for modifier in reversed(checks.generating_before(obj, armature)):  # each moves next to it, which keeps the order
         obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(armature.name))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one shape key in which Live and its previews show the soft skin, and what it mutes while it is there."""
+"""The one shape key in which Live and its previews show the soft skin, and the keys muted meanwhile."""
 
 from __future__ import annotations
 
@@ -68,8 +68,27 @@ def _remove(obj):
         bake.leave(obj)
 
 
+def hide(obj, hidden: bool):
+    """Let `obj` and what follows it look as without Live, while the key stays; or as with it again."""
+    for each in (obj, *followers(obj)):
+        block = find(each)
+        if block is None:
+            continue
+        block.mute = hidden
+        blocks = each.data.shape_keys.key_blocks
+        for key in each.dynamorph.live.muted:
+            if key.name in blocks:
+                blocks[key.name].mute = key.was_muted if hidden else True
+
+
+def is_hidden(obj) -> bool:
+    """Whether there is the key, and it shows nothing."""
+    block = find(obj)
+    return block is not None and block.mute
+
+
 def find(obj, written: np.ndarray | None = None):
-    """The key, or None. written (3 V,): what was last written to it, by which it is found when it was renamed."""
+    """The key, or None. written (3 V,): the last points written to it, which identify it after a rename."""
     reference, keys = obj.dynamorph.live.key, obj.data.shape_keys
     if not (reference.name and keys):
         return None
@@ -84,6 +103,6 @@ def find(obj, written: np.ndarray | None = None):
 
 
 def write(block, points: np.ndarray):
-    """Show points (3 V,) float32, local space: Blender copies them in one piece."""
+    """Show points (3 V,) float32, local space, which Blender copies in one piece."""
     block.points.foreach_set("co", points)
     block.id_data.update_tag()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a format of another program loses of a baked character, said before it is written."""
+"""What a character loses in the format of another program, listed before it is written."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..scene.references import rig_of
 from ..scene.skin import followers
 from .exports import FORMATS, left_out, meshes_together
 
-MORPHS = 8  # that common engines and viewers blend at once
-INFLUENCES = 4  # bones of a vertex that glTF writes
+MORPHS = 8  # morph targets that common engines and viewers blend at once
+INFLUENCES = 4  # bones per vertex that glTF writes
 
 
 def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
@@ -31,7 +31,7 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
 
 
 def _planned_keys(obj) -> int:
-    """How many keys the clips of all Actions take together, at most."""
+    """The largest number of keys that the clips of all Actions take together."""
     settings = obj.dynamorph
     return settings.output.keys or len(settings.modes) + max(len(settings.targets) - 1, 0)
 
@@ -66,7 +66,7 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
 
 
 def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
-    """planned: how many keys there will be in the place of the bake's, if there will be others."""
+    """planned: the number of keys that will replace those of the bake, if any."""
     moving, baked = animation.moving_keys(obj), animation.baked_keys(obj)
     others = [name for name in moving if name not in baked]
     count = len(moving) if planned is None else len(others) + planned

@@ -7,9 +7,8 @@ from ..scene import animation
 
 
 def mute_targets(obj, muted, simulated, skin=None):
-    """The result contains the targets' shapes, so their own keys rest, and keys called so of what follows a soft skin.
-
-    muted: the list that remembers them; skin: as for `write_keys`.
+    """Mute the targets' own keys, whose shapes the result contains, and keys with the same names on meshes that follow.
+    muted: the list that records them; skin: as for `write_keys`.
     """
     show_target(obj, "")
     blocks = obj.data.shape_keys.key_blocks
@@ -33,7 +32,7 @@ def unmute_targets(obj, muted):
 
 
 def show_target(obj, name: str):
-    """Turn on the shape key of one target, "" for none, and off the one that was on, unless the artist has set it.
+    """Turn on the shape key of one target, "" for none, and turn off the previous one, unless the artist has set it.
 
     It shows the sculpt as long as neither a bake nor Live does, and stays as it is where something else moves it.
     """

@@ -22,13 +22,13 @@ from ..scene import animation, mesh_data, rig_motion
 from .reconcile import reconcile
 
 PREFIX = "Dynamorph Region "
-SUPPORT = 0.02  # of a sculpt's largest displacement: vertices that move less are not sculpted
-GROWN = 0.25  # of the sculpt's radius: how far beyond it the region is still 1
-RINGS = 3.0  # edges of the mesh over which a region fades at least
-WIDEST = 0.08  # of the body's size: over which it fades at most
-BENDS = 0.05  # 4 c (1 - c) of a sculpt: a joint with less does not bend it
-SKINS = 0.1  # of a sculpt: a bone with less does not skin it
-LESS = 0.25  # of what the joint that bends most does: joints that do less do not place the target
+SUPPORT = 0.02  # of a sculpt's largest displacement; vertices that move less do not count as sculpted
+GROWN = 0.25  # of the sculpt's radius; the region is 1 up to this distance beyond the sculpt
+RINGS = 3.0  # smallest number of edges over which a region fades
+WIDEST = 0.08  # of the body's size; the largest distance over which it fades
+BENDS = 0.05  # 4 c (1 - c) of a sculpt; a joint with less does not bend it
+SKINS = 0.1  # of a sculpt; a bone with less does not skin it
+LESS = 0.25  # of the largest bend; joints that bend less do not place the target
 
 
 # Bones -------------------------------------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ def _nearest(skeleton: Skeleton, candidates: list[int], skins: np.ndarray) -> li
 
 
 def update(obj, left=()):
-    """Make the automatic regions of `obj` anew, from what is sculpted. left: groups that a removed target had.
+    """Update the automatic regions of `obj` from the sculpts. left: groups of a removed target.
 
     An automatic region that was painted stays as it is from now on. In Edit Mode, where Blender writes no weights,
     nothing happens. Raises SceneError.
@@ -111,7 +111,7 @@ def update(obj, left=()):
     for together in _sharing_bones(automatic):
         bones = _bones(together)
         company = next((target for target in chosen if bones & _bones([target])), None)
-        if company:  # whose region is the artist's
+        if company:  # whose region belongs to the artist
             group, digest = company.region, ""
         else:
             group, digest = _write(obj, together, groups, free)
@@ -125,7 +125,7 @@ def update(obj, left=()):
 
 
 def _not_painted(obj, automatic: list, groups) -> list:
-    """Those whose region is as it was made; the others' is the artist's from now on."""
+    """The targets whose region is unchanged since it was made; the other regions belong to the artist from now on."""
     painted = {
         target.region
         for target in automatic
@@ -153,9 +153,8 @@ def _sharing_bones(targets: list) -> list[list]:
 
 
 def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
-    """The vertex group of targets that share bones, and its digest; "" while nothing is sculpted.
-
-    free: names of automatic groups from before, which serve again; the one that does is taken out.
+    """The vertex group of targets that share bones, and its digest; "" while nothing is sculpted. free: names of
+    earlier automatic groups that can be used again; the used one is removed from it.
     """
     keys = animation.keys_of(obj)
     shapes = [mesh_data.target_shape(obj, target.name, groups) for target in together if target.name in keys]
@@ -172,7 +171,7 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
 
 
 def _remove(obj, names):
-    """Remove those of the automatic groups that nothing uses any more."""
+    """Remove those automatic groups that nothing uses any more."""
     settings = obj.dynamorph
     used = {settings.soft_group, settings.stiffness_group, *(target.region for target in settings.targets)}
     used |= {piece.group for piece in settings.pieces}
@@ -182,7 +181,7 @@ def _remove(obj, names):
 
 
 def write_group(obj, group, weights: np.ndarray):
-    """Let a vertex group of `obj` have the weights (V,), and no vertices where they are 0."""
+    """Give a vertex group of `obj` the weights (V,), without vertices whose weight is 0."""
     group.remove(range(len(weights)))
     for vertex in np.flatnonzero(weights).tolist():
         group.add([vertex], weights[vertex], "REPLACE")
@@ -195,7 +194,7 @@ def _surface(obj) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _digest(weights: np.ndarray) -> str:
-    """Of weights as Blender stores them."""
+    """A digest of weights as Blender stores them."""
     return hashlib.blake2b(weights.astype(np.float32).tobytes(), digest_size=8).hexdigest()
 
 
@@ -238,13 +237,13 @@ def _is_sculpted(shape: np.ndarray) -> np.ndarray:
 
 
 def _links(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The edges (E, 2) of triangles (T, 3), and the pairs (P, 2) of corners that lie opposite across one.
+    """The edges (E, 2) of triangles (T, 3), and the pairs (P, 2) of opposite corners across an edge.
 
-    Along edges alone a way across quads would be longer against their diagonals than along them.
+    Along edges alone, a path across quads would be longer against their diagonals than along them.
     """
     sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
     count = int(triangles.max(initial=0)) + 1
-    numbers = sides.min(axis=1) * count + sides.max(axis=1)  # of edges: one number each sorts in no time
+    numbers = sides.min(axis=1) * count + sides.max(axis=1)  # one number per edge, which sorts quickly
     order = np.argsort(numbers, kind="stable")
     same = np.diff(numbers[order]) == 0
     opposite = triangles[:, [2, 0, 1]].ravel()[order]
@@ -257,7 +256,7 @@ def _lengths(points: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 def _along(points: np.ndarray, links: np.ndarray, start: np.ndarray, farthest: float) -> np.ndarray:
-    """How far along links (L, 2) each point (P,) is from the nearest of `start` (P,); inf beyond `farthest`."""
+    """The distance of each point (P,) from the nearest of `start` (P,) along links (L, 2); inf beyond `farthest`."""
     lengths, away, changed = _lengths(points, links), np.where(start, 0.0, np.inf), start
     while changed.any():
         further = away.copy()

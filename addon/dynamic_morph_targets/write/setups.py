@@ -94,10 +94,10 @@ def authored(group) -> dict:
 
 
 def apply(obj, setup: dict) -> dict[str, list[str]]:
-    """Make the checked `setup` that of `obj`. Returns the names of what `obj` lacks, by kind.
+    """Apply the checked `setup` to `obj`. Returns the names of what `obj` lacks, by kind.
 
     Targets without their shape key, missing bones and vertex groups are left out. Poses are relative to the rest pose,
-    and mean something else to a bone that rests otherwise. Raises SceneError, and then nothing is changed.
+    and differ for a bone with another rest pose. Raises SceneError, and then nothing is changed.
     """
     rig = checks.armature_modifier(obj).object
     checks.check_mesh(obj)
@@ -179,7 +179,7 @@ class _Lacking:
         self.names: dict[str, list[str]] = {}
 
     def present(self, kind: str, names, existing) -> list[str]:
-        """Those of `names` that exist; the others are noted."""
+        """Those of `names` that exist; the others are recorded."""
         for name in names:
             if name not in existing and name not in self.names.get(kind, []):
                 self.names.setdefault(kind, []).append(name)
@@ -196,7 +196,7 @@ class _Lacking:
 
 
 def write(path: Path, setup: dict):
-    """Raises SetupError about values that no setup may have, OSError."""
+    """Raises SetupError for values that no setup may contain, OSError."""
     check(setup)
     text = json.dumps(setup, indent=1)
     # A line for each matrix. JSON escapes line breaks within texts, so that this never touches one.
@@ -209,7 +209,7 @@ def read(path: Path) -> dict:
     try:
         setup = json.loads(path.read_text(encoding="utf-8-sig"))
         check(setup)
-    except (ValueError, RecursionError) as error:
+    except (SetupError, ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, SetupError) else f"This is not a Dynamorph setup ({error})"
         raise SetupError(f"'{path.name}': {reason}") from error
     return setup
@@ -283,11 +283,12 @@ def _check_values(where: str, kind, values):
         prop = properties[name]
         count = prop.array_length if getattr(prop, "is_array", False) else 0
         whole = isinstance(value, list) and len(value) == count if count else True
-        if not whole or not all(_fits(prop, number) for number in (value if count else [value])):
+        if not whole or not all(fits(prop, number) for number in (value if count else [value])):
             raise SetupError(f"{where}: {name} is {value!r:.40}, but must be {_wanted(prop, count)}")
 
 
-def _fits(prop, value) -> bool:
+def fits(prop, value) -> bool:
+    """Whether a property of a group, or each number of an array, takes the value unchanged."""
     if prop.type == "BOOLEAN":
         return type(value) is bool
     if prop.type == "ENUM":

@@ -7,7 +7,7 @@ from array import array
 from pathlib import Path
 
 from .. import preferences
-from ..core import engine
+from ..core import engine, errors
 from ..core.errors import SceneError
 from ..io import model_file
 from ..scene import extract, staleness
@@ -17,27 +17,30 @@ from .reconcile import reconcile
 PACK_LIMIT = 32 * 2**20  # larger models go into a file
 
 
-def store_model(obj, packed: bytes, folder: Path | None = None):
-    """Keep a packed model with `obj`: in the .blend, or if it is large in a file as the preferences say.
+def model_path(name: str, packed: bytes, folder: Path | None = None) -> Path | None:
+    """The file for a packed model of the object `name` that is too large for the .blend; None for one that is not.
 
-    folder: of the .blend that the model belongs to; by default of the open one.
+    folder: of the .blend that the model belongs to; by default of the open one. Raises SceneError when there is none.
     Files are named by their content: a copy of the object shares its file, and a new build never overwrites one that
     another .blend may use.
     """
-    content_id = model_file.content_id(packed)
-    if len(packed) > PACK_LIMIT:
-        folders = preferences.model_folders(folder or blend_folder())
-        if not folders:
-            raise SceneError(
-                f"The model of '{obj.name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
-                ".blend: save the .blend first"
-            )
-        model_file.save(folders[0] / f"{content_id}.dynamorph", packed)
-        obj.pop(PACKED, None)
-    else:
-        obj.pop(PACKED, None)
+    if len(packed) <= PACK_LIMIT:
+        return None
+    folders = preferences.model_folders(folder or blend_folder())
+    if not folders:
+        raise SceneError(
+            f"The model of '{name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
+            ".blend: save the .blend first"
+        )
+    return folders[0] / f"{model_file.content_id(packed)}.dynamorph"
+
+
+def keep_model(obj, packed: bytes, file: Path | None = None):
+    """Note a packed model with `obj`: in the .blend, or that it is in a file, which must be there already."""
+    obj.pop(PACKED, None)
+    if file is None:
         obj[PACKED] = _as_numbers(packed)  # exporters of Blender's own crash on bytes with zeros in them
-    obj.dynamorph.model.content_id = content_id
+    obj.dynamorph.model.content_id = model_file.content_id(packed)
 
 
 def _as_numbers(packed: bytes) -> array:
@@ -47,7 +50,7 @@ def _as_numbers(packed: bytes) -> array:
 
 
 def fit_modes(obj, count: int):
-    """List the modes of a new model; those that there were keep their gain."""
+    """List the modes of a new model; modes that existed before keep their gain."""
     modes = obj.dynamorph.modes
     while len(modes) > count:
         modes.remove(len(modes) - 1)
@@ -57,20 +60,20 @@ def fit_modes(obj, count: int):
 
 
 def forget_model(obj):
-    """Drop the model kept in the .blend. A file stays: another .blend may use it."""
+    """Delete the model in the .blend. A file stays, because another .blend may use it."""
     obj.pop(PACKED, None)
     record = obj.dynamorph.model
     record.content_id = record.summary = record.cage = record.stale = record.warnings = record.built = ""
 
 
 def show_stale(obj):
-    """Look at the mesh, and let the panel say why the model of `obj` is out of date."""
+    """Examine the mesh, and make the panel say why the model of `obj` is out of date."""
     reconcile(obj)
     stale = ""
     if not staleness.model_changes(obj):  # they say enough
         try:
             stale = "; ".join(stale_reasons(obj, extract.character(obj)))
         except engine.expected_errors() as error:
-            stale = str(error)
+            stale = errors.sentence(error)
     if obj.dynamorph.model.stale != stale:
         obj.dynamorph.model.stale = stale

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The poses that driven shape keys are made for: the bones that a driver reads are turned until its key is fully on.
+"""The poses for which driven shape keys are made: the bones that a driver reads are turned until its key is fully on.
 
-Blender evaluates the driver itself, so any expression or curve will do. It does so in a scene with the armature and the
-keys but no mesh, where a pose costs a tenth of a millisecond.
+Blender itself evaluates the driver, so any expression or curve works. This happens in a scene with the armature and the
+keys but no mesh, where a pose takes a tenth of a millisecond.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ import numpy as np
 from mathutils import Quaternion
 
 from ..core.errors import SceneError
-from ..scene import checks, rig_motion
+from ..scene import checks, events, rig_motion
 from . import targets
 
 STEP = np.radians(3.0)
-GRID = STEP * np.array(sorted(range(-60, 61), key=lambda step: (abs(step), -step)))  # right round, small angles first
+GRID = STEP * np.array(
+    sorted(range(-60, 61), key=lambda step: (abs(step), -step))
+)  # all the way around, small angles first
 FINE = STEP * np.linspace(-1.0, 1.0, 61)
 FULL = 0.999  # of the largest value that a driver reaches, where that is 1 or less
-WORKS = 0.5  # a key whose driver reaches less is not made for a pose of its bones
+WORKS = 0.5  # a key whose driver reaches less does not belong to a pose of its bones
 TOGETHER = 3  # so many turns are tried at the same angle; their combinations soon are too many
 CHANNELS = ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle", "scale")
 AXES = np.eye(3)
@@ -33,7 +35,9 @@ BENDS = AXES[[0, 2]]  # of a bone, whose length is along y
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A target to be: a shape key, the bones that turn it on, and the pose as `extract.current_pose` gives it."""
+    """A possible target: a shape key, the bones that turn it on, and the pose as returned by
+    `rig_motion.current_pose`.
+    """
 
     key: str
     bones: list[str]
@@ -41,9 +45,8 @@ class Suggestion:
 
 
 def suggestions(obj) -> tuple[list[Suggestion], list[str]]:
-    """What the driven shape keys of `obj` that are no targets suggest, and why others suggest nothing.
-
-    The armature is posed to find out, and then put back. Raises SceneError.
+    """Suggestions from the driven shape keys of `obj` that are not targets, and why others suggest nothing. The
+    armature is posed to find out, and then restored. Raises SceneError.
     """
     rig = checks.armature_modifier(obj).object
     skeleton, _, rig_world = rig_motion.current_pose(obj)
@@ -52,7 +55,7 @@ def suggestions(obj) -> tuple[list[Suggestion], list[str]]:
     if not read:
         raise SceneError(f"'{obj.name}' has no shape key, besides targets, whose driver reads bones of '{rig.name}'")
     found, skipped = [], []
-    with _unchanged_pose(rig), _Trial(obj, rig) as trial:
+    with _unchanged_pose(rig), events.unheard(), _Trial(obj, rig) as trial:
         targets.pose_rig(rig, skeleton, neutral)
         for key, axes in read.items():
             angles, top, turns = _turned_until_on(trial, key, axes)
@@ -119,15 +122,23 @@ def _turns_read(variable, rig, world_axes):
 
 
 class _Trial:
-    """Turns bones and reads what the drivers make of it, away from the scene that the artist sees."""
+    """Turns bones and reads the resulting driver values, away from the scene that the artist sees."""
 
     def __init__(self, obj, rig):
         self.rig, self.keys = rig, obj.data.shape_keys
-        self.scene = bpy.data.scenes.new("Dynamorph Drivers")
-        self.probe = bpy.data.objects.new("Dynamorph Drivers", None)
 
     def __enter__(self):
-        driver = self.probe.driver_add("location", 0).driver  # of no use but that Blender evaluates the keys' drivers
+        self.scene = bpy.data.scenes.new("Dynamorph Drivers")
+        self.probe = bpy.data.objects.new("Dynamorph Drivers", None)
+        try:
+            self._evaluate()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _evaluate(self):
+        driver = self.probe.driver_add("location", 0).driver  # needed only so that Blender evaluates the keys' drivers
         target = driver.variables.new().targets[0]
         target.id_type, target.id, target.data_path = "KEY", self.keys, "eval_time"
         self.scene.collection.objects.link(self.rig)
@@ -136,7 +147,6 @@ class _Trial:
         self.layer = self.scene.view_layers[0]
         self.depsgraph = self.layer.depsgraph
         self.bases = {}
-        return self
 
     def __exit__(self, *_error):
         bpy.data.scenes.remove(self.scene)
@@ -159,7 +169,7 @@ class _Trial:
 
 @contextmanager
 def _unchanged_pose(rig):
-    """Puts the bones' own channels back as they were, to the last bit."""
+    """Restores the bones' own channels to the last bit."""
     before = [[tuple(getattr(bone, channel)) for channel in CHANNELS] for bone in rig.pose.bones]
     try:
         yield
@@ -171,7 +181,7 @@ def _unchanged_pose(rig):
 
 
 def _turned_until_on(trial: _Trial, key: str, axes: dict[str, list]):
-    """The least angles (n,) that turn a key on, what its value is then, and the n turns they belong to."""
+    """The smallest angles (n,) that turn a key on, its value then, and the n turns."""
     tried = []
     for any_axis in (False, True):
         chosen = {bone: AXES if any_axis else _distinct(about or BENDS) for bone, about in axes.items()}
@@ -232,7 +242,7 @@ def _directions(count: int, turned: int):
 def _highest(value, start: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, float]:
     """Where along a line the value is full, or as high as it gets, nearest to its start; and how high it gets."""
     angle, top = _first_highest(lambda angle: value(start + angle * direction), GRID)
-    if top < FULL and angle:  # it may be a peak between two steps
+    if top < FULL and angle:  # the peak may lie between two steps
         angle, top = _first_highest(lambda angle: value(start + angle * direction), angle + FINE)
     return start + angle * direction, top
 
@@ -244,7 +254,7 @@ def _first_highest(value, angles: np.ndarray) -> tuple[float, float]:
 
 
 def _shrunk(value, angles: np.ndarray, i: int, goal: float) -> np.ndarray:
-    """`angles` with the i-th as small as leaves the value at the goal, to a thousandth of a degree."""
+    """`angles` with the i-th as small as possible with the value at the goal, to a thousandth of a degree."""
     others = angles * (np.arange(len(angles)) != i)
     axis = np.eye(len(angles))[i]
     smaller = GRID[abs(GRID) < abs(angles[i])]

@@ -25,16 +25,15 @@ from .muting import show_target
 from .reconcile import reconcile
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
-NOTHING = 1e-6  # of the coordinates: as much is round-off, not sculpted
-MIRROR_TOLERANCE = 1e-3  # of the mesh's size: how far from its mirror image a vertex's partner may be
+NOTHING = 1e-6  # of the coordinates; smaller differences are round-off, not sculpted
+MIRROR_TOLERANCE = 1e-3  # of the mesh's size; the largest distance of a vertex's partner from its mirror image
 
 
 # Shape keys --------------------------------------------------------------------------------------------------------
 
 
 def new_key(obj, name: str, shape: np.ndarray):
-    """A shape key, so called if that is free, which at value 1 adds `shape` (V, 3), local space, to the Basis.
-
+    """Create a shape key, with this name if it is free, that at value 1 adds `shape` (V, 3), local space, to the Basis.
     Raises SceneError.
     """
     checks.check_mesh(obj)
@@ -52,13 +51,13 @@ def set_shape(block, shape: np.ndarray):
 
 
 def sculpt_anew(block, shape: np.ndarray):
-    """Let a shape key add `shape` (V, 3), local space, to the Basis, whatever it did before."""
+    """Make a shape key add `shape` (V, 3), local space, to the Basis, whatever it did before."""
     block.relative_key, block.vertex_group = block.id_data.reference_key, ""
     set_shape(block, shape)
 
 
 def copy_key(obj, name: str):
-    """A copy of a shape key, not its drivers and curves, called "name copy"."""
+    """A copy of a shape key, without its drivers and curves, named "name copy"."""
     block = new_key(obj, f"{name} copy", np.zeros((len(obj.data.vertices), 3)))
     source = obj.data.shape_keys.key_blocks[name]
     block.points.foreach_set("co", key_points(source).ravel())
@@ -73,9 +72,8 @@ def free_name(taken, stem: str) -> str:
 
 
 def blended_shape(obj, local: np.ndarray) -> np.ndarray:
-    """The shape (V, 3), local space, that the targets have together at a pose (B, 4, 4); zero without the engine.
-
-    Raises SceneError.
+    """The shape (V, 3), local space, of the blended targets in a pose (B, 4, 4); zero without the engine. Raises
+    SceneError.
     """
     active = [target for target in obj.dynamorph.targets[1:] if not target.mute]
     if not active or engine.engine_problem():
@@ -85,7 +83,7 @@ def blended_shape(obj, local: np.ndarray) -> np.ndarray:
 
 
 def _blend(character: Character, local: np.ndarray) -> np.ndarray:
-    """The shape (V, 3), local space, that a character's targets have together at a pose (B, 4, 4)."""
+    """The shape (V, 3), local space, of a character's blended targets in a pose (B, 4, 4)."""
     engine.engine()
     from ..core import posing  # which needs it
 
@@ -110,13 +108,13 @@ def eligible(obj) -> list[str]:
 def add(obj, block, after: int | None = None):
     """A target for a shape key, selected; at the end of the list, or after the target with that index.
 
-    It is of the neutral target's material, until the artist says otherwise.
+    It has the neutral target's material until the artist changes it.
     """
     settings, keys = obj.dynamorph, obj.data.shape_keys.key_blocks
     target = settings.targets.add()
     target.refer_to(keys, keys.find(block.name))
     start_as(settings.targets[0], target)
-    target.auto_region = settings.model.hold == "THICKNESS"  # else all share the body, as they did before
+    target.auto_region = settings.model.hold == "THICKNESS"  # otherwise all share the body, as before
     settings.active_target_index = len(settings.targets) - 1
     if after is not None:
         settings.targets.move(settings.active_target_index, after + 1)
@@ -125,14 +123,14 @@ def add(obj, block, after: int | None = None):
 
 
 def start_as(source, target):
-    """Give a target the material of another, and what is still to be done about that."""
+    """Give a target the material of another, and the state of its settings."""
     assign(target, {name: getattr(source, name) for name in (*asdict(source.material()), "frequency", "by_hand")})
 
 
 def choose_bones(obj, target, skeleton: Skeleton, shape: np.ndarray | None = None):
-    """Let the bones that are turned in a target's pose, and bend what the shape (V, 3) moves, place it.
+    """Choose the bones that place a target: those that are turned in its pose and bend what the shape (V, 3) moves.
 
-    shape: its key's by default; all that are turned place it while that moves nothing. Raises SceneError.
+    shape: by default its key's; as long as that moves nothing, all turned bones place it. Raises SceneError.
     """
     if shape is None:
         there = target.name in animation.keys_of(obj)
@@ -142,12 +140,12 @@ def choose_bones(obj, target, skeleton: Skeleton, shape: np.ndarray | None = Non
 
 
 def copy_settings(source, target):
-    """Everything but the shape key, the captured bones' transforms and the bones."""
+    """Copies everything except the shape key, the captured bones' transforms and the bones."""
     assign(target, plain(source, skip=KEY_REFERENCE))
 
 
 def at_pose_of(obj, skeleton: Skeleton, local: np.ndarray, bones):
-    """The target, other than the neutral one, that a pose (B, 4, 4) with these bones cannot be told apart from."""
+    """The target, other than the neutral one, that a pose (B, 4, 4) with these bones cannot be distinguished from."""
     for target in obj.dynamorph.targets[1:]:
         used = [name in {*bones, *target.bone_names()} for name in skeleton.names]
         if checks.same_pose(target.local(skeleton)[used], local[used]):
@@ -161,7 +159,7 @@ def at_pose_of(obj, skeleton: Skeleton, local: np.ndarray, bones):
 def mirrored_pose(skeleton: Skeleton, local: np.ndarray) -> np.ndarray:
     """A pose (B, 4, 4) with left and right exchanged, about the armature's local x, whatever the rolls of the bones.
 
-    What is mirrored is how each bone carries the flesh, D = P R^-1: D' = S D S of the bone on the other side.
+    What is mirrored is how each bone moves the skin, D = P R^-1: D' = S D S of the bone on the other side.
     """
     other = [other_side(skeleton, b) for b in range(len(skeleton.names))]
     carried = skeleton.pose(local) @ skeleton.rest_inverse
@@ -169,12 +167,12 @@ def mirrored_pose(skeleton: Skeleton, local: np.ndarray) -> np.ndarray:
 
 
 def mirrored_world(rig_world) -> np.ndarray:
-    """Where the armature stands (4, 4) for a mirrored pose: gravity, along world z, is then mirrored in its space."""
+    """The armature's transform (4, 4) for a mirrored pose: gravity, along world z, is then mirrored in its space."""
     return MIRROR @ np.array(rig_world).reshape(4, 4) @ MIRROR
 
 
 def other_side(skeleton: Skeleton, b: int) -> int:
-    """The index of the bone on the other side; a bone of the middle is its own."""
+    """The index of the bone on the other side; a center bone is its own partner."""
     flipped = bpy.utils.flip_name(skeleton.names[b])
     return skeleton.names.index(flipped) if flipped in skeleton.names else b
 
@@ -223,14 +221,15 @@ def selected_bones(rig) -> list[str]:
 
 
 def begin_sculpting(obj, block, mode: str, is_new=False):
-    """Show the shape key alone, in the pose as it is, and enter "SCULPT" or "EDIT" mode.
+    """Show the shape key alone, in the current pose, and enter "SCULPT" or "EDIT" mode.
 
-    is_new: the key shows what the other targets do in this pose, and the bones and the region are still to be chosen.
-    Blender carries strokes back through the Armature modifier, in Edit Mode if that shows there. Raises SceneError.
+    is_new: the key shows what the other targets do in this pose, and the bones and the region are not chosen yet.
+    Blender maps strokes back through the Armature modifier, in Edit Mode if the modifier is shown there. Raises
+    SceneError.
     """
     check_can_sculpt(obj)
     if block.mute:
-        raise SceneError(f"Shape key '{block.name}' is muted and would not show: unmute it, or free the bake")
+        raise SceneError(f"Shape key '{block.name}' is muted and would not show: unmute it, or press Delete Bake")
     modifier, remembered = checks.armature_modifier(obj), obj.dynamorph.sculpt
     blocks = obj.data.shape_keys.key_blocks
     remembered.active, remembered.is_new = True, is_new
@@ -267,10 +266,10 @@ def finish_sculpting(obj):
 
 
 def learn_from_sculpt(obj):
-    """Choose bones and regions by what was sculpted, unless the artist has chosen them, and show it in its pose.
+    """Choose bones and regions from the sculpt, unless the artist has chosen them, and show it in its pose.
 
-    What other sets of targets show there goes from a new key: they go on showing it. Raises SceneError, and what
-    `jobs.expected_errors` names.
+    What other sets of targets show there is removed from a new key, because they still show it. Raises SceneError, and
+    the exceptions of `engine.expected_errors`.
     """
     remembered = obj.dynamorph.sculpt
     name, is_new = remembered.key.name, remembered.is_new
@@ -295,7 +294,7 @@ def learn_from_sculpt(obj):
 
 
 def hide_out_of_pose(obj, depsgraph):
-    """Turn off the sculpt that Finish Sculpting or Go to Pose shows when the armature is not in its pose any more.
+    """Turn off the sculpt that Finish Sculpting or Go to Pose shows, when the armature has left its pose.
 
     depsgraph: where it is evaluated.
     """
@@ -317,7 +316,7 @@ def _is_in_pose(obj, target, depsgraph) -> bool:
 
 
 def _with_sets(obj, name: str, own: bool) -> Character:
-    """The character without a target; and, unless `own`, without the whole set of it."""
+    """The character without a target and, unless `own`, without its whole set."""
     reconcile(obj)
     character, sets = extract.character(obj), []
     for target_set in character.target_sets:
@@ -330,7 +329,7 @@ def _with_sets(obj, name: str, own: bool) -> Character:
 def _make_active(obj):
     """In Object Mode."""
     objects = bpy.context.view_layer.objects
-    for other in (objects.active, obj):  # each may be in a mode of its own
+    for other in (objects.active, obj):  # each object may be in a different mode
         objects.active = other
         if other and other.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
@@ -347,8 +346,8 @@ def sculpted_key(obj):
 
 
 def capture(operator, obj, target, pose):
-    """Store a pose as `extract.current_pose` gives it; of the bones turned away from the neutral pose those that bend
-    what the target sculpts place it.
+    """Store a pose as returned by `rig_motion.current_pose`. Of the bones turned away from the neutral pose, those that
+    bend the sculpt place the target.
     """
     skeleton, local, rig_world = pose
     target.set_pose(skeleton, local, rig_world)

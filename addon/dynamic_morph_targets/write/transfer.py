@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A soft skin brought to another mesh on the same armature, such as another resolution of the body, or tight clothes.
+"""Copies a soft skin to another mesh on the same armature, such as another resolution of the body, or tight clothes.
 
-Both stand in the world as at rest: shape keys and vertex groups go by the nearest point of the source's Basis.
-`object.data_transfer` cannot do this: it carries no shape keys, and it measures from the source as it is posed.
+Both are compared at rest in the world: shape keys and vertex groups are taken from the nearest point of the source's
+Basis. `object.data_transfer` cannot do this: it carries no shape keys, and it measures from the source as it is posed.
 """
 
 from __future__ import annotations
@@ -22,10 +22,9 @@ from . import bake, regions, setups, targets
 
 @dataclass(frozen=True)
 class Copy:
-    """What one mesh of V vertices gets from another.
-
-    shapes: displacements (V, 3) in its local space by the name of their shape key; weights (V,) by the name of their
-    vertex group; distance: how far it is from the source's surface at most, in metres.
+    """What one mesh of V vertices gets from another. shapes: displacements (V, 3) in its local space by the name of
+    their shape key; weights (V,) by the name of their vertex group; distance: its largest distance from the source's
+    surface, in meters.
     """
 
     shapes: dict[str, np.ndarray]
@@ -74,7 +73,7 @@ def copy(source, obj) -> Copy:
 
 
 def write(obj, made: Copy, overwrite: bool):
-    """Make the shape keys and vertex groups; those there with the same name stay as they are unless `overwrite`."""
+    """Create the shape keys and vertex groups; existing ones with the same name stay as they are unless `overwrite`."""
     bake.ensure_basis(obj)
     for name, shape in made.shapes.items():
         block = obj.data.shape_keys.key_blocks.get(name)
@@ -89,7 +88,7 @@ def write(obj, made: Copy, overwrite: bool):
 
 
 def size(obj) -> float:
-    """From corner to corner at rest, in metres. Raises SceneError."""
+    """Diagonal at rest, in meters. Raises SceneError."""
     return float(np.linalg.norm(np.ptp(_moved(*_at_rest(obj)), axis=0)))
 
 

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The extension's logger: bugs are told there with their traceback, and in a sentence to the artist."""
+
+from __future__ import annotations
+
+import logging
+import traceback
+
+logger = logging.getLogger("dynamic_morph_targets")  # prints to the console unless it is told otherwise
+_told: set[tuple] = set()  # kinds and places of the bugs that `log_once` has logged
+
+
+def log_bug(error: BaseException) -> None:
+    """Log an error that nobody expected, with its traceback."""
+    logger.error("An unexpected error", exc_info=error)
+
+
+def log_once(error: BaseException) -> None:
+    """The same, for what is tried again and again: an error of one kind from one place is logged once."""
+    where = traceback.extract_tb(error.__traceback__)[-1:]
+    bug = type(error), *((frame.filename, frame.lineno) for frame in where)
+    if bug not in _told:
+        _told.add(bug)
+        log_bug(error)
+
+
+def bug_sentence(error: BaseException) -> str:
+    """What the artist is told of an error that nobody expected."""
+    return (
+        f"Dynamorph failed ({type(error).__name__}: {error}). This is a bug: please report it, with the traceback in "
+        "the system console"
+    )

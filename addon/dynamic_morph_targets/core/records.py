@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What builds, bakes and compared settings note in the .blend, as JSON: written with a version, checked when read.
+
+A .blend may come from anybody and from any version. Whatever its texts say, reading them gives what the caller can
+work with, or RecordError with a sentence for the artist. Records from before there were versions have none. No bpy.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import fields
+from functools import lru_cache
+from math import isfinite
+from typing import TypeGuard
+
+from .errors import RecordError
+from .settings import Material
+
+VERSION = 1
+BUILD = "The record of the last build cannot be read: press Build Model"
+BAKE = "The record of the last bake cannot be read: bake again"
+SLOT = "The other set of settings cannot be read: press Copy to replace it"
+MATERIAL = {field.name for field in fields(Material)}
+
+
+def text(values: dict) -> str:
+    """A record of `values`, fit for JSON."""
+    return json.dumps({"version": VERSION, **values})
+
+
+def animation_text(seen: list[tuple[str, str]]) -> str:
+    """A record of what moves a skin: names, and hashes of their animation."""
+    return text({"animation": seen})
+
+
+@lru_cache(maxsize=64)
+def build_inputs(record: str) -> dict:
+    """The settings that a model was built with, as `staleness.model_inputs` gives them. Not to be changed."""
+    return _read(record, BUILD, {"targets": _are_groups}, SETTINGS)
+
+
+@lru_cache(maxsize=64)
+def bake_inputs(record: str) -> dict:
+    """The settings that a bake was made with, as `staleness.bake_inputs` gives them, with the `animation` and the
+    model's `content_id`. Not to be changed.
+    """
+    needed = {"targets": _are_groups, "animation": _is_animation, "content_id": _is_text}
+    return _read(record, BAKE, needed, {**SETTINGS, "simulation": _is_group, "output": _is_group})
+
+
+@lru_cache(maxsize=64)
+def animation(record: str) -> list[tuple[str, str]]:
+    """What `animation_text` noted; empty without a record."""
+    values = _parsed(record, BAKE) if record else []
+    seen = values.get("animation") if isinstance(values, dict) else values  # a list, from before there were versions
+    if not _is_animation(seen):
+        raise RecordError(BAKE)
+    return [(name, digest) for name, digest in seen]
+
+
+def verdict(record: str) -> dict:
+    """What a bake's judge said. Only `text` is sure to be there."""
+    return _read(record, BAKE, {"text": _is_text}, {})
+
+
+def slot(record: str) -> dict:
+    """A set of settings as `slots.slot_settings` gives it, without fields that this version does not know."""
+    needed = {"materials": _are_groups, "simulation": _is_group, "gains": _are_numbers}
+    values = _read(record, SLOT, needed, {"frequencies": _is_group})
+    materials = {
+        target: {name: value for name, value in material.items() if name in MATERIAL and is_number(value)}
+        for target, material in values["materials"].items()
+    }
+    frequencies = {
+        target: (pair[0], pair[1] is True)
+        for target, pair in values.get("frequencies", {}).items()
+        if isinstance(pair, list) and len(pair) == 2 and is_number(pair[0])
+    }
+    return values | {"materials": materials, "frequencies": frequencies}
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether it is a finite number, and none too large for a float."""
+    try:
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
+    except OverflowError:
+        return False
+
+
+def _read(record: str, unreadable: str, needed: dict[str, Callable], known: dict[str, Callable]) -> dict:
+    """The values of a record, of which `needed` are there and `known` may be, each as its check wants it.
+
+    unreadable: what RecordError says otherwise.
+    """
+    values = _parsed(record, unreadable)
+    if not isinstance(values, dict) or not values.keys() >= needed.keys():
+        raise RecordError(unreadable)
+    if not all(fits(values[name]) for name, fits in {**known, **needed}.items() if name in values):
+        raise RecordError(unreadable)
+    return values
+
+
+def _parsed(record: str, unreadable: str) -> object:
+    """JSON of a version that is known. Raises RecordError."""
+    try:
+        values = json.loads(record)
+    except (ValueError, RecursionError) as error:
+        raise RecordError(unreadable) from error
+    version = values.get("version", 0) if isinstance(values, dict) else 0
+    if type(version) is not int or not 0 <= version <= VERSION:
+        raise RecordError(unreadable)
+    return values
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_group(value: object) -> bool:
+    return isinstance(value, dict)
+
+
+def _are_groups(value: object) -> bool:
+    return isinstance(value, dict) and all(map(_is_group, value.values()))
+
+
+def _are_numbers(value: object) -> bool:
+    return isinstance(value, list) and all(map(is_number, value))
+
+
+def _is_animation(value: object) -> TypeGuard[list[list[str]]]:
+    return isinstance(value, list) and all(
+        isinstance(pair, list) and len(pair) == 2 and all(map(_is_text, pair)) for pair in value
+    )
+
+
+SETTINGS = {"model": _is_group, "groups": _is_group, "scene": _is_group}

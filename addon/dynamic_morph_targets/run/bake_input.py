@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The request of a job, and what it reads of Blender: the character and its settings at once, then the moving rig in
+chunks. All of it in the main thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+
+from ..core import engine, errors, judge, records
+from ..core.character import Follower
+from ..core.errors import SceneError
+from ..core.keys import united
+from ..io import point_cache
+from ..io.cache_dir import Share
+from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
+from ..scene.model_store import blend_folder, load_model, stale_reasons
+from ..scene.skin import ObjectHandle, SceneHandle
+from ..write.bake import check, check_cache, check_local, overwritten_keys
+from ..write.bake_reading import read_back
+from ..write.reconcile import reconcile
+from .job_data import BakeInput
+
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.model import Model
+
+CHUNK_FRAMES = 1000  # of a shot, that are read and simulated at once: bounds memory
+SHORT_CHUNK_FRAMES = 100  # where each node is read, or chunks are kept for other processes, which go on from there
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a job is asked for.
+
+    target: the object. goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE", which builds too where
+    that is necessary. frames: (start, end), substeps, and changes, by name, override the object's settings of the
+    simulation. folder: where large models go. rebuild: build even when the model is up to date. share: where built
+    models and unfinished bakes are kept for other processes. rehearse: do so although it was done before. cache_files:
+    where point caches go, by mesh, if not where they go by default. whole: the shot is one chunk. stored: the result
+    goes into Blender.
+    """
+
+    target: ObjectHandle
+    scene: SceneHandle
+    name: str
+    goal: str
+    frames: tuple[int, int] | None = None
+    substeps: int | None = None
+    folder: Path | None = None
+    rebuild: bool = False
+    share: Share | None = None
+    rehearse: bool = False
+    cache_files: Mapping[str, Path] = field(default_factory=dict)
+    whole: bool = False
+    stored: bool = True
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read(request: Request) -> BakeInput:
+    """Check and read the character and its settings. Raises SceneError, SinkError, ModelFileError, OSError."""
+    engine.engine()
+    obj = request.target.find()
+    check_local(obj)
+    if obj.type == "MESH":
+        reconcile(obj)
+    character = extract.character(obj, without_targets=request.goal == "BUILD_CAGE")
+    given = BakeInput(request.name, request.goal, character, cache_files=dict(request.cache_files))
+    if given.is_bake:
+        check(obj)
+        given.followers = extract.followers(obj, character)
+        for follower in handles(given.followers):
+            check(follower.find(), needs_keys=False)
+    given.warnings = extract.warnings(obj, character) + extract.far_followers(character, given.followers)
+    if given.is_bake and request.stored:
+        _read_output(given, obj, request.folder)
+    fits = _read_model(given, obj, request)
+    if given.is_bake or (fits and not given.only_cage):
+        _read_shot(given, obj, request, fits)
+    return given
+
+
+def handles(followers: Sequence[Follower]) -> list[ObjectHandle]:
+    """The handles of the other meshes that the soft tissue carries along."""
+    return [ObjectHandle(follower.session_uid, follower.name) for follower in followers]
+
+
+def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -> None:
+    """The form of the bake in Blender. Raises SinkError."""
+    given.output = run_settings.output_settings(obj)
+    if given.output.sink not in point_cache.CACHES:
+        return
+    caches = folder or blend_folder()
+    check_cache(obj, caches)
+    assert caches is not None  # that would have been refused
+    given.caches = caches
+    for mesh in (obj, *(handle.find() for handle in handles(given.followers))):
+        lost = ", ".join(f"'{name}'" for name in overwritten_keys(mesh))
+        if lost:
+            given.warnings.append(f"The point cache of '{mesh.name}' plays over shape keys that move too: {lost}")
+
+
+def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bool:
+    """The existing model, and why another one must be built; True if that is fitted to the shot."""
+    with suppress(errors.ModelFileError):  # then one of the reasons
+        given.previous = load_model(obj)
+    given.reasons = _reasons(given, obj, request.rebuild)
+    if not given.reasons:
+        given.model = given.previous
+    given.built_from = records.text(staleness.model_inputs(obj))
+    chosen = given.character.settings
+    fits = bool(given.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
+    given.share = request.share
+    given.shares_model = bool(given.share) and not fits  # a fitted one depends on the shot
+    if given.reasons and given.share and given.shares_model:
+        given.shared_model = given.share.built(given.character)
+        given.previous = given.shared_model or given.previous
+    return fits
+
+
+def _reasons(given: BakeInput, obj: bpy.types.Object, rebuild: bool) -> list[str]:
+    """Why something must be built."""
+    if given.only_cage:
+        build, _ = engine.engine()
+        current = given.previous is not None and build.has_cage(given.previous, given.character)
+        return [] if current else ["the cage is out of date"]
+    return stale_reasons(obj, given.character) or ["asked for"] * rebuild
+
+
+def _read_shot(given: BakeInput, obj: bpy.types.Object, request: Request, fits: bool) -> None:
+    """The settings of the simulation, and the part of its result that exists already."""
+    settings = run_settings.simulation_settings(obj, bpy.context.scene, request.frames, request.substeps)
+    given.has_shot, given.settings = True, replace(settings, **request.changes)
+    given.inputs = staleness.bake_inputs(obj, given.settings) | {"animation": animation.animation(obj)}
+    chosen = obj.dynamorph.simulation
+    _read_limits(given, chosen, request)
+    is_part = chosen.is_patch or (chosen.keep_outside and request.frames)
+    if given.output and is_part and obj.dynamorph.bake.exists:
+        _read_kept(given, obj)
+    given.whole = request.whole or given.settings.loop or fits
+    if given.share and given.is_bake and not (given.whole or given.before or given.character.probed):
+        files = animation.source_files()
+        given.kept = given.share.bake_path(given.name, given.inputs, given.character, files, bpy.app.version)
+        model = given.model or given.shared_model
+        given.resumed = given.share.unfinished(given.kept, model) if model else {}
+    if given.resumed:
+        first = given.settings.first
+        given.first = rig_motion.sample_rig(obj, first, first, 1)
+
+
+def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Request) -> None:
+    """How far the skin may move, and whether this bake rehearses the shot; chosen: the settings.
+
+    There is no rehearsal where others must agree with the result: for a part of a shot, a worker of a farm, or values
+    that the artist has set by hand.
+    """
+    given.limits = judge.Limits(chosen.max_displacement, chosen.max_thickness)
+    model, neutral = given.character.settings, given.character.targets[0]
+    limited = given.limits != judge.Limits() and model.solver == "REDUCED" and model.method != "STATIC"
+    whole = given.is_bake and not (request.frames or request.share or chosen.is_patch)
+    adjustable = neutral.frequency > 0.0 and not neutral.by_hand
+    if limited and whole and adjustable and (request.rehearse or not chosen.rehearsed):
+        given.rehearsed_from = neutral.frequency
+
+
+def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
+    """The bake into which the frames go, and the run-up to them. Raises SceneError, SinkError."""
+    meshes = (obj, *(handle.find() for handle in handles(given.followers)))
+    given.before = [read_back(mesh, given.settings.samples) for mesh in meshes]
+    if given.character.parts:
+        to_body = [np.eye(3), *(np.linalg.inv(follower.from_body) for follower in given.followers)]
+        given.before = [united(given.before, to_body)]
+    settings, (first, last) = given.settings, given.before[0].frames[[0, -1]].astype(int).tolist()
+    if settings.start > last + 1 or settings.end < first - 1:
+        raise SceneError(
+            f"'{given.name}': frames {settings.start} to {settings.end} are not next to those of the last bake, "
+            f"{first} to {last}: choose others, or turn Keep Other Frames off"
+        )
+    whole = {"start": min(settings.start, first), "end": max(settings.end, last)}
+    given.inputs["simulation"] |= whole
+    run_up = min(settings.start - whole["start"], max(settings.preroll, round(settings.fps)))
+    since = ", ".join(staleness.outdated(obj))
+    if since:
+        given.warnings.append(f"Since the other frames were baked: {since}")
+    if settings.loop:
+        given.warnings.append("A part of a bake cannot be a loop: Loop is ignored")
+    given.settings = replace(settings, loop=False)
+    if run_up:
+        given.settings = replace(given.settings, preroll=run_up, preroll_pose="ANIMATED")
+
+
+class RigReader:
+    """Reads the rig of a shot a chunk after the other, each in slices between which Blender does other things.
+
+    sampling: of the chunk that is being read; None for a job that needs no rig.
+    """
+
+    def __init__(self, request: Request, given: BakeInput):
+        self.sampling: rig_motion.RigSampling | None = None
+        self._object, self._given = request.target, given
+        self._probe: probe.Probe | None = None  # Blender's own memory
+
+    def begin_chunk(self, done: int) -> None:
+        """Continue after this many states of the shot. Raises SceneError."""
+        given = self._given
+        if not given.has_shot:
+            return
+        settings = given.settings
+        first = settings.reached(done)
+        chunk = SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
+        frames = settings.end - first if given.whole else chunk
+        end = min(first + frames, settings.end)
+        self.sampling = rig_motion.RigSampling(self._object.find(), first, end, settings.substeps)
+        self.sampling.probe = self._probe
+
+    def advance(self, seconds: float, model: Model | None) -> bool:
+        """Read the chunk for about so many seconds; True when everything is read. model: its cage has the nodes that
+        are probed.
+        """
+        sampling, given, obj = self.sampling, self._given, self._object.find()
+        assert sampling is not None  # a chunk has begun
+        if given.is_probed and sampling.probe is None:
+            sampling.probe = self._probe = probe.Probe(obj, model, given.character)
+        return sampling.advance(obj, seconds)
+
+    def end_chunk(self) -> rig_motion.RigSampling | None:
+        """The chunk that was read, for a thread: its `samples` does not touch Blender."""
+        sampling, self.sampling = self.sampling, None
+        return sampling
+
+    def free(self) -> None:
+        """Free Blender's memory at once, without waiting for Python's garbage collector."""
+        self._probe = None

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The results of jobs -> Blender: all of them or nothing, in the main thread; and the messages for the artist."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ..core import baked, calibration, records
+from ..core.errors import SceneError
+from ..io import model_file
+from ..scene import skin, staleness, target_properties
+from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
+from ..write import comparison, live_key
+from ..write.bake import NewBake, check, check_free, check_local, check_not_edited, free
+from ..write.storage import fit_modes, keep_model, model_path
+from .bake_input import Request, handles
+from .job_data import BakeInput, Outcome, Progress
+
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.model import Model
+
+
+def write_all(writers: Sequence[Writer]) -> None:
+    """Write the results of several jobs. If anything is refused or fails, nothing of it stays. Raises SceneError,
+    SinkError, ModelFileError, OSError.
+    """
+    with ExitStack() as undo:
+        for writer in writers:
+            undo.callback(writer.forget_point_caches)
+        for writer in writers:
+            writer.check()
+        for writer in writers:
+            writer.save_model(undo)
+        for writer in writers:
+            writer.add_keys(undo)
+        for writer in writers:
+            writer.show_keys()
+        for writer in writers:
+            writer.store()
+        undo.pop_all()
+
+
+def target(request: Request, given: BakeInput) -> bpy.types.Object:
+    """The object for which the results are. Raises SceneError when they do not fit it any more."""
+    own = given.character.vertices[given.character.own]
+    meshes = [(request.target, own), *zip(handles(given.followers), (f.vertices for f in given.followers), strict=True)]
+    for handle, vertices in meshes:
+        obj = handle.find()
+        if len(obj.data.vertices) != len(vertices):
+            raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
+    return request.target.find()
+
+
+class Writer:
+    """Writes what one job came to, in steps of which each is done for all jobs before the next one.
+
+    What can fail comes first. What was there before is replaced by the last two, which can hardly fail: if one of them
+    does, the new bakes are removed, but the old ones are gone too.
+    """
+
+    def __init__(self, request: Request, given: BakeInput, outcome: Outcome, progress: Progress):
+        self.request, self.given, self.outcome, self.progress = request, given, outcome, progress
+        self._packed: bytes | None = None  # the model that is to be stored, if it is
+        self._file: Path | None = None  # where, if not in the .blend
+        self._new: list[NewBake] = []
+
+    def check(self) -> None:
+        """Refuse, before anything is written, what cannot be written. Raises SceneError, SinkError, ModelFileError."""
+        obj = target(self.request, self.given)
+        check_local(obj)
+        if self.given.is_bake:
+            pieces = self._pieces()
+            check(obj)
+            for piece in pieces:
+                check(piece, needs_keys=False)
+            for piece in skin.followers(obj):
+                check_not_edited(piece)
+                if piece not in pieces:
+                    check_free(piece)
+        self._packed = self.outcome.packed
+        moves = self.request.folder not in (None, blend_folder())
+        if self._packed is None and not self.given.only_cage and PACKED not in obj and moves:
+            self._packed = stored_model(obj)  # the .blend moves, its model moves along
+        if self._packed is not None:
+            self._file = model_path(obj.name, self._packed, self.request.folder)
+
+    def save_model(self, undo: ExitStack) -> None:
+        """Write the file of a model that is too large for the .blend. Raises OSError."""
+        if self._file is None or self._packed is None:
+            return
+        if not self._file.exists():
+            undo.callback(self._file.unlink, missing_ok=True)
+        with self.progress.stage("store model"):
+            model_file.save(self._file, self._packed)
+
+    def add_keys(self, undo: ExitStack) -> None:
+        """Write the bakes of all meshes beside the existing ones. Raises SinkError."""
+        if not self.given.is_bake:
+            return
+        obj = self.request.target.find()
+        with self.progress.stage("write keys"), self.request.scene.as_context():
+            for each, (keys, cache) in zip((obj, *self._pieces()), self.outcome.written, strict=True):
+                new = NewBake(each, keys, None if each == obj else obj, cache)
+                undo.callback(new.take_back)
+                self._new.append(new)
+                self.outcome.size += new.size + (cache.stat().st_size if cache else 0)
+
+    def show_keys(self) -> None:
+        """Make the new bakes replace the old ones and Live."""
+        if not self.given.is_bake:
+            return
+        obj, pieces = self.request.target.find(), self._pieces()
+        with self.progress.stage("write keys"), self.request.scene.as_context():
+            if comparison.is_plain(obj):
+                comparison.show(obj, False)
+            live_key.remove(obj)
+            for piece in skin.followers(obj):
+                if piece not in pieces:
+                    free(piece)
+            for new in self._new:
+                new.replace()
+
+    def store(self) -> None:
+        """Store the model and the findings with the object."""
+        obj = self.request.target.find()
+        with self.request.scene.as_context():
+            with self.progress.stage("store model"):
+                self._store_model(obj)
+                self._store_materials(obj)
+            if self.given.is_bake:
+                self._record(obj)
+
+    def forget_point_caches(self) -> None:
+        """Remove the files of point caches that nothing plays."""
+        for file in self.outcome.new_files:
+            file.unlink(missing_ok=True)
+
+    def _pieces(self) -> list[bpy.types.Object]:
+        return [handle.find() for handle in handles(self.given.followers)]
+
+    def _store_model(self, obj: bpy.types.Object) -> None:
+        given, model = self.given, self.outcome.model
+        record = obj.dynamorph.model
+        if self._packed is not None:
+            keep_model(obj, self._packed, self._file)
+        if given.reasons:
+            size = f"{len(self._packed or b'') / 2**20:.1f}\u00a0MB, {self.progress.seconds['build']:.1f}\u00a0s"
+            record.summary = "" if given.only_cage else f"{model_summary(given, model)}, {size}"
+            record.cage = cage_summary(model)
+            record.vertices = given.character.own.stop
+            record.warnings = "\n".join(model.summary["warnings"])
+        if given.reasons or not given.only_cage:
+            record.stale, record.built = "only the cage is built" if given.only_cage else "", given.built_from
+        if given.reasons and not given.only_cage:
+            obj.dynamorph.live.checks = ""
+            fit_modes(obj, model.summary["modes"])
+            self._store_references(obj)
+
+    def _store_materials(self, obj: bpy.types.Object) -> None:
+        """Store what a build or a rehearsal has made of the targets' frequencies."""
+        character = self.outcome.character
+        for target in obj.dynamorph.targets:
+            index = index_in(character, obj, target)
+            if index is None or not character.targets[0].frequency:
+                continue
+            with target_properties.as_computed():
+                for name, value in calibration.stored(character.targets[index]).items():
+                    if getattr(target, name) != value:
+                        setattr(target, name, value)
+
+    def _store_references(self, obj: bpy.types.Object) -> None:
+        character, references = self.outcome.character, self.outcome.references
+        measured = character.by_method().targets
+        for target in obj.dynamorph.targets:
+            index = index_in(character, obj, target)
+            bounce, volume = references[index] if index is not None else (0.0, 0.0)
+            target.set_references(bounce, volume, measured[index or 0].material.poisson)
+
+    def _record(self, obj: bpy.types.Object) -> None:
+        """Store what the panels show about the bake."""
+        given, outcome = self.given, self.outcome
+        record = obj.dynamorph.bake
+        record.summary = summary(given, outcome, self.progress.seconds)
+        record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary["warnings"])
+        record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
+        found = outcome.verdict.as_dict(given.limits)
+        own = given.character.own
+        record.verdict = records.text(found | {"vertices": [v for v in found["vertices"] if v < own.stop]})
+        if outcome.rehearsed:
+            obj.dynamorph.simulation.rehearsed = outcome.rehearsed
+        record.content_id = outcome.content_id
+        record.digest = baked.digest(outcome.bake)
+        staleness.look_at_animation(obj)
+
+
+# For the artist ------------------------------------------------------------------------------------------------------
+
+
+def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> str:
+    """One line about a job; seconds: by stage."""
+    if given.only_cage:
+        return cage_summary(outcome.model) if given.reasons else "the cage is up to date"
+    if not given.is_bake:
+        return model_summary(given, outcome.model)
+    report = outcome.report
+    frames = given.settings.end - given.settings.start + 1
+    took = sum(value for stage, value in seconds.items() if stage != "build")
+    gap = f", loop gap {1000 * report['gap']:.3g} mm" if "gap" in report else ""
+    off = report.get("keys_error", 0.0)
+    error = f", {report['keys']} keys off by at most {1000 * off:.2g} mm" if off else ""
+    seam = f", {1000 * report['seam']:.3g} mm from the other frames" if "seam" in report else ""
+    return f"{frames} frames in {took:.1f}\u00a0s, {outcome.size / 2**20:.1f}\u00a0MB{error}{gap}{seam}"
+
+
+def model_summary(given: BakeInput, model: Model) -> str:
+    made, targets = model.summary, _authored_targets(given)
+    if not made["tets"]:
+        return f"{targets}, nothing to simulate"
+    kept = sum(made.get("fallbacks", {}).values())  # models of older versions do not say
+    crushed = f", crushed tetrahedra: {kept}" if kept else ""
+    return f"{made['nodes']} nodes, {made['modes']} modes, {targets}{crushed}"
+
+
+def _authored_targets(given: BakeInput) -> str:
+    """The number of targets in the panel's list; each set has the neutral one."""
+    sets = given.character.by_method().target_sets
+    count = 1 + sum(len(target_set.targets) - 1 for target_set in sets)
+    return f"{count} target{'s' * (count > 1)}"
+
+
+def cage_summary(model: Model) -> str:
+    made = model.summary
+    if not made["tets"]:
+        return ""
+    quality = made.get("quality")  # models of older versions do not say
+    angles = f", angles {quality['min_dihedral']:.0f}° to {quality['max_dihedral']:.0f}°" if quality else ""
+    share = made.get("held", made["pinned"] / made["nodes"])  # models of older versions have pins alone
+    held = f"{share:.0%} held" + (" by bones" if made["pinned"] else "")
+    return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held}{angles}"

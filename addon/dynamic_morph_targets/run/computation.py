@@ -1,0 +1,322 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a job's thread computes from its input: model, motion, verdict and keys. Neither this module nor its imports
+touch bpy.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from ..core import baked, calibration, engine, errors, judge, rig_samples
+from ..core.baked import Bake
+from ..core.errors import SceneError, SelfCheckError
+from ..core.judge import Verdict
+from ..core.keys import as_keys, splice
+from ..core.rehearsal import Rehearsal
+from ..core.rig_samples import RigSamples
+from ..io import model_file, paths, point_cache
+from .job_data import BakeInput, Outcome, Progress
+
+if TYPE_CHECKING:  # they need the engine
+    from ..core.character import Character
+    from ..core.model import Model
+    from ..core.settings import OutputSettings
+    from ..core.simulate import Shot
+
+CAGE = 0.1  # fraction of a job for a cage that is needed before the rig is read
+READ = 0.2  # fraction of a job after which the rig is read
+FADE = 5  # frames over which a part that is baked again blends into the rest
+
+
+class Sampling(Protocol):
+    """A chunk of the rig that was read of Blender: `rig_motion.RigSampling`."""
+
+    def samples(self) -> RigSamples: ...
+
+
+class Computation:
+    """Computes what a job is for, a chunk of the rig after the other, so that a long shot takes no more memory.
+
+    The first bake of a whole shot is a rehearsal too: while the skin moves further than the limits allow, the tissue is
+    made stiffer and the shot begins again; what that comes to is stored with the targets.
+
+    rig: the chunk that was simulated last. shot: the `simulate.Shot` that goes on with the next one.
+    """
+
+    def __init__(self, given: BakeInput, progress: Progress):
+        self.given, self.progress = given, progress
+        self.outcome = Outcome(given.character, warnings=list(given.warnings), inputs=copy.deepcopy(given.inputs))
+        if given.model is not None:
+            self.outcome.model = given.model
+        self.rig: RigSamples | None = None
+        self.shot: Shot | None = None
+        self.previous = given.previous  # the model whose cage may serve
+        self.read_from = 0.0  # of the job, the part that is done before the rig is read
+        self._needs_model = given.model is None
+        self._chunks = 0  # that were simulated
+        self._best: tuple[Character, Bake, dict, Verdict]  # what the rehearsal keeps; the dictionary is the report
+        self._rehearsal: Rehearsal | None = None  # until it has finished
+        if given.rehearsed_from:
+            self._rehearsal = Rehearsal(given.rehearsed_from)
+            self.outcome.rehearsed = f"Bounce of {given.rehearsed_from:.3g} Hz keeps the skin within Max Displacement"
+
+    @property
+    def needs_cage(self) -> bool:
+        """Whether a cage must exist before the rig is read, because Blender poses its nodes."""
+        if not self.given.is_probed:
+            return False
+        build, _ = engine.engine()
+        return not (self.previous and build.has_cage(self.previous, self.given.character))
+
+    @property
+    def needs_chunk(self) -> bool:
+        """Whether another chunk must be read and computed after one is done."""
+        begins_again = self._chunks > 0 and self.shot is None
+        return begins_again or (self.shot is not None and not self.shot.is_complete)
+
+    @property
+    def done(self) -> int:
+        """How many states of the shot are simulated."""
+        return self.shot.done if self.shot else len(self.given.resumed.get("coordinates", ()))
+
+    def make_cage(self) -> None:
+        """Build what must exist before the rig is read."""
+        build, _ = engine.engine()
+        with self.progress.stage("build"):
+            progress = self.progress.part(0.0, CAGE)
+            self.previous = build.build_cage(self.given.character, progress, self.previous)
+        self.read_from = CAGE
+
+    def compute(self, sampling: Sampling | None = None) -> None:
+        """All that can be computed before the next chunk is read. sampling: of this one, which was read.
+
+        Raises SceneError, SelfCheckError, OSError and what the engine raises.
+        """
+        given, outcome = self.given, self.outcome
+        build, simulate = engine.engine()
+        if given.only_cage:
+            if given.reasons:
+                with self.progress.stage("build"):
+                    progress = self.progress.part(0.0, 1.0)
+                    model = build.build_cage(given.character, progress, self.previous)
+                self._take_model(model)
+            return
+        if sampling:
+            self.take(sampling.samples())
+        if self._needs_model:
+            self._build(simulate)
+        if given.is_bake and not self.progress.cancelled and self._simulate(simulate):
+            finish(given, outcome, self.progress)
+
+    def take(self, samples: RigSamples) -> RigSamples:
+        """Check what was read of the rig, and go on with that as `rig`. Raises SceneError."""
+        before = self.rig.pose[-1] if self.rig else self.given.resumed.get("pose")
+        if before is not None:  # the last frame becomes the first again
+            samples = samples[1:]
+        if len(samples):
+            samples, found = rig_samples.hold_collapsed(samples, self.given.character.skeleton, before)
+            self.outcome.warnings += [text for text in found if text not in self.outcome.warnings]
+        self.rig = samples
+        return samples
+
+    def _build(self, simulate: ModuleType) -> None:
+        given, outcome = self.given, self.outcome
+        built = 0.95 if given.character.settings.fit_to_shot else 0.7
+        with self.progress.stage("build"):
+            model = given.shared_model
+            if not model:
+                progress = self.progress.part(READ, built if given.is_bake else 1.0)
+                settings = given.settings if given.has_shot else None
+                model = simulate.build_for(given.character, self.rig, settings, progress, self.previous)
+                if given.share and given.shares_model:
+                    given.share.keep_model(model)
+        self._take_model(model)
+        with self.progress.stage("measure"):
+            for reference in calibration.references(model, given.character):
+                outcome.references.append(reference)
+                if self.progress.cancelled:
+                    return
+        adopt(outcome, calibration.calibrated(given.character, outcome.references))
+        self.progress.fraction = built
+        outcome.warnings += model.summary["warnings"]
+
+    def _take_model(self, model: Model) -> None:
+        with self.progress.stage("store model"):
+            self.outcome.model, self.outcome.packed = model, model_file.pack(*model.to_arrays())
+        self._needs_model = False
+
+    def _simulate(self, simulate: ModuleType) -> bool:
+        """Simulate the chunk; True when the shot is complete, and no rehearsal needs another pass."""
+        while True:
+            shot = self._play(simulate)
+            if not shot.is_complete:
+                return False
+            self._judge(shot)
+            if not self._rehearse_again():
+                return True
+            if self._chunks > 1:  # of the rig the last is left: it is read again
+                self.rig, self._chunks, self.shot = None, 1, None
+                return False
+            self._chunks, self.shot = 0, None
+
+    def _play(self, simulate: ModuleType) -> Shot:
+        """Simulate the shot to the end of the rig that was read."""
+        given, outcome, rig = self.given, self.outcome, self.rig
+        assert rig is not None  # a shot has one
+        with self.progress.stage("simulate"):
+            if self.shot is None:
+                progress = self.progress.part(self.progress.fraction if given.reasons else READ, 1.0)
+                self.shot = simulate.Shot(outcome.model, outcome.character, given.settings, progress)
+                if given.first is not None:
+                    self.shot.resume(given.resumed, given.first)
+            shot: Shot = self.shot
+            shot.play(rig)
+            self._chunks += 1
+        if given.share and given.kept and len(rig):  # otherwise nothing was left to do
+            given.share.keep(given.kept, shot, rig.pose[-1])
+        return shot
+
+    def _judge(self, shot: Shot) -> None:
+        outcome = self.outcome
+        with self.progress.stage("simulate"):
+            outcome.bake, outcome.report = shot.bake()
+        with self.progress.stage("judge"):
+            outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake)
+        outcome.report["inverted_volume"] = outcome.verdict.inverted
+
+    def _rehearse_again(self) -> bool:
+        """Continue with another frequency, if a rehearsal asks for one; otherwise with the best."""
+        rehearsal, outcome, limits = self._rehearsal, self.outcome, self.given.limits
+        if not rehearsal:
+            return False
+        now = outcome.character.targets[0].frequency
+        rehearsal.learn(now, outcome.verdict.excess(limits))
+        if rehearsal.best == now:
+            self._best = outcome.character, outcome.bake, outcome.report, outcome.verdict
+        frequency = rehearsal.next()
+        if frequency:
+            adopt(outcome, calibration.stiffened(outcome.character, frequency / now))
+            return True
+        self._rehearsal = None
+        character, outcome.bake, outcome.report, outcome.verdict = self._best
+        if rehearsal.best != now:
+            adopt(outcome, character)
+        if rehearsal.best != rehearsal.asked:
+            kept = outcome.verdict.excess(limits) <= judge.SHOWS
+            came = ": the skin stays within Max Displacement" if kept else ", and the skin still moves too far"
+            outcome.rehearsed = f"Bounce raised from {rehearsal.asked:.3g} to {rehearsal.best:.3g} Hz{came}"
+        return False
+
+
+def adopt(outcome: Outcome, character: Character) -> None:
+    """Continue with other materials, which are stored when the job is written."""
+    outcome.character = character
+    neutrals = np.cumsum([0, *(len(each.targets) for each in character.target_sets)])
+    for index, target in enumerate(character.targets):
+        name = "" if index == 0 else target.name
+        known = outcome.inputs.get("targets", {}).get(name)
+        if known is not None and (index == 0 or index not in neutrals):
+            known |= {key: value for key, value in calibration.stored(target).items() if key in known}
+
+
+def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
+    """Make the result from the simulated shot, and the messages about it. Raises SceneError, SelfCheckError,
+    OSError.
+    """
+    from ..core import followers  # which needs the engine
+
+    outside = [] if given.character.parts else given.followers
+    outcome.carried = [followers.follow(outcome.model, outcome.bake, follower) for follower in outside]
+    for name in ("coordinates", "weights", "modes", "details", "static"):
+        if not all(np.isfinite(getattr(bake, name)).all() for bake in (outcome.bake, *outcome.carried)):
+            raise SelfCheckError(f"'{given.name}': the engine's {name} are not numbers: nothing was written")
+    progress.message = "Making keys"
+    with progress.stage("make keys"):
+        if given.before:
+            _splice(given, outcome)
+        if given.output:
+            _make_keys(given, outcome, given.output)
+            outcome.content_id = _content_id(given, outcome)
+    outcome.warnings += outcome.report["warnings"]
+    settings = given.settings
+    first, last = outcome.model.summary.get("fitted", (settings.start, settings.end))
+    if settings.start < first or settings.end > last:
+        outcome.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
+    found = outcome.verdict.as_dict(given.limits)
+    if not found["ok"]:
+        outcome.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint the Softness Map")
+
+
+def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
+    """A bake of the whole body divided into one per mesh, if they are in one cage; otherwise it is of one mesh
+    already.
+    """
+    character = given.character
+    if not character.parts:
+        return [bake]
+    from ..core import followers, simulate  # which need the engine
+
+    carried = (followers.follow(model, bake, follower) for follower in given.followers)
+    return [simulate.part_of(bake, character.own), *carried]
+
+
+def _splice(given: BakeInput, outcome: Outcome) -> None:
+    """Make the results parts of the existing bakes."""
+    parts = zip(given.before, (outcome.bake, *outcome.carried), _to_metres(given, outcome), strict=True)
+    spliced = [splice(before, part, FADE, to_metres) for before, part, to_metres in parts]
+    outcome.bake, *outcome.carried = (bake for bake, _ in spliced)
+    outcome.report["seam"] = max(seam for _, seam in spliced)
+
+
+def _to_metres(given: BakeInput, outcome: Outcome) -> list[np.ndarray]:
+    """Local to metric space (3, 3) of the body, and of what follows it outside of its cage."""
+    to_bind, outside = given.character.to_bind, given.followers[: len(outcome.carried)]
+    return [to_bind, *(to_bind @ np.linalg.inv(follower.from_body) for follower in outside)]
+
+
+def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> None:
+    """The form of the results apart from Blender: shape keys, and the files of point caches."""
+    character = given.character
+    names = character.name, *(follower.name for follower in given.followers)
+    points_of = character.vertices[character.own], *(follower.points for follower in given.followers)
+    off, all_keys, bakes = 0.0, [], []
+    wholes = (outcome.bake, *outcome.carried)
+    for name, whole, to_metres in zip(names, wholes, _to_metres(given, outcome), strict=False):
+        try:
+            keys, error = as_keys(whole, output, to_metres)
+        except errors.ClipError as refusal:
+            raise SceneError(f"'{name}': {refusal}") from refusal
+        off = max(off, error)
+        all_keys += of_meshes(given, outcome.model, keys)
+        bakes += of_meshes(given, outcome.model, whole)
+    for name, points, bake, keys in zip(names, points_of, bakes, all_keys, strict=True):
+        file = None
+        if output.sink in point_cache.CACHES:
+            file = _point_cache(given, outcome, output.sink, name, points, bake)
+        outcome.written.append((keys, file))
+    outcome.report["keys"] = len(outcome.written[0][0].modes) + len(outcome.written[0][0].details)
+    outcome.report["keys_error"] = off
+
+
+def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, points: np.ndarray, bake: Bake) -> Path:
+    """Write the file that plays the bake of the mesh `name`."""
+    fps = given.settings.fps
+    default = paths.cache_path(given.caches, name, baked.digest(bake, points, fps), sink)
+    file = given.cache_files.get(name, default)
+    if not file.exists():
+        outcome.new_files.append(file)
+    model_file.save(file, point_cache.CACHES[sink](bake, points, fps))
+    return file
+
+
+def _content_id(given: BakeInput, outcome: Outcome) -> str:
+    build, _ = engine.engine()
+    made_from = [outcome.inputs, build.dependencies(outcome.character), *map(baked.digest, given.before)]
+    return hashlib.sha256(json.dumps(made_from, sort_keys=True).encode()).hexdigest()

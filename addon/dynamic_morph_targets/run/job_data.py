@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The plain values that the phases of a job exchange, without bpy."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..core.baked import Bake
+from ..core.character import Character, Follower
+from ..core.judge import Limits, Verdict
+from ..core.rig_samples import RigSamples
+from ..core.settings import OutputSettings, SimulationSettings
+from ..io.cache_dir import Share
+
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.model import Model
+
+
+class Progress:
+    """How far a job is, and whether it must stop: shared by its thread and the window."""
+
+    def __init__(self) -> None:
+        self.fraction = 0.0
+        self.message = ""
+        self.cancelled = False
+        self.seconds: dict[str, float] = {}  # by stage
+
+    def part(self, begin: float, end: float) -> Callable[[float, str], bool]:
+        """progress(fraction, message) -> bool for a part of the work; False when it must stop."""
+
+        def progress(fraction: float, message: str) -> bool:
+            self.fraction = begin + (end - begin) * fraction
+            self.message = message
+            return not self.cancelled
+
+        return progress
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Measure the seconds that it takes."""
+        began = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+
+
+@dataclass(repr=False, eq=False)
+class BakeInput:
+    """Everything that is read of Blender for a job, except the moving rig.
+
+    name: of the job, for messages. goal: BUILD, BUILD_CAGE or BAKE. followers: the other meshes that the soft tissue
+    carries along. inputs: the settings that the bake depends on. before: the bakes into which these frames go.
+    """
+
+    name: str
+    goal: str
+    character: Character
+    followers: list[Follower] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    # The model.
+    previous: Model | None = None  # the one that the object has, or that another process shares; its cage may serve
+    model: Model | None = None  # that one, if it is up to date
+    shared_model: Model | None = None
+    share: Share | None = None  # where built models and unfinished bakes are kept for other processes
+    shares_model: bool = False
+    reasons: list[str] = field(default_factory=list)  # why the model must be built
+    built_from: str = ""  # the settings, as JSON
+    # The shot.
+    has_shot: bool = False  # else a model alone is to be built, for which no rig is read; the next are not set
+    settings: SimulationSettings = field(init=False)
+    inputs: dict = field(default_factory=dict)
+    whole: bool = True  # it is read as one chunk
+    limits: Limits = Limits()  # noqa: RUF009
+    rehearsed_from: float = 0.0  # the frequency in Hz that a rehearsal begins with; 0: there is none
+    before: list[Bake] = field(default_factory=list)
+    kept: Path | None = None  # the file that keeps it for other processes while it is unfinished
+    resumed: dict = field(default_factory=dict)  # what another process stored there
+    first: RigSamples | None = None  # the rig at the first frame, if that was resumed
+    # What the result becomes.
+    output: OutputSettings | None = None  # None: no form in Blender
+    caches: Path = field(init=False)  # the folder of the .blend, beside which point caches are written
+    cache_files: dict[str, Path] = field(default_factory=dict)  # other paths for them, by mesh
+
+    @property
+    def is_bake(self) -> bool:
+        return self.goal == "BAKE"
+
+    @property
+    def only_cage(self) -> bool:
+        return self.goal == "BUILD_CAGE"
+
+    @property
+    def is_probed(self) -> bool:
+        """Whether Blender poses the nodes of the cage."""
+        return self.has_shot and self.character.probed and self.character.settings.method != "STATIC"
+
+
+@dataclass(repr=False, eq=False)
+class Outcome:
+    """What was computed for a job. Of a build there is a model, of a bake all the rest too.
+
+    character: with the materials that a build or a rehearsal has found. bake: of the body. carried: of the followers
+    that are not in its cage. written: for each mesh its shape keys, and the file of its point cache or None.
+    """
+
+    character: Character
+    model: Model = field(init=False)
+    packed: bytes | None = None  # the model, if it was built
+    references: list[tuple[float, float]] = field(default_factory=list)  # of it: `calibration.references`
+    warnings: list[str] = field(default_factory=list)
+    inputs: dict = field(default_factory=dict)
+    bake: Bake = field(init=False)
+    carried: list[Bake] = field(default_factory=list)
+    report: dict = field(default_factory=dict)  # of the simulation
+    verdict: Verdict = field(init=False)
+    rehearsed: str = ""  # what the rehearsal has changed, in a sentence
+    content_id: str = ""  # hash of everything that the bake was made from
+    written: list[tuple[Bake, Path | None]] = field(default_factory=list)
+    new_files: list[Path] = field(default_factory=list)  # new files of point caches
+    size: int = 0  # size of the written data in bytes

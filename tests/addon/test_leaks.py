@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is made for a moment is gone afterwards, also when that moment fails; other add-ons hear nothing of it."""
+
+import gc
+import types
+import weakref
+
+import bpy
+import pytest
+from builders import evaluated_points, fingerprint, hand_made_bake, part, refused
+from test_targets import drive
+
+HEARD = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsgraph_update_post")
+
+
+@pytest.fixture
+def heard():
+    """The scenes that another add-on's handlers are told of."""
+    told = []
+
+    def handler(scene, *_args):
+        told.append(scene.name)
+
+    for name in HEARD:
+        getattr(bpy.app.handlers, name).append(handler)
+    yield told
+    for name in HEARD:
+        getattr(bpy.app.handlers, name).remove(handler)
+
+
+def installed():
+    return {name: list(getattr(bpy.app.handlers, name)) for name in HEARD}
+
+
+def test_other_add_ons_hear_nothing_of_a_bake(scene, soft_arm, stand_in, heard):
+    before = installed()
+    bpy.ops.dynamorph.bake()
+    assert set(heard) <= {scene.name} and installed() == before
+    stand_in.fail = part("errors").SceneError("too soft")
+    refused(bpy.ops.dynamorph.bake, "too soft")
+    assert set(heard) <= {scene.name} and installed() == before
+    heard.clear()
+    scene.frame_set(7)
+    assert heard == [scene.name, scene.name]
+
+
+def test_other_add_ons_go_on_hearing_of_playback_with_live(scene, soft_arm, heard):
+    """Though Live, whose handler is called before theirs, reads the armature at many frames."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    for frame in range(2, 6):
+        heard.clear()
+        scene.frame_set(frame)
+        assert part("live").problem(soft_arm) == "" and heard == [scene.name, scene.name]
+
+
+def test_other_add_ons_hear_nothing_of_poses_that_are_tried(scene, arm, heard):
+    bpy.ops.dynamorph.add_soft_skin()
+    drive(arm, "flexed", "a", a=("ROT_X", "lower"))
+    bpy.context.view_layer.update()
+    heard.clear()
+    assert bpy.ops.dynamorph.suggest_targets() == {"FINISHED"}
+    assert set(heard) <= {scene.name}
+
+
+def test_handlers_are_heard_again_after_a_failure(soft_arm, monkeypatch, heard):
+    before = installed()
+    monkeypatch.setattr(part("rig_motion").RigSampling, "_read", lambda *_args: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        part("rig_motion").sample_rig(soft_arm, 1, 5, 1)
+    assert installed() == before and len(bpy.data.scenes) == 1
+
+
+def test_a_trial_that_cannot_begin_leaves_nothing(arm, monkeypatch):
+    bpy.ops.dynamorph.add_soft_skin()
+    drive(arm, "flexed", "a", a=("ROT_X", "lower"))
+    before = fingerprint(arm)
+    context = types.SimpleNamespace(view_layer=bpy.context.view_layer)  # without a scene
+    monkeypatch.setattr(part("suggest"), "bpy", types.SimpleNamespace(data=bpy.data, context=context))
+    refused(bpy.ops.dynamorph.suggest_targets, "AttributeError")
+    assert fingerprint(arm) == before
+
+
+@pytest.mark.parametrize("step", ["add_curve", "_add_track"])
+def test_curves_that_cannot_be_written_leave_nothing(soft_arm, monkeypatch, step):
+    before, shown = fingerprint(soft_arm), evaluated_points(soft_arm)
+    bake = part("bake")
+    original, calls = getattr(bake, step), []
+
+    def fails_later(*args):
+        calls.append(args)
+        if len(calls) == 2:
+            raise MemoryError
+        return original(*args)
+
+    monkeypatch.setattr(bake, step, fails_later)
+    with pytest.raises(MemoryError):
+        bake.write_keys(soft_arm, hand_made_bake(soft_arm))
+    assert fingerprint(soft_arm) == before and (evaluated_points(soft_arm) == shown).all()
+
+
+def test_a_model_goes_with_its_file(soft_arm, stand_in):
+    bpy.ops.dynamorph.build()
+    model = weakref.ref(part("model_store").load_model(soft_arm))
+    assert model() is not None
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    gc.collect()
+    assert model() is None

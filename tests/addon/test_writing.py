@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""When the results of jobs are written into Blender, where, and that it is all of them or none."""
+
+import threading
+
+import bpy
+import pytest
+from builders import fingerprint, make_arm, make_soft, part
+
+
+@pytest.fixture
+def leg(scene, soft_arm):
+    """A second soft skin."""
+    return make_soft(make_arm(scene, "Leg"))
+
+
+def baking(*objects, folder=None, goal="BAKE"):
+    """The work of baking them all."""
+    jobs = [part("job").Job(obj, goal, folder=folder) for obj in objects]
+    return part("batch").Batch(jobs, "BAKE_ALL")
+
+
+def when_computed(batch, change):
+    """Run the work, and change something when the last job computes."""
+    last, changed = batch.jobs[-1], False
+    for _ in batch.steps(pause=0.01):
+        if not changed and last.message.startswith("Frame"):
+            change()
+            changed = True
+    assert changed
+
+
+def refuse(obj):
+    """Let no bake be written to it any more."""
+    obj.data.shape_keys.animation_data_create().use_nla = False
+
+
+def state(*objects):
+    return [(fingerprint(obj), obj.dynamorph.model.content_id, obj.dynamorph.bake.summary) for obj in objects]
+
+
+# All or nothing ------------------------------------------------------------------------------------------------------
+
+
+def test_none_is_written_when_one_is_refused(soft_arm, leg, stand_in):
+    stand_in.patience = 0.2
+    leg.data.shape_keys.animation_data_create()
+    before = state(soft_arm, leg)
+    with pytest.raises(part("errors").SinkError, match="NLA is turned off for the shape keys of 'Leg'"):
+        when_computed(baking(soft_arm, leg), lambda: refuse(leg))
+    assert state(soft_arm, leg) == before
+
+
+def test_no_model_is_stored_with_a_bake_that_is_refused(soft_arm, stand_in):
+    stand_in.patience = 0.2
+    with pytest.raises(part("errors").SinkError, match="NLA is turned off"):
+        when_computed(baking(soft_arm), lambda: refuse(soft_arm))
+    assert soft_arm.dynamorph.model.content_id == ""
+
+
+@pytest.mark.parametrize("step", ["_add_key", "_add_curves", "_record", "mute_targets"])
+@pytest.mark.parametrize("first", ["first", "again"])
+def test_none_is_written_when_the_second_write_fails(soft_arm, leg, stand_in, monkeypatch, step, first):
+    bake = part("bake")
+    written = getattr(bake, step)
+    before = state(soft_arm, leg)
+    if first == "again":
+        part("batch").run_all(baking(soft_arm, leg))
+    shown = state(soft_arm, leg)
+
+    def fails_for_the_leg(owner, *args):
+        if owner.id_data.name == "Leg" or owner == leg.data.shape_keys:
+            raise MemoryError
+        return written(owner, *args)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(bake, step, fails_for_the_leg)
+        with pytest.raises(MemoryError):
+            part("batch").run_all(baking(soft_arm, leg))
+    if step in ("_add_key", "_add_curves"):
+        assert state(soft_arm, leg) == shown
+    else:  # when the old bakes are gone already
+        assert [each for each, *_ in state(soft_arm, leg)] == [each for each, *_ in before]
+
+
+def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, tmp_path):
+    stand_in.patience = 0.2
+    for obj in (soft_arm, leg):
+        obj.dynamorph.output.sink = "PC2"
+    with pytest.raises(part("errors").SinkError):
+        when_computed(baking(soft_arm, leg, folder=tmp_path), lambda: refuse(leg))
+    assert not list(tmp_path.rglob("*.pc2"))
+
+
+def test_a_folder_that_takes_no_model_is_seen_before_anything_is_written(
+    soft_arm, leg, stand_in, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
+    good, bad = tmp_path / "good", tmp_path / "bad"
+    bad.mkdir()
+    (bad / "dynamorph_models").write_text("no folder")
+    before, job = state(soft_arm, leg), part("job").Job
+    jobs = [job(soft_arm, "BAKE", folder=good), job(leg, "BAKE", folder=bad)]
+    with pytest.raises(OSError):
+        part("batch").run_all(part("batch").Batch(jobs, "BAKE_ALL"))
+    assert state(soft_arm, leg) == before and not list(tmp_path.rglob("*.dynamorph"))
+
+
+def test_a_bake_takes_the_place_of_live_on_all_meshes(soft_arm, stand_in):
+    part("live_key").add(soft_arm, ["flexed"])
+    part("batch").run_all(baking(soft_arm))
+    names = soft_arm.data.shape_keys.key_blocks.keys()
+    assert "Dynamorph Live" not in names and "Dynamorph Mode 01" in names
+    part("bake").free(soft_arm)
+    assert not soft_arm.data.shape_keys.key_blocks["flexed"].mute
+
+
+# While Blender renders -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("goal", ["BUILD", "BAKE"])
+def test_nothing_is_written_while_blender_renders(soft_arm, stand_in, monkeypatch, goal):
+    batch, before, messages = baking(soft_arm, goal=goal), state(soft_arm), []
+    list(batch.read())
+    list(batch.compute())
+    monkeypatch.setattr(part("rig_motion"), "render_runs", lambda: len(messages) < 3)
+    for _ in batch.write():
+        assert state(soft_arm) == before
+        messages.append(batch.message)
+    assert messages == ["Waiting for the render to end"] * 3
+    assert soft_arm.dynamorph.model.content_id and soft_arm.dynamorph.bake.exists == (goal == "BAKE")
+
+
+# Another scene in the window -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def other(scene):
+    """A scene in which frames are other times and lengths."""
+    other = bpy.data.scenes.new("Other")
+    other.render.frame_map_new, other.render.fps, other.frame_end = 200, 60, 5
+    other.unit_settings.system, other.unit_settings.scale_length = "METRIC", 0.01
+    return other
+
+
+def times(obj) -> list[float]:
+    """Of the bake's curves, the first and the last."""
+    return [round(time, 3) for time in obj.dynamorph.bake.action.frame_range]
+
+
+@pytest.mark.parametrize("when", ["read", "sampled", "computed"])
+def test_a_job_stays_in_the_scene_that_it_began_in(scene, soft_arm, other, stand_in, when):
+    batch = baking(soft_arm)
+    if when != "read":
+        list(batch.read())
+    if when == "computed":
+        list(batch.compute())
+    bpy.context.window.scene = other
+    if when == "read":
+        list(batch.read())
+    if when != "computed":
+        list(batch.compute())
+    list(batch.write())
+    assert bpy.context.scene == other
+    settings = batch.jobs[0].settings
+    assert (settings.start, settings.end, settings.fps) == (1, 20, 24.0)
+    assert times(soft_arm) == [1.0, 20.0]
+    bpy.context.window.scene = scene
+    assert part("staleness").outdated(soft_arm) == []
+
+
+def test_the_scene_of_a_job_is_deleted(scene, soft_arm, other, stand_in):
+    batch = baking(soft_arm)
+    list(batch.read())
+    list(batch.compute())
+    other.collection.objects.link(soft_arm)
+    bpy.context.window.scene = other
+    bpy.data.scenes.remove(scene)
+    with pytest.raises(part("errors").SceneError, match="Scene 'Scene' was deleted"):
+        list(batch.write())
+    assert not soft_arm.dynamorph.bake.exists and soft_arm.dynamorph.model.content_id == ""
+
+
+# Threads -------------------------------------------------------------------------------------------------------------
+
+
+class MainThreadOnly:
+    """In the place of a part of bpy."""
+
+    def __init__(self, real):
+        self.real = real
+
+    def __getattr__(self, name):
+        assert threading.current_thread() is threading.main_thread(), f"bpy was asked for {name} by a thread"
+        return getattr(self.real, name)
+
+
+@pytest.mark.parametrize("sink", ["MODES", "FRAMES", "PC2"])
+def test_a_job_s_thread_never_asks_blender(soft_arm, tmp_path, monkeypatch, sink):
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    settings = soft_arm.dynamorph
+    settings.model.cage_nodes, settings.model.modes, settings.output.sink = 200, 8, sink
+    for name in ("context", "data", "path", "ops", "app"):
+        monkeypatch.setattr(bpy, name, MainThreadOnly(getattr(bpy, name)))
+    part("batch").run_all(baking(soft_arm, folder=tmp_path))
+    assert soft_arm.dynamorph.bake.exists
