@@ -5,6 +5,7 @@ import hashlib
 import importlib
 import threading
 import time
+from contextlib import contextmanager
 from math import pi
 from pathlib import Path
 
@@ -151,6 +152,17 @@ def assert_shows(obj, bake, extra=0.0):
         ours = skinned(character, samples[i : i + 1], bake.displacement(i) + extra)[0]
         round_off = 2e-7 * np.abs(ours).max()  # far from the origin Blender has no more digits
         assert np.abs(evaluated_points(obj) - ours).max() < 1e-5 * size + round_off
+
+
+@contextmanager
+def soon():
+    """In the end, what is left to timers meanwhile: without a window there are none."""
+    asked = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(part("events"), "soon", lambda look, _seconds: asked.setdefault(look))
+        yield
+    for look in asked:
+        look()
 
 
 def refused(operator, words, **arguments):

@@ -34,7 +34,6 @@ def live_arm(soft_arm):
     settings.model.stale = ""
     storage.fit_modes(soft_arm, 8)
     settings.simulation.gravity = 0.0
-    part("live")._loaded()  # session ids start over with each file
     return soft_arm
 
 
@@ -156,7 +155,8 @@ def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
         scene.frame_set(frame)
     shown = {4: surface(playing)}
     scene.frame_set(3)
-    scrubbing = [True]
+    scrubbing, looks = [True], []
+    monkeypatch.setattr(part("events"), "soon", lambda look, _seconds: looks.append(look))
     monkeypatch.setattr(live, "is_scrubbing", lambda: scrubbing[0])
     live.sessions[playing.session_uid].rig.forget()
     sample = rig_motion.sample_rig
@@ -165,13 +165,12 @@ def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     assert np.array_equal(surface(playing), shown[4])
     scene.frame_set(9)  # not known: waits
     assert np.array_equal(surface(playing), shown[4])
-    assert bpy.app.timers.is_registered(live._after_scrubbing)
-    assert live._after_scrubbing() == live.SCRUBBED
+    (look,) = looks
+    assert look() > 0.0  # seconds until it looks again
     scrubbing[0] = False
     monkeypatch.setattr(rig_motion, "sample_rig", sample)
-    assert live._after_scrubbing() is None
+    assert look() is None
     assert not np.array_equal(surface(playing), shown[4])
-    part("events").forget(live._after_scrubbing)
 
 
 def test_scrubbing_back_shows_what_was(playing):
@@ -601,7 +600,6 @@ def new_arm(arm):
     bpy.ops.dynamorph.add_soft_skin()
     arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 200, 8
     arm.dynamorph.model.method = "SINGLE"
-    part("live")._loaded()
     return arm
 
 

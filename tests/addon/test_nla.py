@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 import pytest
-from builders import fingerprint, hand_made_bake, keys_of, make_mesh, part, rig_of
+from builders import fingerprint, hand_made_bake, keys_of, make_mesh, part, rig_of, soon
 
 FIRST, LAST = 1, 20  # of the bakes
 STEPS = 4  # a frame
@@ -192,10 +192,10 @@ def test_edited_strips_show_what_was_baked(baked, edit, time_at, influence):
 def test_the_strip_of_the_motion_is_enough(baked, edit, time_at):
     """Where all of it shows; otherwise the strip of the shapes follows soon after."""
     obj, bake = baked
-    edit(strips_of(obj)[1])
-    assert_plays(obj, bake, time_at, FRAMES)
-    assert timing(strips_of(obj)[0]) != timing(strips_of(obj)[1])
-    part("watch")._look_at_animations()
+    with soon():
+        edit(strips_of(obj)[1])
+        assert_plays(obj, bake, time_at, FRAMES)
+        assert timing(strips_of(obj)[0]) != timing(strips_of(obj)[1])
     assert timing(strips_of(obj)[0]) == timing(strips_of(obj)[1])
     strips_of(obj)[1].influence = 0.5
     assert_plays(obj, bake, time_at, FRAMES, lambda frame: 0.5)
@@ -206,9 +206,10 @@ def test_what_follows_a_soft_skin_follows_its_strip(baked):
     vertices = part("references").key_points(keys_of(obj).reference_key)
     piece = make_mesh(bpy.context.scene, "Piece", vertices, [])
     part("bake").write_keys(piece, bake, obj)
-    moved(strips_of(obj)[1])
-    strips_of(obj)[1].scale = 1.5
-    part("watch")._look_at_animations()
+    with soon():
+        moved(strips_of(obj)[1])
+        strips_of(obj)[1].scale = 1.5
+        bpy.context.view_layer.update()
     assert len({timing(strip) for each in (obj, piece) for strip in strips_of(each)}) == 1
     assert_plays(piece, bake, lambda frame: FIRST + (frame - 7.5) / 1.5, (7.5, 10, 30))
 

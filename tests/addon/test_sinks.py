@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A bake in Blender moves the mesh as the engine said, and Delete Bake leaves no trace."""
 
-import time
 from dataclasses import replace
 
 import bpy
@@ -20,6 +19,7 @@ from builders import (
     make_soft,
     part,
 )
+from costs import cost
 
 
 def test_blender_shows_the_bake(soft_arm):
@@ -453,7 +453,7 @@ def test_vertex_count_must_match(soft_arm):
 
 
 def test_writing_is_fast(scene):
-    """20 keys on 13,000 vertices, 250 frames."""
+    """20 keys on 13,000 vertices, 250 frames: much faster than the points one by one in Python."""
     rng = np.random.default_rng(0)
     obj = make_mesh(scene, "Body", rng.normal(size=(13_000, 3)), [(0, 1, 2)])
     obj.shape_key_add(name="Basis")
@@ -461,11 +461,13 @@ def test_writing_is_fast(scene):
         np.arange(250), rng.normal(size=(250, 20)), np.ones((250, 1)), rng.normal(size=(20, 13_000, 3)),
         np.zeros((1, 13_000, 3)), ("Neutral",), rng.normal(size=(250, 20)),
     )  # fmt: skip
-    began = time.perf_counter()
-    part("bake").write_keys(obj, bake)
-    seconds = time.perf_counter() - began
-    print(f"write_keys: {seconds * 1e3:.0f} ms")
-    assert seconds < 2.0
+
+    def one_by_one():
+        for mode in bake.modes:
+            for point, place in zip(keys_of(obj).reference_key.points, mode, strict=True):
+                point.co = place
+
+    assert 5 * cost(lambda: part("bake").write_keys(obj, bake), times=3) < cost(one_by_one, times=1)
 
 
 def test_a_key_whose_mute_is_driven_is_refused(soft_arm):

@@ -519,7 +519,6 @@ def test_playback_is_the_bake(scene, small_arm):
     both(twisting, bendy)(small_arm)
     job = run(small_arm)
     bpy.ops.dynamorph.free_bake()
-    part("live")._loaded()
     scene.frame_set(1)
     bpy.ops.dynamorph.live()
     block = small_arm.data.shape_keys.key_blocks["Dynamorph Live"]
@@ -538,7 +537,6 @@ def test_playback_is_the_bake(scene, small_arm):
 def test_previews(scene, small_arm):
     twisting(small_arm)
     run(small_arm, goal="BUILD")
-    part("live")._loaded()
     scene.frame_set(12)
     for button in (lambda: bpy.ops.dynamorph.shake_test(kind="HOP"), bpy.ops.dynamorph.play_mode):
         assert button() == {"FINISHED"}
@@ -552,7 +550,6 @@ def test_previews(scene, small_arm):
 def test_another_way_of_skinning_counts_at_once(scene, small_arm):
     """Live asks Blender about the nodes as soon as bones do not say it."""
     run(small_arm, goal="BUILD")
-    part("live")._loaded()
     bpy.ops.dynamorph.live()
     session = part("live").sessions[small_arm.session_uid]
     assert session.tissue.probe is None
