@@ -90,7 +90,7 @@ def stop_painting():
     yield from sidebar.fold("dynamorph.build_cage")
 
 
-@step("Attachments: find another mesh, and remove it from the list", picture=sidebar)
+@step("Attachments: find another mesh, and remove it from the list")
 def attachments():
     cuff = add_a_cuff()  # not by hand
     yield from sidebar.unfold("dynamorph.find_pieces", above="dynamorph.new_from_pose")
@@ -98,7 +98,7 @@ def attachments():
     listed = lambda: [piece.object for piece in settings().pieces]  # noqa: E731
     yield from until(lambda: cuff in listed(), "the cuff in the list")
     settings().active_piece_index = listed().index(cuff)
-    yield from driver.drawn()
+    yield from driver.keep("attachments", sidebar)
     yield from sidebar.press("dynamorph.remove_piece")
     yield from until(lambda: cuff not in listed(), "the cuff to be out of the list")
     yield from sidebar.fold("dynamorph.find_pieces")
