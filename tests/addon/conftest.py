@@ -16,7 +16,22 @@ import addon_utils  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 MODULE = "bl_ext.user_default.dynamic_morph_targets"
+EXIT = pytest.StashKey[int]()
 sys.path[:0] = [str(ROOT / "tests"), str(Path(__file__).parent)]
+
+
+def pytest_sessionfinish(session, exitstatus):
+    session.config.stash[EXIT] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    """Leave at once when all is reported: bpy 4.5 may wait for ever, as Python ends, for a thread of its own."""
+    if bpy.app.version < (5, 0) and EXIT in config.stash:
+        from dynamic_morph_targets.__main__ import leave
+
+        config.get_terminal_writer().flush()
+        leave(config.stash[EXIT])
 
 
 @pytest.fixture(scope="session")
