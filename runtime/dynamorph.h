@@ -6,11 +6,11 @@
  *   const char *error = dm_open(&clip, bytes, size);     bytes: the whole file, which must outlive the clip
  *   if (error) ...                                       a sentence; the clip is then empty
  *   float *surface = malloc(sizeof *surface * 3 * clip.vertices);
- *   dm_surface(&clip, seconds * clip.fps, surface);      between frames linear, beyond the ends held
+ *   dm_surface(&clip, seconds * clip.fps, surface);      between frames linear, beyond the ends constant
  *
- * surface = rest + sum_k z_k modes_k + sum_j w_j details_j, the mesh object's local space: what the artist's armature
- * then deforms. An engine that blends morph targets itself needs only dm_values, and the rows of modes and details.
- * Little-endian machines only, as the file is. docs/file_format.md says what is in a clip.
+ * surface = rest + sum_k z_k modes_k + sum_j w_j residual_shapes_j, the mesh object's local space: what the artist's
+ * armature then deforms. An engine that blends morph targets itself needs only dm_values, and the rows of modes and
+ * residual shapes. Little-endian machines only, as the file is. docs/file_format.md says what is in a clip.
  */
 #ifndef DYNAMORPH_H
 #define DYNAMORPH_H
@@ -24,7 +24,7 @@ typedef struct {
   float fps;
   const float* rest;        /* (vertices, 3) */
   const float* mode;        /* (modes, vertices, 3) */
-  const float* detail;      /* (targets, vertices, 3) */
+  const float* residual;    /* (targets, vertices, 3): what the modes cannot represent of each target's shape */
   const float* coordinates; /* (frames, modes) */
   const float* weights;     /* (frames, targets) */
 } dm_clip;
@@ -108,6 +108,7 @@ static const char* dm_find(const unsigned char* bytes, size_t size, const char* 
 
 /* The clip in the bytes of a .npz, none of which are copied: NULL, or why it cannot be played. */
 static const char* dm_open(dm_clip* clip, const void* bytes, size_t size) {
+  /* "details" holds the residual shapes. */
   static const char* const names[] = {"vertices.npy",    "modes.npy",   "details.npy",
                                       "coordinates.npy", "weights.npy", "fps.npy"};
   static const int axes[] = {2, 3, 3, 2, 2, 1};
@@ -130,7 +131,7 @@ static const char* dm_open(dm_clip* clip, const void* bytes, size_t size) {
   clip->targets = targets;
   clip->rest = array[0].data;
   clip->mode = array[1].data;
-  clip->detail = array[2].data;
+  clip->residual = array[2].data;
   clip->coordinates = array[3].data;
   clip->weights = array[4].data;
   clip->fps = array[5].data[0];
@@ -141,11 +142,11 @@ static const char* dm_open(dm_clip* clip, const void* bytes, size_t size) {
 static float dm_value(const dm_clip* clip, const float* rows, int columns, int column, double frame) {
   const double last = clip->frames - 1, at = frame > 0 ? (frame < last ? frame : last) : 0;
   const size_t before = (size_t)at, after = before + (at < last);
-  const float share = (float)(at - (double)before);
-  return (1 - share) * rows[before * (size_t)columns + column] + share * rows[after * (size_t)columns + column];
+  const float fraction = (float)(at - (double)before);
+  return (1 - fraction) * rows[before * (size_t)columns + column] + fraction * rows[after * (size_t)columns + column];
 }
 
-/* Values of the modes (modes) and of the targets' details (targets) at a frame counted from 0. */
+/* Values of the modes (modes) and of the targets (targets) at a frame counted from 0. */
 static void dm_values(const dm_clip* clip, double frame, float* coordinates, float* weights) {
   for (int k = 0; k < clip->modes; ++k) coordinates[k] = dm_value(clip, clip->coordinates, clip->modes, k, frame);
   for (int j = 0; j < clip->targets; ++j) weights[j] = dm_value(clip, clip->weights, clip->targets, j, frame);
@@ -163,7 +164,7 @@ static void dm_surface(const dm_clip* clip, double frame, float* surface) {
   for (int k = 0; k < clip->modes; ++k)
     dm_add(surface, clip->mode + k * n, dm_value(clip, clip->coordinates, clip->modes, k, frame), n);
   for (int j = 0; j < clip->targets; ++j)
-    dm_add(surface, clip->detail + j * n, dm_value(clip, clip->weights, clip->targets, j, frame), n);
+    dm_add(surface, clip->residual + j * n, dm_value(clip, clip->weights, clip->targets, j, frame), n);
 }
 
 #endif

@@ -27,11 +27,11 @@ auto in_turn(const InTurn<Stepper>& stepper, const Function& function) {
 
 /// bones (J, B, 3, 4).
 template <class Stepper>
-void hold_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
+void balance_targets_in(InTurn<Stepper>& stepper, const FloatArray& bones) {
   check_shape("bones", bones, {-1, -1, 3, 4});
   std::vector<Transforms> frames;
   for (py::ssize_t j = 0; j < bones.shape(0); ++j) frames.push_back(transforms(bones.data(j, 0, 0, 0), bones.shape(1)));
-  in_turn(stepper, [&] { stepper.hold_targets(frames); });
+  in_turn(stepper, [&] { stepper.balance_targets(frames); });
 }
 
 py::dict summary(const StepReport& worst, int steps, double seconds) {
@@ -60,7 +60,7 @@ void bind_simulation_of(py::module_& m, const char* name) {
            "h: seconds per step. gravity (3,): m/s^2. teleport: the jump of the skin off its course in one step, "
            "meters, above which the past is carried along (0: never). keep_going() -> bool is called before every "
            "Newton iteration; returning False raises Cancelled.")
-      .def("hold_targets", &hold_targets_in<Simulation<Model>>, "bones"_a,
+      .def("balance_targets", &balance_targets_in<Simulation<Model>>, "bones"_a,
            "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
            "so that targets do not sag.")
       .def(
@@ -165,7 +165,7 @@ void bind_crowd(py::module_& m) {
            "model"_a.none(false), "h"_a, "size"_a, py::kw_only(), "scheme"_a = Scheme::bdf2,
            "gravity"_a = Vector3d(0, 0, 0), "tolerance"_a = 1e-6, "max_iterations"_a = 30, "teleport"_a = 0.0,
            "Takes the options of ReducedSimulation. size: number of characters.")
-      .def("hold_targets", &hold_targets_in<Crowd>, "bones"_a,
+      .def("balance_targets", &balance_targets_in<Crowd>, "bones"_a,
            "Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, "
            "so that targets do not sag.")
       .def(

@@ -107,14 +107,14 @@ def hand_made_bake(obj, frames=range(1, 21), modes=3, seed=1):
     names = ("Neutral", *(target.name for target in obj.dynamorph.targets[1:]))
     vertices = len(obj.data.vertices)
     weights = rng.uniform(size=(len(frames), len(names)))
-    details = rng.normal(0, 0.02, (len(names), vertices, 3))
-    details[0] = 0.0
+    residual_shapes = rng.normal(0, 0.02, (len(names), vertices, 3))
+    residual_shapes[0] = 0.0
     return baked.Bake(
         frames=np.array(frames),
         coordinates=rng.normal(0, 3.0, (len(frames), modes)),
         weights=weights / weights.sum(axis=1, keepdims=True),
         modes=rng.normal(0, 0.01, (modes, vertices, 3)),
-        details=details,
+        residual_shapes=residual_shapes,
         target_names=names,
         static=rng.normal(0, 3.0, (len(frames), modes)),
     )

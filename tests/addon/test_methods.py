@@ -132,7 +132,7 @@ def test_targets_are_met_in_both_regions_at_once(two_regions, solver):
     held = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
     weights = np.array([0.0, 1.0, 0.0, 1.0])
     rest, report = stepper(engine, 0.01).solve_static(held, weights, guess=np.zeros_like(engine.target(0)))
-    shape = job.model.surface(engine.displacement(rest)) + np.tensordot(weights, job.model.details, 1)
+    shape = job.model.surface(engine.displacement(rest)) + np.tensordot(weights, job.model.residual_shapes, 1)
     sculpted = np.tensordot(weights, [target.shape for target in job.character.targets], 1)
     assert report["converged"]
     assert np.abs(shape - sculpted).max() < 1e-5 * np.abs(sculpted).max()

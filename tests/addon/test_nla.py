@@ -138,7 +138,7 @@ def displacement(bake, time, influence=1.0) -> np.ndarray:
 
     static = at(bake.static)
     moved = static + influence * (at(bake.coordinates) - static)
-    return np.tensordot(moved, bake.modes, 1) + np.tensordot(at(bake.weights), bake.details, 1)
+    return np.tensordot(moved, bake.modes, 1) + np.tensordot(at(bake.weights), bake.residual_shapes, 1)
 
 
 def assert_plays(obj, bake, time_at, frames, influence_at=lambda frame: 1.0):

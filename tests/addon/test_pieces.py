@@ -96,8 +96,8 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
     corners, shares = follower.skin.corners, follower.skin.weights
     for frame, shown, before in zip((1, 9, 20), motion(sleeve), stiff, strict=True):
         moved = np.einsum("k,pkc->pc", job.result.coordinates[frame - 1], bind)
-        details = np.tensordot(job.result.weights[frame - 1], job.result.details, 1)
-        moved += np.einsum("pc,pcx->px", shares, details[corners]) @ character.to_bind.T
+        residual = np.tensordot(job.result.weights[frame - 1], job.result.residual_shapes, 1)
+        moved += np.einsum("pc,pcx->px", shares, residual[corners]) @ character.to_bind.T
         local = (follower.vertices + moved) @ np.linalg.inv(character.to_bind).T
         worn = part("character").Character(**{**vars(character), "vertices": local, "weights": weights})
         expected = skinned(worn, job.computation.rig[(frame - 1) * job.settings.substeps :][:1])[0]
@@ -106,7 +106,7 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
 
 
 def test_a_piece_that_is_the_skin_itself_stays_on_it(soft_arm):
-    """The same surface as an object of its own: also the details of a coarse cage are there."""
+    """The same surface as an object of its own: also the residual shapes of a coarse cage are there."""
     twin = make_sleeve(coarse(soft_arm), away=1.0)
     add_piece(soft_arm, twin)
     bake(soft_arm)

@@ -2,7 +2,7 @@
 // What the parts of the engine cost: `make bench`, whose run.py makes the table of it.
 //
 // One solid throughout: the tetrahedra in the file that the command line names, else a bar of as many degrees of
-// freedom. Its long side lies along x, where a chain of bones swings it; it is held where the chain begins. A step is
+// freedom. Its long side lies along x, where a chain of bones swings it; it is pinned where the chain begins. A step is
 // one Newton iteration of 1/60 s, as in the figures that we compare with. What runs on one core counts processor time,
 // which other work on the machine hardly changes; the rest, marked UseRealTime, what a clock shows.
 #include <benchmark/benchmark.h>

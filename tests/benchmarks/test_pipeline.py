@@ -91,7 +91,7 @@ def test_meshing(benchmark):
             character.triangles,
             settings.cage_nodes,
             bones=character.bone_segments,
-            held=settings.pin_radius,
+            pin_radius=settings.pin_radius,
         )[2]
         return made, dynamorph.embed(made, surface)
 

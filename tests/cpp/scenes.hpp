@@ -40,7 +40,7 @@ inline TetMesh bar(int nx, int ny, int nz, double size) {
   return mesh;
 }
 
-/// The bar held at x = 0, weights passing smoothly from bone 0 to bone 1.
+/// The bar pinned at x = 0, weights passing smoothly from bone 0 to bone 1.
 inline std::shared_ptr<const SoftBody> two_bone_bar(int sets = 1) {
   const TetMesh mesh = bar(6, 2, 2, 0.05);
   const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
@@ -90,7 +90,7 @@ inline std::shared_ptr<const ReducedModel> reduced_model(std::shared_ptr<const S
   return std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, r).U), blending);
 }
 
-/// A bar of 0.8 m on `count` bones along it, each of which moves what is near; held at x = 0. Each set has less of it
+/// A bar of 0.8 m on `count` bones along it, each of which moves what is near; pinned at x = 0. Each set has less of it
 /// towards the end than the one before.
 inline std::shared_ptr<const SoftBody> chain_bar(int count, int sets = 1) {
   const TetMesh mesh = bar(16, 2, 2, 0.05);
@@ -102,10 +102,10 @@ inline std::shared_ptr<const SoftBody> chain_bar(int count, int sets = 1) {
     for (int b = 0; b < count; ++b) weights(i, b) = std::exp(-2 * (along - b) * (along - b));
     pinned[i] = mesh.nodes(i, 0) < 1e-9;
   }
-  MatrixXd shares(m, sets);
-  for (int s = 0; s < sets; ++s) shares.col(s) = VectorXd::LinSpaced(m, 1, 1.0 / (1 + s));
-  shares.array().colwise() /= shares.rowwise().sum().array().eval();
-  return std::make_shared<SoftBody>(mesh, VectorXd::Ones(m), VectorXd::Ones(m), shares, pinned, weights);
+  MatrixXd region_weights(m, sets);
+  for (int s = 0; s < sets; ++s) region_weights.col(s) = VectorXd::LinSpaced(m, 1, 1.0 / (1 + s));
+  region_weights.array().colwise() /= region_weights.rowwise().sum().array().eval();
+  return std::make_shared<SoftBody>(mesh, VectorXd::Ones(m), VectorXd::Ones(m), region_weights, pinned, weights);
 }
 
 }  // namespace scenes

@@ -78,7 +78,7 @@ def test_fewer_keys_are_the_best_and_say_how_far_they_are_off():
     for budget in (1, 2, 4, 8):
         fewer = keys.with_fewer_keys(bake, budget)
         error = baked.distance(bake, fewer, np.eye(3))
-        assert len(fewer.modes) + len(fewer.details) == budget
+        assert len(fewer.modes) + len(fewer.residual_shapes) == budget
         off = np.linalg.norm(surface(bake, vertices) - surface(fewer, vertices), axis=2).max()
         assert error == pytest.approx(off, rel=1e-9)
         errors.append(error)
@@ -140,7 +140,9 @@ def test_a_patch_of_the_same_model_needs_no_more_keys():
     )
     found, apart = keys.splice(bake, baked.at_rows(same, np.arange(10, 20)), 2.0, np.eye(3))
     assert apart < 1e-9
-    assert len(found.modes) == len(bake.modes) + len(bake.details) - 1  # the neutral target has no detail
+    assert (
+        len(found.modes) == len(bake.modes) + len(bake.residual_shapes) - 1
+    )  # the neutral target has no residual shape
     np.testing.assert_allclose(surface(found, vertices), surface(bake, vertices), atol=1e-4)
 
 

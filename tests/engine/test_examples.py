@@ -78,7 +78,7 @@ def shaken(tmp_path_factory):
     simulation.start(bones[0], bones[0], weights[0])
     simulation.advance(bones[1:], weights[1:])
     surface = model.surface(engine.displacement(simulation.coordinates))
-    return path, surface + np.tensordot(weights[-1], model.details, 1)
+    return path, surface + np.tensordot(weights[-1], model.residual_shapes, 1)
 
 
 @in_build_folder

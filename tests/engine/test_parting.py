@@ -202,7 +202,7 @@ def test_a_rigid_eyeball_stays_put_while_the_head_jiggles():
     sets = (replace(of.target_sets[0], targets=(*of.target_sets[0].targets, target)),)
     model = build(replace(of, target_sets=sets))
     assert not model.embedding_weights[eye].any()
-    np.testing.assert_allclose(model.details[1][eye], shape[eye])  # the sculpt shows nevertheless
+    np.testing.assert_allclose(model.residual_shapes[1][eye], shape[eye])  # the sculpt shows nevertheless
     moved = pushed(build(of), of, of.vertices[:, 2] > 0.15)
     assert np.abs(moved[eye]).max() == 0 and np.abs(moved[~eye]).max() > 1e-3
     with_it = head_with_eye(0)

@@ -328,7 +328,7 @@ def test_held_targets_do_not_sag_and_gravity_s_difference_still_acts():
     weights = np.eye(3)[1]
     sagging, _ = simulation.solve_static(FLEXED, weights)
     assert np.abs(model.displacement(sagging) - shapes[1]).max() > 1e-4 * size
-    simulation.hold_targets(np.array([TWO_BONES, FLEXED, TWO_BONES]))
+    simulation.balance_targets(np.array([TWO_BONES, FLEXED, TWO_BONES]))
     held, _ = simulation.solve_static(FLEXED, weights)
     assert np.abs(model.displacement(held) - shapes[1]).max() < 1e-6 * size
     tilted, _ = simulation.solve_static(TWO_BONES, weights)
@@ -524,7 +524,7 @@ def test_regions_with_no_share_of_each_other_have_the_body_s_modes():
     ]
     full = dynamorph.FullModel(body, targets, dynamorph.Law.LINEAR, dynamorph.Blending.EVEN)
     simulation = simulation_of(full, gravity=(0, 0, -9.81))
-    simulation.hold_targets(np.array([bones(), bones()]))  # each set holds its own half
+    simulation.balance_targets(np.array([bones(), bones()]))  # each set holds its own half
     assert np.abs(simulation.solve_static(bones(), np.ones(2))[0]).max() < 1e-9
     reduced = dynamorph.ReducedModel(
         body, targets, dynamorph.reduce(full, dynamorph.make_basis(full, 14).U), dynamorph.Blending.EVEN
@@ -559,7 +559,7 @@ def test_energies_are_those_of_the_state_whatever_was_asked_between(reduced):
     assert before[0] > 0.0
     simulation.solve_static(rig[3], np.eye(3)[1])
     assert (simulation.elastic_energy, simulation.kinetic_energy) == before
-    simulation.hold_targets(np.array([rig[0]] * 3))
+    simulation.balance_targets(np.array([rig[0]] * 3))
     assert (simulation.elastic_energy, simulation.kinetic_energy) == before
     assert simulation.elastic_energy == pytest.approx(model.energy(weights[-1], simulation.coordinates), rel=1e-12)
 

@@ -17,12 +17,12 @@ def surfaces(bake: Bake, vertices: np.ndarray | float, chunk: int = CHUNK) -> It
     """The surface at each frame, a few frames (F', V, 3) at a time; vertices (V, 3): the Basis, or 0.0: from it."""
     for first in range(0, len(bake.frames), chunk):
         frames = slice(first, first + chunk)
-        yield vertices + displaced(bake.coordinates[frames], bake.weights[frames], bake.modes, bake.details)
+        yield vertices + displaced(bake.coordinates[frames], bake.weights[frames], bake.modes, bake.residual_shapes)
 
 
 def digest(bake: Bake, *more: ArrayLike) -> str:
     """Identifies a result: SHA-256 of all numbers of a bake, and of more."""
-    found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "details", "static")
+    found, names = hashlib.sha256(), ("frames", "coordinates", "weights", "modes", "residual_shapes", "static")
     for name, numbers in (*((name, getattr(bake, name)) for name in names), *(("more", each) for each in more)):
         array = np.ascontiguousarray(numbers)
         found.update(f"{name} {array.dtype.str} {array.shape}".encode())
@@ -32,7 +32,7 @@ def digest(bake: Bake, *more: ArrayLike) -> str:
 
 def reach(bake: Bake, to_bind: np.ndarray) -> float:
     """The largest displacement of a vertex from the Basis, in meters; to_bind (3, 3): local to metric space."""
-    in_metres = replace(bake, modes=bake.modes @ to_bind.T, details=bake.details @ to_bind.T)
+    in_metres = replace(bake, modes=bake.modes @ to_bind.T, residual_shapes=bake.residual_shapes @ to_bind.T)
     return max(float(np.linalg.norm(chunk, axis=2).max(initial=0.0)) for chunk in surfaces(in_metres, 0.0))
 
 
@@ -43,7 +43,7 @@ def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
         coordinates=np.hstack([bake.coordinates, -other.coordinates]),
         weights=np.hstack([bake.weights, -other.weights]),
         modes=np.concatenate([bake.modes, other.modes]),
-        details=np.concatenate([bake.details, other.details]),
+        residual_shapes=np.concatenate([bake.residual_shapes, other.residual_shapes]),
         target_names=(),
         static=np.zeros((len(bake.frames), 0)),
     )
@@ -63,26 +63,30 @@ def samples_per_frame(bake: Bake) -> int:
     return round(1.0 / (bake.frames[1] - bake.frames[0])) if len(bake.frames) > 1 else 1
 
 
-def displaced(coordinates: np.ndarray, weights: np.ndarray, modes: np.ndarray, details: np.ndarray) -> np.ndarray:
-    return np.tensordot(coordinates, modes, 1) + np.tensordot(weights, details, 1)
+def displaced(
+    coordinates: np.ndarray, weights: np.ndarray, modes: np.ndarray, residual_shapes: np.ndarray
+) -> np.ndarray:
+    return np.tensordot(coordinates, modes, 1) + np.tensordot(weights, residual_shapes, 1)
 
 
 @dataclass(frozen=True)
 class Bake:
-    """A simulated shot in modal form: surface = vertices + modes . coordinates + details . weights, local space.
+    """A simulated shot in modal form, in local space.
+
+    surface = vertices + modes . coordinates + residual_shapes . weights.
 
     frames (F,): numbers, or with fractions between the whole ones; coordinates (F, r), weights (F, J), modes (r, V, 3),
-    details (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). static (F, r): the
+    residual_shapes (J, V, 3): what the cage cannot carry of each target's shape. target_names (J,). static (F, r): the
     coordinates of the targets' shapes alone, without motion. node_modes (r, n, 3): the modes of the cage's nodes, bind
-    space, for what else moves with the tissue. key_names (r + J,): of the shape keys that modes and details become;
-    empty: numbered, and by the targets.
+    space, for what else moves with the tissue. key_names (r + J,): of the shape keys that modes and residual shapes
+    become; empty: numbered, and by the targets.
     """
 
     frames: np.ndarray
     coordinates: np.ndarray
     weights: np.ndarray
     modes: np.ndarray
-    details: np.ndarray
+    residual_shapes: np.ndarray
     target_names: tuple[str, ...]
     static: np.ndarray
     node_modes: np.ndarray | None = None
@@ -90,4 +94,6 @@ class Bake:
 
     def displacement(self, index: int) -> np.ndarray:
         """Displacement (V, 3) of the bound surface at frame number `index`, local space."""
-        return np.tensordot(self.coordinates[index], self.modes, 1) + np.tensordot(self.weights[index], self.details, 1)
+        return np.tensordot(self.coordinates[index], self.modes, 1) + np.tensordot(
+            self.weights[index], self.residual_shapes, 1
+        )

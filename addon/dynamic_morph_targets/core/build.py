@@ -161,7 +161,7 @@ def _static_model(character: Character, authored: dict[str, str]) -> Model:
         character,
         authored,
         shares=np.zeros((0, len(character.target_sets))),
-        details=np.array([target.shape for target in targets]),
+        residual_shapes=np.array([target.shape for target in targets]),
         summary={
             **dict.fromkeys(("nodes", "tets", "pinned", "dofs", "modes"), 0),
             "targets": len(targets),
@@ -208,7 +208,7 @@ def _with_tissue(
         embedding_nodes=tissue.embedding.nodes,
         embedding_weights=tissue.embedding.weights,
         displacements=np.zeros((len(character.targets), len(tissue.mesh.nodes), 3)),
-        details=np.zeros((len(character.targets), len(character.vertices), 3)),
+        residual_shapes=np.zeros((len(character.targets), len(character.vertices), 3)),
         summary=tissue.summary,
     )
     return model, tissue.embedding
@@ -222,7 +222,7 @@ def _shape_targets(
     if sculpted:
         shapes = np.array([targets[j].shape for j in sculpted])
         model.displacements[sculpted] = body.extend_shapes(embedding, shapes @ model.to_bind.T)
-        model.details[sculpted] = shapes - model.surface(model.displacements[sculpted])
+        model.residual_shapes[sculpted] = shapes - model.surface(model.displacements[sculpted])
 
 
 def _fallbacks(full: dynamorph.FullModel, targets: list[Target]) -> dict[str, int]:
@@ -279,7 +279,7 @@ def dependencies(character: Character) -> dict[str, str]:
 
 def stale_reasons(model: Model, character: Character) -> list[str]:
     """Why `model` no longer fits `character`, for the artist; empty when it does."""
-    vertices, before = len(character.vertices), model.details.shape[1]
+    vertices, before = len(character.vertices), model.residual_shapes.shape[1]
     if vertices != before:  # then everything else differs too
         return [f"the mesh has {vertices} vertices instead of {before}"]
     now, then = dependencies(character), model.dependencies

@@ -213,7 +213,7 @@ def _tetrahedra(character: Character, surface: np.ndarray, report: Report) -> dy
             grading=settings.cage_grading,
             moved=moved(character),
             bones=bones if settings.hold == "BONES" else None,
-            held=settings.pin_radius,
+            pin_radius=settings.pin_radius,
             progress=report,
         )
     except dynamorph.Error as error:

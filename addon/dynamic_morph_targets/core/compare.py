@@ -216,14 +216,14 @@ class Statics:
         """Displacement (V, 3) of the surface, local space, at target weights (J,). bones (B + 1, 3, 4): the pose, which
         matters only with a push; push (V, 3): newtons on the vertices, world space.
         """
-        detail = np.tensordot(weights, self.model.details, 1)
+        residual = np.tensordot(weights, self.model.residual_shapes, 1)
         if self.simulation is None:  # geometric morph targets
-            return detail
+            return residual
         if bones is None:
             bones = np.repeat(np.eye(3, 4)[None], self.model.node_weights.shape[1], axis=0)
         external = None if push is None else self.model.on_nodes(push)
         coordinates, _ = self.simulation.solve_static(bones, weights, external)
-        return self.model.surface(self.engine.displacement(coordinates)) + detail
+        return self.model.surface(self.engine.displacement(coordinates)) + residual
 
 
 def table(report: dict) -> str:

@@ -20,8 +20,8 @@ def follow(model: Model, bake: Bake, follower: Follower) -> Bake:
     if follower.members:
         return part_of(bake, follower.members, follower.from_body)
     assert bake.node_modes is not None  # it becomes keys, which have none, only afterwards
-    modes, details = carried(model, bake.node_modes, follower)
-    return replace(bake, modes=modes, details=details)
+    modes, residual_shapes = carried(model, bake.node_modes, follower)
+    return replace(bake, modes=modes, residual_shapes=residual_shapes)
 
 
 def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.ndarray, np.ndarray]:
@@ -31,12 +31,13 @@ def carried(model: Model, modes: np.ndarray, follower: Follower) -> tuple[np.nda
     bounds; the residual shapes are those of the nearest skin.
     """
     assert follower.skin is not None  # it has no `members`
-    details = np.moveaxis(follower.skin.carry(np.moveaxis(model.details, 0, 1)), 1, 0) @ follower.from_body.T
+    residual_shapes = np.moveaxis(follower.skin.carry(np.moveaxis(model.residual_shapes, 0, 1)), 1, 0)
+    residual_shapes = residual_shapes @ follower.from_body.T
     if not len(model.tets):
-        return np.zeros((0, *follower.vertices.shape)), details
+        return np.zeros((0, *follower.vertices.shape)), residual_shapes
     part = connected_parts(model.tets, len(model.nodes))  # attachments may have a cage of their own in the same place
     under = part[model.embedding_nodes[np.unique(follower.skin.corners), 0]]
     used, tets = np.unique(model.tets[np.isin(part[model.tets[:, 0]], under)], return_inverse=True)
     embedding = dynamorph.embed(dynamorph.TetMesh(model.nodes[used], tets.reshape(-1, 4)), follower.vertices)
     bind = np.einsum("pa,rpac->rpc", embedding.weights, modes[:, used[embedding.nodes]])
-    return bind @ np.linalg.inv(model.to_bind).T @ follower.from_body.T, details
+    return bind @ np.linalg.inv(model.to_bind).T @ follower.from_body.T, residual_shapes

@@ -2,7 +2,7 @@
 """A bake as other keys, and as bytes for point caches and other programs. NumPy only, never bpy.
 
 Surfaces are in the mesh object's local space, before skinning. A bake's surface = vertices + modes . coordinates +
-details . weights.
+residual_shapes . weights.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
     Best means least squares over all frames and vertices, of the motion and of the targets' shapes without it (SVD).
     The residual shapes of the targets are then part of the modes.
     """
-    shapes = np.concatenate([bake.modes, bake.details])
+    shapes = np.concatenate([bake.modes, bake.residual_shapes])
     if (budget is not None and budget >= len(shapes)) or not shapes.any():
         return bake
     shapes = shapes.reshape(len(shapes), -1)
@@ -74,7 +74,7 @@ def with_fewer_keys(bake: Bake, budget: int | None = None) -> Bake:
         static=without,
         weights=np.zeros((len(bake.frames), 0)),
         modes=modes.reshape(-1, *bake.modes.shape[1:]),
-        details=np.zeros((0, *bake.modes.shape[1:])),
+        residual_shapes=np.zeros((0, *bake.modes.shape[1:])),
         node_modes=None,
         key_names=(),
     )
@@ -91,8 +91,15 @@ def united(bakes: list[Bake], to_body: list[np.ndarray]) -> Bake:
         places = [names.index(name) for name in bake.key_names]
         modes[places, end - bake.modes.shape[1] : end] = bake.modes @ turn.T
         rows[:, :, places] = bake.coordinates, bake.static
-    details = np.zeros((0, sum(counts), 3))
-    return replace(bakes[0], coordinates=rows[0], static=rows[1], modes=modes, details=details, key_names=tuple(names))
+    residual_shapes = np.zeros((0, sum(counts), 3))
+    return replace(
+        bakes[0],
+        coordinates=rows[0],
+        static=rows[1],
+        modes=modes,
+        residual_shapes=residual_shapes,
+        key_names=tuple(names),
+    )
 
 
 def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[Bake, float]:
@@ -123,8 +130,8 @@ def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[B
         frames=frames,
         coordinates=mixed(np.hstack([bake.coordinates, bake.weights]), np.hstack([patch.coordinates, patch.weights])),
         weights=np.zeros((len(frames), 0)),
-        modes=np.concatenate([bake.modes, bake.details, patch.modes, patch.details]),
-        details=np.zeros((0, *bake.modes.shape[1:])),
+        modes=np.concatenate([bake.modes, bake.residual_shapes, patch.modes, patch.residual_shapes]),
+        residual_shapes=np.zeros((0, *bake.modes.shape[1:])),
         target_names=patch.target_names,
         static=mixed(np.hstack([bake.static, bake.weights]), np.hstack([patch.static, patch.weights])),
     )
@@ -145,7 +152,7 @@ def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:
     rows = np.hstack([bake.coordinates, bake.weights])
     at = np.column_stack([np.interp(patch.frames[ends], bake.frames, column) for column in rows.T])
     r = bake.coordinates.shape[1]
-    moved = displaced(at[:, :r], at[:, r:], bake.modes, bake.details)
+    moved = displaced(at[:, :r], at[:, r:], bake.modes, bake.residual_shapes)
     off = (moved - next(surfaces(at_rows(patch, ends), 0.0))) @ to_bind.T
     return float(np.linalg.norm(off, axis=2).max())
 
@@ -155,15 +162,21 @@ def targets_alone(bake: Bake) -> Bake:
     nothing = np.zeros((len(bake.frames), 0))
     if not bake.weights.shape[1]:
         still = with_fewer_keys(replace(bake, coordinates=bake.static))
-        details, weights = still.modes, still.static
-        names = tuple(f"Dynamorph Shape {k + 1:02d}" for k in range(len(details)))
+        residual_shapes, weights = still.modes, still.static
+        names = tuple(f"Dynamorph Shape {k + 1:02d}" for k in range(len(residual_shapes)))
     else:
         onto_modes, *_ = np.linalg.lstsq(bake.weights, bake.static, rcond=None)
-        details, weights = np.tensordot(onto_modes, bake.modes, 1) + bake.details, bake.weights
+        residual_shapes, weights = np.tensordot(onto_modes, bake.modes, 1) + bake.residual_shapes, bake.weights
         names = tuple(f"Dynamorph Target {name}" for name in bake.target_names)
     modes = np.zeros((0, *bake.modes.shape[1:]))
     return replace(
-        bake, coordinates=nothing, static=nothing, weights=weights, modes=modes, details=details, key_names=names
+        bake,
+        coordinates=nothing,
+        static=nothing,
+        weights=weights,
+        modes=modes,
+        residual_shapes=residual_shapes,
+        key_names=names,
     )
 
 
@@ -172,7 +185,7 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
     separate keys, for less motion.
     """
     shapes = targets_alone(bake)
-    used = np.flatnonzero(np.abs(shapes.details).max(axis=(1, 2)) * np.abs(shapes.weights).max(axis=0))
+    used = np.flatnonzero(np.abs(shapes.residual_shapes).max(axis=(1, 2)) * np.abs(shapes.weights).max(axis=0))
     count, keys, at = len(bake.frames), len(kept), bake.frames[kept]
     moved = np.empty((keys, *bake.modes.shape[1:]), np.float32)
     for first, chunk in zip(range(0, keys, CHUNK), surfaces(at_rows(bake, kept), 0.0), strict=True):
@@ -188,8 +201,8 @@ def by_frames(bake: Bake, kept: np.ndarray) -> Bake:
         frames=bake.frames,
         coordinates=coordinates,
         weights=np.zeros((count, 0)),
-        modes=np.concatenate([moved, shapes.details[used]]),
-        details=np.zeros((0, *bake.modes.shape[1:])),
+        modes=np.concatenate([moved, shapes.residual_shapes[used]]),
+        residual_shapes=np.zeros((0, *bake.modes.shape[1:])),
         target_names=bake.target_names,
         static=static,
         key_names=(*names, *(shapes.key_names[j] for j in used)),
@@ -232,7 +245,7 @@ def _worst_between(bake: Bake, rows: np.ndarray, first: int, last: int, to_bind:
         share = ((frames - first) / (last - first))[:, None]
         residual = rows[frames] - (1.0 - share) * rows[first] - share * rows[last]
         r = bake.coordinates.shape[1]
-        moved = displaced(residual[:, :r], residual[:, r:], bake.modes, bake.details) @ to_bind.T
+        moved = displaced(residual[:, :r], residual[:, r:], bake.modes, bake.residual_shapes) @ to_bind.T
         distances = np.linalg.norm(moved, axis=2).max(axis=1)
         if distances.max() > off:
             worst, off = int(frames[distances.argmax()]), float(distances.max())

@@ -14,6 +14,9 @@ from .character import Character, Skeleton
 from .errors import ModelFileError, SceneError
 from .settings import ModelSettings
 
+# Names of arrays in model files that are older than those of the fields.
+STORED_NAMES = {"residual_shapes": "details"}
+
 EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
 EngineSimulation = dynamorph.ReducedSimulation | dynamorph.FullSimulation
 
@@ -25,10 +28,11 @@ class Model:
     nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', shares (m, S), pinned (n,). Of a hold
     by thickness, else empty: held (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly from 0 to 1,
     thickness (V,) of the body at the skin.
-    node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), details (J, V, 3)
-    local space; to_bind (3, 3); parents (B,), rest (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and
-    table_mu (J, ...) of a reduced model (dynamorph.ReducedTables), empty of a full one. Static morph targets have no
-    nodes: their details are the shapes.
+    node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), residual_shapes
+    (J, V, 3) local space: what the cage cannot carry of the targets' shapes; to_bind (3, 3); parents (B,), rest
+    (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
+    (dynamorph.ReducedTables), empty of a full one. Static morph targets have no nodes: their residual shapes are the
+    shapes.
     """
 
     nodes: np.ndarray
@@ -44,7 +48,7 @@ class Model:
     embedding_nodes: np.ndarray
     embedding_weights: np.ndarray
     displacements: np.ndarray
-    details: np.ndarray
+    residual_shapes: np.ndarray
     to_bind: np.ndarray
     parents: np.ndarray
     rest: np.ndarray
@@ -68,7 +72,7 @@ class Model:
             "dependencies": self.dependencies,
             "summary": {name: value for name, value in self.summary.items() if name != "seconds"},
         }
-        return {name: getattr(self, name) for name in self.array_names()}, meta
+        return {STORED_NAMES.get(name, name): getattr(self, name) for name in self.array_names()}, meta
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
@@ -76,7 +80,7 @@ class Model:
         arrays = dict.fromkeys(("held", "hold", "thickness"), np.zeros(0)) | arrays  # older models have none
         try:
             return cls(
-                **{name: arrays[name] for name in cls.array_names()},
+                **{name: arrays[STORED_NAMES.get(name, name)] for name in cls.array_names()},
                 bone_names=tuple(meta["bone_names"]),
                 settings=ModelSettings(**meta["settings"]),
                 dependencies={"engine": engine_hash(1), **meta["dependencies"]},  # the first models had no number

@@ -158,7 +158,7 @@ class Player:
         """The largest distance, in meters, between the soft skins of two frames in one pose, as `shown` with full
         influence of the targets: what a lower influence hides at the seam of a loop is visible elsewhere.
         """
-        displacement = np.tensordot(second.weights - first.weights, self.model.details, 1)
+        displacement = np.tensordot(second.weights - first.weights, self.model.residual_shapes, 1)
         if self.engine is not None:
             before, after = (self.amounts.with_gains(frame.coordinates, frame.weights) for frame in (first, second))
             displacement += self.model.surface(self.engine.displacement(after - before))
@@ -237,7 +237,7 @@ class Player:
         """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
         self._first = first
         if any(self.settings.gravity):
-            self._simulation.hold_targets(self.posing.target_frames(first))
+            self._simulation.balance_targets(self.posing.target_frames(first))
 
     def _push(self, fields: Sequence[ForceField], sample: int, bones: np.ndarray) -> np.ndarray | None:
         """The forces of the force fields on the nodes at the present displacement; None without any."""
@@ -258,7 +258,7 @@ class _NothingMoves:
     def advance(self, _bones: np.ndarray, _weights: np.ndarray, _external: np.ndarray | None = None) -> dict:
         return NO_STEPS
 
-    def hold_targets(self, _bones: np.ndarray) -> None:
+    def balance_targets(self, _bones: np.ndarray) -> None:
         pass
 
 

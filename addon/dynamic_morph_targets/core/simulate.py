@@ -154,7 +154,7 @@ class Shot:
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
         names = tuple(target.name for target in character.targets)
-        return Bake(settings.frames, coordinates, weights, surface, model.details, names, static, modes), report
+        return Bake(settings.frames, coordinates, weights, surface, model.residual_shapes, names, static, modes), report
 
 
 def bake(
@@ -173,7 +173,9 @@ def bake(
 def part_of(bake: Bake, members: slice, from_body: np.ndarray | None = None) -> Bake:
     """The same shot for some of its vertices; from_body (3, 3): maps displacements to the space of these vertices."""
     turn = np.eye(3) if from_body is None else from_body
-    return replace(bake, modes=bake.modes[:, members] @ turn.T, details=bake.details[:, members] @ turn.T)
+    return replace(
+        bake, modes=bake.modes[:, members] @ turn.T, residual_shapes=bake.residual_shapes[:, members] @ turn.T
+    )
 
 
 def _report(frames: np.ndarray, steps: np.ndarray) -> dict:

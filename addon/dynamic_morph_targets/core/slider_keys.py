@@ -48,14 +48,14 @@ def scaled_keys(bake: Bake, basis: np.ndarray) -> list[Key]:
         needed = np.abs(mode).max() * np.abs(shapes).max() > negligible
         without = shapes / largest if needed else None
         keys.append(Key(_fit(names[k]), points(largest * mode), -1.0, motion / largest, without))
-    for j, detail in enumerate(bake.details):
+    for j, shape in enumerate(bake.residual_shapes):
         weights = bake.weights[:, j]
         largest = np.abs(weights).max()
-        if np.abs(detail).max() * largest > negligible:
+        if np.abs(shape).max() * largest > negligible:
             name = _fit(names[count + j])
             values = weights / largest  # also with the motion, because the strips may be moved apart
             lowest = -1.0 if weights.min() < 0.0 else 0.0
-            keys.append(Key(name, points(largest * detail), lowest, values if len(bake.modes) else None, values))
+            keys.append(Key(name, points(largest * shape), lowest, values if len(bake.modes) else None, values))
     return keys
 
 

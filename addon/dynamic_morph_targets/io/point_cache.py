@@ -44,7 +44,7 @@ def raw(bake: Bake, vertices: np.ndarray, fps: float) -> bytes:
     arrays = {
         "vertices": vertices,
         "modes": bake.modes,
-        "details": bake.details,
+        "details": bake.residual_shapes,  # the name in files from before
         "coordinates": bake.coordinates,
         "weights": bake.weights,
         "dry": bake.static,

@@ -234,7 +234,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
 
     outside = [] if given.character.parts else given.followers
     outcome.carried = [followers.follow(outcome.model, outcome.bake, follower) for follower in outside]
-    for name in ("coordinates", "weights", "modes", "details", "static"):
+    for name in ("coordinates", "weights", "modes", "residual_shapes", "static"):
         if not all(np.isfinite(getattr(bake, name)).all() for bake in (outcome.bake, *outcome.carried)):
             raise SelfCheckError(f"'{given.name}': the engine's {name} are not numbers: nothing was written")
     progress.message = "Making keys"
@@ -301,7 +301,7 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
         if output.sink in point_cache.CACHES:
             file = _point_cache(given, outcome, output.sink, name, points, bake)
         outcome.written.append((keys, file))
-    outcome.report["keys"] = len(outcome.written[0][0].modes) + len(outcome.written[0][0].details)
+    outcome.report["keys"] = len(outcome.written[0][0].modes) + len(outcome.written[0][0].residual_shapes)
     outcome.report["keys_error"] = off
 
 

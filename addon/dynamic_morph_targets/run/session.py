@@ -49,12 +49,14 @@ class Tissue:
         modes = self.model.surface(nodes) if nodes.size else np.zeros((0, *self.character.vertices.shape))
         self.modes = len(modes)
         self.target_names = [target.name for target in self.character.by_method().targets]
-        own, details = self.character.own, self.model.details
-        self.skin = Surface(skin.ObjectHandle.of(obj), self.character.vertices[own], modes[:, own], details[:, own])
+        own, residual_shapes = self.character.own, self.model.residual_shapes
+        self.skin = Surface(
+            skin.ObjectHandle.of(obj), self.character.vertices[own], modes[:, own], residual_shapes[:, own]
+        )
         self.followers: list[Surface] = []
         for follower in extract.followers(obj, self.character):
             if follower.members:
-                moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, details))
+                moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, residual_shapes))
             else:
                 moved, kept = carrying.carried(self.model, nodes, follower)
             handle = skin.ObjectHandle(follower.session_uid, follower.name)
@@ -104,15 +106,15 @@ class Tissue:
 class Surface:
     """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
 
-    vertices (V, 3), modes (r, V, 3), details (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): the points of
-    the key.
+    vertices (V, 3), modes (r, V, 3), residual_shapes (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): the
+    points of the key.
     """
 
-    def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, modes: np.ndarray, details: np.ndarray):
+    def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, modes: np.ndarray, residual_shapes: np.ndarray):
         self.object = handle
         self.written: np.ndarray | None = None
         self._rest = vertices.astype(np.float32).ravel()
-        shapes = np.concatenate([modes, details])
+        shapes = np.concatenate([modes, residual_shapes])
         self.shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
 
     def points(self, values: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A bake -> Blender: shape keys or a point cache, and their removal.
 
-surface = vertices + modes . coordinates + details . weights becomes one shape key a mode and one a target's detail,
-with the coordinates as F-curves. The curves sit in an Action of their own, as strips on NLA tracks, because an
+surface = vertices + modes . coordinates + residual_shapes . weights becomes a shape key for each mode and each residual
+shape, with the coordinates as F-curves. The curves sit in an Action of their own, as strips on NLA tracks, because an
 animation data holds one Action and that is the artist's. There are two tracks: the lower one plays the targets' shapes,
 the one above it replaces them by the motion, as far as the influence of its strip says. In the place of the upper track
 there may be a point cache: a Mesh Cache modifier before all others, whose influence is its own.

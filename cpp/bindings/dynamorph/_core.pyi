@@ -482,7 +482,7 @@ class FullSimulation:
         """
         Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external (n, 3): newtons on the nodes, world space, constant over the call. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
         """
-    def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+    def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
         """
@@ -532,7 +532,7 @@ class ReducedSimulation:
         """
         Takes one step to each of the bones (S, B, 3, 4) and target weights (S, J). external (n, 3): newtons on the nodes, world space, constant over the call. Returns a report on the steps: total iterations, converged, worst residual, elastic energy at the end, teleported, seconds.
         """
-    def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+    def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
         """
@@ -582,7 +582,7 @@ class Crowd:
         """
         Takes one step of all characters to each of the bones (S, N, B, 3, 4) and target weights (S, N, J). Returns a report on the steps: total iterations, steps of characters that had to be taken alone, converged, seconds.
         """
-    def hold_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
+    def balance_targets(self, bones: typing.Annotated[numpy.typing.ArrayLike, numpy.float64]) -> None:
         """
         Lets only the difference between gravity in a pose and gravity in the targets' own poses (J, B, 3, 4) act, so that targets do not sag.
         """

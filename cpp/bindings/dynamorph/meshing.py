@@ -49,7 +49,7 @@ def mesh_body(
     grading: float = 0.0,
     moved: np.ndarray | None = None,
     bones: np.ndarray | None = None,
-    held: float = 0.4,
+    pin_radius: float = 0.4,
     time_limit: float | None = None,
     memory_limit_gb: float = 4.0,
     progress: Progress | None = None,
@@ -59,9 +59,9 @@ def mesh_body(
     vertices (V, 3): meters. triangles (T, 3): vertex indices. cage: vertices (C, 3) and triangles (D, 3) of a closed
     surface to fill instead of a wrap. thickness: the least distance between wrap and body, meters. grading: 0 for tets
     of one size .. 1 for much finer tets where the body moves. moved (V,): how much it moves, 0..1. bones (B, 2, 3):
-    heads and tails of the bones along which to place nodes, meters. held: the part of the way from bone to skin within
-    which the bones pin nodes. time_limit: seconds in total; None depends on the number of nodes. progress: called with
-    0..1 every 50 ms, returns False to cancel.
+    heads and tails of the bones along which to place nodes, meters. pin_radius: the part of the way from bone to
+    skin within which the bones pin nodes. time_limit: seconds in total; None depends on the number of nodes. progress:
+    called with 0..1 every 50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices. Raises Error, which says what to do, when the mesh cannot be used, or when the mesher crashes, hangs or
     needs too much memory at all resolutions near the requested one. Raises Cancelled when progress returns False.
@@ -78,7 +78,7 @@ def mesh_body(
     failure = None
     for resolution in resolutions:
         seconds = (deadline - time.monotonic()) / (1 if resolution == resolutions[-1] else 2)
-        arguments = [target_nodes, seconds, memory_limit_gb, held, thickness, resolution]
+        arguments = [target_nodes, seconds, memory_limit_gb, pin_radius, thickness, resolution]
         try:
             return _mesh_in_child(arrays, arguments, progress)
         except _MesherFailed as error:
@@ -215,7 +215,7 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
 def _child() -> None:
     """The child's main function: reads arrays from standard input and writes arrays to standard output."""
     target_nodes = int(sys.argv[1])
-    time_limit, memory_limit_gb, held, thickness, resolution = map(float, sys.argv[2:])
+    time_limit, memory_limit_gb, pin_radius, thickness, resolution = map(float, sys.argv[2:])
     _limit_resources(time_limit, memory_limit_gb)
     try:
         _fault(os.environ.get(FAULT_VARIABLE, ""), resolution)
@@ -223,9 +223,9 @@ def _child() -> None:
         if len(cage[1]):
             wanted = int(_surface_share(target_nodes) * target_nodes)
             cage = _graded(_refined(cage, _coarser(wanted, moved)), wanted, body, moved)
-            arrays = _filled(cage, body, bones, held, target_nodes)
+            arrays = _filled(cage, body, bones, pin_radius, target_nodes)
         else:
-            arrays = _wrapped(body, moved, bones, held, target_nodes, thickness, resolution)
+            arrays = _wrapped(body, moved, bones, pin_radius, target_nodes, thickness, resolution)
         for array in arrays:
             np.save(sys.stdout.buffer, array, allow_pickle=False)
     except (Error, ValueError) as error:
@@ -256,7 +256,7 @@ def _wrapped(
     body: Surface,
     moved: np.ndarray,
     bones: np.ndarray,
-    held: float,
+    pin_radius: float,
     target_nodes: int,
     thickness: float,
     resolution: float,
@@ -269,7 +269,7 @@ def _wrapped(
         progress = functools.partial(_report, attempt)
         wanted = max(int(cage_vertices), 4)
         cage = _graded(make_cage(*body, _coarser(wanted, moved), thickness, progress), wanted, body, moved)
-        arrays = _filled(cage, body, bones, held, target_nodes)
+        arrays = _filled(cage, body, bones, pin_radius, target_nodes)
         nodes = len(arrays[2])
         error = abs(math.log(nodes / target_nodes))
         if error < best_error:
@@ -339,10 +339,12 @@ def _moved_nearby(cage: Surface, body: Surface, moved: np.ndarray) -> np.ndarray
     return nearby
 
 
-def _filled(cage: Surface, body: Surface, bones: np.ndarray, held: float, target_nodes: int) -> tuple[np.ndarray, ...]:
+def _filled(
+    cage: Surface, body: Surface, bones: np.ndarray, pin_radius: float, target_nodes: int
+) -> tuple[np.ndarray, ...]:
     """The cage, and the nodes and tets that fill it. Raises _MesherFailed."""
     try:
-        inner = points_on_bones(*cage, *body, bones[:, 0], bones[:, 1], held)
+        inner = points_on_bones(*cage, *body, bones[:, 0], bones[:, 1], pin_radius)
         mesh = tetrahedralize(*cage, target_nodes, inner)
     except Error as error:
         raise _MesherFailed(str(error)) from error

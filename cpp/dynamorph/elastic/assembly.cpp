@@ -171,15 +171,15 @@ double Assembly::sum_chunks(Law law, const std::vector<Part>& parts, const Vecto
     weighted.push_back({stable ? lambda + mu : lambda, stable ? 0 : mu, stable ? mu : 0, part.elements->groups.data(),
                         part.elements->origins.empty() ? nullptr : part.elements->origins.data()});
   }
-  VectorXd held(3 * free_ + 3);
-  held << x, 0, 0, 0;
+  VectorXd padded(3 * free_ + 3);
+  padded << x, 0, 0, 0;
   std::vector<double> energies(chunks_.size());
   parallel_for(int(chunks_.size()), [&](int c) {
     const Chunk& chunk = chunks_[c];
     energies[c] =
-        tangent ? tangent_of(groups_.data(), chunk.first, chunk.last, weighted.data(), weighted.size(), held.data(),
+        tangent ? tangent_of(groups_.data(), chunk.first, chunk.last, weighted.data(), weighted.size(), padded.data(),
                              stores + chunk.store)
-                : energy_of(groups_.data(), chunk.first, chunk.last, weighted.data(), weighted.size(), held.data());
+                : energy_of(groups_.data(), chunk.first, chunk.last, weighted.data(), weighted.size(), padded.data());
   });
   return std::accumulate(energies.begin(), energies.end(), 0.0);
 }

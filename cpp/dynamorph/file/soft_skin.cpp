@@ -44,13 +44,15 @@ VectorXd optional_column(const Content& content, const std::string& name, Eigen:
   return array && !array->bytes.empty() ? VectorXd(table<double>(content, name, {size})) : VectorXd();
 }
 
+/// The file has older names for three arrays: "shares" are the region weights, "held" is the hold of the tets, and
+/// "details" are the residual shapes.
 std::shared_ptr<const SoftBody> soft_body(const Content& content) {
   const auto nodes = table<double>(content, "nodes", {-1, 3});
   const auto tets = table<std::int32_t>(content, "tets", {-1, 4});
   const Eigen::Index n = nodes.rows(), m = tets.rows();
-  const auto held = table<std::uint8_t>(content, "pinned", {n});
+  const auto pins = table<std::uint8_t>(content, "pinned", {n});
   std::vector<bool> pinned;
-  for (Eigen::Index i = 0; i < n; ++i) pinned.push_back(held(i, 0));
+  for (Eigen::Index i = 0; i < n; ++i) pinned.push_back(pins(i, 0) != 0);
   const auto weights = table<double>(content, "node_weights", {n, -1});
   if (weights.cols() == 0) throw incomplete("node_weights");
   try {

@@ -81,16 +81,16 @@ std::vector<bool> pinned(const TetMesh& mesh, const Points& vertices, const Tria
   const ClosedSurface closed = close_surface(vertices, triangles);
   const Surface body(closed.vertices, closed.triangles);
   const Surface skin(closed.vertices, closed.triangles.topRows(closed.authored));
-  std::vector<bool> held(mesh.nodes.rows());
+  std::vector<bool> found(mesh.nodes.rows());
   for (Eigen::Index i = 0; i < mesh.nodes.rows(); ++i) {
     const Vector3d p = mesh.nodes.row(i);
     double to_bone = infinity;
     for (Eigen::Index b = 0; b < heads.rows(); ++b)
       to_bone = std::min(to_bone, distance_to_segment(p, heads.row(b), tails.row(b)));
     // Written so that without bones (an infinite distance) no node is pinned.
-    held[i] = (1 - ratio) * to_bone < ratio * skin.distance(p) && body.contains(p);
+    found[i] = (1 - ratio) * to_bone < ratio * skin.distance(p) && body.contains(p);
   }
-  return held;
+  return found;
 }
 
 }  // namespace dynamorph

@@ -133,8 +133,8 @@ double FullModel::energy(const Blend& blend, const VectorXd& q) const {
   if (law_ == Law::linear) return blend.energy + q.dot(0.5 * (blend.stiffness * q) + blend.force);
   const VectorXd x = displacement_from_shape(blend, q);
   VectorXd pull;
-  const double held = body_->holds.size() > 0 ? hold_energy(blend, x, pull) : 0;
-  return assembly_.energy(law_, parts(blend), x) + held;
+  const double of_hold = body_->holds.size() > 0 ? hold_energy(blend, x, pull) : 0;
+  return assembly_.energy(law_, parts(blend), x) + of_hold;
 }
 
 double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const {
@@ -144,10 +144,10 @@ double FullModel::linearize(const Blend& blend, const VectorXd& q, VectorXd& for
     const double energy = assembly_.linearize(law_, parts(blend), x, force, stiffness);
     if (body_->holds.size() == 0) return energy;
     VectorXd pull;
-    const double held = hold_energy(blend, x, pull);
+    const double of_hold = hold_energy(blend, x, pull);
     force += pull;
     for (Eigen::Index i = 0; i < dofs(); ++i) stiffness.valuePtr()[diagonal_[i]] += blend.hold(i);
-    return energy + held;
+    return energy + of_hold;
   }
   values(stiffness) = values(blend.stiffness);
   multiply_symmetric(blend.stiffness, q, force);

@@ -192,18 +192,18 @@ bool PoseSpace::Interpolant::fit(const TargetSet& set) {
   return solution.allFinite() && (system * solution - cardinal).cwiseAbs().maxCoeff() < 1e-8;
 }
 
-void PoseSpace::Interpolant::add_weights(const TargetSet& set, const Eigen::Ref<const Rotations>& pose, double share,
+void PoseSpace::Interpolant::add_weights(const TargetSet& set, const Eigen::Ref<const Rotations>& pose, double factor,
                                          Eigen::Ref<VectorXd> w) const {
-  w += share * polynomial.row(0).transpose();
+  w += factor * polynomial.row(0).transpose();
   for (size_t k = 0; k < set.poses.size(); ++k)
-    w += share * kernel(set.kernel, width, pose_distance(set.bones, set.poses[k], pose, chordal)) *
+    w += factor * kernel(set.kernel, width, pose_distance(set.bones, set.poses[k], pose, chordal)) *
          coefficients.row(k).transpose();
   for (Eigen::Index term = 0; term < span.cols(); ++term) {
     double coordinate = 0;
     for (size_t i = 0; i < set.bones.size(); ++i)
       coordinate += matrices ? turn(set.poses[0], pose, set.bones[i]).dot(span.col(term).segment<9>(9 * i))
                              : rotation_vector(set.poses[0], pose, set.bones[i]).dot(span.col(term).segment<3>(3 * i));
-    w += share * coordinate * polynomial.row(1 + term).transpose();
+    w += factor * coordinate * polynomial.row(1 + term).transpose();
   }
 }
 

@@ -83,8 +83,8 @@ class PoseSpace {
     MatrixXd span;          ///< (3 or 9 times bones, dims) orthonormal, empty except for thin_plate
 
     bool fit(const TargetSet& set);
-    /// Adds `share` times the weights (J), which sum to one but may be negative.
-    void add_weights(const TargetSet& set, const Eigen::Ref<const Rotations>& pose, double share,
+    /// Adds `factor` times the weights (J), which sum to one but may be negative.
+    void add_weights(const TargetSet& set, const Eigen::Ref<const Rotations>& pose, double factor,
                      Eigen::Ref<VectorXd> w) const;
   };
   struct Interpolated {

@@ -44,9 +44,9 @@ ModalInertia::ModalInertia(const SoftBody& body, const MatrixXd& U) : r_(U.cols(
     });
     std::vector<std::pair<double, Bones>> terms,
         pairs;  // with a bound (Cauchy-Schwarz) on their part of the force
-    for (const auto& [bones, share] : volumes) {
-      const double influence = std::sqrt(share * motions[bones]);
-      if (influence > kNegligible) (bones.first == bones.second ? terms : pairs).push_back({influence, bones});
+    for (const auto& [bones, volume] : volumes) {
+      const double largest_force = std::sqrt(volume * motions[bones]);
+      if (largest_force > kNegligible) (bones.first == bones.second ? terms : pairs).push_back({largest_force, bones});
     }
     Tensors& set = sets_.emplace_back();
     std::sort(pairs.rbegin(), pairs.rend());
@@ -109,7 +109,7 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
   const Index pairs = r_ * (r_ + 1) / 2;
   take_differences(inertial, out.differences);
   out.bones.resize(in_terms_);
-  const Shares coefficients = shares_of_differences(inertial.coefficients);
+  const DifferenceCoefficients coefficients = coefficients_of_differences(inertial.coefficients);
   for (size_t b = 0; b < in_terms_; ++b) {
     const double* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * used_[b];
@@ -130,7 +130,7 @@ void ModalInertia::evaluate(const InertialTarget& inertial, const SetDensities& 
       gather(out.bones, set.groups[g].bones, set.groups[g].signs, lanes);
       FloatW sign;
       std::copy_n(set.groups[g].signs.data(), kLanes, reinterpret_cast<float*>(&sign));
-      add_eight_terms(lanes, sign, set.groups[g].influence, out.differences.data(), r_,
+      add_eight_terms(lanes, sign, set.groups[g].largest_force, out.differences.data(), r_,
                       set.table.data() + g * entries(r_), out.slopes.data(), out.sums.data(), out.sums.data() + r_);
     }
     add_lanes(out.sums.data(), Index(out.sums.size()) / kLanes, out.totals.data());
@@ -157,7 +157,7 @@ void ModalInertia::evaluate(const EightInertialTarget& inertial, const DoubleW* 
   const auto bone = [&](int b) {
     return reinterpret_cast<FloatW(*)[12]>(&out.bones[(1 + InertialTarget::kMoments) * 12 * b]);
   };
-  const Shares coefficients = shares_of_differences(inertial.coefficients);
+  const DifferenceCoefficients coefficients = coefficients_of_differences(inertial.coefficients);
   for (size_t b = 0; b < in_terms_; ++b) {
     const DoubleW* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n] + 12 * b;
@@ -176,7 +176,7 @@ void ModalInertia::evaluate(const EightInertialTarget& inertial, const DoubleW* 
         const Bones& bones = set.groups[g].bones[t];
         const float* table = set.terms.data() + (g * kLanes + t) * entries(r_);
         add_term_of_eight(bone(bones.first), set.groups[g].signs[t] < 0 ? bone(bones.second) : nullptr,
-                          set.groups[g].influence, out.differences.data(), r_, table, out.slopes.data(),
+                          set.groups[g].largest_force, out.differences.data(), r_, table, out.slopes.data(),
                           out.sums.data(), out.sums.data() + r_);
       }
     add_set_of_eight(density[s], damping[s], set.mass.data(), r_, out.sums.data(), out.sums.data() + r_,

@@ -75,12 +75,12 @@ class ModalInertia {
   struct Group {
     std::vector<Bones> bones;
     std::array<float, kLanes> signs;  ///< 1 for a bone, -1 for a pair
-    double influence;  ///< the largest part of the force that one can have; infinite unless all are pairs
+    double largest_force;  ///< the largest part of the force that one can have; infinite unless all are pairs
   };
   /// The tensors of one target set.
   struct Tensors {
     VectorXd mass;              ///< U^T M1 U, packed upper triangle
-    std::vector<Group> groups;  ///< bones, then pairs, the most influential first
+    std::vector<Group> groups;  ///< bones, then pairs, those with the largest force first
     LaneVector<FloatW> table;   ///< terms::entries of each group
     std::vector<float> terms;   ///< the same, term after term
   };

@@ -35,17 +35,17 @@ DYNAMORPH_INLINE void add_rigid(Table table, Index r, const Coefficients<FloatW>
   }
 }
 
-/// Adds to force (r) and packed mass, lane by lane. y: each mode's backward differences, numbers or lanes. influence:
-/// the largest part of the force that a term can have; infinite unless all are pairs.
+/// Adds to force (r) and packed mass, lane by lane. y: each mode's backward differences, numbers or lanes.
+/// largest_force: the largest part of the force that a term can have; infinite unless all are pairs.
 template <class Table, class Y>
-DYNAMORPH_INLINE void add_contribution(const FloatW (*motion)[12], const FloatW& sign, double influence, const Y* y,
+DYNAMORPH_INLINE void add_contribution(const FloatW (*motion)[12], const FloatW& sign, double largest_force, const Y* y,
                                        Index r, Table table, FloatW* slopes, FloatW* force, FloatW* mass) {
   Coefficients<FloatW> c;
   contract_bones(motion, sign, c);
   const float change = largest(c);
-  const bool pairs = influence < __builtin_huge_val();
-  if (pairs && change * influence < kUnnoticed) return;
-  if (pairs && change * influence < kSlight) return add_rigid(table, r, c, force);
+  const bool pairs = largest_force < __builtin_huge_val();
+  if (pairs && change * largest_force < kUnnoticed) return;
+  if (pairs && change * largest_force < kSlight) return add_rigid(table, r, c, force);
   take_slopes(c, y, r, slopes);
   if (change > 1e-6F)  // Blender's bones are rigid only to single precision
     add_terms<true>(table, r, slopes, c, force, mass);
@@ -69,17 +69,17 @@ DYNAMORPH_INLINE Float8 added_halves(const Float8& a, const Float8& b) {
 
 }  // namespace
 
-void add_eight_terms(const FloatW (*motion)[12], const FloatW& sign, double influence, const float* y, Index r,
+void add_eight_terms(const FloatW (*motion)[12], const FloatW& sign, double largest_force, const float* y, Index r,
                      const FloatW* table, FloatW* slopes, FloatW* force, FloatW* mass) {
-  add_contribution(motion, sign, influence, y, r, table, slopes, force, mass);
+  add_contribution(motion, sign, largest_force, y, r, table, slopes, force, mass);
 }
 
-void add_term_of_eight(const FloatW (*first)[12], const FloatW (*second)[12], double influence, const FloatW* y,
+void add_term_of_eight(const FloatW (*first)[12], const FloatW (*second)[12], double largest_force, const FloatW* y,
                        Index r, const float* table, FloatW* slopes, FloatW* force, FloatW* mass) {
   FloatW motion[1 + kMoments][12];
   for (int m = 0; m <= kMoments; ++m)
     for (int e = 0; e < 12; ++e) motion[m][e] = second ? first[m][e] - second[m][e] : first[m][e];
-  add_contribution(motion, FloatW{all_of(second ? -1.0F : 1.0F)}, second ? influence : __builtin_huge_val(), y, r,
+  add_contribution(motion, FloatW{all_of(second ? -1.0F : 1.0F)}, second ? largest_force : __builtin_huge_val(), y, r,
                    table, slopes, force, mass);
 }
 

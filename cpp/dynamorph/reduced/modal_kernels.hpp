@@ -15,13 +15,13 @@ DYNAMORPH_KERNEL(void, combine_eight, const DoubleW* const* bones, const double*
                  const double* gravity_offset, FloatW (*out)[12]);
 
 /// Adds eight terms, one per lane, to force (r) and packed mass. motion: what the bones contribute, entry after entry.
-/// sign: 1 for a bone, -1 for a pair. influence: the largest part of the force that one term can have; infinite unless
-/// all are pairs. y: each mode's backward differences. slopes (9, r): scratch.
-DYNAMORPH_KERNEL(void, add_eight_terms, const FloatW (*motion)[12], const FloatW& sign, double influence,
+/// sign: 1 for a bone, -1 for a pair. largest_force: the largest part of the force that one term can have; infinite
+/// unless all are pairs. y: each mode's backward differences. slopes (9, r): scratch.
+DYNAMORPH_KERNEL(void, add_eight_terms, const FloatW (*motion)[12], const FloatW& sign, double largest_force,
                  const float* y, Index r, const FloatW* table, FloatW* slopes, FloatW* force, FloatW* mass);
 
 /// The same for one term of eight characters. second: null for a single bone.
-DYNAMORPH_KERNEL(void, add_term_of_eight, const FloatW (*first)[12], const FloatW (*second)[12], double influence,
+DYNAMORPH_KERNEL(void, add_term_of_eight, const FloatW (*first)[12], const FloatW (*second)[12], double largest_force,
                  const FloatW* y, Index r, const float* table, FloatW* slopes, FloatW* force, FloatW* mass);
 
 /// totals[8 i + j] = the sum of the lanes of sums[8 i + j], for i < count.

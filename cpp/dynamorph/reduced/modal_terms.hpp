@@ -41,8 +41,8 @@ inline void node_tensor(const Eigen::Ref<const Eigen::Matrix3Xd>& U, const Vecto
 /// The coefficients of the backward differences q_0, q_0 - q_1, q_0 - 2 q_1 + q_2, ... instead of those of the
 /// coordinates themselves. Each difference is as large as what it adds to the force, so the force keeps its digits in
 /// single precision.
-using Shares = Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses, Eigen::RowMajor>;
-inline Shares shares_of_differences(
+using DifferenceCoefficients = Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses, Eigen::RowMajor>;
+inline DifferenceCoefficients coefficients_of_differences(
     const Eigen::Matrix<double, InertialTarget::kMoments, InertialTarget::kPoses>& coefficients) {
   Eigen::Matrix4d binomials;
   binomials << 1, 1, 1, 1, 0, -1, -2, -3, 0, 0, 1, 3, 0, 0, 0, -1;

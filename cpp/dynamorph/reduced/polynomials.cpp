@@ -100,13 +100,13 @@ class TargetSums {
 
 /// Adds the hold's U^T H U, which is quadratic about the target's shape, as K0 is.
 void add_hold(const SoftBody& body, int set, const RowMajor& U, VectorXd& table) {
-  MatrixXd held = MatrixXd::Zero(U.cols(), U.cols());
+  MatrixXd hold = MatrixXd::Zero(U.cols(), U.cols());
   for (Index i = 0; i < body.holds.rows(); ++i) {
     const auto rows = U.middleRows<3>(3 * i);
-    held.noalias() += body.holds(i, set) * rows.transpose() * rows;
+    hold.noalias() += body.holds(i, set) * rows.transpose() * rows;
   }
   Index at = 0;
-  for_pairs(U.cols(), [&](Index k, Index l) { table(at++) += held(k, l); });
+  for_pairs(U.cols(), [&](Index k, Index l) { table(at++) += hold(k, l); });
 }
 
 }  // namespace

@@ -22,7 +22,7 @@ Crowd::Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int
   if (size < 1) throw std::invalid_argument("size: expected at least one character, got " + std::to_string(size));
 }
 
-void Crowd::hold_targets(const std::vector<Transforms>& bones) { alone_.hold_targets(bones); }
+void Crowd::balance_targets(const std::vector<Transforms>& bones) { alone_.balance_targets(bones); }
 
 CrowdReport Crowd::start(const double* now, const double* next, const double* weights) {
   const Index bones = model().body().skin.cols(), targets = Index(model().targets().size());

@@ -26,7 +26,7 @@ class Crowd {
   Crowd(std::shared_ptr<const ReducedModel> model, StepOptions options, int size);
 
   /// As in Simulation, for all characters.
-  void hold_targets(const std::vector<Transforms>& bones);
+  void balance_targets(const std::vector<Transforms>& bones);
 
   /// As in Simulation, for one character after another. now, next (size, B, 12) and weights (size, J) are row-major.
   CrowdReport start(const double* now, const double* next, const double* weights);

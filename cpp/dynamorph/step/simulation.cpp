@@ -72,12 +72,12 @@ void Simulation<Model>::load(const InertialTarget& inertial, double square, cons
 }
 
 template <class Model>
-void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
+void Simulation<Model>::balance_targets(const std::vector<Transforms>& bones) {
   const auto& targets = model_->targets();
   if (bones.size() != targets.size())
     throw std::invalid_argument("bones: expected one skin frame for each of " + std::to_string(targets.size()) +
                                 " targets, got " + std::to_string(bones.size()));
-  MatrixXd held(model_->dofs(), targets.size()), before;
+  MatrixXd loads(model_->dofs(), targets.size()), before;
   before.swap(rest_gravity_);  // must not act meanwhile, and is restored when a rig is refused
   const VectorXd rest = VectorXd::Zero(model_->dofs());
   try {
@@ -86,13 +86,13 @@ void Simulation<Model>::hold_targets(const std::vector<Transforms>& bones) {
       const VectorXd alone = VectorXd::Unit(targets.size(), j);
       pose(bones[j], alone);
       load(at_rest(rest, bones[j], options_.gravity), 1, VectorXd());
-      held.col(j) = -quadratic_.g;
+      loads.col(j) = -quadratic_.g;
     }
   } catch (...) {
     rest_gravity_.swap(before);
     throw;
   }
-  rest_gravity_ = held;
+  rest_gravity_ = loads;
 }
 
 template <class Model>

@@ -51,7 +51,7 @@ class Simulation {
   /// Targets are sculpted as they look under gravity. From now on, only the difference between gravity in a pose and
   /// gravity in the targets' own poses acts, so that targets do not sag. `bones`: for each target (B, 12), the skin
   /// frame of its pose.
-  void hold_targets(const std::vector<Transforms>& bones);
+  void balance_targets(const std::vector<Transforms>& bones);
 
   /// Starts at rest with the bones `now`, while the rig moves on to `next` by the end of the first step. u is the
   /// static solution, and the past continues the rig's motion backward.

@@ -12,15 +12,15 @@ using namespace dynamorph;
 
 namespace {
 
-/// Stiffness and mass of a bar with jittered nodes, those in the plane x = 0 held if asked.
-SparseMatrix jittered_stiffness(int length, int width, bool held, unsigned seed) {
+/// Stiffness and mass of a bar with jittered nodes, those in the plane x = 0 pinned if asked.
+SparseMatrix jittered_stiffness(int length, int width, bool with_pins, unsigned seed) {
   TetMesh mesh = scenes::bar(length, width, width, 0.05);
   std::mt19937 generator(seed);
   std::uniform_real_distribution<double> uniform(-0.008, 0.008);
   for (double& x : mesh.nodes.reshaped()) x += uniform(generator);
   const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
   std::vector<bool> pinned(n);
-  for (Eigen::Index i = 0; i < (width + 1) * (width + 1); ++i) pinned[i] = held;
+  for (Eigen::Index i = 0; i < (width + 1) * (width + 1); ++i) pinned[i] = with_pins;
   const auto body = std::make_shared<SoftBody>(mesh, VectorXd::Ones(m), VectorXd::LinSpaced(m, 0.2, 3),
                                                MatrixXd::Ones(m, 1), pinned, MatrixXd::Ones(n, 1));
   const MorphTarget neutral{"neutral", 0, VectorXd::Zero(3 * n), {2e4, 1e4}};
@@ -32,10 +32,10 @@ SparseMatrix jittered_stiffness(int length, int width, bool held, unsigned seed)
 }  // namespace
 
 TEST_CASE("block Cholesky: solves like Eigen's, in both precisions, for one and for several right-hand sides") {
-  for (bool held : {false, true})
+  for (bool with_pins : {false, true})
     for (int length : {1, 4, 17}) {
       const int width = length == 17 ? 4 : length == 4 ? 2 : 1;
-      const SparseMatrix A = jittered_stiffness(length, width, held, 7 + length);
+      const SparseMatrix A = jittered_stiffness(length, width, with_pins, 7 + length);
       const MatrixXd B = MatrixXd::Random(A.rows(), 11);
       const MatrixXd expected = Eigen::SimplicialLLT<SparseMatrix>(A).solve(B);
       BlockCholesky<double> factor;

@@ -157,16 +157,16 @@ TEST_CASE("bones hold more nodes as the ratio grows, none outside the body") {
   Points head(1, 3), tail(1, 3);
   head << 0, 0, -0.5;
   tail << 0, 0, 0.5;
-  const auto held = [&](double ratio, const Points& heads, const Points& tails) {
+  const auto pins = [&](double ratio, const Points& heads, const Points& tails) {
     return pinned(mesh, s.vertices, s.triangles, heads, tails, ratio);
   };
   const auto count = [](const std::vector<bool>& flags) { return std::count(flags.begin(), flags.end(), true); };
-  CHECK(count(held(0, head, tail)) == 0);
-  CHECK(count(held(0.3, head, tail)) > 0);
-  CHECK(count(held(0.3, head, tail)) < count(held(0.6, head, tail)));
-  CHECK(count(held(0.3, head, head)) > 0);  // a bone without length is a point
-  CHECK(count(held(0.9, Points(0, 3), Points(0, 3))) == 0);
-  const std::vector<bool> all = held(1, head, tail);
+  CHECK(count(pins(0, head, tail)) == 0);
+  CHECK(count(pins(0.3, head, tail)) > 0);
+  CHECK(count(pins(0.3, head, tail)) < count(pins(0.6, head, tail)));
+  CHECK(count(pins(0.3, head, head)) > 0);  // a bone without length is a point
+  CHECK(count(pins(0.9, Points(0, 3), Points(0, 3))) == 0);
+  const std::vector<bool> all = pins(1, head, tail);
   for (size_t i = 0; i < all.size(); ++i) {
     const double r = mesh.nodes.row(i).norm();
     if (std::abs(r - 1) > 0.02) CHECK(all[i] == (r < 1));

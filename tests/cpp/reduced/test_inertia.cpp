@@ -156,12 +156,12 @@ void contract_in_double(const SoftBody& body, const MatrixXd& U, const InertialT
     double values[1 + InertialTarget::kMoments][12];
   };
   const Index r = U.cols();
-  const Shares shares = shares_of_differences(inertial.coefficients);
+  const DifferenceCoefficients coefficients = coefficients_of_differences(inertial.coefficients);
   std::vector<BoneMotion> bones(body.skin.cols());
   for (Index b = 0; b < body.skin.cols(); ++b) {
     const double* poses[InertialTarget::kPoses];
     for (int n = 0; n < InertialTarget::kPoses; ++n) poses[n] = inertial.bones[n]->data() + 12 * b;
-    combine(poses, shares.data(), body.centre.data(), inertial.gravity_offset.data(), bones[b].values);
+    combine(poses, coefficients.data(), body.centre.data(), inertial.gravity_offset.data(), bones[b].values);
   }
   std::vector<double> y, slopes(9 * r);
   take_differences(inertial, y);

@@ -169,7 +169,7 @@ TEST_CASE("curvatures are the second derivatives of the force, of all sets toget
   }
 }
 
-TEST_CASE("a bar in two sets of half a share each has the modes of the bar in one set") {
+TEST_CASE("a bar in two sets of half the weight each has the modes of the bar in one set") {
   const auto one = scenes::two_bone_bar(1), two = scenes::two_bone_bar(2);
   MorphTarget first = scenes::targets(*one)[0], second = first;
   second.set = 1;

@@ -55,8 +55,8 @@ TEST_CASE("a crowd moves as its characters do alone") {
       StepOptions options{1 / 120., Scheme::bdf2, Vector3d(0, 0, -9.81)};
       options.teleport = 2;
       Crowd crowd(model, options, kCharacters);
-      const std::vector<Transforms> held(3, rig(0, 0));
-      crowd.hold_targets(held);
+      const std::vector<Transforms> standing(3, rig(0, 0));
+      crowd.balance_targets(standing);
       const Poses begin(0);
       crowd.start(begin.bones.data(), begin.next.data(), begin.weights.data());
       int alone = 0;
@@ -70,7 +70,7 @@ TEST_CASE("a crowd moves as its characters do alone") {
       CHECK(alone <= 10);  // and hardly any other
       for (int i = 0; i < kCharacters; ++i) {
         Simulation<ReducedModel> simulation(model, options);
-        simulation.hold_targets(held);
+        simulation.balance_targets(standing);
         simulation.start(rig(i, 0), rig(i, 1), weights(i, 0));
         for (int step = 1; step <= 25; ++step) simulation.step(rig(i, step), weights(i, step));
         const VectorXd expected = simulation.coordinates();

@@ -52,7 +52,7 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
       w << 1, 0, 1;
       Transforms rig = scenes::bent(0);
       const Transforms next = scenes::bent(0.01);
-      simulation.hold_targets({rig, rig, rig});
+      simulation.balance_targets({rig, rig, rig});
       allocations = 0;
       simulation.start(rig, next, w);
       CHECK(allocations > 0);  // they are seen
