@@ -29,7 +29,7 @@ const JOB_TYPE = {
             description: "Existing folder for the baked files and for a folder of reports per job",
         },
         {
-            key: "share", type: "string", subtype: "dir_path", required: true,
+            key: "cache_dir", type: "string", subtype: "dir_path", required: true,
             description: "Folder for models and checkpoints, the same for all shots of a character",
         },
         { key: "blendfile", type: "string", required: true, visible: "web", description: "The .blend file to bake" },
@@ -50,7 +50,7 @@ function compileJob(job) {
         const who = character ? ["--object", character] : ["--all"];
         const check = authorTask(`check ${character || "all"}`, ["check", ...who], settings.blendfile);
         const build = authorTask(
-            `build ${character || "all"}`, ["build", ...who, "--cache-dir", settings.share], settings.blendfile);
+            `build ${character || "all"}`, ["build", ...who, "--cache-dir", settings.cache_dir], settings.blendfile);
         build.addDependency(check);
         job.addTask(check);
         job.addTask(build);
@@ -68,7 +68,7 @@ function authorBake(settings, shot, character, wedge, reports) {
     const name = joined(shot, character, wedge);
     return authorTask(`bake ${name}`, [
         "bake", ...(character ? ["--object", character] : ["--all"]), ...(wedge ? ["--set", wedge] : []),
-        ...sinkOf(settings, shot, wedge), ...settings.options.split(/\s+/).filter(Boolean), "--cache-dir", settings.share,
+        ...sinkOf(settings, shot, wedge), ...settings.options.split(/\s+/).filter(Boolean), "--cache-dir", settings.cache_dir,
         "-o", `${settings.output}/${name}.blend`, "--report", `${reports}/${name}.json`,
     ], settings.blendfile);
 }

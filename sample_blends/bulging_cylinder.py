@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bulging cylinder: a soft limb of four bones, 0.6 m long, held out by a stand. Its elbow is spread over two joints.
+"""Bulging cylinder: a soft limb of four bones, 0.6 m long, carried by a stand. Its elbow is spread over two joints.
 
 Everything is in metres; the limb lies along +X and bends up towards +Z, its *inside*.
 """
@@ -35,7 +35,7 @@ ELBOW = (2, 3)
 TIP = 0.55
 BLEND = 0.12  # length over which a joint's two bones share the skin: about the limb's width, so that it never folds
 
-# (frame, bend of the whole elbow in degrees): each stage is reached and held; the fall takes a fifth of a second.
+# (frame, bend of the whole elbow in degrees): each stage is reached and kept; the fall takes a fifth of a second.
 BENDS = ((1, 0), (6, 0), (13, -34), (17, -34), (26, 50), (32, 50), (40, 100), (86, 100), (91, 0), (160, 0))
 # The same push and the same shake twice: on the flexed limb and on the straight one.
 PUSHES = (46, 114)

@@ -126,7 +126,7 @@ def between(vertices: np.ndarray, low: tuple[float, float], high: tuple[float, f
 # Herbert --------------------------------------------------------------------------------------------------------------
 
 UPRIGHT, TUCKED = "upright", "tucked"
-HELD = {UPRIGHT: 1, TUCKED: 91}
+POSES = {UPRIGHT: 1, TUCKED: 91}
 IN_THE_TUCK, AFTER_THE_WALL = range(87, 96), range(176, 201)
 WAIST = (-0.08, 0.88), (0.08, 1.06)  # x and z
 FORWARD = np.array([0.0, -1.0, 0.0])
@@ -148,9 +148,9 @@ def herbert(shot: Shot, runs: dict[str, Run]) -> dict:
         for name, run in runs.items()
     }
     swings: dict[str, dict[str, float]] = {name: {} for name in runs}
-    for pose, frame in HELD.items():
-        held = shaken(shot, frame)
-        for name, run in held.runs({name: SHOWN[name] for name in runs}).items():
+    for pose, frame in POSES.items():
+        still = shaken(shot, frame)
+        for name, run in still.runs({name: SHOWN[name] for name in runs}).items():
             belly = measures.patch_displacement(run.motion - run.static, waist(shot.rest, "belly"), FORWARD)
             swings[name][pose] = measures.amplitude(belly)
     return {"frames": frames, "out": out, "swing": swings}
@@ -163,7 +163,7 @@ def waist(vertices: np.ndarray, patch: str) -> np.ndarray:
 
 
 def shaken(shot: Shot, frame: int) -> Shot:
-    """The pose of a frame held, and shaken along the way the trunk faces; the same in every pose."""
+    """The pose of a frame, shaken along the way the trunk faces; the same in every pose."""
     settings = replace(shot.settings, start=1, end=WATCHED)
     time = np.arange((WATCHED - 1) * settings.substeps + 1) * settings.step
     trunk = shot.character.skeleton.names.index(TRUNK)

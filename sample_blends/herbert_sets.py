@@ -34,8 +34,8 @@ def add_cameras(shots: dict[str, Motion], timeline: Timeline) -> None:
         path = smoothed(np.clip(path, *limits(name)), FOLLOW * motion.FPS)
         camera = place(bpy.data.objects.new(f"{name} camera", data), path[0] + offset, path[0] + [0.3, 0, 0])
         start = timeline.starts[name]
-        held = np.concatenate([np.repeat(path[:1], start - 1, axis=0), path])
-        write_curves(camera, f"{name} camera", {"location": held + offset})
+        extended = np.concatenate([np.repeat(path[:1], start - 1, axis=0), path])
+        write_curves(camera, f"{name} camera", {"location": extended + offset})
         marker = scene.timeline_markers.new(name, frame=start)
         marker.camera = camera
     scene.camera = bpy.data.objects["Dive camera"]

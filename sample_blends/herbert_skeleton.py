@@ -219,8 +219,8 @@ def leg_turns(skeleton: Skeleton, side: str, k: int, motion: Motion, rotations: 
     pelvis, hip = rotations["pelvis"], heads[thigh]
     flat = about(0, motion.foot_pitch[k])
     standing = motion.feet[k] + flat @ (rest[foot] - rest[ball] * [1, 1, 0])
-    held = motion.grounded[k][:, None]
-    ankle = held * standing + (1 - held) * (hip + apply(pelvis, motion.ankles[k]))
+    grounded = motion.grounded[k][:, None]
+    ankle = grounded * standing + (1 - grounded) * (hip + apply(pelvis, motion.ankles[k]))
     angle = motion.grounded[k] * motion.foot_pitch[k] + (1 - motion.grounded[k]) * (motion.pitch + motion.toes)
     out = np.array([1.0 if side == "l" else -1.0, 0, 0])
     ahead = apply(pelvis, motion.knees[:, None] * out + [0, -1.0, 0])

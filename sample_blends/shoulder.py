@@ -43,7 +43,7 @@ from stage import (
 FLOOR = 0.68  # height of the scene's floor on the standing man
 ROD = np.array([0.085, 0.015])  # x, y of the stand's rod, about which the bust turns
 
-# (frame, pose): each is reached and held for a while.
+# (frame, pose): each is reached and kept for a while.
 POSES = (
     (1, REST), (6, REST),
     (28, RAISED), (38, RAISED),

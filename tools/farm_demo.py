@@ -233,10 +233,10 @@ def free_ports(count: int) -> list[int]:
 def run_job(name: str, nodes: int, faults=False) -> dict:
     """Bake everything on so many nodes, with faults among them; returns what came of it. Raises Failed."""
     folder = folder_of(name)
-    output, share, tasks = folder / "output", folder / "share", folder / "tasks"
+    output, caches, tasks = folder / "output", folder / "cache", folder / "tasks"
     output.mkdir(parents=True)
     parameters = {
-        "Name": name, "Folder": str(WORK / "shots"), "Output": str(output), "Share": str(share),
+        "Name": name, "Folder": str(WORK / "shots"), "Output": str(output), "CacheDir": str(caches),
         "Python": sys.executable, "Shots": SHOTS, "Characters": CHARACTERS, "Wedges": WEDGES,
     }  # fmt: skip
     with Farm(folder / "slurm", nodes) as farm:
@@ -257,7 +257,7 @@ def run_job(name: str, nodes: int, faults=False) -> dict:
         "nodes": nodes,
         "seconds": round(seconds, 1),
         "tasks": {step: len(list((tasks / step).glob("*.0.log"))) for step in steps},
-        "models": models_built_once(share, tasks),
+        "models": models_built_once(caches, tasks),
         "frames": max(bake["frames"][1] for bake in bakes.values()),
         "hashes": {each: bake["hash"] for each, bake in bakes.items()},
         "steps_per_second": round(statistics.median(bake["steps_per_second"] for bake in bakes.values())),
@@ -294,10 +294,10 @@ def bake_name(tasks: Path, bake: Bake) -> str:
     return " ".join(filter(None, values.values()))
 
 
-def models_built_once(share: Path, tasks: Path) -> int:
+def models_built_once(caches: Path, tasks: Path) -> int:
     """How many models there are that no task wrote after the step that builds them."""
     built = max(path.stat().st_mtime for path in tasks.glob("Build/*.log"))
-    return sum(path.stat().st_mtime <= built for path in share.glob("*.dynamorph"))
+    return sum(path.stat().st_mtime <= built for path in caches.glob("*.dynamorph"))
 
 
 def try_bad_input(farm: Farm, parameters: dict, folder: Path) -> int:

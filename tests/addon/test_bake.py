@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bake simulates: its start, how it resumes, loops, and the effect of gains and influence on the modes."""
+"""What a bake simulates: its start, how it resumes, loops, and the effect of gains and motion amounts on the modes."""
 
 from dataclasses import replace
 
@@ -106,15 +106,15 @@ def test_gains_are_baked(shot):
 
 
 @pytest.mark.parametrize("change", [{}, {"solver": "FULL", "modes": 40}, {"method": "STATIC"}])
-def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change):
+def test_motion_amounts_of_the_targets_say_how_much_shows(shot, change):
     """In their poses; in between each contributes by its weight."""
     build, simulate = part("engine").engine()
     character = shot.character.with_settings(**change)
     model = build.build(character)
 
-    def motion(*influence):
+    def motion(*amounts):
         sets = character.target_sets[0]
-        targets = tuple(replace(t, influence=value) for t, value in zip(sets.targets, influence, strict=True))
+        targets = tuple(replace(t, motion_amount=value) for t, value in zip(sets.targets, amounts, strict=True))
         shown = replace(character, target_sets=(replace(sets, targets=targets),))
         assert build.stale_reasons(model, shown) == []
         bake, _ = simulate.bake(model, shown, shot.computation.rig, shot.settings)
@@ -123,17 +123,17 @@ def test_influence_of_the_targets_says_how_much_of_the_motion_shows(shot, change
     whole, weights = motion(1.0, 1.0)
     largest = np.abs(whole).max(initial=0.0)
     assert weights[0] == pytest.approx([1, 0]) and weights[-1] == pytest.approx([0, 1])
-    for influence in ((0.0, 0.0), (1.0, 0.0), (0.0, 0.7)):
-        shown = (weights @ influence)[:, None, None] * whole
-        assert motion(*influence)[0] == pytest.approx(shown, abs=1e-5 * largest)
+    for amounts in ((0.0, 0.0), (1.0, 0.0), (0.0, 0.7)):
+        shown = (weights @ amounts)[:, None, None] * whole
+        assert motion(*amounts)[0] == pytest.approx(shown, abs=1e-5 * largest)
     assert largest > 1e-3 * size(shot) or "method" in change
 
 
 # How it begins -----------------------------------------------------------------------------------------------------
 
 
-def held(shot, frames=20):
-    """The rig held at its pose in the middle of the shot, between the targets, where gravity sags the tissue."""
+def standing(shot, frames=20):
+    """The rig standing in its pose in the middle of the shot, between the targets, where gravity sags the tissue."""
     count = 1 + (frames - 1) * shot.settings.substeps
     rig = shot.computation.rig
     middle = rig[len(rig) // 2 :][:1]
@@ -141,18 +141,18 @@ def held(shot, frames=20):
 
 
 def test_settle_begins_in_balance(shot):
-    settled = simulated(shot, held(shot), begin="SETTLE")
+    settled = simulated(shot, standing(shot), begin="SETTLE")
     assert np.abs(settled - settled[0]).max() < 1e-6 * np.abs(settled[0]).max()
 
 
 def test_rest_begins_with_the_targets_shapes_and_then_sags(shot):
     player = part("player").Player(shot.model, shot.character, replace(shot.settings, begin="REST"))
-    begun = player.begin(held(shot))
+    begun = player.begin(standing(shot))
     assert np.array_equal(begun.coordinates, player.static(begun.weights))
-    free, settled = simulated(shot, held(shot), begin="REST"), simulated(shot, held(shot), begin="SETTLE")
+    free, settled = simulated(shot, standing(shot), begin="REST"), simulated(shot, standing(shot), begin="SETTLE")
     assert np.array_equal(free[0], begun.coordinates)
     assert np.abs(free[-1] - free[0]).max() > 0.1 * np.abs(settled[0] - free[0]).max() > 0
-    calmed = simulated(shot, held(shot), begin="REST", preroll=200)
+    calmed = simulated(shot, standing(shot), begin="REST", preroll=200)
     assert calmed[0] == pytest.approx(settled[0], abs=1e-3 * np.abs(settled[0] - free[0]).max())
 
 
@@ -161,7 +161,7 @@ def test_rest_knows_no_motion_before_the_start(shot):
     rig, still = shot.computation.rig, dict.fromkeys(["gravity"], (0.0, 0.0, 0.0))
     world = np.array(rig.rig_world)
     world[:, 0, 3] += 3.0 * np.arange(len(world)) * shot.settings.step  # 3 m/s along x
-    moving = replace(held(shot), rig_world=world, object_world=world)
+    moving = replace(standing(shot), rig_world=world, object_world=world)
     rest, settled = (simulated(shot, moving, begin=begin, **still) for begin in ("REST", "SETTLE"))
     assert np.abs(settled - settled[0]).max() < 1e-6
     assert np.abs(rest - rest[0]).max() > 100 * np.abs(settled - settled[0]).max() + 1e-4
@@ -218,11 +218,11 @@ def test_a_run_up_is_what_came_before(shot, swaying):
 
 def test_a_run_up_comes_in_stretches_too(shot, swaying, tmp_path, monkeypatch):
     whole = baked(swaying, (50, 60), preroll=20)
-    batch, errors, share = part("batch"), part("errors"), part("cache_dir").Share(tmp_path)
+    batch, errors, caches = part("batch"), part("errors"), part("cache_dir").CacheDir(tmp_path)
     monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 7)
     stretched = baked(swaying, (50, 60), preroll=20)
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 7)
-    job = part("job").Job(swaying, "BAKE", (50, 60), share=share)
+    job = part("job").Job(swaying, "BAKE", (50, 60), cache_dir=caches)
     steps = batch.Batch([job], "BAKE").steps()
     next(steps)
     while not (job.computation.shot and job.computation.done == 15):  # two chunks
@@ -230,7 +230,7 @@ def test_a_run_up_comes_in_stretches_too(shot, swaying, tmp_path, monkeypatch):
     job.cancelled = True
     with pytest.raises(errors.Cancelled):
         list(steps)
-    resumed = part("job").Job(swaying, "BAKE", (50, 60), share=share)
+    resumed = part("job").Job(swaying, "BAKE", (50, 60), cache_dir=caches)
     batch.run(resumed)
     assert len(resumed.input.resumed["coordinates"]) >= 8
     for job in (stretched, resumed):
@@ -365,7 +365,7 @@ def cyclic(shot, frames=12, travel=0.0, closed=True):
     """The rig sways and bends once while it travels along y, metres; or nearly once."""
     count = 1 + (frames - 1) * shot.settings.substeps
     phase = np.linspace(0.0, 1.0 if closed else 0.9, count)
-    rig = held(shot, frames)
+    rig = standing(shot, frames)
     world = np.array(rig.rig_world)
     world[:, 0, 3] += 0.1 * np.sin(2 * np.pi * phase)
     world[:, 1, 3] += travel * np.linspace(0.0, 1.0, count)
@@ -503,7 +503,7 @@ def test_a_loop_is_what_many_cycles_come_to(shot):
 def test_a_loop_closes_whatever_its_targets_hide(shot):
     """Where they hide the motion at the seam, it is periodic all the same: it shows elsewhere."""
     sets = shot.character.target_sets[0]
-    hidden = tuple(replace(t, influence=k) for k, t in enumerate(sets.targets))
+    hidden = tuple(replace(t, motion_amount=k) for k, t in enumerate(sets.targets))
     character = replace(shot.character, target_sets=(replace(sets, targets=hidden),))
     rig, settings = cyclic(shot), replace(shot.settings, end=shot.settings.start + 11, loop=True)
     (bake, report), (open_, before) = (

@@ -178,7 +178,7 @@ def test_shape_is_relative_to_its_key_times_its_group(soft_arm):
     vertices, _ = scenes.tube()
     blocks = soft_arm.data.shape_keys.key_blocks
     blocks["flexed"].relative_key = blocks["smile"]
-    blocks["flexed"].value = 0.3  # has no influence: the shape is that at 1
+    blocks["flexed"].value = 0.3  # has no effect: the shape is that at 1
     group = soft_arm.vertex_groups.new(name="Half")
     group.add(list(range(100)), 0.5, "REPLACE")
     blocks["flexed"].vertex_group = "Half"
@@ -256,18 +256,18 @@ def test_captured_pose_counts_constraints(scene, soft_arm):
     np.testing.assert_allclose(angles, [0.5, 0.0], atol=1e-5)
 
 
-def test_collapsed_bones_are_held(scene, soft_arm):
+def test_collapsed_bones_keep_their_size(scene, soft_arm):
     rig_motion, rig_samples, extract = part("rig_motion"), part("rig_samples"), part("extract")
     bone = rig_of(soft_arm).pose.bones["lower"]
     for frame, size in ((9, 1.0), (10, 0.0), (12, 0.0), (13, 1.0)):
         bone.scale = (size, size, size)
         bone.keyframe_insert("scale", frame=frame)
     samples = rig_motion.sample_rig(soft_arm, 1, 20, 1)
-    held, warnings = rig_samples.hold_collapsed(samples, extract.character(soft_arm).skeleton)
+    kept, warnings = rig_samples.keep_collapsed(samples, extract.character(soft_arm).skeleton)
     assert len(warnings) == 1 and "'lower'" in warnings[0] and "3 of 20" in warnings[0]
-    np.testing.assert_allclose(held.pose[9:12, 1], np.tile(held.pose[8, 1], (3, 1, 1)), atol=1e-12)
-    np.testing.assert_array_equal(held.pose[12:], samples.pose[12:])
-    assert np.isfinite(extract.character(soft_arm).skeleton.local_transforms(held.pose)).all()
+    np.testing.assert_allclose(kept.pose[9:12, 1], np.tile(kept.pose[8, 1], (3, 1, 1)), atol=1e-12)
+    np.testing.assert_array_equal(kept.pose[12:], samples.pose[12:])
+    assert np.isfinite(extract.character(soft_arm).skeleton.local_transforms(kept.pose)).all()
 
 
 @pytest.mark.parametrize("first", [1, 9, 10])
@@ -293,11 +293,11 @@ def test_collapsed_bones_follow_their_parents(scene, soft_arm, first):
     before = rig_motion.sample_rig(soft_arm, 9, 9, 1).pose[0]
     samples = rig_motion.sample_rig(soft_arm, first, 20, 1)
     for known in (None, before):
-        held, _ = rig_samples.hold_collapsed(samples, skeleton, known)
+        kept, _ = rig_samples.keep_collapsed(samples, skeleton, known)
         bent = 0.4 if first < 10 or known is not None else 0.0
-        angles = geometry.turned(skeleton.local_transforms(held.pose)[:, 1], np.tile(np.eye(4), (len(held), 1, 1)))
+        angles = geometry.turned(skeleton.local_transforms(kept.pose)[:, 1], np.tile(np.eye(4), (len(kept), 1, 1)))
         np.testing.assert_allclose(angles, bent, atol=1e-5)
-        np.testing.assert_array_equal(held.pose[:, 0], samples.pose[:, 0])
+        np.testing.assert_array_equal(kept.pose[:, 0], samples.pose[:, 0])
 
 
 # What is refused: each message must name these words --------------------------------------------------------------

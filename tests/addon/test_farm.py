@@ -155,7 +155,7 @@ def run_template(tmp_path):
     python = program(tmp_path, "python", f'printf "%s\\n" "$@" "" >>"{tmp_path}/called"')
 
     def run(**parameters):
-        folders = {"Folder": str(tmp_path), "Output": str(tmp_path / "out"), "Share": str(tmp_path)}
+        folders = {"Folder": str(tmp_path), "Output": str(tmp_path / "out"), "CacheDir": str(tmp_path)}
         (tmp_path / "called").unlink(missing_ok=True)
         subprocess.run(
             [OPENJD / "openjd", "run", FARM / "dynamorph.openjd.yaml", "--step", "Collect", "--run-dependencies",
@@ -216,7 +216,7 @@ def compiled():
         pytest.skip("needs node, to run the job type")
 
     def run(**settings):
-        settings = {"blendfile": "/shots/walk.flamenco.blend", "output": "/out", "share": "/share"} | settings
+        settings = {"blendfile": "/shots/walk.flamenco.blend", "output": "/out", "cache_dir": "/cache"} | settings
         done = subprocess.run(
             [node, "-e", FLAMENCO, FARM / "flamenco_dynamorph.js", json.dumps(settings)],
             capture_output=True, text=True, check=True,

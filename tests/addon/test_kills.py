@@ -52,18 +52,18 @@ def baked(process, report):
     return json.loads(report.read_text())["characters"][0]["bake"]
 
 
-def kept_at(share):
+def kept_at(caches):
     """When an unfinished bake was kept last."""
-    return [path.stat().st_mtime_ns for path in share.glob("*.unfinished")]
+    return [path.stat().st_mtime_ns for path in caches.glob("*.unfinished")]
 
 
-def killed(shot, report, share, moments):
+def killed(shot, report, caches, moments):
     """Resumes a bake until its state is stored, and kills it at a random moment after that; False if it finished
     before.
     """
-    before = kept_at(share)
-    with baking(shot, report, "--cache-dir", share) as process:
-        while process.poll() is None and kept_at(share) == before:
+    before = kept_at(caches)
+    with baking(shot, report, "--cache-dir", caches) as process:
+        while process.poll() is None and kept_at(caches) == before:
             time.sleep(0.01)
         time.sleep(moments.uniform(0.0, 0.1))
         process.kill()
@@ -74,14 +74,14 @@ def test_killed_at_any_moment_nothing_is_lost(shot, tmp_path):
     """With kill -9, as often as DYNAMORPH_KILLS says, at random moments of the bake; then it finishes with the bytes of
     an undisturbed bake.
     """
-    whole, share = tmp_path / "whole.json", tmp_path / "share"
+    whole, caches = tmp_path / "whole.json", tmp_path / "caches"
     undisturbed = baked(baking(shot, whole), whole)
     done, moments, kills = tmp_path / "done.json", random.Random(1), 0
-    while kills < KILLS and killed(shot, done, share, moments):
+    while kills < KILLS and killed(shot, done, caches, moments):
         kills += 1
     assert kills > 0
-    found = baked(baking(shot, done, "--cache-dir", share), done)
+    found = baked(baking(shot, done, "--cache-dir", caches), done)
     assert found["hash"] == undisturbed["hash"]
     assert found["steps"] == undisturbed["steps"]
-    assert not list(share.glob("*.unfinished"))  # it is saved now
-    assert len(list(share.glob("*.dynamorph"))) == 1
+    assert not list(caches.glob("*.unfinished"))  # it is saved now
+    assert len(list(caches.glob("*.dynamorph"))) == 1

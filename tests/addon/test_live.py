@@ -225,7 +225,7 @@ def test_other_methods_show_what_their_bake_does(live_arm, method):
     assert apart(evaluated_points(live_arm), shown) < 1e-5
 
 
-def test_collapsed_bones_are_held_from_block_to_block(live_arm):
+def test_collapsed_bones_keep_their_size_from_block_to_block(live_arm):
     bone = rig_of(live_arm).pose.bones["lower"]
     for frame, size in ((10, 1.0), (11, 0.0)):
         bone.scale = (size, size, size)
@@ -315,7 +315,7 @@ def test_gains_and_solo_show_at_once(playing):
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
 
 
-def test_influence_of_a_target_shows_at_once_and_as_in_the_bake(playing):
+def test_motion_amount_of_a_target_shows_at_once_and_as_in_the_bake(playing):
     whole = play(playing, range(1, 21))
     playing.dynamorph.targets["flexed"].influence = 0.0
     bake, static = baked(playing), session(playing).tissue.player.static
@@ -330,11 +330,11 @@ def test_influence_of_a_target_shows_at_once_and_as_in_the_bake(playing):
     assert apart(play(playing, range(1, 21)), whole) < 1e-6
 
 
-def test_influence_of_a_target_that_is_no_number_is_refused(playing):
+def test_motion_amount_of_a_target_that_is_no_number_is_refused(playing):
     play(playing, range(1, 4))
     playing.dynamorph.targets["flexed"].influence = float("nan")
     stopped(playing, "reset the gains")
-    with pytest.raises(part("errors").SceneError, match="influence of target 'flexed' is not a number"):
+    with pytest.raises(part("errors").SceneError, match="motion amount of target 'flexed' is not a number"):
         baked(playing)
 
 

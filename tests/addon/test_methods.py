@@ -19,7 +19,7 @@ def arm(soft_arm):
     """The soft arm with a coarse cage, bent quickly to 'flexed', which is ten times as stiff."""
     soft_arm.dynamorph.model.cage_nodes = 150
     soft_arm.dynamorph.model.modes = 8
-    soft_arm.dynamorph.model.pin_radius = 0.8  # a cage held along one line could spin about it
+    soft_arm.dynamorph.model.pin_radius = 0.8  # a cage pinned along one line could spin about it
     soft_arm.dynamorph.targets["flexed"].stiffness = 10 * soft_arm.dynamorph.targets[0].stiffness
     return soft_arm
 
@@ -97,13 +97,13 @@ def test_shape_follows_the_pose_and_stiffness_only_if_dynamic(arm, method, solve
     engine = job.model.engine(job.character)
     stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
     simulation = stepper(engine, 0.01)
-    held = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
+    still = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
     push = np.zeros_like(job.model.nodes)
     push[job.model.nodes[:, 2] > 1.5, 0] = 1.0
     given = []
     for weights in ([1.0, 0.0], [0.0, 1.0]):
-        rest, _ = simulation.solve_static(held, np.array(weights))
-        pushed, _ = simulation.solve_static(held, np.array(weights), push, rest)
+        rest, _ = simulation.solve_static(still, np.array(weights))
+        pushed, _ = simulation.solve_static(still, np.array(weights), push, rest)
         given.append(np.abs(engine.displacement(pushed) - engine.displacement(rest)).max())
         assert np.allclose(rest, np.array(weights) @ [engine.target(0), engine.target(1)], atol=1e-9)
     expected = 10.0 if method == "DYNAMIC" else 1.0
@@ -117,10 +117,10 @@ def test_regions_have_weights_of_their_own(two_regions):
         job.result.weights[:, 2:].sum(axis=1), 1
     )
     assert job.result.weights[-1] == pytest.approx([0, 1, 1, 0], abs=1e-6)
-    shares = job.model.shares
-    assert np.allclose(shares.sum(axis=1), 1)
+    regions = job.model.region_weights
+    assert np.allclose(regions.sum(axis=1), 1)
     centres = job.model.nodes[job.model.tets].mean(axis=1)[:, 2]
-    assert shares[centres > 1.8, 1].min() > 0.8 and shares[centres < 1.0, 1].max() < 0.2
+    assert regions[centres > 1.8, 1].min() > 0.8 and regions[centres < 1.0, 1].max() < 0.2
     assert_shows(two_regions, job.result)
 
 
@@ -129,9 +129,9 @@ def test_targets_are_met_in_both_regions_at_once(two_regions, solver):
     job = run(two_regions, solver=solver)
     engine = job.model.engine(job.character)
     stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
-    held = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
+    still = np.repeat(np.eye(3, 4)[None], job.model.node_weights.shape[1], axis=0)
     weights = np.array([0.0, 1.0, 0.0, 1.0])
-    rest, report = stepper(engine, 0.01).solve_static(held, weights, guess=np.zeros_like(engine.target(0)))
+    rest, report = stepper(engine, 0.01).solve_static(still, weights, guess=np.zeros_like(engine.target(0)))
     shape = job.model.surface(engine.displacement(rest)) + np.tensordot(weights, job.model.residual_shapes, 1)
     sculpted = np.tensordot(weights, [target.shape for target in job.character.targets], 1)
     assert report["converged"]
@@ -139,13 +139,13 @@ def test_targets_are_met_in_both_regions_at_once(two_regions, solver):
 
 
 @pytest.mark.parametrize("solver, leak", [("FULL", 0.05), ("REDUCED", 0.1)])
-def test_influence_of_a_target_ends_with_its_region(two_regions, solver, leak):
+def test_motion_amount_of_a_target_ends_with_its_region(two_regions, solver, leak):
     """As well as the nodes know it, or the modes can."""
     rig_of(two_regions).pose.bones["upper"].rotation_euler.y = 0.8  # the pose of 'tip', all the time
     run(two_regions, solver=solver, modes=40)
     motion = []
-    for influence in (1.0, 0.0):
-        two_regions.dynamorph.targets["tip"].influence = influence
+    for amount in (1.0, 0.0):
+        two_regions.dynamorph.targets["tip"].influence = amount
         job = run(two_regions)
         bake = job.result
         motion.append(np.tensordot(bake.coordinates - bake.static, bake.modes, 1))

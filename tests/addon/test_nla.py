@@ -37,7 +37,7 @@ def strip_of(rig, action, start=FIRST, **settings):
     return strip
 
 
-def scaled_and_held(rig, action):
+def scaled_and_extended(rig, action):
     strip_of(rig, action, 4, scale=0.6, extrapolation="HOLD")
 
 
@@ -81,7 +81,7 @@ def key_plainly(rig):
             point.interpolation = "LINEAR"
 
 
-@pytest.mark.parametrize("playing", [scaled_and_held, backward, several_times, nothing_before_and_after, faded])
+@pytest.mark.parametrize("playing", [scaled_and_extended, backward, several_times, nothing_before_and_after, faded])
 def test_a_rig_that_strips_move_is_baked_as_one_that_is_keyed(swaying, playing):
     obj, action = swaying
     rig = rig_of(obj)

@@ -93,11 +93,11 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
     character = part("extract").character(arm)
     weights = scenes.two_bone_weights(scenes.tube()[0])
     weights = np.hstack([weights, 1.0 - weights.sum(axis=1, keepdims=True)])
-    corners, shares = follower.skin.corners, follower.skin.weights
+    corners, inside = follower.skin.corners, follower.skin.weights
     for frame, shown, before in zip((1, 9, 20), motion(sleeve), stiff, strict=True):
         moved = np.einsum("k,pkc->pc", job.result.coordinates[frame - 1], bind)
         residual = np.tensordot(job.result.weights[frame - 1], job.result.residual_shapes, 1)
-        moved += np.einsum("pc,pcx->px", shares, residual[corners]) @ character.to_bind.T
+        moved += np.einsum("pc,pcx->px", inside, residual[corners]) @ character.to_bind.T
         local = (follower.vertices + moved) @ np.linalg.inv(character.to_bind).T
         worn = part("character").Character(**{**vars(character), "vertices": local, "weights": weights})
         expected = skinned(worn, job.computation.rig[(frame - 1) * job.settings.substeps :][:1])[0]

@@ -98,9 +98,9 @@ def test_a_target_s_pose_shows_the_sculpted_shape(baked):
     assert any(job.settings.gravity)
     for gravity in (job.settings.gravity, (0.0, 0.0, 0.0)):
         settings = replace(job.settings, start=1, end=1, gravity=gravity)
-        held, _ = simulate.bake(job.model, job.character, rig, settings)
-        assert held.weights[0] == pytest.approx(np.eye(len(targets))[1], abs=1e-9)
-        assert np.abs(held.displacement(0) - targets[1].shape).max() < 1e-6 * height(job)
+        still, _ = simulate.bake(job.model, job.character, rig, settings)
+        assert still.weights[0] == pytest.approx(np.eye(len(targets))[1], abs=1e-9)
+        assert np.abs(still.displacement(0) - targets[1].shape).max() < 1e-6 * height(job)
 
 
 def test_picture(baked, single):

@@ -518,7 +518,7 @@ def test_a_sculpt_is_hidden_by_the_frames_that_have_another_pose(bar):
     OPS.new_from_pose(key="flexed")
     sculpt(bar, "flexed", 1.0)
     OPS.finish_sculpt()
-    for frame in (5, 6, 8):  # the pose is held, and something else moves
+    for frame in (5, 6, 8):  # the pose stays, and something else moves
         bpy.context.scene.frame_set(frame)
         assert value(bar, "flexed") == 1.0
     bpy.context.scene.frame_set(10)

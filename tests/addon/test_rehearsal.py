@@ -154,7 +154,7 @@ def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
     assert parts.result.coordinates == pytest.approx(whole.result.coordinates, rel=1e-4, abs=1e-6)
 
 
-@pytest.mark.parametrize("how", ["by hand", "pascals", "part", "patch", "unlimited", "share"])
+@pytest.mark.parametrize("how", ["by hand", "pascals", "part", "patch", "unlimited", "cache"])
 def test_what_others_have_to_agree_with_is_not_rehearsed(new_arm, how, tmp_path):
     limit(new_arm, 0.0 if how == "unlimited" else 1e-4)
     settings, options = new_arm.dynamorph, {}
@@ -165,8 +165,8 @@ def test_what_others_have_to_agree_with_is_not_rehearsed(new_arm, how, tmp_path)
         settings.targets[0].stiffness *= 0.9
     elif how == "part":
         options["frames"] = (1, 10)
-    elif how == "share":
-        options["share"] = part("cache_dir").Share(tmp_path)
+    elif how == "cache":
+        options["cache_dir"] = part("cache_dir").CacheDir(tmp_path)
     elif how == "patch":
         settings.simulation.use_scene_range, settings.simulation.keep_outside = False, True
         settings.simulation.start, settings.simulation.end = 1, 12
@@ -202,7 +202,7 @@ def test_old_settings_are_left_alone(new_arm):
     neutral.set_material(part("settings").Material())
     before = neutral.material()
     job = bake(new_arm)
-    assert neutral.material() == before and not len(job.model.held) and job.model.pinned.any()
+    assert neutral.material() == before and not len(job.model.hold_strength) and job.model.pinned.any()
 
 
 # The verdict -------------------------------------------------------------------------------------------------------

@@ -220,8 +220,8 @@ def mirrored_rig(obj):
 def mirrored_both(obj):
     parent = empty()
     parent.scale = (1.0, -1.5, 1.0)
-    for held in (obj, rig_of(obj)):
-        held.parent = parent
+    for child in (obj, rig_of(obj)):
+        child.parent = parent
 
 
 def sheared(obj):

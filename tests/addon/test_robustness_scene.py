@@ -95,7 +95,7 @@ def test_a_mirrored_character_moves_as_its_mirror_image(skin):
 def test_small_units_below_a_small_scale_change_nothing(scene, skin):
     """By a power of two, which rounds nothing: the same cage, and the same motion in the world.
 
-    The targets' poses, whose sag gravity is held against, were captured before.
+    The targets' poses, whose sag is balanced, were captured before.
     """
     bake(skin)
     shown = motion(skin)

@@ -54,7 +54,7 @@ def baked(shoulder):
 
 
 def static_shape(shoulder, motion, frame):
-    """The targets' shapes blended by the pose, nothing moving by itself; the arm is held as in target `motion`."""
+    """The targets' shapes blended by the pose, nothing moving by itself; the arm is posed as in target `motion`."""
     names = ("Neutral", "Half fold", "Folded")
     knots = [turn(shoulder.targets[name].local[FOREARM]) for name in names]
     angle = turn(shoulder.elbow[frame - 1])
@@ -74,7 +74,7 @@ def intersecting_pairs(shoulder, vertices):
     The rest of the skin keeps its shape while the elbow folds: that is looked at once, with `measures`.
     """
     triangles = shoulder.character.triangles
-    near = triangles[(shoulder.character.target_sets[1].share[triangles] > 0).any(axis=1)]
+    near = triangles[(shoulder.character.target_sets[1].region_weights[triangles] > 0).any(axis=1)]
     points = vertices.tolist()
     whole, elbow = (BVHTree.FromPolygons(points, faces.tolist()) for faces in (triangles, near))
     pairs = np.array(elbow.overlap(whole), int).reshape(-1, 2)
@@ -151,7 +151,7 @@ def test_model_has_the_size_of_the_thesis(baked):
 
 def test_elbow_shakes_when_relaxed_and_holds_when_folded(shoulder, baked):
     shapes = np.array([target.shape for target in shoulder.character.targets])
-    elbow = shoulder.character.target_sets[1].share > 0.9
+    elbow = shoulder.character.target_sets[1].region_weights > 0.9
 
     def swing(first, last):
         weights = baked.result.weights

@@ -68,7 +68,7 @@ def test_the_artists_action_and_nla_play_on(scene, soft_arm):
     scene.frame_set(1)
     assert smile.value == pytest.approx(1 / 20)
     values = bake.coordinates[:, 0] / np.abs(bake.coordinates[:, 0]).max()
-    for frame, index in ((-50, 0), (1, 0), (7, 6), (20, 19), (500, 19)):  # held outside the range
+    for frame, index in ((-50, 0), (1, 0), (7, 6), (20, 19), (500, 19)):  # constant outside the range
         scene.frame_set(frame)
         assert keys.key_blocks["Dynamorph Mode 01"].value == pytest.approx(values[index], abs=1e-6)
     scene.frame_set(7, subframe=0.5)

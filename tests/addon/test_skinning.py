@@ -97,7 +97,7 @@ def hybrid(obj):
     second.vertex_group = "Twist"
 
 
-def five_influences(obj):
+def five_bones(obj):
     """More bones at a vertex than an exporter would keep."""
     rig = rig_of(obj)
     activate(rig)
@@ -142,7 +142,7 @@ def both(first, second):
 
 
 LINEAR = [
-    five_influences, groups_without_bones, locked_groups, zero_weights, masked, not_deforming, moved_and_scaled,
+    five_bones, groups_without_bones, locked_groups, zero_weights, masked, not_deforming, moved_and_scaled,
     mirrored,
 ]  # fmt: skip
 QUATERNIONS = [
@@ -248,8 +248,8 @@ def test_probing_in_slices_is_the_same_and_leaves_nothing_between_them(soft_arm)
         assert [len(getattr(bpy.data, kind)) for kind in kinds] == before
     at_once = rig_motion.sample_rig(soft_arm, 1, 20, 2, probe)
     np.testing.assert_array_equal(sampling.samples().nodes.points, at_once.nodes.points)
-    np.testing.assert_array_equal(sampling.samples().held.points, at_once.held.points)
-    assert at_once[5:7].nodes.points.shape == (2, 4, 272, 3) and len(at_once[5:7].held.points) == 2
+    np.testing.assert_array_equal(sampling.samples().target_nodes.points, at_once.target_nodes.points)
+    assert at_once[5:7].nodes.points.shape == (2, 4, 272, 3) and len(at_once[5:7].target_nodes.points) == 2
 
 
 @pytest.mark.parametrize("inherit", ["FULL", "ALIGNED", "NONE"])
@@ -267,8 +267,8 @@ def test_captured_poses_are_taken_again(scene, soft_arm, inherit):
     bpy.ops.dynamorph.capture_pose()
     probe, rest = skin_probe(soft_arm)
     samples = part("rig_motion").sample_rig(soft_arm, 20, 20, 1, probe)
-    held = moved(samples.held.transforms(np.repeat(samples.object_world, 2, axis=0)), rest)
-    assert np.abs(held[1] - evaluated_points(soft_arm)).max() < 1e-5
+    at_targets = moved(samples.target_nodes.transforms(np.repeat(samples.object_world, 2, axis=0)), rest)
+    assert np.abs(at_targets[1] - evaluated_points(soft_arm)).max() < 1e-5
     assert [c.type for c in rig.pose.bones["lower"].constraints] == ["LIMIT_ROTATION"]
 
 
@@ -367,7 +367,7 @@ def test_on_plain_bones_both_ways_are_one(small_arm, monkeypatch, solver):
     assert moved_by > 0.01 and max(apart) < 2e-6
 
 
-def test_a_target_is_held_against_gravity_in_its_own_pose(small_arm):
+def test_a_target_is_balanced_against_gravity_in_its_own_pose(small_arm):
     twisting(small_arm)
     bpy.context.scene.frame_set(20)
     small_arm.dynamorph.active_target_index = 1
@@ -375,10 +375,10 @@ def test_a_target_is_held_against_gravity_in_its_own_pose(small_arm):
     job = run(small_arm)
     assert any(job.settings.gravity)
     still = replace(job.settings, start=20, end=20)
-    held, _ = part("simulate").bake(job.model, job.character, job.computation.rig[-1:], still)
+    balanced, _ = part("simulate").bake(job.model, job.character, job.computation.rig[-1:], still)
     shape = job.character.targets[1].shape
-    assert np.abs(held.displacement(0) - shape).max() < 1e-5
-    without = replace(job.computation.rig[-1:], held=None)
+    assert np.abs(balanced.displacement(0) - shape).max() < 1e-5
+    without = replace(job.computation.rig[-1:], target_nodes=None)
     with pytest.raises(ValueError, match="sampled without the nodes"):
         part("simulate").bake(job.model, job.character, without, still)
 
@@ -411,14 +411,14 @@ def test_a_loop_a_jump_and_wind(scene, small_arm):
     assert "gap" in run(small_arm).report
 
 
-def test_bones_scaled_to_zero_are_held(small_arm):
+def test_bones_scaled_to_zero_keep_their_size(small_arm):
     twisting(small_arm)
     bone = rig_of(small_arm).pose.bones["lower"]
     for frame, scale in ((1, 1.0), (8, 1.0), (9, 0.0), (12, 0.0), (13, 1.0)):
         bone.scale = (scale, scale, scale)
         bone.keyframe_insert("scale", frame=frame)
     job = run(small_arm)
-    assert any("Bones scaled to zero are held" in text for text in job.warnings)
+    assert any("Bones scaled to zero keep their last size" in text for text in job.warnings)
     assert max(np.abs(job.result.displacement(k)).max() for k in range(20)) < 1.0
 
 

@@ -315,7 +315,7 @@ def test_a_pose_of_bones_that_inherit_otherwise(soft_arm):
     assert rig_motion.current_pose(soft_arm)[1] == pytest.approx(captured, abs=1e-5)
 
 
-def test_go_to_pose_names_bones_that_are_held(soft_arm, capfd):
+def test_go_to_pose_names_bones_that_stay_elsewhere(soft_arm, capfd):
     rig = pose_by_hand(soft_arm)
     limit = rig.pose.bones["lower"].constraints.new("LIMIT_ROTATION")
     limit.owner_space, limit.use_limit_x, limit.max_x = "LOCAL", True, 1.0

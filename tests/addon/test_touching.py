@@ -65,7 +65,7 @@ def test_arms_at_the_sides_are_cut_free(body):
     np.testing.assert_array_equal(cut.volumes, mesh.volumes)
 
 
-def test_arms_held_away_leave_the_mesh_as_it_is(body):
+def test_arms_spread_leave_the_mesh_as_it_is(body):
     vertices, triangles = posed(*body, 0)
     *_, mesh = dynamorph.mesh_body(vertices, triangles, 2000)
     mesh_cut = dynamorph.MeshCut(mesh, vertices, triangles)

@@ -104,18 +104,18 @@ def clear():
     return bpy.context.scene
 
 
-# The same character, held otherwise --------------------------------------------------------------------------------
+# The same character, placed otherwise --------------------------------------------------------------------------------
 
 
-def reframe(held, frame: Matrix):
+def reframe(placed, frame: Matrix):
     """Another transform of an object, undone in its data."""
-    if held.type == "MESH":
-        held.data.transform(frame.inverted(), shape_keys=True)
+    if placed.type == "MESH":
+        placed.data.transform(frame.inverted(), shape_keys=True)
     else:
-        held.data.transform(frame.inverted())
-        held.data.update_tag()
-        _scale_travel(held, 1.0 / frame.median_scale)
-    held.matrix_basis = held.matrix_basis @ frame
+        placed.data.transform(frame.inverted())
+        placed.data.update_tag()
+        _scale_travel(placed, 1.0 / frame.median_scale)
+    placed.matrix_basis = placed.matrix_basis @ frame
 
 
 def _scale_travel(rig, factor: float):
@@ -137,8 +137,8 @@ def in_units(obj, metres: float):
     """In a scene with a unit of this many meters, all numbers scale accordingly."""
     bpy.context.scene.unit_settings.scale_length = metres
     scaled(obj, metres, metres)
-    for held in (obj, rig_of(obj)):
-        held.matrix_basis = Matrix.Scale(1.0 / metres, 4) @ held.matrix_basis
+    for placed in (obj, rig_of(obj)):
+        placed.matrix_basis = Matrix.Scale(1.0 / metres, 4) @ placed.matrix_basis
 
 
 def holder(transform: Matrix):
@@ -161,21 +161,21 @@ def turned(angle: float, axis: str) -> Matrix:
 
 
 def both_on(parent, obj):
-    for held in (obj, rig_of(obj)):
-        parented(held, parent)
+    for placed in (obj, rig_of(obj)):
+        parented(placed, parent)
     return parent
 
 
-def held_by_fbx(obj):
+def placed_by_fbx(obj):
     """As an import leaves it: y is up and the data in centimeters, undone by a parent."""
     frame = turned(pi / 2, "X") @ Matrix.Scale(0.01, 4)
     empty = holder(frame)
-    for held in (obj, rig_of(obj)):
-        reframe(held, frame)
-        held.parent, held.matrix_basis = empty, Matrix()
+    for placed in (obj, rig_of(obj)):
+        reframe(placed, frame)
+        placed.parent, placed.matrix_basis = empty, Matrix()
 
 
-HELD = {
+PLACED = {
     "0.01": lambda obj: scaled(obj, 0.01, 0.01),
     "100": lambda obj: scaled(obj, 100.0, 100.0),
     "mesh 1, rig 0.01": lambda obj: scaled(obj, 1.0, 0.01),
@@ -189,30 +189,30 @@ HELD = {
     "mesh on an empty": lambda obj: parented(obj, holder(turned(0.5, "X") @ Matrix.Scale(0.3, 4))),
     "both on an empty": lambda obj: both_on(holder(turned(0.5, "X") @ Matrix.Scale(0.01, 4)), obj),
 }
-HELD_WITH_OTHER_AXES = {
+PLACED_WITH_OTHER_AXES = {
     "turned mesh": lambda obj: reframe(obj, Matrix.Translation((0.1, 0.3, 0.0)) @ turned(0.7, "X")),
     "mirrored mesh": lambda obj: reframe(obj, Matrix.Scale(-1.0, 4, (1, 0, 0))),
-    "FBX": held_by_fbx,
+    "FBX": placed_by_fbx,
 }
 
 
-@pytest.mark.parametrize("name", HELD)
+@pytest.mark.parametrize("name", PLACED)
 def test_the_same_motion(scene, name):
     """Built and baked again, including the cage."""
     expected = original()
     obj = limb(clear())
-    HELD[name](obj)
+    PLACED[name](obj)
     assert difference(shot(obj), expected) < SAME
 
 
-@pytest.mark.parametrize("name", HELD_WITH_OTHER_AXES)
+@pytest.mark.parametrize("name", PLACED_WITH_OTHER_AXES)
 def test_the_same_motion_in_the_same_cage(scene, name):
     """A cage depends on the axes of the mesh's data, and the motion with it, as much as on the number of nodes: these
     are compared in one cage.
     """
     expected = original()
     obj = limb(clear())
-    HELD_WITH_OTHER_AXES[name](obj)
+    PLACED_WITH_OTHER_AXES[name](obj)
     assert difference(shot(obj, expected), expected) < SAME
 
 

@@ -181,16 +181,16 @@ def kills(folder: Path) -> dict:
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
     arm = make_soft(make_arm(bpy.context.scene))
     arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 300, 6
-    shot, share, random = folder / "shot.blend", folder / "share", Random(1)
+    shot, caches, random = folder / "shot.blend", folder / "caches", Random(1)
     bpy.ops.wm.save_as_mainfile(filepath=str(shot))
     whole, done = folder / "whole.json", folder / "done.json"
     undisturbed, kept = test_kills.baked(test_kills.baking(shot, whole), whole), []
-    while len(kept) < KILLS and test_kills.killed(shot, done, share, random):
-        (unfinished,) = share.glob("*.unfinished")
+    while len(kept) < KILLS and test_kills.killed(shot, done, caches, random):
+        (unfinished,) = caches.glob("*.unfinished")
         kept.append(len(model_file.unpack(unfinished.read_bytes())[0]["coordinates"]))
-    found = test_kills.baked(test_kills.baking(shot, done, "--cache-dir", share), done)
+    found = test_kills.baked(test_kills.baking(shot, done, "--cache-dir", caches), done)
     same = {name: found[name] == undisturbed[name] for name in ("hash", "steps", "made_from")}
-    left = {kind: len(list(share.glob(f"*.{kind}"))) for kind in ("unfinished", "part")}
+    left = {kind: len(list(caches.glob(f"*.{kind}"))) for kind in ("unfinished", "part")}
     return {"frames": FRAMES, "kept": kept, "same": same, "hash": found["hash"], "left": left}
 
 

@@ -134,7 +134,7 @@ class Limit:
     def asked(self, found: dict) -> bool:
         return self.value(found) is not None and not (self.moving and (found["measured"]["shaken"] or 0.0) < SHAKEN)
 
-    def holds(self, found: dict) -> bool:
+    def is_within(self, found: dict) -> bool:
         return not self.asked(found) or self.low <= self.value(found) <= self.high
 
     def range(self) -> str:
@@ -272,7 +272,7 @@ def failures(found: dict) -> list[str]:
         return [] if NOTHING_SOFT in found.get("refused", "").lower() else ["hard"]
     if not is_baked(found):
         return ["refused" if "refused" in found else "error"]
-    return [limit.key for limit in LIMITS if not limit.holds(found)]
+    return [limit.key for limit in LIMITS if not limit.is_within(found)]
 
 
 def passes_unfolded(found: dict) -> bool:
@@ -315,7 +315,7 @@ def write_page(everything: list[dict]) -> None:
     soft = [found for found in everything if found["name"] not in HARD]
     baked = [found for found in everything if is_baked(found)]
     passed = sum(not failures(found) for found in everything)
-    broken = [found["name"] for found in soft if is_baked(found) and not LIMITS[0].holds(found)]
+    broken = [found["name"] for found in soft if is_baked(found) and not LIMITS[0].is_within(found)]
     unfolded = [again for found in everything if (again := kept_unfolded(found))]
     page = PAGE_TEXT.format(
         passed_unfolded=sum(passes_unfolded(found) for found in everything),
@@ -348,16 +348,16 @@ def write_page(everything: list[dict]) -> None:
 
 
 def limits_table(baked: list[dict]) -> str:
-    """How many of those that are asked hold each limit."""
+    """How many of those that are asked are within each limit."""
     rows = []
     for limit in LIMITS:
         asked = [found for found in baked if limit.asked(found)]
-        held = sum(limit.holds(found) for found in asked)
+        within = sum(limit.is_within(found) for found in asked)
         needed = 1.0 if limit.none_over else ASKED
-        share = f"{held / len(asked):.0%}" if asked else NONE
-        rows.append((limit.title, limit.range(), f"{held} of {len(asked)}",
-                     share if not asked or held >= needed * len(asked) else f"**{share}**"))  # fmt: skip
-    return grid(("", "limit", "hold it", "share"), rows)
+        share = f"{within / len(asked):.0%}" if asked else NONE
+        rows.append((limit.title, limit.range(), f"{within} of {len(asked)}",
+                     share if not asked or within >= needed * len(asked) else f"**{share}**"))  # fmt: skip
+    return grid(("", "limit", "within it", "share"), rows)
 
 
 def characters_table(baked: list[dict]) -> str:
@@ -366,7 +366,7 @@ def characters_table(baked: list[dict]) -> str:
         measured, (first, last) = found["measured"], found["frames"]
         about = (f"{measured['vertices']:,}", str(measured["meshes"]), f"{clip(found)}, {last - first + 1}",
                  f"{measured['shaken']:.3f}")  # fmt: skip
-        cells = (bold(shown(limit, found), not limit.holds(found)) for limit in LIMITS)
+        cells = (bold(shown(limit, found), not limit.is_within(found)) for limit in LIMITS)
         rows.append((title(found), *about, *cells, f"{found['plain_stretch_lo']:.2f}"))
     return grid(("", "vertices", "meshes", "clip, frames", "shaken", *(limit.title for limit in LIMITS),
                  "stretch, least, bones alone"), rows)  # fmt: skip

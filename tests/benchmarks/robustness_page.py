@@ -76,7 +76,8 @@ changed.
 ### Cages
 
 *Dihedral angles* are those between faces of a tetrahedron. *Inside*: share of the skin's vertices inside the cage.
-*Glued* tetrahedra would join skin that is far apart along the mesh. *Held loose parts* of the cage had no bone in them.
+*Glued* tetrahedra would join skin that is far apart along the mesh. *Pinned loose parts* of the cage had no bone in
+them.
 
 {cages}
 ### Bakes
@@ -141,7 +142,7 @@ def write_page() -> None:
         attribution=characters.attribution(shot.file for shot in characters.SHOTS.values()),
         defects=grid(("", "vertices", "faces", *DEFECTS), defects),
         cages=grid(("", "nodes", "tetrahedra", "smallest dihedral angle", "under 5°", "inside", "glued",
-                    "held loose parts"), cages),
+                    "pinned loose parts"), cages),
         bakes=grid(("", "size", "stiffness", "clip, frames", "build", "bake", "farthest", "of the size", "inside out",
                     "finite"), bakes),
         surfaces=len(tally.seconds) + len(tally.refused),

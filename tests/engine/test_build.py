@@ -95,7 +95,7 @@ def test_the_painted_half_stretches_by_its_own_stiffness(cage):
 def test_every_method_and_region_keeps_the_paint(cage, method):
     upper = np.clip(bar().vertices[:, 2] / LENGTH, 0.0, 1.0)
     (whole,) = bar().target_sets
-    regions = (replace(whole, share=1.0 - upper), replace(whole, name="upper", share=upper))
+    regions = (replace(whole, region_weights=1.0 - upper), replace(whole, name="upper", region_weights=upper))
     character = replace(bar(stiffness=lambda z: 4.0 ** (z / LENGTH), method=method), target_sets=regions)
     model = build(character, previous=cage)
     assert model.stiffness.min() < 1.5 and model.stiffness.max() > 3.5

@@ -14,11 +14,11 @@ CELLS, SIZE = (4, 2, 2), (0.4, 0.2, 0.2)
 def held_bar(law, blending, hold=200.0, sets=1, cells=CELLS, seed=3):
     """A bar that nothing but the hold keeps in place: neutral, and a target of another shape and stiffness."""
     nodes, tets = bar(cells, SIZE)
-    shares = np.full((len(tets), sets), 1.0 / sets)
+    regions = np.full((len(tets), sets), 1.0 / sets)
     ones = np.ones(len(tets))
     fields = hold * (1.0 + nodes[tets].mean(axis=1)[:, 0])
     mesh = dynamorph.TetMesh(nodes, tets)
-    body = dynamorph.SoftBody(mesh, ones, ones, shares, np.zeros(len(nodes), bool), np.ones((len(nodes), 1)), fields)
+    body = dynamorph.SoftBody(mesh, ones, ones, regions, np.zeros(len(nodes), bool), np.ones((len(nodes), 1)), fields)
     shape = 0.02 * np.sin(5.0 * nodes @ np.random.default_rng(seed).normal(size=(3, 3)))
     targets = [
         dynamorph.MorphTarget(name, d, density=1000.0, set=s, **lame(young, 0.3))

@@ -182,8 +182,8 @@ def pushed(model, character, target, forces):
     for force in np.vstack([np.zeros(3), forces]):
         external = np.zeros_like(model.nodes)
         for v in range(len(character.vertices))[TIP:]:
-            for node, share in zip(model.embedding_nodes[v], model.embedding_weights[v], strict=True):
-                external[node] += share * force / -TIP
+            for node, weight in zip(model.embedding_nodes[v], model.embedding_weights[v], strict=True):
+                external[node] += weight * force / -TIP
         coordinates, report = simulation.solve_static(BONES, weights, external)
         assert report["converged"]
         answers.append(model.surface(engine.displacement(coordinates))[TIP:].mean(axis=0))

@@ -156,7 +156,7 @@ def test_skin_weights_extend_into_the_body():
     "ratio, count, around", [(0.0, 11, False), (0.4, 11, True), (0.95, 11, True), (0.95, 4, False)]
 )
 def test_nodes_are_wanted_around_bones_where_there_is_room(ratio, count, around):
-    """Around, not along: a body held along a line could spin about it. Where the ring would touch the cage, the
+    """Around, not along: a body pinned along a line could spin about it. Where the ring would touch the cage, the
     line.
     """
     turn = np.arange(12) * np.pi / 6
@@ -184,11 +184,11 @@ def test_bones_hold_nodes_near_them():
     vertices, triangles = box(size=(1, 1, 4))
     *_, mesh = dynamorph.mesh_body(vertices, triangles, 600)
     heads, tails = np.array([[0, 0, -2.0]]), np.array([[0, 0, 2.0]])
-    held = [dynamorph.pinned(mesh, vertices, triangles, heads, tails, ratio) for ratio in (0, 0.3, 0.6)]
-    assert held[0].dtype == bool
-    assert not held[0].any()
-    assert 0 < held[1].sum() < held[2].sum()
-    assert (held[1] <= held[2]).all()
+    pins = [dynamorph.pinned(mesh, vertices, triangles, heads, tails, ratio) for ratio in (0, 0.3, 0.6)]
+    assert pins[0].dtype == bool
+    assert not pins[0].any()
+    assert 0 < pins[1].sum() < pins[2].sum()
+    assert (pins[1] <= pins[2]).all()
 
 
 # --- Bad input -------------------------------------------------------------------------------------------------------

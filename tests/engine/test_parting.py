@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts that touch move separately, unheld parts stay with their bones, and attachments with and without a cage."""
+"""Parts that touch move separately, parts without pins stay with their bones, attachments with and without a cage."""
 
 from dataclasses import replace
 
@@ -181,7 +181,7 @@ def test_a_part_that_nothing_holds_stays_with_its_bones():
 
 def test_a_body_that_nothing_holds_is_refused():
     skin = tube([[x, 0, 0] for x in np.linspace(0, 1, 21)], 0.1)
-    with pytest.raises(dynamorph.Error, match="held by a bone: raise Bone Pinning"):
+    with pytest.raises(dynamorph.Error, match="pinned to a bone: raise Bone Pinning"):
         build(character(skin, lambda vertices: vertices[:, 0] > -1))
 
 

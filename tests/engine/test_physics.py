@@ -26,7 +26,7 @@ def lame(young, poisson):
 
 
 def cantilever(cells, size, young=1e5, poisson=0.0, law=dynamorph.Law.LINEAR, density=1000.0, **damping):
-    """A bar held at x = 0 on one bone, with one target: its rest shape."""
+    """A bar pinned at x = 0 on one bone, with one target: its rest shape."""
     nodes, tets = bar(cells, size)
     count = np.ones(len(tets))
     body = dynamorph.SoftBody(
@@ -79,7 +79,7 @@ def test_cantilever_bends_as_timoshenko_says():
 
 
 def test_axial_mode_has_the_rod_s_frequency():
-    """omega = pi / 2 L sqrt(E / rho) for a rod held at one end (Poisson's ratio 0)."""
+    """omega = pi / 2 L sqrt(E / rho) for a rod pinned at one end (Poisson's ratio 0)."""
     model, nodes = cantilever((20, 2, 2), (1.0, 0.1, 0.1), young=1e6)
     omega, shapes = model.linear_modes(0, 8)
     axial = np.abs(shapes.reshape(-1, 3, 8)[:, 0].sum(axis=0)).argmax()
@@ -311,7 +311,7 @@ def test_static_solution_at_a_target_is_the_sculpted_shape(law, blending, reduce
 @pytest.mark.parametrize("reduced", [False, True])
 @pytest.mark.parametrize("law", LAWS)
 def test_a_simulation_comes_to_rest_at_the_target(law, reduced):
-    """From the neutral's pose to the bulge's in 20 steps, then held: the motion dies out at the sculpted shape."""
+    """From the neutral's pose to the bulge's in 20 steps, then still: the motion dies out at the sculpted shape."""
     model, shapes, size = sculpted(law, dynamorph.Blending.EVEN, reduced, damping=10.0)
     simulation = simulation_of(model, 1 / 60)
     simulation.start(TWO_BONES, TWO_BONES, np.eye(3)[0])
@@ -322,15 +322,15 @@ def test_a_simulation_comes_to_rest_at_the_target(law, reduced):
     assert np.abs(model.displacement(simulation.coordinates) - shapes[1]).max() < 1e-5 * size
 
 
-def test_held_targets_do_not_sag_and_gravity_s_difference_still_acts():
+def test_balanced_targets_do_not_sag_and_gravity_s_difference_still_acts():
     model, shapes, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)
     simulation = simulation_of(model, gravity=(0, 0, -9.81))
     weights = np.eye(3)[1]
     sagging, _ = simulation.solve_static(FLEXED, weights)
     assert np.abs(model.displacement(sagging) - shapes[1]).max() > 1e-4 * size
     simulation.balance_targets(np.array([TWO_BONES, FLEXED, TWO_BONES]))
-    held, _ = simulation.solve_static(FLEXED, weights)
-    assert np.abs(model.displacement(held) - shapes[1]).max() < 1e-6 * size
+    balanced, _ = simulation.solve_static(FLEXED, weights)
+    assert np.abs(model.displacement(balanced) - shapes[1]).max() < 1e-6 * size
     tilted, _ = simulation.solve_static(TWO_BONES, weights)
     assert np.abs(model.displacement(tilted) - shapes[1]).max() > 1e-4 * size
 
@@ -510,7 +510,7 @@ def test_a_bone_that_collapses_leaves_the_state_finite(reduced):
     assert np.isfinite(simulation.coordinates).all()
 
 
-def test_regions_with_no_share_of_each_other_have_the_body_s_modes():
+def test_regions_that_do_not_overlap_have_the_body_s_modes():
     """Two target sets, each with one half of the bar: the reduced model keeps the unreduced one's frequencies."""
     nodes, tets = bar((8, 2, 2), (0.4, 0.1, 0.1))
     count = np.ones(len(tets))
@@ -524,7 +524,7 @@ def test_regions_with_no_share_of_each_other_have_the_body_s_modes():
     ]
     full = dynamorph.FullModel(body, targets, dynamorph.Law.LINEAR, dynamorph.Blending.EVEN)
     simulation = simulation_of(full, gravity=(0, 0, -9.81))
-    simulation.balance_targets(np.array([bones(), bones()]))  # each set holds its own half
+    simulation.balance_targets(np.array([bones(), bones()]))  # each set balances its own half
     assert np.abs(simulation.solve_static(bones(), np.ones(2))[0]).max() < 1e-9
     reduced = dynamorph.ReducedModel(
         body, targets, dynamorph.reduce(full, dynamorph.make_basis(full, 14).U), dynamorph.Blending.EVEN
@@ -549,7 +549,7 @@ def test_cancel_stops_a_long_call():
 
 @pytest.mark.parametrize("reduced", [True, False])
 def test_energies_are_those_of_the_state_whatever_was_asked_between(reduced):
-    """Static solutions and held targets pose the model elsewhere; that is not where the simulation is."""
+    """Static solutions and balanced targets pose the model elsewhere; that is not where the simulation is."""
     model, _, _ = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, reduced)
     rig, weights = swing(model, 12)
     simulation = simulation_of(model)
@@ -575,9 +575,9 @@ def test_kinetic_energy_has_the_scheme_s_velocity(scheme, stencil):
     simulation.advance(frames[1:], np.ones((5, 1)))
     coordinates, posed = simulation.state
     velocity = 0.0
-    for share, q, bone in zip(stencil, coordinates, posed, strict=False):
+    for coefficient, q, bone in zip(stencil, coordinates, posed, strict=False):
         matrix = np.reshape(bone, (3, 4))
-        velocity = velocity + share / h * ((nodes + model.displacement(q)) @ matrix[:, :3].T + matrix[:, 3])
+        velocity = velocity + coefficient / h * ((nodes + model.displacement(q)) @ matrix[:, :3].T + matrix[:, 3])
     _, tets = bar((3, 1, 1), (0.3, 0.1, 0.1))
     corners = nodes[tets]
     quarters = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 24.0

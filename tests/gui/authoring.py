@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Problems and their fixes, the cage, groups that are painted, influence, targets that are sculpted or driven."""
+"""Problems and their fixes, the cage, groups that are painted, target weights, targets that are sculpted or driven."""
 
 from __future__ import annotations
 
@@ -116,13 +116,13 @@ def add_a_cuff():
     return cuff
 
 
-# Influence and new targets -------------------------------------------------------------------------------------------
+# Target weights and new targets --------------------------------------------------------------------------------------
 
 
 @step("Target Weights: bars and graph", picture=view)
-def influence():
+def target_weights():
     yield from sidebar.unfold("dynamorph.suggest_pose", above="dynamorph.build")
-    yield from sidebar.press("dynamorph.influence")
+    yield from sidebar.press("dynamorph.target_weights")
     yield from until(lambda: addon("run.weight_curves").drawn(skin()), "the graph")
     known, graph = addon("run.weight_curves").drawn(skin())
     assert (known.start, known.end) == (1, limb.LAST)
@@ -135,7 +135,7 @@ def influence():
 def suggest_pose():
     yield from sidebar.press("dynamorph.suggest_pose")
     yield from until(lambda: bpy.context.scene.frame_current == limb.TURNED, "the frame that is furthest from targets")
-    yield from sidebar.press("dynamorph.influence")
+    yield from sidebar.press("dynamorph.target_weights")
     yield from sidebar.fold("dynamorph.suggest_pose")
 
 

@@ -86,19 +86,19 @@ def escapes(name: str, button: str, moments, limit=60.0):
     """Press a button, and Esc at the first moment; again for the others. A moment is a condition on the job."""
     yield from driver.drawn()
     before = keys(), baked(), settings().model.content_id
-    held, latencies = [], []
+    blocked, latencies = [], []
     for moment in moments:
         position = yield from sidebar.find(button)
         begin = time.perf_counter()
         yield from driver.click(position)
         yield from until(job, "the job to begin", limit)
-        held.append(time.perf_counter() - begin)
+        blocked.append(time.perf_counter() - begin)
         yield from until(lambda moment=moment: job() is None or moment(job()), f"the moment for Esc: {name}", limit)
         assert job(), f"the job was done before Esc could be pressed: {name}"
         latencies.append((yield from escape()))
         assert (keys(), baked(), settings().model.content_id) == before
     measure(f"Esc while {name}", f"median {np.median(latencies):.2f} s, worst {max(latencies):.2f} s")
-    measure(f"Window held when it begins, {name}", f"{max(held):.2f} s")
+    measure(f"Window blocked when it begins, {name}", f"{max(blocked):.2f} s")
 
 
 def escape():

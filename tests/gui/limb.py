@@ -11,7 +11,12 @@ import scenes
 
 RINGS, AROUND = 49, 32  # of vertices, and how many in each
 LENGTH = 0.3  # of a bone, metres
-FIRST, FLEXED, HELD, LAST = 10, 20, 40, 72  # frames: begins to flex, is flexed, begins to stretch, end of the scene
+FIRST, FLEXED, STRETCHED, LAST = (
+    10,
+    20,
+    40,
+    72,
+)  # frames: begins to flex, is flexed, begins to stretch, end of the scene
 TURNED = 60  # frame: the palm is turned up, which no sculpted key is for
 BONES = ("upper arm", "forearm")
 OUTLINE = ((0.0, 0.062), (0.35, 0.052), (0.9, 0.04), (1.15, 0.046), (1.8, 0.03), (2.0, 0.02))  # height in bones, radius
@@ -62,10 +67,10 @@ def make_rig():
     bpy.ops.object.mode_set(mode="OBJECT")
     forearm = rig.pose.bones["forearm"]
     forearm.rotation_mode = "XYZ"
-    for frame, degrees in ((FIRST, 0), (FLEXED, 100), (HELD, 100), (HELD + 10, 0)):
+    for frame, degrees in ((FIRST, 0), (FLEXED, 100), (STRETCHED, 100), (STRETCHED + 10, 0)):
         forearm.rotation_euler.x = math.radians(degrees)
         forearm.keyframe_insert("rotation_euler", frame=frame)
-    for frame, degrees in ((HELD + 10, 0), (TURNED, 80), (LAST, 80)):
+    for frame, degrees in ((STRETCHED + 10, 0), (TURNED, 80), (LAST, 80)):
         forearm.rotation_euler.y = math.radians(degrees)
         forearm.keyframe_insert("rotation_euler", frame=frame)
     armature.display_type = "STICK"

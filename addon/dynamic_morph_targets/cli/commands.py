@@ -25,7 +25,7 @@ from ..write import bake, exports, losses
 from ..write.reconcile import reconcile
 from .record import Done, Progress, print_table
 
-SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # of a target
+SETTABLE = (*(field.name for field in fields(Material)), "radius", "influence")  # properties of a target
 MODEL_SETTINGS = tuple(field.name for field in fields(ModelSettings))
 SIMULATION_SETTINGS = (
     "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop", "keep_outside",
@@ -74,11 +74,11 @@ def work_on(args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files
     """Build or bake one object, and write its file for other programs if that is asked for; folder, files: where what
     is written goes.
     """
-    shared = cache_dir.Share(args.cache_dir.resolve()) if args.cache_dir else None
-    rebuild = args.goal == "BUILD" and shared is None
+    caches = cache_dir.CacheDir(args.cache_dir.resolve()) if args.cache_dir else None
+    rebuild = args.goal == "BUILD" and caches is None
     goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
     frames = tuple(args.frames) if args.frames else None
-    job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, share=shared, cache_files=files)
+    job = Job(obj, goal, frames, args.substeps, folder, rebuild=rebuild, cache_dir=caches, cache_files=files)
     tick = Progress(args.progress == "openjd")
     batch.run(job, tick)
     warnings = list(job.warnings)

@@ -15,8 +15,8 @@ from .settings import SimulationSettings
 class Amounts:
     """Scales the motion about the targets' shapes when it is shown. The simulation does not depend on it.
 
-    amount: of all motion; gains (dofs,) of the modes; influence (J,) of the targets; all may be set at any time. shapes
-    (J, dofs): the targets' shapes in coordinates, of width zero for static morph targets.
+    amount: of all motion; gains (dofs,) of the modes; motion_amounts (J,) of the targets; all may be set at any time.
+    shapes (J, dofs): the targets' shapes in coordinates, of width zero for static morph targets.
     """
 
     def __init__(self, model: Model, character: Character, shapes: np.ndarray, settings: SimulationSettings):
@@ -24,28 +24,28 @@ class Amounts:
         self._sizes = [len(target_set.targets) for target_set in character.target_sets]
         self._shapes = shapes
         self.amount = settings.amount
-        self.influence = np.array([target.influence for target in character.targets])
+        self.motion_amounts = np.array([target.motion_amount for target in character.targets])
         self.gains = np.ones(shapes.shape[1])
         if model.settings.solver == "REDUCED":
             known = min(len(settings.gains), len(self.gains))
             self.gains[:known] = settings.gains[:known]
 
     def shown(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Coordinates (..., dofs) at the targets' weights (..., J), with the amount, the gains and the influence.
+        """Coordinates (..., dofs) at the targets' weights (..., J), with the amount, the gains and the motion amounts.
 
-        In the region of a set the motion has the mean influence of its targets, by their weights, which sum to one.
+        In the region of a set the motion has the mean amount of its targets, by their weights, which sum to one.
         """
         coordinates = self.with_gains(coordinates, weights)
-        if not len(self.gains) or (self.influence == 1.0).all():
+        if not len(self.gains) or (self.motion_amounts == 1.0).all():
             return coordinates
         still = weights @ self._shapes
         begins = np.cumsum([0, *self._sizes[:-1]])
-        means = np.add.reduceat(weights * self.influence, begins, axis=-1)
+        means = np.add.reduceat(weights * self.motion_amounts, begins, axis=-1)
         parts = self._in_regions(coordinates - still)
         return still + sum(mean[..., None] * part for mean, part in zip(np.moveaxis(means, -1, 0), parts, strict=True))
 
     def with_gains(self, coordinates: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Like `shown`, but without the influence of the targets."""
+        """Like `shown`, but without the motion amounts of the targets."""
         return coordinates + (self.amount * self.gains - 1.0) * (coordinates - weights @ self._shapes)
 
     def _in_regions(self, motion: np.ndarray) -> list[np.ndarray]:
@@ -53,15 +53,15 @@ class Amounts:
         if len(self._sizes) == 1:
             return [motion]
         if self._model.settings.solver == "FULL":
-            return [motion * share for share in self._node_shares]
+            return [motion * weights for weights in self._region_weights]
         return [motion @ part for part in self._region_parts]
 
     @cached_property
-    def _node_shares(self) -> np.ndarray:
+    def _region_weights(self) -> np.ndarray:
         """The weight of each free node in each set, repeated for each axis: (S, 3 free)."""
         model = self._model
-        corners, around = model.tets.ravel(), np.repeat(model.shares, 4, axis=0)
-        total = np.array([np.bincount(corners, share, len(model.nodes)) for share in around.T])
+        corners, around = model.tets.ravel(), np.repeat(model.region_weights, 4, axis=0)
+        total = np.array([np.bincount(corners, weights, len(model.nodes)) for weights in around.T])
         return np.repeat((total / total.sum(axis=0).clip(1e-300))[:, model.free], 3, axis=1)
 
     @cached_property
@@ -70,4 +70,4 @@ class Amounts:
         squares.
         """
         back = np.linalg.pinv(self._model.basis)
-        return [(back @ (share[:, None] * self._model.basis)).T for share in self._node_shares]
+        return [(back @ (weights[:, None] * self._model.basis)).T for weights in self._region_weights]

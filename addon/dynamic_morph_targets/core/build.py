@@ -33,7 +33,7 @@ MESH_DEPENDENCIES = (
     "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
     "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
 )  # fmt: skip
-# Of the tetrahedra and of what is held:
+# Of the tetrahedra and of what holds them:
 CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
 CAGE_SHARE = 0.35  # of the time of a build
 
@@ -160,7 +160,7 @@ def _static_model(character: Character, authored: dict[str, str]) -> Model:
     return _model(
         character,
         authored,
-        shares=np.zeros((0, len(character.target_sets))),
+        region_weights=np.zeros((0, len(character.target_sets))),
         residual_shapes=np.array([target.shape for target in targets]),
         summary={
             **dict.fromkeys(("nodes", "tets", "pinned", "dofs", "modes"), 0),
@@ -191,7 +191,7 @@ def _with_tissue(
 ) -> tuple[Model, dynamorph.Embedding]:
     """The tetrahedra around the skin with everything that they inherit from it; the targets' shapes are added later."""
     tissue = cage.volume(character, mesh, stages)
-    held = tissue.hold
+    hold = tissue.hold
     model = _model(
         character,
         authored,
@@ -199,11 +199,11 @@ def _with_tissue(
         tets=tissue.mesh.tets,
         fill=tissue.fill,
         stiffness=tissue.stiffness,
-        shares=tissue.shares,
+        region_weights=tissue.region_weights,
         pinned=tissue.pinned,
-        held=held.held if held else np.zeros(0),
-        hold=held.phi if held else np.zeros(0),
-        thickness=held.thickness if held else np.zeros(0),
+        hold_strength=hold.strength if hold else np.zeros(0),
+        hold=hold.phi if hold else np.zeros(0),
+        thickness=hold.thickness if hold else np.zeros(0),
         node_weights=tissue.node_weights,
         embedding_nodes=tissue.embedding.nodes,
         embedding_weights=tissue.embedding.weights,
@@ -255,7 +255,7 @@ def dependencies(character: Character) -> dict[str, str]:
         "bones at rest": (skeleton.parents, skeleton.rest, character.bone_segments),
         "regions": (
             np.array([len(target_set.targets) for target_set in character.target_sets]),
-            *(target_set.share for target_set in character.target_sets),
+            *(target_set.region_weights for target_set in character.target_sets),
         ),
         "number of targets": (np.array([len(character.targets)]),),
     }
@@ -293,6 +293,6 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
 
 
 def has_cage(model: Model, character: Character) -> bool:
-    """Whether `model` has the tetrahedra, and the held nodes, that `character` requires."""
+    """Whether `model` has the tetrahedra, and the hold, that `character` requires."""
     now = dependencies(character)
     return len(model.tets) > 0 and all(model.dependencies.get(name) == now.get(name) for name in CAGE_DEPENDENCIES)

@@ -23,7 +23,7 @@ GRID = (
     2.0**-13
 )  # body sizes; with a finer grid, the last digits of coordinates, which a scale changes, would change the mesh
 MOSTLY = 0.5  # fraction of the vertices; with more of them outside, a cage does not belong to this body
-HELD = 0.05  # nodes whose softness is below this are held
+PINNED = 0.05  # nodes whose softness is below this are pinned
 FEWEST_NODES = 50  # of an attachment's own cage
 
 
@@ -32,7 +32,7 @@ class Volume:
     """The cage before the targets: n nodes, m tets, S target sets, B bones. Bind space, meters.
 
     embedding: of the V surface vertices; fill (m,) filled fraction; stiffness (m,) factor, painted and by thickness;
-    shares (m, S) region weights; pinned (n,) bool; node_weights (n, B + 1); hold: by thickness, or None; summary: facts
+    region_weights (m, S); pinned (n,) bool; node_weights (n, B + 1); hold: by thickness, or None; summary: facts
     for the report.
     """
 
@@ -40,7 +40,7 @@ class Volume:
     embedding: dynamorph.Embedding
     fill: np.ndarray
     stiffness: np.ndarray
-    shares: np.ndarray
+    region_weights: np.ndarray
     pinned: np.ndarray
     node_weights: np.ndarray
     hold: Hold | None
@@ -65,18 +65,18 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         ]
         mesh, embedding = _together(character.pieces, list(cages), filled)
         embedding = _alike(embedding, character.coincident)
-        stiffness, weights, softness, rigidity, shares = _inherited(character, mesh, embedding)
+        stiffness, weights, softness, rigidity, region_weights = _inherited(character, mesh, embedding)
         fill = np.concatenate([cage.fill for cage in filled])
-        held, pinned, adrift = None, np.zeros(len(mesh.nodes), bool), []
+        of_thickness, pinned, adrift = None, np.zeros(len(mesh.nodes), bool), []
         if character.settings.hold == "BONES":
-            pinned = np.concatenate([cage.pinned for cage in filled]) | (softness < HELD)
+            pinned = np.concatenate([cage.pinned for cage in filled]) | (softness < PINNED)
             adrift = _adrift(mesh, pinned)
         else:
-            held = _held(character, mesh, surface, softness, rigidity, fill)
-            stiffness = stiffness * held.stiffness
+            of_thickness = _hold(character, mesh, surface, softness, rigidity, fill)
+            stiffness = stiffness * of_thickness.stiffness
     if len(adrift) and np.concatenate(adrift).size == len(mesh.nodes):
         raise dynamorph.Error(
-            f"'{character.name}': no part of the cage is held by a bone: raise Bone Pinning or Cage Nodes, or paint "
+            f"'{character.name}': no part of the cage is pinned to a bone: raise Bone Pinning or Cage Nodes, or paint "
             "the Softness Map with 0 where it is attached"
         )
     for nodes in adrift:
@@ -86,19 +86,19 @@ def volume(character: Character, mesh: dynamorph.TetMesh | None, stages: Stages)
         "nodes": len(mesh.nodes),
         "tets": len(mesh.tets),
         "pinned": int(pinned.sum()),
-        "held": float(held.phi.mean()) if held else float(pinned.mean()),
+        "held": float(of_thickness.phi.mean()) if of_thickness else float(pinned.mean()),
         "defects": defects,
         "quality": dynamorph.tet_quality(mesh),
         "glued": glued,
-        "held_parts": len(adrift),
+        "held_parts": len(adrift),  # loose parts that are pinned
         "warnings": [text for cage in filled for text in cage.warnings]
         + _glued_warnings(character, glued)
         + [_adrift_warning(character, embedding, nodes) for nodes in adrift],
     }
-    return Volume(mesh, embedding, fill, stiffness, shares, pinned, weights, held, summary)
+    return Volume(mesh, embedding, fill, stiffness, region_weights, pinned, weights, of_thickness, summary)
 
 
-def _held(
+def _hold(
     character: Character,
     mesh: dynamorph.TetMesh,
     surface: np.ndarray,
@@ -124,11 +124,11 @@ def _cages(character: Character, surface: np.ndarray) -> dict[int, Character]:
         return {0: character}
     corners = surface[character.triangles].swapaxes(0, 1)
     area = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
-    share = character.settings.cage_nodes / max(area[number >= 0].sum(), 1e-300)
+    density = character.settings.cage_nodes / max(area[number >= 0].sum(), 1e-300)
     cages = {}
     for piece in np.unique(number[number >= 0]):
         of_piece = number == piece
-        cage_nodes = max(FEWEST_NODES, round(share * area[of_piece].sum()))
+        cage_nodes = max(FEWEST_NODES, round(density * area[of_piece].sum()))
         cages[int(piece)] = replace(
             character.with_settings(cage_nodes=cage_nodes),
             triangles=character.triangles[of_piece],
@@ -282,19 +282,17 @@ def _glued_warnings(character: Character, glued: dict[str, int]) -> list[str]:
 
 
 def _adrift(mesh: dynamorph.TetMesh, pinned: np.ndarray) -> list[np.ndarray]:
-    """The nodes of each part of the mesh that fewer than three nodes hold, so that it could move or turn without
-    resistance.
-    """
+    """The nodes of each part of the mesh with fewer than three pins, which could move or turn without resistance."""
     part = connected_parts(mesh.tets, len(mesh.nodes))
-    held = np.bincount(part[pinned], minlength=len(part))
-    return [np.flatnonzero(part == root) for root in np.unique(part) if held[root] < 3]
+    pins = np.bincount(part[pinned], minlength=len(part))
+    return [np.flatnonzero(part == root) for root in np.unique(part) if pins[root] < 3]
 
 
 def _adrift_warning(character: Character, embedding: dynamorph.Embedding, nodes: np.ndarray) -> str:
     on_it = np.isin(embedding.nodes[:, 0], nodes) & embedding.weights.any(axis=1)
     bone = [*character.skeleton.names, "the object"][character.weights[on_it].sum(axis=0).argmax()]
     return (
-        f"A part of {int(on_it.sum())} vertices at '{bone}' is held by no bone, so it moves rigidly with its bones: "
+        f"A part of {int(on_it.sum())} vertices at '{bone}' is pinned to no bone, so it moves rigidly with its bones: "
         "paint the Softness Map with 0 where it is attached"
     )
 
@@ -311,20 +309,20 @@ def _inherited(
     """
     # Stiffness is interpolated as a ratio: exactly one where nothing is painted, and never beyond the painted values.
     painted = np.log(character.stiffness)
-    parts = [target_set.share for target_set in character.target_sets]
+    parts = [target_set.region_weights for target_set in character.target_sets]
     values = np.column_stack([painted, character.weights, character.softness, character.rigidity, *parts])
     at_nodes = dynamorph.extend_to_nodes(mesh, embedding, values)
     stiffness = np.exp(at_nodes[:, 0].clip(painted.min(), painted.max()))[mesh.tets].mean(axis=1)
     bones = character.weights.shape[1]
-    weights, softness, rigidity, shares = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1, 1]), axis=1)
-    shares = shares[mesh.tets].mean(axis=1)
+    weights, softness, rigidity, region_weights = np.split(at_nodes[:, 1:].clip(0.0), np.cumsum([bones, 1, 1]), axis=1)
+    region_weights = region_weights[mesh.tets].mean(axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
-    shares /= shares.sum(axis=1, keepdims=True)
-    return stiffness, weights, softness[:, 0].clip(max=1.0), rigidity[:, 0].clip(max=1.0), shares
+    region_weights /= region_weights.sum(axis=1, keepdims=True)
+    return stiffness, weights, softness[:, 0].clip(max=1.0), rigidity[:, 0].clip(max=1.0), region_weights
 
 
 def _pinned(character: Character, mesh: dynamorph.TetMesh, surface: np.ndarray) -> np.ndarray:
-    """The nodes (n,) that the bones hold."""
+    """The nodes (n,) that the bones pin."""
     heads, tails = character.bone_segments[:, 0], character.bone_segments[:, 1]
     return dynamorph.pinned(mesh, surface, character.triangles, heads, tails, character.settings.pin_radius)
 

@@ -46,8 +46,8 @@ def references(model: Model, character: Character) -> Iterator[tuple[float, floa
             except RuntimeError:  # raised by the engine for a sculpt whose modes cannot be found
                 omega = 0.0
             material = character.targets[target].material
-            share = 1.0 if neutral else model.shares[:, s]
-            yield omega / (2 * pi) / sqrt(material.stiffness / material.density), float((volumes * share).sum())
+            weights = 1.0 if neutral else model.region_weights[:, s]
+            yield omega / (2 * pi) / sqrt(material.stiffness / material.density), float((volumes * weights).sum())
 
 
 def calibrated(character: Character, found: list[tuple[float, float]]) -> Character:

@@ -32,11 +32,11 @@ QUADRATURE = np.full((4, 4), B) + (A - B) * np.eye(4)
 class Hold:
     """The hold of a cage of n nodes and m tets, and the V vertices of the skin.
 
-    held (m,): FIRMNESS phi / T^2, 1/m^2; stiffness (m,): factor; phi (n,): how firmly nodes are held, for display;
+    strength (m,): FIRMNESS phi / T^2, 1/m^2; stiffness (m,): factor; phi (n,): how firmly nodes are held, for display;
     thickness (V,): T at the skin, meters.
     """
 
-    held: np.ndarray
+    strength: np.ndarray
     stiffness: np.ndarray
     phi: np.ndarray
     thickness: np.ndarray
@@ -66,15 +66,15 @@ def hold(
         phi = np.maximum(phi, np.maximum(rigid, 1.0 - _smooth(radius / body, *THIN)))
     else:
         phi = np.maximum(phi, 1.0 - softness[mesh.tets] @ QUADRATURE.T)
-    share, most = STIFFER
-    stiffness = np.clip((share * body / radius) ** 2, 1.0, most)
+    ratio, most = STIFFER
+    stiffness = np.clip((ratio * body / radius) ** 2, 1.0, most)
     nodes = mesh.tets.ravel()
     weights = np.repeat(volume, 4)
     shown = np.bincount(nodes, weights * phi.ravel(), len(mesh.nodes)) / np.bincount(nodes, weights, len(mesh.nodes))
     at_skin, _ = thickness.at(surface)
     # The stiffness also multiplies the hold; its mean is taken once.
-    held = FIRMNESS * (phi / radius**2).mean(axis=1)
-    return Hold(held, stiffness.mean(axis=1), shown, at_skin)
+    strength = FIRMNESS * (phi / radius**2).mean(axis=1)
+    return Hold(strength, stiffness.mean(axis=1), shown, at_skin)
 
 
 def _smooth(x: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -138,9 +138,9 @@ def splice(bake: Bake, patch: Bake, fade: float, to_bind: np.ndarray) -> tuple[B
     return with_fewer_keys(both), _apart(bake, patch, to_bind)
 
 
-def _smooth(share: np.ndarray) -> np.ndarray:
-    share = share.clip(0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+def _smooth(fraction: np.ndarray) -> np.ndarray:
+    fraction = fraction.clip(0.0, 1.0)
+    return fraction * fraction * (3.0 - 2.0 * fraction)
 
 
 def _apart(bake: Bake, patch: Bake, to_bind: np.ndarray) -> float:
@@ -242,8 +242,8 @@ def _worst_between(bake: Bake, rows: np.ndarray, first: int, last: int, to_bind:
     worst, off = first, 0.0
     for begin in range(first + 1, last, CHUNK):
         frames = np.arange(begin, min(begin + CHUNK, last))
-        share = ((frames - first) / (last - first))[:, None]
-        residual = rows[frames] - (1.0 - share) * rows[first] - share * rows[last]
+        fraction = ((frames - first) / (last - first))[:, None]
+        residual = rows[frames] - (1.0 - fraction) * rows[first] - fraction * rows[last]
         r = bake.coordinates.shape[1]
         moved = displaced(residual[:, :r], residual[:, r:], bake.modes, bake.residual_shapes) @ to_bind.T
         distances = np.linalg.norm(moved, axis=2).max(axis=1)

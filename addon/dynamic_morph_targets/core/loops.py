@@ -116,10 +116,10 @@ def _newton(loop: _Loop) -> None:
         if loop.is_closed or not 0.0 < off < np.inf:
             return
         step, plain = _newton_step(loop, began, ended), PLAIN
-        for share in (1.0, 0.5):
-            trial = began + share * step
+        for fraction in (1.0, 0.5):
+            trial = began + fraction * step
             after = loop(trial)
-            if np.linalg.norm(after - trial) < (1.0 - 0.3 * share) * off:
+            if np.linalg.norm(after - trial) < (1.0 - 0.3 * fraction) * off:
                 began, ended, plain = trial, after, 0
                 break
         if loop.is_closed:

@@ -237,8 +237,8 @@ def checked(model: Model, character: Character, target: int, patch: np.ndarray |
         raise ValueError(f"target: expected 0 to {len(character.targets) - 1}, got {target}")
     if patch is None:
         sets = zip(character.target_sets, target_indices(character), strict=True)
-        share, neutral = next((s.share, indices[0]) for s, indices in sets if target in indices)
-        patch = np.ones(len(character.vertices)) if target == neutral else share
+        region, neutral = next((s.region_weights, indices[0]) for s, indices in sets if target in indices)
+        patch = np.ones(len(character.vertices)) if target == neutral else region
     patch = np.asarray(patch, float)
     if patch.shape != (len(character.vertices),) or not np.isfinite(patch).all() or (patch < 0.0).any():
         raise ValueError(f"patch: expected a weight of 0 or more for each of {len(character.vertices)} vertices")

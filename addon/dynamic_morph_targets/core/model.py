@@ -14,8 +14,8 @@ from .character import Character, Skeleton
 from .errors import ModelFileError, SceneError
 from .settings import ModelSettings
 
-# Names of arrays in model files that are older than those of the fields.
-STORED_NAMES = {"residual_shapes": "details"}
+# The names in model files of the fields that were renamed since.
+STORED_NAMES = {"residual_shapes": "details", "region_weights": "shares", "hold_strength": "held"}
 
 EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
 EngineSimulation = dynamorph.ReducedSimulation | dynamorph.FullSimulation
@@ -25,9 +25,9 @@ EngineSimulation = dynamorph.ReducedSimulation | dynamorph.FullSimulation
 class Model:
     """A built soft skin: n nodes, m tets, V surface vertices, J targets, S sets, B bones, r modes. Bind space, metres.
 
-    nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', shares (m, S), pinned (n,). Of a hold
-    by thickness, else empty: held (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly from 0 to 1,
-    thickness (V,) of the body at the skin.
+    nodes (n, 3), tets (m, 4), fill (m,), stiffness (m,) factor on the targets', region_weights (m, S), pinned (n,). Of
+    a hold by thickness, else empty: hold_strength (m,) 1/m^2 as `dynamorph.SoftBody` takes it, hold (n,) how firmly
+    from 0 to 1, thickness (V,) of the body at the skin.
     node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), residual_shapes
     (J, V, 3) local space: what the cage cannot carry of the targets' shapes; to_bind (3, 3); parents (B,), rest
     (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
@@ -39,9 +39,9 @@ class Model:
     tets: np.ndarray
     fill: np.ndarray
     stiffness: np.ndarray
-    shares: np.ndarray
+    region_weights: np.ndarray
     pinned: np.ndarray
-    held: np.ndarray
+    hold_strength: np.ndarray
     hold: np.ndarray
     thickness: np.ndarray
     node_weights: np.ndarray
@@ -95,14 +95,14 @@ class Model:
 
     @property
     def free(self) -> np.ndarray:
-        """Which nodes (n,) no bone holds."""
+        """Which nodes (n,) are not pinned to bones."""
         return ~self.pinned.astype(bool)
 
     def soft_body(self, probed: bool = False) -> dynamorph.SoftBody:
         """The engine's body. probed: every free node has a transform of its own."""
         mesh, weights = dynamorph.TetMesh(self.nodes, self.tets), None if probed else self.node_weights
-        held, pinned = self.held if len(self.held) else None, (~self.free).tolist()
-        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.shares, pinned, weights, held)
+        strength, pinned = self.hold_strength if len(self.hold_strength) else None, (~self.free).tolist()
+        return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.region_weights, pinned, weights, strength)
 
     def at_nodes(self, values: np.ndarray) -> np.ndarray:
         """Values (n, k) at the nodes from values (V, k) of the skin, smooth inside; may overshoot slightly."""

@@ -112,16 +112,16 @@ class Player:
 
     def begin(self, rig: RigSamples) -> Frame:
         """The frame settings.first. rig: its sample and those that follow it; only the first is used."""
-        self._hold_targets(rig[:1])
+        self._balance_targets(rig[:1])
         bones, weights = self.posing.posed(rig[:2])  # or of the nodes, if they are probed
         if self.settings.begin == "REST":
             self.state = [self.static(weights[0])] * 4, [bones[0].reshape(-1, 12)] * 4
             begun = NO_STEPS
         else:
-            held = self.settings.held > 0
-            begun = self._simulation.start(bones[0], bones[0] if held else bones[-1], weights[0])
+            after = bones[0] if self.settings.still_frames else bones[-1]
+            begun = self._simulation.start(bones[0], after, weights[0])
         still, same = (np.repeat(first[:1], self.settings.substeps, axis=0) for first in (bones, weights))
-        for _ in range(self.settings.held):
+        for _ in range(self.settings.still_frames):
             self._ask()
             self._simulation.advance(still, same, self._push(rig.fields, 0, bones[0]))
         self.number = self.settings.first
@@ -129,7 +129,7 @@ class Player:
 
     def resume(self, first: RigSamples, state: State) -> None:
         """Continues from the `state` of another player that began with the sample `first`; its next frames follow."""
-        self._hold_targets(first)
+        self._balance_targets(first)
         self.state = state
 
     def begin_again(self, rig: RigSamples, frame: Frame) -> Frame:
@@ -155,8 +155,8 @@ class Player:
         return float(np.linalg.norm(last @ turn.T + shift - first, axis=1).max(initial=0.0))
 
     def gap(self, first: Frame, second: Frame) -> float:
-        """The largest distance, in meters, between the soft skins of two frames in one pose, as `shown` with full
-        influence of the targets: what a lower influence hides at the seam of a loop is visible elsewhere.
+        """The largest distance, in meters, between the soft skins of two frames in one pose, as `shown` with the full
+        motion of the targets: what a lower motion amount hides at the seam of a loop is visible elsewhere.
         """
         displacement = np.tensordot(second.weights - first.weights, self.model.residual_shapes, 1)
         if self.engine is not None:
@@ -201,7 +201,7 @@ class Player:
         other = Player(self.model, character, settings or self.settings, keep_going=self._keep_going)
         other.amounts.gains, other.number, other.passes = self.amounts.gains, self.number, self.passes
         if self._first is not None:
-            other._hold_targets(self._first)
+            other._balance_targets(self._first)
             other.state = self.state
         return other
 
@@ -233,7 +233,7 @@ class Player:
             keep_going=self._keep_going if full else None,  # a reduced step takes less time than asking
         )
 
-    def _hold_targets(self, first: RigSamples) -> None:
+    def _balance_targets(self, first: RigSamples) -> None:
         """Sculpted shapes are what the artist saw under gravity, so each one is balanced in its own pose."""
         self._first = first
         if any(self.settings.gravity):

@@ -86,7 +86,7 @@ class Posing:
             raise ValueError(f"'{self._character.name}' was sampled without the nodes of its model: sample it again")
         frames = rig.nodes.transforms(rig.object_world)
         flat = np.abs(determinant(frames[..., :3])) < FLAT
-        if flat.any():  # bones scaled to zero, which `rig_samples.hold_collapsed` holds
+        if flat.any():  # bones scaled to zero, which `rig_samples.keep_collapsed` gives a size
             sample, node = np.nonzero(flat)
             bones = rig.skin_matrices(model.skeleton, model.to_bind)[sample]
             frames[flat] = np.einsum("kb,kbij->kij", model.node_weights[model.free][node], bones)
@@ -98,7 +98,7 @@ class Posing:
         pose = self._model.skeleton.pose(np.array([target.local for target in targets]))
         rig_world = np.array([_resized(target.rig_world, rig.rig_world[0]) for target in targets])
         object_world = rig_world @ inverse(rig.rig_world[0]) @ rig.object_world[0]
-        return self.frames(RigSamples(pose, rig_world, object_world, nodes=rig.held))
+        return self.frames(RigSamples(pose, rig_world, object_world, nodes=rig.target_nodes))
 
     def skinned(self, rig: RigSamples) -> np.ndarray:
         """The skin at rest, posed by the rig: (S, V, 3), world space; of a probed skin, the part whose motion is
@@ -122,7 +122,7 @@ class Skin:
         self.known: np.ndarray | slice = slice(None)
         if character.probed and len(model.tets):
             # The bones do not say where it is, the free nodes do: each vertex is moved like those that carry it, on
-            # average. What only held nodes carry is not known, but nothing that acts there has an effect.
+            # average. What only pinned nodes carry is not known, but nothing that acts there has an effect.
             carried = model.embedding_weights.clip(0.0) * model.free[model.embedding_nodes]
             total = carried.sum(axis=1, keepdims=True)
             self.known = total[:, 0] > 0.0

@@ -11,7 +11,7 @@ from .character import Skeleton
 from .geometry import inverse, invertible
 
 
-def hold_collapsed(
+def keep_collapsed(
     samples: RigSamples, skeleton: Skeleton, before: np.ndarray | None = None
 ) -> tuple[RigSamples, list[str]]:
     """Bones scaled to zero (a common way to hide parts) follow their parents as they last did; returns warnings that
@@ -25,17 +25,17 @@ def hold_collapsed(
         return samples, []
     times = np.arange(len(pose))[:, None]
     last = np.maximum.accumulate(np.where(good, times, -1), axis=0)
-    held = np.where(last >= 0, last, good.argmax(axis=0))  # before its first nonzero size, that size is used
+    kept = np.where(last >= 0, last, good.argmax(axis=0))  # before its first nonzero size, that size is used
     pose = pose.copy()
     collapsed = np.flatnonzero(~good.all(axis=0))
     for b in collapsed:  # parents come first
         parent = skeleton.parents[b]
         joined = skeleton.rest[b] if parent < 0 else pose[:, parent] @ skeleton.rest_inverse[parent] @ skeleton.rest[b]
-        local = (inverse(joined) @ pose[:, b])[held[:, b]] if good[:, b].any() else np.eye(4)
+        local = (inverse(joined) @ pose[:, b])[kept[:, b]] if good[:, b].any() else np.eye(4)
         pose[:, b] = np.where(good[:, b, None, None], pose[:, b], joined @ local)
     names = ", ".join(f"'{skeleton.names[b]}'" for b in collapsed)
     frames = int((~good[-len(samples) :]).any(axis=1).sum())
-    warning = f"Bones scaled to zero are held at their last size ({frames} of {len(samples)} samples): {names}"
+    warning = f"Bones scaled to zero keep their last size ({frames} of {len(samples)} samples): {names}"
     return replace(samples, pose=pose[-len(samples) :]), [warning]
 
 
@@ -103,8 +103,8 @@ class PosedNodes:
 class RigSamples:
     """The moving rig at S sample times: pose (S, B, 4, 4) armature space, rig_world and object_world (S, 4, 4).
 
-    fields: what pushes the skin then. nodes: the free nodes as Blender poses them, where bones do not say it; held:
-    the same (S = J) in the targets' captured poses, the objects being where they are at the first sample.
+    fields: what pushes the skin then. nodes: the free nodes as Blender poses them, where bones do not say it;
+    target_nodes: the same (S = J) in the targets' captured poses, the objects being where they are at the first sample.
     """
 
     pose: np.ndarray
@@ -112,7 +112,7 @@ class RigSamples:
     object_world: np.ndarray
     fields: tuple[ForceField, ...] = ()
     nodes: PosedNodes | None = None
-    held: PosedNodes | None = None
+    target_nodes: PosedNodes | None = None
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -121,7 +121,7 @@ class RigSamples:
         fields = tuple(field[samples] for field in self.fields)
         nodes = self.nodes and self.nodes[samples]
         pose, rig_world, object_world = (part[samples] for part in (self.pose, self.rig_world, self.object_world))
-        return RigSamples(pose, rig_world, object_world, fields, nodes, self.held)
+        return RigSamples(pose, rig_world, object_world, fields, nodes, self.target_nodes)
 
     def concatenate(self, other: RigSamples) -> RigSamples:
         """These samples and others of the same rig, without fields."""
@@ -133,7 +133,7 @@ class RigSamples:
             np.concatenate([self.rig_world, other.rig_world]),
             np.concatenate([self.object_world, other.object_world]),
             nodes=nodes,
-            held=self.held,
+            target_nodes=self.target_nodes,
         )
 
     def moved(self, transforms: np.ndarray) -> RigSamples:
@@ -144,7 +144,7 @@ class RigSamples:
         if nodes:
             nodes = replace(nodes, points=np.broadcast_to(nodes.points[0], (count, *nodes.points.shape[1:])))
         own = transforms @ self.rig_world[0], transforms @ self.object_world[0]
-        return RigSamples(pose, *own, nodes=nodes, held=self.held)
+        return RigSamples(pose, *own, nodes=nodes, target_nodes=self.target_nodes)
 
     @property
     def nbytes(self) -> int:

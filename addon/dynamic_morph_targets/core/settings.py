@@ -83,8 +83,9 @@ class SimulationSettings:
 
     samples: states per frame that are kept; `substeps` is a multiple of it. begin: REST has the targets' shapes without
     motion at the first frame, SETTLE is in balance and moves with the rig. preroll: frames before `start`;
-    preroll_pose: HELD at its pose, or ANIMATED as the rig moves there. loop: the range is a cycle. gains: factors on
-    the modes' motion about the targets' shapes, 1 for further modes; amount: on all of it.
+    preroll_pose: there the rig stands still in its first pose (HELD), or moves as it is animated (ANIMATED). loop: the
+    range is a cycle. gains: factors on the modes' motion about the targets' shapes, 1 for further modes; amount: on all
+    of it.
     """
 
     start: int = 1
@@ -116,8 +117,8 @@ class SimulationSettings:
         return self.preroll if self.preroll_pose == "ANIMATED" and not self.loop else 0
 
     @property
-    def held(self) -> int:
-        """Frames in which the first pose is held."""
+    def still_frames(self) -> int:
+        """Frames before the first one in which the first pose stands still."""
         return self.preroll if self.preroll_pose == "HELD" else 0
 
     @property

@@ -13,7 +13,7 @@ SLACK = 1.1  # on half the widest gap between neighbours
 
 
 @dataclass(frozen=True, eq=False)
-class Influence:
+class TargetWeights:
     """Weights (F, J) of the targets at F poses, and the distance (F, S) in radians to each set's nearest target.
 
     sets (S,): as in a Character, but without shapes; limits (S,): the distance beyond which a pose is uncovered.
@@ -57,12 +57,12 @@ class Space:
         self.begins = np.cumsum([0, *(len(target_set.targets) for target_set in target_sets)])
         self.limits = self._limits()
 
-    def influence(self, pose: np.ndarray) -> Influence:
+    def weights_at(self, pose: np.ndarray) -> TargetWeights:
         """At evaluated poses (F, B, 4, 4), armature space."""
         with np.errstate(all="ignore"):  # of a bone scaled to zero, which the engine refuses by name
             local = self.skeleton.local_transforms(pose, self.placing)
         nearest = np.minimum.reduceat(self.engine.distances(local), self.begins[:-1], axis=1)
-        return Influence(self.target_sets, self.engine.weights(local), nearest, self.limits)
+        return TargetWeights(self.target_sets, self.engine.weights(local), nearest, self.limits)
 
     def _limits(self) -> np.ndarray:
         apart = self.engine.distances(np.array([target.local for target in self.targets]))

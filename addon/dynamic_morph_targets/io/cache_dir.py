@@ -27,7 +27,7 @@ VERSION = 1  # version of the content of an unfinished bake
 BLOCK = 2**20
 
 
-class Share:
+class CacheDir:
     """The folder. It is created when something is first kept in it. Raises OSError where it cannot be used."""
 
     def __init__(self, folder: Path):

@@ -19,7 +19,7 @@ from ..core.character import Follower
 from ..core.errors import SceneError
 from ..core.keys import united
 from ..io import point_cache
-from ..io.cache_dir import Share
+from ..io.cache_dir import CacheDir
 from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
 from ..scene.model_store import blend_folder, load_model, stale_reasons
 from ..scene.skin import ObjectHandle, SceneHandle
@@ -41,7 +41,7 @@ class Request:
 
     target: the object. goal: "BUILD", "BUILD_CAGE" (the model's tetrahedra alone) or "BAKE", which builds too where
     that is necessary. frames: (start, end), substeps, and changes, by name, override the object's settings of the
-    simulation. folder: where large models go. rebuild: build even when the model is up to date. share: where built
+    simulation. folder: where large models go. rebuild: build even when the model is up to date. cache_dir: where built
     models and unfinished bakes are kept for other processes. rehearse: do so although it was done before. cache_files:
     where point caches go, by mesh, if not where they go by default. whole: the shot is one chunk. stored: the result
     goes into Blender.
@@ -55,7 +55,7 @@ class Request:
     substeps: int | None = None
     folder: Path | None = None
     rebuild: bool = False
-    share: Share | None = None
+    cache_dir: CacheDir | None = None
     rehearse: bool = False
     cache_files: Mapping[str, Path] = field(default_factory=dict)
     whole: bool = False
@@ -116,11 +116,11 @@ def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bo
     given.built_from = records.text(staleness.model_inputs(obj))
     chosen = given.character.settings
     fits = bool(given.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
-    given.share = request.share
-    given.shares_model = bool(given.share) and not fits  # a fitted one depends on the shot
-    if given.reasons and given.share and given.shares_model:
-        given.shared_model = given.share.built(given.character)
-        given.previous = given.shared_model or given.previous
+    given.cache_dir = request.cache_dir
+    given.caches_model = bool(given.cache_dir) and not fits  # a fitted one depends on the shot
+    if given.reasons and given.cache_dir and given.caches_model:
+        given.cached_model = given.cache_dir.built(given.character)
+        given.previous = given.cached_model or given.previous
     return fits
 
 
@@ -144,11 +144,11 @@ def _read_shot(given: BakeInput, obj: bpy.types.Object, request: Request, fits: 
     if given.output and is_part and obj.dynamorph.bake.exists:
         _read_kept(given, obj)
     given.whole = request.whole or given.settings.loop or fits
-    if given.share and given.is_bake and not (given.whole or given.before or given.character.probed):
+    if given.cache_dir and given.is_bake and not (given.whole or given.before or given.character.probed):
         files = animation.source_files()
-        given.kept = given.share.bake_path(given.name, given.inputs, given.character, files, bpy.app.version)
-        model = given.model or given.shared_model
-        given.resumed = given.share.unfinished(given.kept, model) if model else {}
+        given.kept = given.cache_dir.bake_path(given.name, given.inputs, given.character, files, bpy.app.version)
+        model = given.model or given.cached_model
+        given.resumed = given.cache_dir.unfinished(given.kept, model) if model else {}
     if given.resumed:
         first = given.settings.first
         given.first = rig_motion.sample_rig(obj, first, first, 1)
@@ -163,7 +163,7 @@ def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Req
     given.limits = judge.Limits(chosen.max_displacement, chosen.max_thickness)
     model, neutral = given.character.settings, given.character.targets[0]
     limited = given.limits != judge.Limits() and model.solver == "REDUCED" and model.method != "STATIC"
-    whole = given.is_bake and not (request.frames or request.share or chosen.is_patch)
+    whole = given.is_bake and not (request.frames or request.cache_dir or chosen.is_patch)
     adjustable = neutral.frequency > 0.0 and not neutral.by_hand
     if limited and whole and adjustable and (request.rehearse or not chosen.rehearsed):
         given.rehearsed_from = neutral.frequency

@@ -50,7 +50,7 @@ class Batch:
             job.cancelled = True
 
     def steps(self, seconds: float = np.inf, pause: float = 0.1) -> Iterator[None]:
-        """The work, main thread. Yields when it has held that for about so many seconds, and every `pause` seconds
+        """The work, main thread. Yields when it has blocked that for about so many seconds, and every `pause` seconds
         while a thread computes. Raises Cancelled, SceneError and what the threads raise.
         """
         yield from self.read(seconds, pause)

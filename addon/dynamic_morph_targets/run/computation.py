@@ -121,7 +121,7 @@ class Computation:
         if before is not None:  # the last frame becomes the first again
             samples = samples[1:]
         if len(samples):
-            samples, found = rig_samples.hold_collapsed(samples, self.given.character.skeleton, before)
+            samples, found = rig_samples.keep_collapsed(samples, self.given.character.skeleton, before)
             self.outcome.warnings += [text for text in found if text not in self.outcome.warnings]
         self.rig = samples
         return samples
@@ -130,13 +130,13 @@ class Computation:
         given, outcome = self.given, self.outcome
         built = 0.95 if given.character.settings.fit_to_shot else 0.7
         with self.progress.stage("build"):
-            model = given.shared_model
+            model = given.cached_model
             if not model:
                 progress = self.progress.part(READ, built if given.is_bake else 1.0)
                 settings = given.settings if given.has_shot else None
                 model = simulate.build_for(given.character, self.rig, settings, progress, self.previous)
-                if given.share and given.shares_model:
-                    given.share.keep_model(model)
+                if given.cache_dir and given.caches_model:
+                    given.cache_dir.keep_model(model)
         self._take_model(model)
         with self.progress.stage("measure"):
             for reference in calibration.references(model, given.character):
@@ -179,8 +179,8 @@ class Computation:
             shot: Shot = self.shot
             shot.play(rig)
             self._chunks += 1
-        if given.share and given.kept and len(rig):  # otherwise nothing was left to do
-            given.share.keep(given.kept, shot, rig.pose[-1])
+        if given.cache_dir and given.kept and len(rig):  # otherwise nothing was left to do
+            given.cache_dir.keep(given.kept, shot, rig.pose[-1])
         return shot
 
     def _judge(self, shot: Shot) -> None:

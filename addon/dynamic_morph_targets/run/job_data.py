@@ -15,7 +15,7 @@ from ..core.character import Character, Follower
 from ..core.judge import Limits, Verdict
 from ..core.rig_samples import RigSamples
 from ..core.settings import OutputSettings, SimulationSettings
-from ..io.cache_dir import Share
+from ..io.cache_dir import CacheDir
 
 if TYPE_CHECKING:  # it needs the engine
     from ..core.model import Model
@@ -62,11 +62,11 @@ class BakeInput:
     followers: list[Follower] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     # The model.
-    previous: Model | None = None  # the one that the object has, or that another process shares; its cage may serve
+    previous: Model | None = None  # the one that the object has, or that another process has built; its cage may serve
     model: Model | None = None  # that one, if it is up to date
-    shared_model: Model | None = None
-    share: Share | None = None  # where built models and unfinished bakes are kept for other processes
-    shares_model: bool = False
+    cached_model: Model | None = None
+    cache_dir: CacheDir | None = None  # where built models and unfinished bakes are kept for other processes
+    caches_model: bool = False
     reasons: list[str] = field(default_factory=list)  # why the model must be built
     built_from: str = ""  # the settings, as JSON
     # The shot.

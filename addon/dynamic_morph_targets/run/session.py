@@ -152,7 +152,7 @@ class Rig:
             first = self.start + index * BLOCK
             samples = rig_motion.sample_rig(obj, first, first + BLOCK, self.substeps, self.probe)
             before = self._blocks.get(index - 1)
-            self._blocks[index], _ = rig_samples.hold_collapsed(
+            self._blocks[index], _ = rig_samples.keep_collapsed(
                 samples, self.skeleton, before.pose[-1] if before else None
             )
             while len(self._blocks) > max(2, RIG_BYTES // samples.nbytes):
@@ -196,17 +196,17 @@ class Session:
         Raises SceneError.
         """
         self._sync_settings(obj, settings)
-        before, share = math.floor(time), time % 1.0
-        if share and self._frames and before + 1 == self.first:  # a shutter that opens before the first frame
-            before, share = self.first, 0.0
-        elif not share or before not in self._frames:
+        before, fraction = math.floor(time), time % 1.0
+        if fraction and self._frames and before + 1 == self.first:  # a shutter that opens before the first frame
+            before, fraction = self.first, 0.0
+        elif not fraction or before not in self._frames:
             self._reach(obj, before, arrives)
         self.now = before
         values = self.tissue.values(self._frames[before])
-        if share:  # as Blender goes between the keyframes of a bake
+        if fraction:  # as Blender goes between the keyframes of a bake
             if before == self.last:
                 self._advance(obj)
-            values += share * (self.tissue.values(self._frames[before + 1]) - values)
+            values += fraction * (self.tissue.values(self._frames[before + 1]) - values)
         if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise errors.SelfCheckError(
                 f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' Motion Amount"
@@ -261,7 +261,7 @@ class Session:
             self.rig_changed()
         player.settings, player.amounts.amount = settings, settings.amount
         player.amounts.gains = _gains(obj, self.tissue.modes)
-        player.amounts.influence = _influence(obj, player.character)
+        player.amounts.motion_amounts = _motion_amounts(obj, player.character)
         self.tissue.player = player
 
     def _reach(self, obj: bpy.types.Object, number: int, arrives: bool) -> None:
@@ -347,7 +347,7 @@ def _gains(obj: bpy.types.Object, count: int) -> np.ndarray:
     return gains
 
 
-def _influence(obj: bpy.types.Object, character: Character) -> np.ndarray:
+def _motion_amounts(obj: bpy.types.Object, character: Character) -> np.ndarray:
     """Of the character's targets (J,), as authored now."""
     by_name = {name: target.influence for name, target in skin.named_targets(obj)}
     return np.array([by_name[name] for target_set in character.target_sets for name in _names(target_set)])

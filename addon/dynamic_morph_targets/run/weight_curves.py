@@ -20,7 +20,7 @@ from ..core import rig_samples
 from ..core.character import Target, TargetSet
 from ..core.errors import SceneError
 from ..core.settings import Material
-from ..core.target_weights import Influence, Space
+from ..core.target_weights import Space, TargetWeights
 from ..scene import checks, events, references, rig_motion, skin
 from ..scene.references import bones_key
 from . import batch
@@ -69,13 +69,13 @@ def _space(session_uid: int, _authored: tuple) -> Space:
     return Space(obj.name, skeleton, sets, rig_motion.pose_order(rig, skeleton))
 
 
-def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Influence:
+def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> TargetWeights:
     """At the evaluated pose, F = 1. Raises the exceptions of `engine.expected_errors`."""
     space = space_of(obj)
     rig = checks.armature_modifier(obj).object.evaluated_get(depsgraph)
     if len(rig.pose.bones) != len(space.order):
         raise SceneError(f"The bones of '{rig.name}' are being edited")
-    return space.influence(rig_motion.pose_matrices(rig, space.order)[None])
+    return space.weights_at(rig_motion.pose_matrices(rig, space.order)[None])
 
 
 # Over the frames ---------------------------------------------------------------------------------------------------
@@ -118,7 +118,7 @@ class Reading:
                 self._sampling = rig_motion.RigSampling(obj, self._shot.start, self._shot.end, 1)
             if not self._sampling.advance(obj, seconds):
                 return False
-            self._shot.pose = rig_samples.hold_collapsed(self._sampling.samples(), self._skeleton)[0].pose
+            self._shot.pose = rig_samples.keep_collapsed(self._sampling.samples(), self._skeleton)[0].pose
         except SceneError as error:
             self._shot.problem = str(error)
             shots[self._rig] = self._shot
@@ -127,7 +127,7 @@ class Reading:
         return True
 
 
-def curves(obj: bpy.types.Object, start: int, end: int) -> Influence:
+def curves(obj: bpy.types.Object, start: int, end: int) -> TargetWeights:
     """At every frame from start to end, F = end - start + 1. Evaluates the rig there, and keeps its poses for `drawn`.
 
     Raises what `jobs.expected_errors` names.
@@ -138,7 +138,7 @@ def curves(obj: bpy.types.Object, start: int, end: int) -> Influence:
     return found[1]
 
 
-def drawn(obj: bpy.types.Object) -> tuple[Shot, Influence] | None:
+def drawn(obj: bpy.types.Object) -> tuple[Shot, TargetWeights] | None:
     """The known frames with the present targets; evaluates nothing. Raises like `weights_now`."""
     rig = checks.armature_modifier(obj).object
     shot = shots.get(rig.session_uid)
@@ -148,8 +148,8 @@ def drawn(obj: bpy.types.Object) -> tuple[Shot, Influence] | None:
 
 
 @lru_cache(maxsize=4)
-def _over(space: Space, shot: Shot) -> Influence:
-    return space.influence(shot.pose)
+def _over(space: Space, shot: Shot) -> TargetWeights:
+    return space.weights_at(shot.pose)
 
 
 def problem(obj: bpy.types.Object) -> str:
@@ -175,7 +175,7 @@ def _update() -> float | None:
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window):
         obj = skin.mesh_in(bpy.context)
-    if obj is None or not obj.dynamorph.targets or not bpy.context.window_manager.dynamorph.influence:
+    if obj is None or not obj.dynamorph.targets or not bpy.context.window_manager.dynamorph.target_weights:
         return None
     moving = any(operator.bl_idname.startswith("TRANSFORM_OT") for operator in window.modal_operators)
     if moving or batch.running or bpy.app.is_job_running("RENDER"):
@@ -212,7 +212,7 @@ def _is_old(obj: bpy.types.Object, scene: bpy.types.Scene) -> bool:
 @persistent
 def _note_changes(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """depsgraph_update_post: any Action may move the rig; armatures, ranges and the selection are looked at later."""
-    if not bpy.context.window_manager.dynamorph.influence:
+    if not bpy.context.window_manager.dynamorph.target_weights:
         return
     global _reading
     if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):

@@ -120,7 +120,7 @@ class DynamorphSimulation(PropertyGroup):
         name="Pre-Roll Pose",
         description="What the rig does in the pre-roll frames. A loop needs no animated pre-roll",
         items=(
-            ("HELD", "Held", "It holds the pose of the first frame", 0),
+            ("HELD", "First Pose", "It stands still in the pose of the first frame", 0),
             ("ANIMATED", "Animated", "It plays its animation before the first frame, keyframed or extrapolated", 1),
         ),
         default="HELD", override=OVERRIDE,

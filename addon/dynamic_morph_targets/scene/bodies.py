@@ -135,8 +135,8 @@ class _Whole:
             shape = (len(self.vertices) - len(values), *values.shape[1:])
             return np.concatenate([values, np.full(shape, beyond)])
         found, away = self._near
-        share = ((FAR - away) / (FAR - NEAR)).clip(0.0, 1.0).reshape(-1, *[1] * (values.ndim - 1))
-        return np.concatenate([values, beyond + share * (found.carry(values) - beyond)])
+        nearness = ((FAR - away) / (FAR - NEAR)).clip(0.0, 1.0).reshape(-1, *[1] * (values.ndim - 1))
+        return np.concatenate([values, beyond + nearness * (found.carry(values) - beyond)])
 
     def painted(self, use: str, group: str, values: np.ndarray, neutral: float) -> tuple[np.ndarray, np.ndarray]:
         """The values (V,) of a painted group, from the own mesh (V',), and where (V,) they are painted. A mesh with a
@@ -159,18 +159,18 @@ class _Whole:
     def target_sets(self, same: np.ndarray) -> tuple[TargetSet, ...]:
         """The target sets of all meshes; same (V,): see `Character.coincident`."""
         body, *regions = self.own.target_sets
-        shares = [self._carried(target_set.share, 0.0)[same] for target_set in regions]
-        rest = (1.0 - sum(shares, np.zeros(len(same)))).clip(0.0)
-        rest[self.slices[0]] = body.share
+        weights = [self._carried(target_set.region_weights, 0.0)[same] for target_set in regions]
+        rest = (1.0 - sum(weights, np.zeros(len(same)))).clip(0.0)
+        rest[self.slices[0]] = body.region_weights
         return tuple(
             replace(
                 target_set,
-                share=share[same],
+                region_weights=own_weights[same],
                 targets=tuple(
                     replace(target, shape=self._carried(target.shape, 0.0)[same]) for target in target_set.targets
                 ),
             )
-            for target_set, share in zip(self.own.target_sets, [rest, *shares], strict=True)
+            for target_set, own_weights in zip(self.own.target_sets, [rest, *weights], strict=True)
         )
 
 

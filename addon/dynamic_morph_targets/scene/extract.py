@@ -179,18 +179,19 @@ def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[
         raise SceneError(
             f"'{obj.name}': the vertex group '{gone[0]}' of target '{name}' is gone: choose another Region"
         )
-    shares = vertex_groups.weights(groups).clip(0.0, 1.0)
-    empty = [group for group, share in zip(groups, shares.T, strict=True) if not share.any()]
+    region_weights = vertex_groups.weights(groups).clip(0.0, 1.0)
+    empty = [group for group, weights in zip(groups, region_weights.T, strict=True) if not weights.any()]
     if empty:
         raise SceneError(f"'{obj.name}': the vertex group '{empty[0]}' of a target's Region is empty: paint it")
-    shares /= np.maximum(shares.sum(axis=1, keepdims=True), 1.0)
+    region_weights /= np.maximum(region_weights.sum(axis=1, keepdims=True), 1.0)
     sets = []
-    for group, share in zip(["", *groups], [(1.0 - shares.sum(axis=1)).clip(0.0), *shares.T], strict=True):
+    body = (1.0 - region_weights.sum(axis=1)).clip(0.0)
+    for group, weights in zip(["", *groups], [body, *region_weights.T], strict=True):
         targets = [_target(obj, target, skeleton, vertex_groups) for target in others if target.region == group]
         at_rest = _target(obj, neutral, skeleton, vertex_groups)
         if group:
             at_rest = replace(at_rest, name=f"{at_rest.name} {group}")
-        sets.append(TargetSet(group or obj.name, (at_rest, *targets), share))
+        sets.append(TargetSet(group or obj.name, (at_rest, *targets), weights))
     return tuple(sets)
 
 
@@ -199,7 +200,7 @@ def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     if missing:
         raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
     material = target.material()
-    for field, value in (*vars(material).items(), ("influence", target.influence)):
+    for field, value in (*vars(material).items(), ("motion amount", target.influence)):
         if not np.isfinite(value):  # property limits do not restrict Python or drivers
             raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
     neutral = target == obj.dynamorph.targets[0]

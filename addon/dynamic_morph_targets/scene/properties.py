@@ -106,19 +106,19 @@ def _paint_surface(which: str, other: str):
     return update
 
 
-def _show_influence(display, _context):
-    if display.influence and not bpy.app.background:
+def _show_target_weights(display, _context):
+    if display.target_weights and not bpy.app.background:
         events.emit(events.Event.WEIGHTS_ASKED)
 
 
 class DynamorphDisplay(PropertyGroup):
     """Overlays of the 3D viewport; they last for the session, like Blender's own overlays of a window."""
 
-    cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra and the nodes that the bones hold")
-    influence: BoolProperty(
+    cage: BoolProperty(name="Cage", description="Draw the cage of tetrahedra and the nodes that are held")
+    target_weights: BoolProperty(
         name="Target Weights",
         description="Draw each target's weight over the frames, and shade the frames that are far from every target",
-        update=_show_influence,
+        update=_show_target_weights,
     )  # fmt: skip
     heat: BoolProperty(
         name="Heat Map",

@@ -124,8 +124,8 @@ def sample_present(obj, probe=None) -> RigSamples:
     rig, frame = armature_modifier(obj).object, bpy.context.scene.frame_float
     with rig_scene(obj, rig, probe) as (scene, follower):
         scene.frame_set(int(frame), subframe=frame % 1.0)
-        nodes, held = (probe.in_poses(scene, follower, rig, poses) for poses in (pose, probe.poses))
-    return RigSamples(pose, rig_world[None], world, nodes=nodes, held=held)
+        nodes, target_nodes = (probe.in_poses(scene, follower, rig, poses) for poses in (pose, probe.poses))
+    return RigSamples(pose, rig_world[None], world, nodes=nodes, target_nodes=target_nodes)
 
 
 class RigSampling:
@@ -142,7 +142,7 @@ class RigSampling:
         rig = armature_modifier(obj).object
         self.start, self.substeps = start, substeps
         self.probe: object | None = None
-        self._nodes = self._held = None
+        self._nodes = self._target_nodes = None
         self.done, self.count = 0, 1 + (end - start) * substeps
         self._unit = unit_scale()
         self._skeleton = rest_skeleton(rig.data)
@@ -174,7 +174,7 @@ class RigSampling:
                     scene.collection.objects.link(source)
             if self.probe and self._nodes is None:
                 scene.frame_set(self.start)
-                self._held = self.probe.in_poses(scene, follower, rig, self.probe.poses)
+                self._target_nodes = self.probe.in_poses(scene, follower, rig, self.probe.poses)
                 self._nodes = self.probe.empty_samples(self.count)
             while self.done < self.count:
                 self._read(scene, obj, rig, sources)
@@ -203,15 +203,15 @@ class RigSampling:
         worlds = in_metres(np.stack([self._rig_world, self._object_world], axis=1), self._unit)
         fields = tuple(replace(field, world=in_metres(field.world, self._unit)) for field in self._fields)
         pose = _ordered(self._columns, self._order)
-        samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], fields, self._nodes, self._held)
+        samples = RigSamples(pose, worlds[:, 0], worlds[:, 1], fields, self._nodes, self._target_nodes)
         bad = np.argwhere(~np.isfinite(np.concatenate([worlds, samples.pose], axis=1)).all(axis=(2, 3)))
         if len(bad):
             raise SceneError(not_a_number(self._moving[bad[0, 1]], self._frame(bad[0, 0])))
-        flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `hold_collapsed`
+        flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `keep_collapsed`
         if len(flat):
             name, frame = self._moving[flat[0, 1]], self._frame(flat[0, 0])
             raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
-        for nodes in filter(None, (self._nodes, self._held)):
+        for nodes in filter(None, (self._nodes, self._target_nodes)):
             if not np.isfinite(nodes.points).all():
                 raise SceneError(not_a_number(self._moving[1], self.start))
         for name, field in zip(self._sources, self._fields, strict=True):

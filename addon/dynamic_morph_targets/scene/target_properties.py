@@ -164,7 +164,7 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         "another target is nearer",
         default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
     )  # fmt: skip
-    influence: FloatProperty(
+    influence: FloatProperty(  # its name in files; elsewhere `motion_amount`
         name="Motion Amount",
         description="How much of the motion shows in this target's pose and region. 0 shows the sculpted shape alone",
         default=1.0, min=0.0, max=1.0, subtype="FACTOR", override=OVERRIDE, update=shown_changed,

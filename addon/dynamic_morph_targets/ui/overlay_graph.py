@@ -58,7 +58,7 @@ def runs(flags: np.ndarray) -> list[tuple[int, int]]:
     return [(int(begin), int(end) - 1) for begin, end in edges.reshape(-1, 2)]
 
 
-def curve_colors(shown: target_weights.Influence, theme) -> dict[int, tuple[float, ...]]:
+def curve_colors(shown: target_weights.TargetWeights, theme) -> dict[int, tuple[float, ...]]:
     """A colour for each curve that is drawn, by index of its target: of neutral targets the text's."""
     hues = [tuple(theme.collection_color[hue].color) for hue in HUES]
     colors, others = {}, 0
@@ -71,7 +71,7 @@ def curve_colors(shown: target_weights.Influence, theme) -> dict[int, tuple[floa
 
 
 @lru_cache(maxsize=2)
-def graph_batches(shown: target_weights.Influence):
+def graph_batches(shown: target_weights.TargetWeights):
     """Curves by index of their target, and the frames outside: x in frames from the first, y in weight."""
     frames = np.arange(len(shown.weights), dtype=np.float32)
     curves = {
@@ -92,7 +92,7 @@ def draw_graph():
     context = bpy.context
     obj = skin.mesh_in(context)
     first = next(region for region in context.area.regions if region.type == "WINDOW")
-    if not context.window_manager.dynamorph.influence or not is_shown(context, obj) or context.region != first:
+    if not context.window_manager.dynamorph.target_weights or not is_shown(context, obj) or context.region != first:
         return
     known = weight_curves.drawn(obj)
     if known is None or len(known[1].weights) < 2:
@@ -104,7 +104,7 @@ def draw_graph():
         _draw_graph_in(left + margin, bottom + margin, right - margin, bottom + margin + height, *known)
 
 
-def _draw_graph_in(left, bottom, right, top, shot: weight_curves.Shot, shown: target_weights.Influence):
+def _draw_graph_in(left, bottom, right, top, shot: weight_curves.Shot, shown: target_weights.TargetWeights):
     context = bpy.context
     theme = context.preferences.themes[0]
     box, colors = theme.user_interface.wcol_box, curve_colors(shown, theme)
@@ -128,7 +128,7 @@ def _draw_graph_in(left, bottom, right, top, shot: weight_curves.Shot, shown: ta
     draw_text(str(shot.end), right - pad - text_width(str(shot.end)), bottom + pad, box.text)
 
 
-def _draw_legend(x, y, right, shown: target_weights.Influence, colors, text_color):
+def _draw_legend(x, y, right, shown: target_weights.TargetWeights, colors, text_color):
     """Names with their colours from left to right, as far as there is room; the neutral target's once."""
     names = [target.name for target_set in shown.sets for target in target_set.targets]
     again = [targets.start for _, targets in shown.by_set()[1:]]

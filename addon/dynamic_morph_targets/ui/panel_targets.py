@@ -146,7 +146,7 @@ def draw_material(layout, target):
         body.prop(target, "stiffness_damping", text="Stiff. Damping")  # that much fits
 
 
-def draw_influence(layout, context, obj):
+def draw_target_weights(layout, context, obj):
     """How much each target counts in the current pose and over the frames."""
     if engine.engine_problem() or len(obj.dynamorph.targets) < 2:
         return
@@ -157,9 +157,9 @@ def draw_influence(layout, context, obj):
     draw_bars(body, context, obj)
     row = body.row(align=True)
     row.use_property_split = False
-    row.prop(context.window_manager.dynamorph, "influence", text="Graph", icon="FCURVE", toggle=True)
+    row.prop(context.window_manager.dynamorph, "target_weights", text="Graph", icon="FCURVE", toggle=True)
     row.operator("dynamorph.update_influence", text="", icon="FILE_REFRESH")
-    if context.window_manager.dynamorph.influence and weight_curves.problem(obj):
+    if context.window_manager.dynamorph.target_weights and weight_curves.problem(obj):
         draw_message(body, weight_curves.problem(obj))
     body.operator("dynamorph.suggest_pose", icon="VIEWZOOM")
 

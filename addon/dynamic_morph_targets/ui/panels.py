@@ -14,7 +14,7 @@ from ..scene.registration import of_classes
 from . import paint_operators
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces
 from .panel_bake import DYNAMORPH_UL_modes, draw_bake, draw_live, draw_model, draw_modes, draw_plain, draw_setup
-from .panel_targets import DYNAMORPH_MT_targets, DYNAMORPH_UL_targets, draw_influence, draw_targets
+from .panel_targets import DYNAMORPH_MT_targets, DYNAMORPH_UL_targets, draw_target_weights, draw_targets
 from .widgets import draw_job, draw_message, draw_problem
 
 
@@ -37,7 +37,7 @@ def draw_soft_skin(layout, context, obj):
     draw_cage(layout, context, obj)
     draw_pieces(layout, obj)
     draw_targets(layout, obj)
-    draw_influence(layout, context, obj)
+    draw_target_weights(layout, context, obj)
     draw_model(layout, obj)
     draw_modes(layout, obj)
     draw_live(layout, obj)

@@ -42,7 +42,7 @@ def go_to_pose(operator, obj):
     skeleton, *_ = rig_motion.current_pose(obj)
     local = obj.dynamorph.active_target.local(skeleton)
     targets.pose_rig(checks.armature_modifier(obj).object, skeleton, local)
-    elsewhere = targets.held_elsewhere(obj, skeleton, local)
+    elsewhere = targets.bones_elsewhere(obj, skeleton, local)
     if elsewhere:
         text = rpt_("Constraints or drivers keep bones out of this pose: {bones}")
         operator.report({"WARNING"}, text.format(bones=listed(elsewhere)))

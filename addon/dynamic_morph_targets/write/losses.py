@@ -11,7 +11,7 @@ from ..scene.skin import followers
 from .exports import FORMATS, left_out, meshes_together
 
 MORPHS = 8  # morph targets that common engines and viewers blend at once
-INFLUENCES = 4  # bones per vertex that glTF writes
+MOST_BONES = 4  # per vertex that glTF writes
 
 
 def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
@@ -62,7 +62,7 @@ def _skinning_losses(obj, key: str) -> Iterator[str]:
         yield f"'{obj.name}' is skinned with {beyond}, {label} skins by plain bones: it will differ. Use Alembic or USD"
     crowded = _crowded_vertices(obj)
     if key == "GLTF" and crowded:
-        yield f"'{obj.name}': {crowded} vertices follow more than {INFLUENCES} bones: the weakest of them are dropped"
+        yield f"'{obj.name}': {crowded} vertices follow more than {MOST_BONES} bones: the weakest of them are dropped"
 
 
 def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
@@ -91,6 +91,6 @@ def _crowded_vertices(obj) -> int:
     bones = {bone.name for bone in skinning.deforming_bones(obj, rig_of(obj))}
     groups = {group.index for group in obj.vertex_groups if group.name in bones}
     return sum(
-        sum(element.group in groups and element.weight > 0.0 for element in vertex.groups) > INFLUENCES
+        sum(element.group in groups and element.weight > 0.0 for element in vertex.groups) > MOST_BONES
         for vertex in obj.data.vertices
     )

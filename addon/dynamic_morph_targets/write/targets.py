@@ -206,7 +206,7 @@ def pose_rig(rig, skeleton: Skeleton, local: np.ndarray):
         rig.pose.bones[name].matrix_basis = bone.convert_local_to_pose(pose[b], bone.matrix_local, invert=True, **above)
 
 
-def held_elsewhere(obj, skeleton: Skeleton, local: np.ndarray) -> list[str]:
+def bones_elsewhere(obj, skeleton: Skeleton, local: np.ndarray) -> list[str]:
     """Bones that constraints or drivers keep more than a degree from the local transforms (B, 4, 4)."""
     angles = turned(rig_motion.current_pose(obj)[1], local)
     return [name for name, angle in zip(skeleton.names, angles, strict=True) if angle > np.radians(1.0)]

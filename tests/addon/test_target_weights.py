@@ -132,7 +132,7 @@ def test_it_knows_when_the_frames_are_to_be_looked_at_again(scene, soft_arm):
     assert weight_curves._is_old(soft_arm, scene)
     over(soft_arm, 1, 21)
     bpy.app.handlers.depsgraph_update_post.append(weight_curves._note_changes)
-    display.influence = True
+    display.target_weights = True
     try:
         over(soft_arm, 1, 21)
         bpy.context.view_layer.update()
@@ -141,7 +141,7 @@ def test_it_knows_when_the_frames_are_to_be_looked_at_again(scene, soft_arm):
         bpy.context.view_layer.update()
         assert weight_curves._is_old(soft_arm, scene) and bpy.app.timers.is_registered(weight_curves._update)
     finally:
-        display.influence = False
+        display.target_weights = False
         bpy.app.handlers.depsgraph_update_post.remove(weight_curves._note_changes)
         bpy.app.timers.unregister(weight_curves._update)
     assert OPS.update_influence() == {"FINISHED"} and not weight_curves._is_old(soft_arm, scene)
@@ -167,9 +167,9 @@ def test_what_keeps_the_frames_from_being_read_is_shown(scene, soft_arm):
     while not weight_curves._read_on(soft_arm, 1, 20):
         pass
     assert not weight_curves._is_old(soft_arm, scene)  # it is not tried again and again
-    display.influence = True
+    display.target_weights = True
     assert "scaled to zero" in " ".join(drawn(soft_arm))
-    display.influence = False
+    display.target_weights = False
 
 
 def test_frames_outside_and_the_pose_to_add(scene, soft_arm, capfd):
@@ -214,7 +214,7 @@ def test_bones_scaled_to_zero_do_not_spoil_the_curves(soft_arm):
 
 def test_bars_in_the_panel(scene, soft_arm):
     scene.frame_set(20)
-    assert {"Neutral  0.00", "flexed  1.00", "influence", "dynamorph.suggest_pose"} <= set(drawn(soft_arm))
+    assert {"Neutral  0.00", "flexed  1.00", "target_weights", "dynamorph.suggest_pose"} <= set(drawn(soft_arm))
     scene.frame_set(10)
     OPS.add_target(key="smile")
     soft_arm.dynamorph.targets[2].region = "lower"
@@ -463,7 +463,7 @@ def test_what_cannot_be_drawn_is_not(soft_arm, monkeypatch):
     """In the background there is no viewport: both callbacks fail inside, silently."""
     overlays, overlay_graph, display = part("overlays"), part("overlay_graph"), bpy.context.window_manager.dynamorph
     monkeypatch.setattr(part("weight_curves"), "update_soon", lambda _wait: None)
-    display.cage = display.influence = display.heat = True
+    display.cage = display.target_weights = display.heat = True
     for state in ("depth_test_set", "depth_mask_set", "blend_set"):
         monkeypatch.setattr(f"gpu.state.{state}", lambda _value: None, raising=False)
     for draw in (overlays._draw_cage, overlay_graph.draw_graph, overlays._draw_surface, overlays._draw_surface_legend):

@@ -25,7 +25,7 @@ def folder(tmp_path):
 
 def baked(obj, folder=None, goal="BAKE"):
     batch = part("batch")
-    job = part("job").Job(obj, goal, share=folder and part("cache_dir").Share(folder))
+    job = part("job").Job(obj, goal, cache_dir=folder and part("cache_dir").CacheDir(folder))
     batch.run(job)
     return job
 
@@ -33,7 +33,7 @@ def baked(obj, folder=None, goal="BAKE"):
 def stopped(obj, folder, monkeypatch, stretches):
     """A bake that ends after this many chunks; nothing is written."""
     cache_dir, batch, job = part("cache_dir"), part("batch"), part("job")
-    keep, left = cache_dir.Share.keep, iter(range(stretches - 1, -1, -1))
+    keep, left = cache_dir.CacheDir.keep, iter(range(stretches - 1, -1, -1))
 
     def keep_and_stop(self, *args):
         keep(self, *args)
@@ -41,9 +41,9 @@ def stopped(obj, folder, monkeypatch, stretches):
             raise InterruptedError
 
     with monkeypatch.context() as patch:
-        patch.setattr(cache_dir.Share, "keep", keep_and_stop)
+        patch.setattr(cache_dir.CacheDir, "keep", keep_and_stop)
         with pytest.raises(InterruptedError):
-            batch.run(job.Job(obj, "BAKE", share=cache_dir.Share(folder)))
+            batch.run(job.Job(obj, "BAKE", cache_dir=cache_dir.CacheDir(folder)))
 
 
 def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
