@@ -19,6 +19,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -137,24 +138,42 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
         description="Dynamic morph targets: soft skin for rigged characters.",
     )
     commands = root.add_subparsers(title="commands", required=True)
+    command = partial(add_command, commands, opens_file)
+    add_report_file(command("check", run_check, "list what prevents a build, and what looks unintended", writes=False))
+    add_bake(command)
+    add_build(command)
+    add_report(command)
+    add_fit(command)
+    add_collect(commands)
+    command("delete-bake", run_delete_bake, "delete bakes and restore the target keys")
+    command("info", run_info, "print what the file holds", writes=False)
+    return root
 
-    def command(
-        name: str, run: Callable[[argparse.Namespace], None], text: str, writes: bool = True
-    ) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=text, description=text)
-        sub.set_defaults(run=run)
-        if opens_file:
-            sub.add_argument("file", type=Path, help="the .blend to open")
-        chosen = sub.add_mutually_exclusive_group(required=writes)
-        chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
-        chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
-        if writes:
-            target = sub.add_mutually_exclusive_group(required=name not in ("build", "bake"))
-            target.add_argument("-o", "--output", type=Path, metavar="FILE", help="the .blend to write")
-            target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
-        return sub
 
-    check = command("check", run_check, "list what prevents a build, and what looks unintended", False)
+def add_command(
+    commands: argparse._SubParsersAction,
+    opens_file: bool,
+    name: str,
+    run: Callable[[argparse.Namespace], None],
+    text: str,
+    writes: bool = True,
+) -> argparse.ArgumentParser:
+    """A command that works on soft skins of a .blend. writes: it changes the file."""
+    sub = commands.add_parser(name, help=text, description=text)
+    sub.set_defaults(run=run)
+    if opens_file:
+        sub.add_argument("file", type=Path, help="the .blend to open")
+    chosen = sub.add_mutually_exclusive_group(required=writes)
+    chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
+    chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
+    if writes:
+        target = sub.add_mutually_exclusive_group(required=name not in ("build", "bake"))
+        target.add_argument("-o", "--output", type=Path, metavar="FILE", help="the .blend to write")
+        target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
+    return sub
+
+
+def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
     bake = command("bake", run_job, "simulate, and write shape keys or files; outdated models are built first")
     bake.set_defaults(goal="BAKE")
     add_shot(bake)
@@ -169,58 +188,60 @@ def parser(opens_file: bool) -> argparse.ArgumentParser:
                       help="actions, for gltf and fbx: one animation per Action of the armature, each simulated on its "
                       "own, instead of the scene's frames")  # fmt: skip
     add_settings(bake, "output", OUTPUT_SETTINGS)
+    add_model(bake)
+
+
+def add_build(command: Callable[..., argparse.ArgumentParser]) -> None:
     build = command("build", run_job, "build models")
     build.set_defaults(goal="BUILD", frames=None, substeps=None, format=None, output_file=None, clips="scene")
-    for sub in (bake, build):
-        add_settings(sub, "model", MODEL_SETTINGS)
-        sub.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="TARGET.PROPERTY=VALUE",
-            dest="changes",
-            # Fmt: skip.
-            help="set a target's property first, for example Flexed.stiffness=5e4; may be repeated",
-        )
-        sub.add_argument(
-            "--cache-dir",
-            type=Path,
-            metavar="FOLDER",
-            # Fmt: skip.
-            help="keep models and unfinished bakes in this folder, and continue from those that it has",
-        )
-        sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to print progress")
-    for sub in (check, bake, build):
-        sub.add_argument("--report", type=Path, metavar="FILE", help="write the outcome as JSON, even after a failure")
+    add_model(build)
+
+
+def add_report(command: Callable[..., argparse.ArgumentParser]) -> None:
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
     report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
                         help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
     report.add_argument("--json", type=Path, metavar="FILE", help="also write all figures, in meters and seconds")
     add_shot(report)
+
+
+def add_fit(command: Callable[..., argparse.ArgumentParser]) -> None:
     fit = command("fit", run_fit, "fit a target's stiffness and damping to a measurement; its model must be up to date")
     fit.add_argument("--target", required=True, metavar="NAME", help="the target's name")
     measured = fit.add_mutually_exclusive_group(required=True)
-    measured.add_argument(
-        "--oscillation", type=Path, metavar="CSV", help="a point that swings after its release: seconds, x, y, z"
-    )
-    measured.add_argument(
-        "--force-displacement",
-        type=Path,
-        metavar="CSV",
-        help="pushes: newtons x, y, z, meters x, y, z, in the mesh's axes",
-    )
-    fit.add_argument(
-        "--vertex-group", metavar="GROUP", help="vertices observed or pushed; default: the target's region"
-    )
+    measured.add_argument("--oscillation", type=Path, metavar="CSV",
+                          help="a point that swings after its release: seconds, x, y, z")  # fmt: skip
+    measured.add_argument("--force-displacement", type=Path, metavar="CSV",
+                          help="pushes: newtons x, y, z, meters x, y, z, in the mesh's axes")  # fmt: skip
+    fit.add_argument("--vertex-group", metavar="GROUP",
+                     help="vertices observed or pushed; default: the target's region")  # fmt: skip
+
+
+def add_collect(commands: argparse._SubParsersAction) -> None:
+    """The command that reads reports instead of a .blend."""
     collected = commands.add_parser("collect", help=COLLECT, description=COLLECT)
     collected.set_defaults(run=run_collect)
     collected.add_argument("folder", type=Path, help="the folder with the files of --report")
     collected.add_argument("--expect", type=int, metavar="N", help="how many reports there should be")
     collected.add_argument("-o", "--page", type=Path, metavar="FILE", required=True,
                            help="the HTML to write, with a .json of the same name beside it")  # fmt: skip
-    command("delete-bake", run_delete_bake, "delete bakes and restore the target keys")
-    command("info", run_info, "print what the file holds", writes=False)
-    return root
+
+
+def add_model(sub: argparse.ArgumentParser) -> None:
+    """Options of the commands that build models."""
+    add_settings(sub, "model", MODEL_SETTINGS)
+    sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
+                     help="set a target's property first, for example Flexed.stiffness=5e4; may be "
+                     "repeated")  # fmt: skip
+    sub.add_argument("--cache-dir", type=Path, metavar="FOLDER",
+                     help="keep models and unfinished bakes in this folder, and continue from those that it "
+                     "has")  # fmt: skip
+    sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to print progress")
+    add_report_file(sub)
+
+
+def add_report_file(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--report", type=Path, metavar="FILE", help="write the outcome as JSON, even after a failure")
 
 
 def add_shot(sub: argparse.ArgumentParser) -> None:
