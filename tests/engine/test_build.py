@@ -122,6 +122,13 @@ def test_models_from_before_stiffness_could_be_painted_stay_up_to_date(cage, mon
     assert stale_reasons(again, bar()) == []
 
 
+def test_names_in_files_stay(cage):
+    """Of arrays whose fields were renamed: programs read them, and older files have them."""
+    arrays, _ = cage.to_arrays()
+    assert {"details", "shares", "held"} <= set(arrays)
+    assert not {"residual_shapes", "region_weights", "hold_strength"} & set(arrays)
+
+
 # The cage alone ----------------------------------------------------------------------------------------------------
 
 
