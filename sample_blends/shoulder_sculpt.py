@@ -130,17 +130,17 @@ class Parting:
     """How the skin is kept apart in one pose: gradient . displacement + distance >= needed, for each vertex.
 
     gradient (V, 3) and distance (V,) from a plane, positive on the vertex's own side; way (V, 3): where the skin gives
-    way; needed (V,), -inf where it does not matter; share (J,): the weights of the shapes in this pose.
+    way; needed (V,), -inf where it does not matter; target_weights (J,): the weights of the shapes in this pose.
     """
 
     gradient: np.ndarray
     way: np.ndarray
     distance: np.ndarray
     needed: np.ndarray
-    share: np.ndarray
+    target_weights: np.ndarray
 
 
-def part(bust: Bust, pose: Pose, point, normal, side: np.ndarray, needed: np.ndarray, share) -> Parting:
+def part(bust: Bust, pose: Pose, point, normal, side: np.ndarray, needed: np.ndarray, target_weights) -> Parting:
     """Keep the vertices of positive `side` in front of the plane, the others behind it.
 
     Skin gives way into the limb: along it, it would pile up.
@@ -150,7 +150,7 @@ def part(bust: Bust, pose: Pose, point, normal, side: np.ndarray, needed: np.nda
     gradient = np.einsum("v,i,vij->vj", sign, normal, maps[..., :3])
     axis = limb_axis(bust)
     way = gradient - 0.8 * np.einsum("vi,vi->v", gradient, axis)[:, None] * axis
-    return Parting(gradient, way, sign * ((moved(maps, bust.vertices) - point) @ normal), needed, share)
+    return Parting(gradient, way, sign * ((moved(maps, bust.vertices) - point) @ normal), needed, target_weights)
 
 
 def elbow_partings(bust: Bust, angles: tuple[float, ...]) -> list[Parting]:
@@ -167,8 +167,8 @@ def elbow_partings(bust: Bust, angles: tuple[float, ...]) -> list[Parting]:
         hand = moved(pose.transforms(joints)[FOREARM], joints["hand_l"])
         normal = direction(joints["upperarm"], joints["forearm"]) + direction(joints["forearm"], hand)
         normal /= np.linalg.norm(normal)
-        share = [np.interp(angle, (0.0, *angles), hat) for hat in np.eye(len(angles) + 1)[1:]]
-        out.append(part(bust, pose, joints["forearm"], normal, along, needed, np.array(share)))
+        target_weights = [np.interp(angle, (0.0, *angles), hat) for hat in np.eye(len(angles) + 1)[1:]]
+        out.append(part(bust, pose, joints["forearm"], normal, along, needed, np.array(target_weights)))
     return out
 
 
@@ -215,10 +215,10 @@ def make_room(bust: Bust, shapes: list[np.ndarray], partings: list[Parting], fre
 
 def push_apart(parting: Parting, shapes: np.ndarray, loose: float) -> None:
     """Moves each vertex of the shapes (J, V, 3) the shortest way to `loose` times the distance it needs."""
-    gradient, way, share = parting.gradient, parting.way, parting.share
-    now = parting.distance + np.einsum("vi,vi->v", gradient, np.tensordot(share, shapes, 1))
+    gradient, way, target_weights = parting.gradient, parting.way, parting.target_weights
+    now = parting.distance + np.einsum("vi,vi->v", gradient, np.tensordot(target_weights, shapes, 1))
     step = np.maximum(loose * parting.needed - now, 0) / np.einsum("vi,vi->v", gradient, way)
-    shapes += np.einsum("j,v,vi->jvi", share / (share @ share), step, way)
+    shapes += np.einsum("j,v,vi->jvi", target_weights / (target_weights @ target_weights), step, way)
 
 
 # --- Targets ----------------------------------------------------------------------------------------------------------
