@@ -75,5 +75,5 @@ def stand_in(addon, monkeypatch):
 
     engine = StandIn()
     monkeypatch.setattr(part("engine"), "engine", lambda: (engine, engine))
-    part("model_store")._load.cache_clear()
+    part("model_store").forget()
     return engine

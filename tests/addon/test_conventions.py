@@ -2,10 +2,12 @@
 """What the whole interface has in common: names, descriptions, texts that can be translated."""
 
 import inspect
+import types
 
 import bpy
 import pytest
 from builders import MODULE, part
+from layout import Layout
 
 
 def ours(*kinds):
@@ -118,7 +120,10 @@ def test_reports_can_be_translated(soft_arm, monkeypatch, tmp_path, capfd):
 
 
 def test_labels_can_be_translated(addon, monkeypatch):
-    preferences = part("preferences")
     translate(monkeypatch, "preferences", "iface_", {"Engine: version {version}": "Rechenkern {version}"})
-    monkeypatch.setattr(preferences.metadata, "version", lambda _name: "1.2.3")
-    assert preferences._engine_version() == "Rechenkern 1.2.3"
+    monkeypatch.setattr(part("preferences").metadata, "version", lambda _name: "1.2.3")
+    monkeypatch.setattr(part("engine"), "engine_problem", lambda: "")
+    preferences, drawn = bpy.context.preferences.addons[MODULE].preferences, []
+    shown = types.SimpleNamespace(layout=Layout(drawn), bl_rna=preferences.bl_rna)
+    type(preferences).draw(shown, bpy.context)
+    assert drawn == ["model_folder", "threads", "Rechenkern 1.2.3"]

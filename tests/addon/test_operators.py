@@ -139,7 +139,7 @@ def test_a_second_build_replaces_the_first(soft_arm, stand_in):
     for size in (800, 1600):
         stand_in.bytes = size
         bpy.ops.dynamorph.build()
-        model_store._load.cache_clear()
+        model_store.forget()
         assert model_store.stale_reasons(soft_arm, extract.character(soft_arm)) == []
 
 
@@ -161,7 +161,7 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 2
     next((tmp_path / "two" / "dynamorph_models").iterdir()).unlink()
-    model_store._load.cache_clear()
+    model_store.forget()
     reasons = model_store.stale_reasons(bpy.data.objects["Arm"], None)
     assert "is missing" in reasons[0]
 
@@ -184,7 +184,7 @@ def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
     damaged = damage(list(soft_arm[model_store.PACKED]))
     del soft_arm[model_store.PACKED]
     soft_arm[model_store.PACKED] = damaged
-    model_store._load.cache_clear()
+    model_store.forget()
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.run(job)
     assert stand_in.built == 2 and len(job.reasons) == 1
@@ -197,7 +197,7 @@ def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
     packed = model_store.stored_model(soft_arm)
     del soft_arm[model_store.PACKED]
     soft_arm[model_store.PACKED] = packed
-    model_store._load.cache_clear()
+    model_store.forget()
     assert model_store.stored_model(soft_arm) == packed
     assert model_store.stale_reasons(soft_arm, part("extract").character(soft_arm)) == []
 

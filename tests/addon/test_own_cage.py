@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A mesh of the artist's own as the cage: read where the skin rests, a dependency of the model, refused with advice."""
 
+import inspect
+
 import bpy
 import numpy as np
 import pytest
@@ -116,8 +118,10 @@ def test_an_unusable_cage_is_refused_with_its_name(caged, spoil, words):
 
 
 def test_only_other_meshes_can_be_cages(caged):
-    candidates = part("model_properties")._is_other_mesh
+    """Blender asks the property as it is registered, when it lists what to choose from."""
     model = caged.dynamorph.model
+    annotations = inspect.get_annotations(part("model_properties").DynamorphModel, eval_str=True)
+    candidates = annotations["cage_object"].keywords["poll"]
     assert candidates(model, box_of(caged))
     assert not candidates(model, caged)
     assert not candidates(model, rig_of(caged))

@@ -162,7 +162,7 @@ def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypa
     assert bake(obj).reasons == []
     (tmp_path / "far").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "far" / "shot.blend"))
-    part("model_store")._load.cache_clear()
+    part("model_store").forget()
     assert "is missing" in bake(obj).reasons[0]
 
 

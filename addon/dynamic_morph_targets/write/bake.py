@@ -130,7 +130,9 @@ class NewBake:
         try:
             self._keys = scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
             for key in self._keys:
-                self._names.append(_add_key(obj, key).name)
+                block = obj.shape_key_add(name=key.name, from_mix=False)
+                self._names.append(block.name)  # before it can fail, so that it is taken back
+                _fill(block, key)
             self._action = bpy.data.actions.new(f"{MOTION} {obj.name}")
             _add_curves(obj.data.shape_keys, self._action, self._names, bake.frames, self._keys)
         except BaseException:
@@ -250,13 +252,11 @@ def _clear_unused(keys, had_animation_data: bool):
         keys.animation_data_clear()
 
 
-def _add_key(obj, key: Key):
-    block = obj.shape_key_add(name=key.name, from_mix=False)
+def _fill(block, key: Key):
     block.value = 0.0  # 5.2 creates keys at 1
-    block.relative_key = obj.data.shape_keys.reference_key
+    block.relative_key = block.id_data.reference_key
     block.slider_min, block.slider_max = key.lowest, 1.0
     block.points.foreach_set("co", key.points.ravel())
-    return block
 
 
 def _add_curves(keys, action, names, frames, values: list[Key]):
@@ -360,17 +360,21 @@ def _moves_only(action, paths: set[str]) -> bool:
 
 
 def _record(obj, names, wanted, action, had_animation_data):
-    """Give the new keys their final names, now that the old bake is gone, and record them."""
+    """Give the new keys their final names, now that the old bake is gone, and record them. `names` follows, and what
+    may fail comes before the record: until then the keys can be taken back.
+    """
     blocks = obj.data.shape_keys.key_blocks
     record = obj.dynamorph.bake
-    for name, want in zip(names, wanted, strict=True):
-        index = blocks.find(name)
-        if name != want and want not in blocks:
-            blocks[index].name = want  # the curves' paths follow
+    for k, want in enumerate(wanted):
+        if names[k] != want and want not in blocks:
+            blocks[names[k]].name = want  # the curves' paths follow
+            names[k] = want
+    reaches, basis = [key_reach(blocks[name]) for name in names], basis_hash(blocks)
+    for name, reach in zip(names, reaches, strict=True):
         key = record.keys.add()
-        key.refer_to(blocks, index)
-        key.reach = key_reach(blocks[index])
-    record.basis = basis_hash(blocks)
+        key.refer_to(blocks, blocks.find(name))
+        key.reach = reach
+    record.basis = basis
     record.action = action
     record.had_animation_data = had_animation_data
     record.active_index = obj.active_shape_key_index
