@@ -2,8 +2,8 @@
 """Live shows what a bake would, continues through edits, and leaves no trace; so do its previews."""
 
 import json
-import time
 import types
+from itertools import pairwise
 
 import addon_utils
 import bpy
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of
 from mathutils import Matrix
-from pressed import Pressed
+from pressed import Pressed, press
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -70,6 +70,22 @@ def baked(obj, **settings):
     assert job.reasons == []
     rest = extract.character(obj).vertices
     return np.array([rest + job.result.displacement(k) for k in range(len(job.result.frames))])
+
+
+def begun_at(obj, frame, **settings):
+    """The surface (V, 3) with which a bake begins that starts at this frame."""
+    simulation = obj.dynamorph.simulation
+    whole = simulation.use_scene_range, simulation.start, simulation.end
+    simulation.use_scene_range, simulation.start, simulation.end = False, frame, frame + 1
+    first = baked(obj, **settings)[0]
+    simulation.use_scene_range, simulation.start, simulation.end = whole
+    return first
+
+
+def values_at(obj, frame):
+    """What Live shows at a frame: coordinates (r,) and target weights (J,)."""
+    now, settings = session(obj), part("session").simulation_settings(obj, bpy.context.scene)
+    return np.split(now.values(obj, settings, frame, arrives=False), [now.tissue.modes])
 
 
 def apart(first, second) -> float:
@@ -136,11 +152,9 @@ def test_sub_frames_are_those_of_the_bake(playing):
 def test_begins_again_at_the_start_and_after_a_jump(playing):
     whole = play(playing, range(1, 11))
     assert apart(play(playing, range(1, 11)), whole) == 0.0
-    assert len(session(playing)._frames) == 10
-    bpy.context.scene.frame_set(40)  # too far to have been played
-    assert list(session(playing)._frames) == [40]
-    bpy.context.scene.frame_set(20)
-    assert list(session(playing)._frames) == [20]
+    for frame in (40, 20):  # too far to have been played
+        (shown,) = play(playing, [frame])
+        assert apart(shown, begun_at(playing, frame)) < 1e-6
 
 
 def test_dropped_frames_are_simulated_all_the_same(playing):
@@ -197,11 +211,9 @@ def test_a_loop_goes_on_without_a_jump(live_arm):
 def test_a_loop_whose_last_frames_are_dropped_goes_on(live_arm):
     live_arm.dynamorph.simulation.loop = True
     bpy.ops.dynamorph.live()
-    play(live_arm, range(1, 18))
-    play(live_arm, [1])
-    assert session(live_arm).tissue.player.passes == 1
-    play(live_arm, [2, 9, 1])  # that was no end
-    assert session(live_arm)._frames[1].steps["steps"] == 0
+    first = play(live_arm, range(1, 18))[0]
+    assert apart(play(live_arm, [1])[0], first) > 1e-3
+    assert apart(play(live_arm, [2, 9, 1])[-1], first) < 1e-6  # that was no end
 
 
 def test_static_morph_targets_loop(live_arm):
@@ -238,9 +250,17 @@ def test_collapsed_bones_keep_their_size_from_block_to_block(live_arm):
 def test_of_a_long_shot_the_latest_rig_is_kept(playing, monkeypatch):
     whole = play(playing, range(1, 41))
     monkeypatch.setattr(part("session"), "RIG_BYTES", 1)
-    session(playing).rig.forget()
+    rig, rig_motion, read = session(playing).rig, part("rig_motion"), []
+    rig.forget()
+    sample_rig = rig_motion.sample_rig
+    monkeypatch.setattr(rig_motion, "sample_rig", lambda *args: read.append(args[1:3]) or sample_rig(*args))
     assert apart(play(playing, range(1, 41)), whole) == 0.0
-    assert list(session(playing).rig._blocks) == [1, 2]
+    assert read == [(1, 17), (17, 33), (33, 49)]
+    for frame in (40, 20):
+        rig.after(playing, frame)
+    assert len(read) == 3
+    rig.after(playing, 16)
+    assert read[3:] == [(1, 17)]
 
 
 # Changes while it plays --------------------------------------------------------------------------------------------
@@ -269,19 +289,19 @@ def test_the_same_settings_written_again_change_nothing(playing):
 
 def test_another_pose_of_a_target_counts_at_once(playing):
     play(playing, range(1, 15))
-    weights = session(playing)._frames[14].weights
+    _, weights = values_at(playing, 14)
     playing.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.capture_pose()  # of frame 14
     play(playing, [15])
-    assert session(playing)._frames[14].weights == pytest.approx(weights)
-    assert session(playing)._frames[15].weights == pytest.approx([0, 1])
+    assert values_at(playing, 15)[1] == pytest.approx([0, 1])
+    assert values_at(playing, 14)[1] == pytest.approx(weights)
 
 
 def test_steps_of_another_length_begin_a_session(playing):
     play(playing, range(1, 6))
     playing.dynamorph.simulation.substeps = 2
-    play(playing, [6])
-    assert list(session(playing)._frames) == [6] and session(playing).rig.substeps == 2
+    (shown,) = play(playing, [6])
+    assert apart(shown, begun_at(playing, 6)) < 1e-6
 
 
 def test_edited_animation_is_read_anew(playing):
@@ -291,7 +311,7 @@ def test_edited_animation_is_read_anew(playing):
     bone.keyframe_insert("rotation_euler", frame=8)
     bpy.context.view_layer.update()
     play(playing, range(6, 9))
-    assert session(playing)._frames[8].weights == pytest.approx([1, 0], abs=1e-6)
+    assert values_at(playing, 8)[1] == pytest.approx([1, 0], abs=1e-6)
 
 
 def test_another_frame_map_counts_at_once(playing):
@@ -302,14 +322,15 @@ def test_another_frame_map_counts_at_once(playing):
 
 def test_gains_and_solo_show_at_once(playing):
     play(playing, range(1, 9))
-    static = session(playing).tissue.player.static(session(playing)._frames[8].weights)
+    coordinates, weights = values_at(playing, 8)
     modes, tissue = playing.dynamorph.modes, session(playing).tissue
+    static = tissue.player.static(weights)
     assert [mode.name for mode in modes][:2] == ["Mode 01", "Mode 02"] and len(modes) == 8
     modes[2].solo = True
     modes[2].gain = 2.0
     alone = static.copy()
-    alone[2] += 2.0 * (session(playing)._frames[8].coordinates - static)[2]
-    expected = tissue.points(np.concatenate([alone, session(playing)._frames[8].weights])).reshape(-1, 3)
+    alone[2] += 2.0 * (coordinates - static)[2]
+    expected = tissue.points(np.concatenate([alone, weights])).reshape(-1, 3)
     assert apart(surface(playing), expected) < 1e-7
     assert bpy.ops.dynamorph.reset_gains() == {"FINISHED"}
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
@@ -320,11 +341,9 @@ def test_motion_amount_of_a_target_shows_at_once_and_as_in_the_bake(playing):
     playing.dynamorph.targets["flexed"].influence = 0.0
     bake, static = baked(playing), session(playing).tissue.player.static
     assert apart(surface(playing), bake[-1]) < 1e-6 < apart(whole[-1], bake[-1])
-    weights = session(playing)._frames[20].weights
-    assert (
-        apart(surface(playing).ravel(), session(playing).tissue.points(np.concatenate([static(weights), weights])))
-        < 1e-6
-    )
+    _, weights = values_at(playing, 20)
+    expected = session(playing).tissue.points(np.concatenate([static(weights), weights])).reshape(-1, 3)
+    assert apart(surface(playing), expected) < 1e-6
     assert apart(play(playing, range(1, 21)), bake) < 1e-6
     playing.dynamorph.targets["flexed"].influence = 1.0
     assert apart(play(playing, range(1, 21)), whole) < 1e-6
@@ -348,9 +367,9 @@ def test_a_gain_that_is_no_number_is_not_shown(playing):
     play(playing, [5])
 
 
-def test_amount_shows_at_once_and_as_in_the_bake(playing):
+def test_amount_shows_at_once_and_as_in_the_bake(playing, monkeypatch):
     play(playing, range(1, 10))
-    whole, frames = surface(playing), dict(session(playing)._frames)
+    whole, player, simulated = surface(playing), part("player").Player, []
 
     def moved():
         return part("heat").displacements(playing)[playing.session_uid]
@@ -358,8 +377,11 @@ def test_amount_shows_at_once_and_as_in_the_bake(playing):
     heat = moved()
     assert heat.max() > 0.05
     for amount in (0.5, 0.0, 2.0):
-        playing.dynamorph.simulation.amount = amount
-        assert session(playing)._frames == frames  # nothing is simulated for it
+        with monkeypatch.context() as patch:
+            for step in ("begin", "begin_again", "advance"):
+                patch.setattr(player, step, lambda *args: simulated.append(args))
+            playing.dynamorph.simulation.amount = amount
+        assert not simulated
         assert apart(surface(playing), baked(playing)[8]) < 1e-6
         np.testing.assert_allclose(moved(), amount * heat, rtol=1e-4, atol=1e-6)
     playing.dynamorph.simulation.amount = 1.0
@@ -712,14 +734,18 @@ def test_a_shake_moves_the_rig_as_it_says(live_arm):
     live_arm.scale = (-1.0, 1.0, 1.0)
     bpy.context.view_layer.update()
     transform = Matrix.Translation((0.3, -0.2, 0.1)) @ Matrix.Rotation(0.7, 4, (0.6, 0.0, 0.8))
-    for obj in preview.movers(live_arm):
-        before, mover = np.array(obj.matrix_world), preview._Mover(obj)
-        mover.move(transform)
-        bpy.context.view_layer.update()
-        assert np.array(obj.matrix_world) == pytest.approx(np.array(transform) @ before, abs=1e-5)
-        mover.restore()
-        bpy.context.view_layer.update()
-        assert np.array(obj.matrix_world) == pytest.approx(before, abs=1e-6)
+    live_arm.dynamorph.model.hold = "THICKNESS"  # the bones are elsewhere
+    bpy.ops.dynamorph.build()
+    before = {obj: np.array(obj.matrix_world) for obj in preview.movers(live_arm)}
+    running = preview.Preview(live_arm, bpy.types.DYNAMORPH_OT_shake_test)
+    running.show(np.concatenate([np.zeros(running.tissue.modes), [1.0, 0.0]]), transform)
+    bpy.context.view_layer.update()
+    for obj, stood in before.items():
+        assert np.array(obj.matrix_world) == pytest.approx(np.array(transform) @ stood, abs=1e-5)
+    running.end()
+    bpy.context.view_layer.update()
+    for obj, stood in before.items():
+        assert np.array(obj.matrix_world) == pytest.approx(stood, abs=1e-6)
     assert [obj.name for obj in preview.movers(live_arm)] == ["Arm Rig", "Arm"]
     live_arm.parent = rig
     assert [obj.name for obj in preview.movers(live_arm)] == ["Arm Rig"]
@@ -808,50 +834,26 @@ def test_play_mode_is_refused_while_blender_renders(live_arm, monkeypatch):
 
 def test_a_mode_that_plays_stands_still_while_blender_renders(live_arm, monkeypatch):
     """A render that begins meanwhile reads what would be written."""
-    live_operators, window, tick = (
-        part("live_operators"),
-        PreviewWindow(live_arm),
-        types.SimpleNamespace(type="TIMER", value="NOTHING"),
-    )
-    play_mode = live_operators.DYNAMORPH_OT_play_mode
+    clock = [0.0]  # seconds
+    monkeypatch.setattr(part("live_operators"), "time", types.SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(part("rig_motion"), "render_runs", lambda: clock[0] > 0.3)
+    buttons, shown = [], []
 
-    class Button(live_operators.PreviewOperator):
-        bl_idname, bl_label = play_mode.bl_idname, play_mode.bl_label
-        frames, _swinging, passes = play_mode.frames, staticmethod(play_mode._swinging), play_mode.passes
+    def begin(button, context):
+        buttons.append(button)
+        return button.invoke(context, None)
 
-    button = Button()
-    button._begin(window)
-    time.sleep(0.1)
-    assert button.modal(window, tick) == {"RUNNING_MODAL"}
-    swung = surface(live_arm)
-    with monkeypatch.context() as patch:
-        patch.setattr(part("rig_motion"), "render_runs", lambda: True)
-        time.sleep(0.1)
-        assert button.modal(window, tick) == {"RUNNING_MODAL"}
-    assert apart(surface(live_arm), swung) == 0.0
-    part("preview").end_preview()
-    assert button.modal(window, tick) == {"CANCELLED"}
-
-
-class PreviewWindow:
-    """Stands in for the context of a window in which a preview plays: its timers and what it asks of the screen."""
-
-    def __init__(self, obj):
-        self.object = obj
-        self.window = self.window_manager = self.workspace = self.screen = self
-        self.is_animation_playing = False
-
-    def event_timer_add(self, _seconds, window):
-        return window
-
-    def event_timer_remove(self, _timer):
-        pass
-
-    def status_text_set(self, _text):
-        pass
-
-    def modal_handler_add(self, _operator):
-        pass
+    assert press(live_arm, "DYNAMORPH_OT_play_mode", begin) == {"RUNNING_MODAL"}
+    (button,) = buttons
+    tick, escape = (types.SimpleNamespace(type=kind, value="PRESS") for kind in ("TIMER", "ESC"))
+    for now in (0.1, 0.2, 0.3, 0.4, 0.5):
+        clock[0] = now
+        assert button.modal(bpy.context, tick) == {"RUNNING_MODAL"}
+        shown.append(surface(live_arm))
+    assert button.modal(bpy.context, escape) == {"CANCELLED"}
+    steps = [apart(first, second) for first, second in pairwise(shown)]
+    assert min(steps[:2]) > 1e-4 and steps[2:] == [0.0, 0.0]
+    assert part("preview").preview is None
 
 
 # Comparing ---------------------------------------------------------------------------------------------------------
