@@ -69,6 +69,15 @@ def soft_arm(arm):
 
 
 @pytest.fixture
+def viewport(scene):
+    """A 3D view in which the add-on draws; see viewport.Viewport."""
+    from viewport import Viewport
+
+    with Viewport() as viewport:
+        yield viewport
+
+
+@pytest.fixture
 def stand_in(addon, monkeypatch):
     """Replaces the engine by one that answers at once; see builders.StandIn."""
     from builders import StandIn, part
