@@ -4,7 +4,6 @@
 import hashlib
 import importlib
 import threading
-import time
 from contextlib import contextmanager
 from math import pi
 from pathlib import Path
@@ -178,7 +177,7 @@ class StandIn:
         self.built = 0
         self.bytes = 800  # size of a model
         self.fail = None  # an exception that bake raises
-        self.patience = 0.0  # seconds that bake takes unless it is cancelled
+        self.waits = {}  # by character: an Event for which its bake waits at each frame unless it is cancelled
         self.hears = None  # an Event that it waits for before it looks whether it is
         self.looks = 0  # how often it has looked, of 10 times for each bake
         self.playing = threading.Event()  # bake has begun
@@ -240,9 +239,13 @@ class StandInShot:
             engine.hears.wait(60.0)
         for i in range(10):
             engine.looks += 1
-            if not self.progress(i / 10, f"Frame {i}"):
-                raise RuntimeError("cancelled")
-            time.sleep(engine.patience / 10)
+            self.tell(i)
+            while self.character.name in engine.waits and not engine.waits[self.character.name].wait(0.01):
+                self.tell(i)
+
+    def tell(self, frame):
+        if not self.progress(frame / 10, f"Frame {frame}"):
+            raise RuntimeError("cancelled")
 
     def bake(self):
         character, settings = self.character, self.settings

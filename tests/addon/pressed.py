@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A button pressed in a window, without a window: Blender's own operator, and the events that a test gives it."""
 
-import time
 import types
 
 import bpy
@@ -100,4 +99,6 @@ class Pressed:
             event = types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS")
             self.result = self.operator.modal(bpy.context, event)
             self.turns += 1
-            time.sleep(0.005)  # the job's thread goes on
+            for job in self.operator.batch.jobs:
+                if job.thread.is_alive():
+                    job.thread.join(0.005)  # it goes on

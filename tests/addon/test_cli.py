@@ -192,8 +192,13 @@ def test_ctrl_c(shot, run, stand_in):
 
 
 def interrupt(shot, run, stand_in):
-    stand_in.patience = 10.0
-    threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    stand_in.waits["Arm"] = threading.Event()
+
+    def press_ctrl_c():
+        assert stand_in.playing.wait(60.0)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=press_ctrl_c).start()
     before = shot.read_bytes()
     code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
     assert code == 130 and "interrupted" in errors

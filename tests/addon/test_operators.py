@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Buttons and jobs, with an engine that answers at once."""
 
+import itertools
 import sys
 import threading
-import time
+import types
 
 import addon_utils
 import bpy
@@ -228,7 +229,7 @@ def test_a_result_that_is_not_a_number_is_refused(soft_arm, stand_in, monkeypatc
 
 def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
     errors = part("errors")
-    stand_in.patience = 2.0
+    stand_in.waits["Arm"] = threading.Event()
     before = fingerprint(soft_arm)
     job = part("job").Job(soft_arm, goal="BAKE")
     batch = part("batch").Batch([job], "BAKE")
@@ -245,7 +246,7 @@ def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
 
 def test_ctrl_c_stops_the_thread(soft_arm, stand_in):
     batch, job = part("batch"), part("job")
-    stand_in.patience = 5.0
+    stand_in.waits["Arm"] = threading.Event()
 
     def interrupt(_job):
         raise KeyboardInterrupt
@@ -290,7 +291,6 @@ def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
 
 
 def test_modal_bake(soft_arm, stand_in):
-    stand_in.patience = 0.1
     pressed = Pressed(soft_arm, ["MOUSEMOVE", "TIMER"])
     assert pressed.result == {"FINISHED"} and len(soft_arm.dynamorph.bake.keys) == 3
     assert "20 frames" in pressed.reports[-1][1] and "built first: not built yet" in pressed.reports[-1][1]
@@ -322,16 +322,19 @@ def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in)
 
 @pytest.fixture
 def slow_rig(monkeypatch):
-    """A rig that takes 5 ms a sample: a list of the samples that were taken."""
-    sampling, samples = part("rig_motion").RigSampling, []
-    read = sampling._read
+    """A rig that takes 5 ms a sample, by its own clock: a list of the samples that were taken."""
+    rig_motion, samples, clock = part("rig_motion"), [], itertools.count(0.0, 0.005)
+    advance = rig_motion.RigSampling.advance
 
-    def slowly(*arguments):
-        time.sleep(0.005)
-        samples.append(arguments)
-        read(*arguments)
+    def noted(sampling, *arguments):
+        first = sampling.done
+        try:
+            return advance(sampling, *arguments)
+        finally:
+            samples.extend(range(first, sampling.done))
 
-    monkeypatch.setattr(sampling, "_read", slowly)
+    monkeypatch.setattr(rig_motion.RigSampling, "advance", noted)
+    monkeypatch.setattr(rig_motion, "time", types.SimpleNamespace(perf_counter=clock.__next__))
     return samples
 
 
@@ -375,11 +378,12 @@ def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, endi
 
 def test_a_bake_waits_until_edit_mode_is_left(soft_arm, stand_in):
     """Nothing can be written there; a long simulation must not be lost for that."""
-    waited, stand_in.patience = [], 0.2
+    waited, stand_in.waits["Arm"] = [], threading.Event()
 
     def edit(batch):
         if batch.message.startswith("Frame") and not waited:
             bpy.ops.object.mode_set(mode="EDIT")
+            stand_in.waits["Arm"].set()
         if "leave Edit Mode" in batch.message:
             waited.append(batch.message)
         if len(waited) == 3:
@@ -392,12 +396,12 @@ def test_a_bake_waits_until_edit_mode_is_left(soft_arm, stand_in):
 
 def test_escape_while_a_bake_waits(soft_arm, stand_in):
     before = fingerprint(soft_arm)
-    entered, stand_in.patience = [], 0.2
+    entered = stand_in.waits["Arm"] = threading.Event()
 
     def edit(batch):
-        if batch.message.startswith("Frame") and not entered:
+        if batch.message.startswith("Frame") and not entered.is_set():
             bpy.ops.object.mode_set(mode="EDIT")
-            entered.append(True)
+            entered.set()
         if "leave Edit Mode" in batch.message:
             batch.cancel()
 
@@ -423,7 +427,7 @@ def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
 
 
 def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
-    stand_in.patience = 5.0
+    stand_in.waits["Arm"] = threading.Event()
     batch = part("batch")
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.running = batch.Batch([job], "BAKE")
@@ -464,13 +468,19 @@ def test_bake_all_is_one_step(soft_arm, leg, stand_in):
 
 
 def test_one_progress_bar_for_all(soft_arm, leg, stand_in):
-    stand_in.patience = 0.2
-    seen = []
-    pressed = Pressed(
-        soft_arm, operator="DYNAMORPH_OT_bake_all", before_tick=lambda batch: seen.append((batch.name, batch.fraction))
-    )
-    assert pressed.result == {"FINISHED"} and {name for name, _ in seen} == {"Arm", "Leg"}
-    assert [fraction for _, fraction in seen] == sorted(fraction for _, fraction in seen)
+    seen, computing = [], set()
+    for name in ("Arm", "Leg"):
+        stand_in.waits[name] = threading.Event()
+
+    def look(batch):
+        seen.append(batch.fraction)
+        if "Frame" in batch.message:
+            computing.add(batch.name)
+            stand_in.waits[batch.name].set()
+
+    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_bake_all", before_tick=look)
+    assert pressed.result == {"FINISHED"} and computing == {"Arm", "Leg"}
+    assert seen == sorted(seen)
     assert ["20 frames" in text for _, text in pressed.reports] == [True, True]
 
 
@@ -486,10 +496,10 @@ def test_none_is_baked_when_one_cannot_be_or_on_escape(soft_arm, leg, stand_in):
     stand_in.Shot = fails_for_the_leg
     refused(bpy.ops.dynamorph.bake_all, "'Leg': too soft")
     assert (fingerprint(soft_arm), fingerprint(leg)) == before
-    stand_in.Shot, stand_in.patience = shot, 0.3
+    stand_in.Shot, stand_in.waits["Leg"] = shot, threading.Event()
 
     def escape(batch):
-        if batch.name == "Leg" and batch.fraction > 0.6:
+        if batch.name == "Leg" and "Frame" in batch.message:
             batch.cancel()
 
     assert Pressed(soft_arm, operator="DYNAMORPH_OT_bake_all", before_tick=escape).result == {"CANCELLED"}

@@ -21,14 +21,15 @@ def baking(*objects, folder=None, goal="BAKE"):
     return part("batch").Batch(jobs, "BAKE_ALL")
 
 
-def when_computed(batch, change):
+def when_computed(batch, stand_in, change):
     """Run the work, and change something when the last job computes."""
-    last, changed = batch.jobs[-1], False
+    last, changed = batch.jobs[-1], threading.Event()
+    stand_in.waits[last.name] = changed
     for _ in batch.steps(pause=0.01):
-        if not changed and last.message.startswith("Frame"):
+        if not changed.is_set() and last.message.startswith("Frame"):
             change()
-            changed = True
-    assert changed
+            changed.set()
+    assert changed.is_set()
 
 
 def refuse(obj):
@@ -44,18 +45,16 @@ def state(*objects):
 
 
 def test_none_is_written_when_one_is_refused(soft_arm, leg, stand_in):
-    stand_in.patience = 0.2
     leg.data.shape_keys.animation_data_create()
     before = state(soft_arm, leg)
     with pytest.raises(part("errors").SinkError, match="NLA is turned off for the shape keys of 'Leg'"):
-        when_computed(baking(soft_arm, leg), lambda: refuse(leg))
+        when_computed(baking(soft_arm, leg), stand_in, lambda: refuse(leg))
     assert state(soft_arm, leg) == before
 
 
 def test_no_model_is_stored_with_a_bake_that_is_refused(soft_arm, stand_in):
-    stand_in.patience = 0.2
     with pytest.raises(part("errors").SinkError, match="NLA is turned off"):
-        when_computed(baking(soft_arm), lambda: refuse(soft_arm))
+        when_computed(baking(soft_arm), stand_in, lambda: refuse(soft_arm))
     assert soft_arm.dynamorph.model.content_id == ""
 
 
@@ -94,11 +93,10 @@ def test_none_is_written_when_the_second_write_fails(soft_arm, leg, stand_in, mo
 
 
 def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, tmp_path):
-    stand_in.patience = 0.2
     for obj in (soft_arm, leg):
         obj.dynamorph.output.sink = "PC2"
     with pytest.raises(part("errors").SinkError):
-        when_computed(baking(soft_arm, leg, folder=tmp_path), lambda: refuse(leg))
+        when_computed(baking(soft_arm, leg, folder=tmp_path), stand_in, lambda: refuse(leg))
     assert not list(tmp_path.rglob("*.pc2"))
 
 
