@@ -218,29 +218,22 @@ def test_nothing_but_the_button_where_nothing_is_wrong(arm):
     assert len(drawn(make_mesh(bpy.context.scene, "Stone", *scenes.tube()))) > 1
 
 
-def added(obj):
+def added(capfd):
     """The warnings of Add Soft Skin."""
-
-    class Add(part("base").SoftSkinOperator):
-        apply = part("setup_operators").DYNAMORPH_OT_add_soft_skin.apply
-        warnings = []
-
-        def report(self, kind, text):
-            assert kind == {"WARNING"}
-            self.warnings.append(text)
-
-    Add().apply(obj)
-    return Add.warnings
+    capfd.readouterr()
+    assert OPS.add_soft_skin() == {"FINISHED"}
+    said = capfd.readouterr().out.splitlines()
+    return [line.removeprefix("Warning: ") for line in said if line.startswith("Warning: ")]
 
 
-def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
+def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm, capfd):
     for spoil in (envelopes, rest_position, envelope_multiply):
         spoil(arm)
     for group in arm.vertex_groups:
         group.remove([3, 4, 5])
     arm.scale = (100.0, 100.0, 100.0)
     bpy.context.view_layer.update()
-    warnings = " ".join(added(arm))
+    warnings = " ".join(added(capfd))
     for words in (
         "bone envelopes",
         "rest position",
@@ -256,14 +249,14 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
     )
 
 
-def test_a_sound_mesh_is_added_without_a_word(arm):
-    assert added(arm) == []
+def test_a_sound_mesh_is_added_without_a_word(arm, capfd):
+    assert added(capfd) == []
 
 
-def test_a_soft_skin_is_added_in_edit_mode(arm):
+def test_a_soft_skin_is_added_in_edit_mode(arm, capfd):
     arm.shape_key_clear()
     edit_mode(arm)
-    assert added(arm) == ["'Arm' is in Edit Mode: leave it first"]
+    assert added(capfd) == ["'Arm' is in Edit Mode: leave it first"]
     assert fixes(arm) == ["LEAVE_EDIT_MODE"]
     OPS.fix(problem="LEAVE_EDIT_MODE")
     assert found(arm) == []

@@ -751,46 +751,61 @@ def test_a_shake_moves_the_rig_as_it_says(live_arm):
     assert [obj.name for obj in preview.movers(live_arm)] == ["Arm Rig"]
 
 
+class Playing:
+    """The button of a preview, pressed in a window; it has a clock of its own."""
+
+    def __init__(self, obj, operator, monkeypatch, **settings):
+        self.now = 0.0  # seconds
+        monkeypatch.setattr(part("live_operators"), "time", types.SimpleNamespace(monotonic=lambda: self.now))
+        assert press(obj, operator, self._begin, **settings) == {"RUNNING_MODAL"}
+
+    def _begin(self, button, context):
+        self.button = button
+        return button.invoke(context, None)
+
+    def send(self, kind="TIMER"):
+        """An event, and what comes of it."""
+        return self.button.modal(bpy.context, types.SimpleNamespace(type=kind, value="PRESS"))
+
+
 @pytest.fixture
-def shaken(playing):
-    """A live arm in the middle of a shake test at frame 3, and how its rig stood before."""
-    preview, live_operators = part("preview"), part("live_operators")
+def shaken(playing, monkeypatch):
+    """A live arm in the middle of a shake test at frame 3, how its rig stood before, and the button of the test."""
     play(playing, range(1, 4))
     bpy.ops.ed.undo_push(message="before")
     bpy.context.scene.frame_set(3)
     bpy.ops.ed.undo_push(message="another")
     stood = deltas(rig_of(playing))
-    preview.preview = preview.Preview(playing, live_operators.DYNAMORPH_OT_shake_test)
-    values = np.concatenate([np.full(8, 0.01), [1.0, 0.0]])
-    preview.preview.show(values, Matrix.Translation((0, 0, 0.5)))
+    button = Playing(playing, "DYNAMORPH_OT_shake_test", monkeypatch, kind="HOP")
+    button.now = 0.35
+    assert button.send() == {"RUNNING_MODAL"}
     assert deltas(rig_of(playing)) != stood and part("preview").is_running("dynamorph.shake_test")
-    return playing, stood
+    return playing, stood, button
 
 
 def test_frames_that_pass_do_not_disturb_a_preview(shaken):
-    obj, _ = shaken
+    obj, stood, button = shaken
     swung = surface(obj)
     bpy.context.scene.frame_set(4)
     assert apart(surface(obj), swung) == 0.0
-    part("preview").end_preview()
+    assert button.send("ESC") == {"CANCELLED"} and deltas(rig_of(obj)) == stood
     assert apart(surface(obj), baked(obj)[3]) < 1e-6
 
 
 def test_undo_ends_a_preview(shaken):
-    _, stood = shaken
+    _, stood, button = shaken
     bpy.ops.ed.undo()
     obj = bpy.data.objects["Arm"]
-    assert part("preview").preview is None and deltas(rig_of(obj)) == stood
+    assert deltas(rig_of(obj)) == stood and button.send() == {"CANCELLED"}
     assert apart(play(obj, [4]), baked(obj)[3]) < 1e-6
 
 
-def test_saving_and_loading_end_a_preview(shaken, tmp_path):
-    obj, stood = shaken
+def test_saving_and_loading_end_a_preview(shaken, tmp_path, monkeypatch):
+    obj, stood, button = shaken
     path = str(tmp_path / "shaken.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
-    assert part("preview").preview is None and deltas(rig_of(obj)) == stood
-    preview, live_operators = part("preview"), part("live_operators")
-    preview.preview = preview.Preview(obj, live_operators.DYNAMORPH_OT_play_mode)
+    assert deltas(rig_of(obj)) == stood and button.send() == {"CANCELLED"}
+    Playing(obj, "DYNAMORPH_OT_play_mode", monkeypatch)
     bpy.ops.wm.open_mainfile(filepath=path)
     assert part("preview").preview is None and not part("live").lent
     assert deltas(rig_of(bpy.data.objects["Arm"])) == stood
@@ -834,23 +849,12 @@ def test_play_mode_is_refused_while_blender_renders(live_arm, monkeypatch):
 
 def test_a_mode_that_plays_stands_still_while_blender_renders(live_arm, monkeypatch):
     """A render that begins meanwhile reads what would be written."""
-    clock = [0.0]  # seconds
-    monkeypatch.setattr(part("live_operators"), "time", types.SimpleNamespace(monotonic=lambda: clock[0]))
-    monkeypatch.setattr(part("rig_motion"), "render_runs", lambda: clock[0] > 0.3)
-    buttons, shown = [], []
-
-    def begin(button, context):
-        buttons.append(button)
-        return button.invoke(context, None)
-
-    assert press(live_arm, "DYNAMORPH_OT_play_mode", begin) == {"RUNNING_MODAL"}
-    (button,) = buttons
-    tick, escape = (types.SimpleNamespace(type=kind, value="PRESS") for kind in ("TIMER", "ESC"))
-    for now in (0.1, 0.2, 0.3, 0.4, 0.5):
-        clock[0] = now
-        assert button.modal(bpy.context, tick) == {"RUNNING_MODAL"}
+    button, shown = Playing(live_arm, "DYNAMORPH_OT_play_mode", monkeypatch), []
+    monkeypatch.setattr(part("rig_motion"), "render_runs", lambda: button.now > 0.3)
+    for button.now in (0.1, 0.2, 0.3, 0.4, 0.5):
+        assert button.send() == {"RUNNING_MODAL"}
         shown.append(surface(live_arm))
-    assert button.modal(bpy.context, escape) == {"CANCELLED"}
+    assert button.send("ESC") == {"CANCELLED"}
     steps = [apart(first, second) for first, second in pairwise(shown)]
     assert min(steps[:2]) > 1e-4 and steps[2:] == [0.0, 0.0]
     assert part("preview").preview is None

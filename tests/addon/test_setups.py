@@ -16,6 +16,7 @@ from costs import cost
 from layout import Layout
 from mathutils import Matrix
 from mathutils.bvhtree import BVHTree
+from pressed import invoked
 
 OPS = bpy.ops.dynamorph
 
@@ -547,16 +548,13 @@ def test_a_far_mesh_is_reported(rich, capfd):
     assert "'Twin' is up to 5" in capfd.readouterr().out
 
 
-def test_the_dialog_only_asks_where_something_would_be_lost(rich, monkeypatch):
-    operator = part("transfer_operators").DYNAMORPH_OT_copy_to_selected
-    asked = []
-    manager = types.SimpleNamespace(invoke_props_dialog=lambda _self: asked.append(1) or {"RUNNING_MODAL"})
-    context = types.SimpleNamespace(object=rich, view_layer=bpy.context.view_layer, window_manager=manager)
-    self = types.SimpleNamespace(execute=lambda _context: {"FINISHED"})
-    for keys, count in ((False, 0), (True, 1)):
-        context.selected_objects = [rich, twin(rich, keys=keys)]
-        operator.invoke(self, context, None)
-        assert len(asked) == count
+def test_the_dialog_only_asks_where_something_would_be_lost(rich):
+    for keys, result in ((False, "FINISHED"), (True, "CANCELLED")):
+        other = twin(rich, keys=keys)
+        select(rich, other)
+        name = "DYNAMORPH_OT_copy_to_selected"
+        assert invoked(rich, name, invoke_props_dialog=lambda _button: {"CANCELLED"}) == {result}
+        assert bool(other.dynamorph.targets) != keys
 
 
 def test_nearest_points_of_a_surface():
