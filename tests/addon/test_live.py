@@ -938,6 +938,69 @@ def test_a_saved_file_has_no_frozen_skin(playing, tmp_path):
     assert key_mutes(obj) == {"flexed": False, "smile": False}
 
 
+def test_a_copy_is_saved_like_a_file(playing, tmp_path):
+    play(playing, range(1, 5))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
+    assert key_mutes(playing) == LIVE
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    assert key_mutes(in_file(tmp_path / "copy.blend")) == ASLEEP
+
+
+def autosaved(path):
+    """Write the .blend as Blender's autosave and quit.blend do, which call no handler."""
+    lists = bpy.app.handlers.save_pre, bpy.app.handlers.save_post
+    before = [list(handlers) for handlers in lists]
+    for handlers in lists:
+        handlers.clear()
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    for handlers, each in zip(lists, before, strict=True):
+        handlers[:] = each
+
+
+def test_an_autosave_is_recovered_with_live_on(playing, tmp_path):
+    whole = play(playing, range(1, 10))
+    shown, path = evaluated_points(playing), tmp_path / "autosave.blend"
+    autosaved(path)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Arm"]
+    assert key_mutes(obj) == LIVE and part("live").is_on(obj) and apart(evaluated_points(obj), shown) < 1e-6
+    assert apart(play(obj, range(1, 10)), whole) < 1e-6
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+def test_an_autosave_after_the_live_key_was_renamed(playing, tmp_path):
+    play(playing, range(1, 10))
+    playing.data.shape_keys.key_blocks["Dynamorph Live"].name = "mine"
+    autosaved(tmp_path / "autosave.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "autosave.blend"))
+    obj = bpy.data.objects["Arm"]
+    assert part("live").is_on(obj)
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+@pytest.mark.parametrize("was_live", [False, True])
+def test_an_autosave_of_a_preview_is_recovered_without_it(live_arm, tmp_path, was_live):
+    if was_live:
+        bpy.ops.dynamorph.live()
+    path, stood = tmp_path / "autosave.blend", deltas(rig_of(live_arm))
+    running = part("preview").begin_preview(live_arm, part("live_operators").DYNAMORPH_OT_shake_test)
+    before = evaluated_points(live_arm)
+    running.show(np.concatenate([np.full(8, 0.01), [1.0, 0.0]]), Matrix.Translation((0.0, 0.0, 0.5)))
+    assert apart(evaluated_points(live_arm), before) > 0.1
+    autosaved(path)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Arm"]
+    assert deltas(rig_of(obj)) == stood and part("live").is_on(obj) == was_live
+    assert ("Dynamorph Live" in obj.data.shape_keys.key_blocks) == was_live
+    bpy.context.scene.frame_set(1)
+    assert apart(evaluated_points(obj), before) < 1e-6
+
+
 def test_a_file_that_cannot_be_saved_goes_on_playing(playing, tmp_path):
     play(playing, range(1, 5))
     with pytest.raises(RuntimeError):

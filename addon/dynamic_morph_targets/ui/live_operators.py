@@ -20,7 +20,7 @@ from mathutils import Matrix
 from ..core import records
 from ..core.errors import SceneError, SinkError
 from ..run import live, preview
-from ..run.preview import SECONDS, SWING, Preview, end_preview, is_running, movers, shaken
+from ..run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ..scene import events, model_store, rig_motion, skin
 from ..scene.registration import of_classes
 from ..write import comparison
@@ -344,7 +344,19 @@ def _before_save(*_args):
                 comparison.show(obj, False)
 
 
-HANDLERS = dict.fromkeys(("undo_pre", "redo_pre", "load_pre"), _before_change) | {"save_pre": _before_save}
+@persistent
+def _loaded(*_args):
+    """load_post, before Live's own."""
+    end_recovered()
+
+
+HANDLERS = {
+    "undo_pre": _before_change,
+    "redo_pre": _before_change,
+    "load_pre": _before_change,
+    "load_post": _loaded,
+    "save_pre": _before_save,
+}
 CLASSES = (
     DYNAMORPH_OT_live,
     DYNAMORPH_OT_first_look,
