@@ -415,6 +415,19 @@ def test_targets_are_met_exactly(bar, second):
     assert len(missed) == 5 and max(missed) < 1e-3  # millimetres, of a bar of 4 m
 
 
+def test_regions_are_named_as_an_artist_would(bar):
+    add(bar, "first", 1.0, lower=1.0, hand=0.4)
+    bar.vertex_groups.new(name="tip").add(range(4), 1.0, "REPLACE")
+    add(bar, "second", 3.0, finger=1.0).region = "tip"
+    OPS.build()
+    OPS.check_targets()
+    lines = bar.dynamorph.live.checks.split("\n")
+    checked = ["Neutral", "Neutral (Region first)", "first", "Neutral (Region tip)", "second"]
+    assert [line.split(":")[0] for line in lines] == checked
+    texts = " ".join(drawn(bar))
+    assert "Region first" in texts and "Region tip" in texts and "Dynamorph Region" not in texts
+
+
 def test_a_target_leaves_the_motion_of_the_rest_alone(bar):
     """A flexed biceps does not stop a belly from jiggling."""
 

@@ -18,6 +18,7 @@ from bpy.types import Operator
 from mathutils import Matrix
 
 from ..core import records
+from ..core.character import target_labels
 from ..core.errors import SceneError, SinkError
 from ..run import live, preview
 from ..run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
@@ -298,7 +299,9 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         model, character = model_store.current_model(obj)
         from ..core import compare  # needs the engine, which is there now
 
-        lines = [f"{name}: {1000 * miss:.3f} mm" for name, miss in compare.residuals(model, character).items()]
+        misses = compare.residuals(model, character)
+        labels = zip(target_labels(character.target_sets), character.targets, strict=True)
+        lines = [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
         obj.dynamorph.live.checks = "\n".join(lines)
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 
