@@ -100,7 +100,7 @@ def test_but_not_for_ever(try_task):
 
 COUNTS = 'echo "$@" >>"$0.asked"; wc -l <"$0.asked"'  # sbatch: notes what is asked, and counts
 
-needs_openjd = pytest.mark.skipif(not OPENJD.exists(), reason="needs openjd-cli: make setup")
+needs_openjd = pytest.mark.skipif(not OPENJD.exists(), reason="openjd-cli is not installed: tools/setup.sh openjd")
 
 
 def submit(folder, *options):
