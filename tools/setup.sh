@@ -1,8 +1,8 @@
 #!/bin/bash
 # SPDX-License-Identifier: GPL-3.0-or-later
-# System packages where they are missing, and one virtual environment for each supported Python that is found.
-# Costs nothing when there is nothing to do. What few need is in groups, which are installed when they are named, as in
-# `setup.sh emulate farm`:
+# Installs missing system packages, and makes one virtual environment for each supported Python that it finds. It takes
+# no time when there is nothing to do. What few people need is in groups, which are installed when they are named, as
+# in `setup.sh emulate farm`:
 #   bench     the benchmarks
 #   emulate   the tests with another processor than this one (tests/engine/test_instruction_sets.py)
 #   farm      the demo of a render farm; contains openjd

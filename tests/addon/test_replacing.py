@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake replaces another. Whatever fails at whatever step, one of the two plays: the old one with everything that
-belonged to it, or the new one.
+"""A bake replaces another. Whatever step fails, one of the two plays: the old one with everything that belonged to it,
+or the new one.
 """
 
 import sys
