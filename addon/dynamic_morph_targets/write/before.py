@@ -96,9 +96,10 @@ def _put_list(items, before: list[dict]):
 
 
 def _copied(packed):
-    """A custom property's value that stays when the property goes."""
-    is_array = packed is not None and not isinstance(packed, bytes)
-    return array("i", np.asarray(packed, np.int32).tobytes()) if is_array else packed
+    """A custom property's value, which may be damaged and then be anything, that stays when the property goes."""
+    if hasattr(packed, "typecode"):
+        return array(packed.typecode, np.asarray(packed).tobytes())
+    return packed.to_dict() if hasattr(packed, "to_dict") else packed
 
 
 def _is_driven(modifier) -> bool:
