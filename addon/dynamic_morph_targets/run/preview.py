@@ -59,7 +59,7 @@ class Preview:
             mover.restore()
         with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
             obj = self.object.find()
-            obj.dynamorph.live.lent = False
+            obj.dynamorph.live.lent = obj.dynamorph.live.was_on = False
             if self._was_live:
                 live.refresh(obj)
             else:
@@ -76,8 +76,8 @@ def end_recovered() -> None:
         if record.moved:
             _move_back(obj)
         if record.lent:
-            record.lent = False
-            if not record.was_on:
+            was_on, record.lent, record.was_on = record.was_on, False, False
+            if not was_on:
                 with suppress(SinkError):  # in Edit Mode it stays live
                     live_key.remove(obj)
 
@@ -117,6 +117,7 @@ def _move_back(obj: bpy.types.Object) -> None:
     for name in DELTAS:
         setattr(obj, name, [next(numbers) for _ in getattr(obj, name)])
     obj.dynamorph.live.moved = False
+    obj.dynamorph.live.property_unset("deltas")
 
 
 def _matrix(euler: Euler, order: str) -> Matrix:
