@@ -155,7 +155,7 @@ def assert_shows(obj, bake, extra=0.0):
 
 @contextmanager
 def soon():
-    """In the end, what is left to timers meanwhile: without a window there are none."""
+    """Call, at the end, what was left to timers in the meantime: without a window no timer runs."""
     asked = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(part("events"), "soon", lambda look, _seconds: asked.setdefault(look))
@@ -213,12 +213,12 @@ class StandIn:
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
 
-    def Shot(self, model, character, settings, progress):  # in the place of a class
+    def Shot(self, model, character, settings, progress):  # stands in for a class
         return StandInShot(self, character, settings, progress)
 
 
 class StandInShot:
-    """In the place of `simulate.Shot`."""
+    """Stands in for `simulate.Shot`."""
 
     def __init__(self, engine, character, settings, progress):
         self.engine, self.character, self.settings, self.progress = engine, character, settings, progress

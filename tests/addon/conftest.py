@@ -26,7 +26,7 @@ def pytest_sessionfinish(session, exitstatus):
 
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config):
-    """Leave at once when all is reported: bpy 4.5 may wait for ever, as Python ends, for a thread of its own."""
+    """Leave at once when all is reported: as Python ends, bpy 4.5 may wait forever for one of its own threads."""
     if bpy.app.version < (5, 0) and EXIT in config.stash:
         from dynamic_morph_targets.__main__ import leave
 

@@ -68,7 +68,7 @@ class Pressed:
         self.reports, self.turns, self.operator = [], 0, None
         with pytest.MonkeyPatch.context() as patch:
             kind = getattr(bpy.types, operator)
-            # Blender shows what a modal operator reports after an event, and no sooner: it is read as it is said.
+            # Blender shows the reports of a modal operator only after an event, so they are read as they are made.
             patch.setattr(kind, "__getattribute__", self._attribute(kind.__getattribute__), raising=False)
             self.result = press(obj, operator, self._invoke, **settings)
             self._play(iter(events), before_tick)

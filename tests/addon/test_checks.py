@@ -136,11 +136,11 @@ def test_the_armature_is_found_by_parent_or_by_bones_of_the_groups_names(scene, 
     other = make_rig(scene, "Other", bones=1)
     activate(arm)
     no_armature(arm)
-    assert skinning.armature_for(arm) is None and fixes(arm) == []  # either may be meant
+    assert skinning.armature_for(arm) is None and fixes(arm) == []  # it is not clear which one is meant
     assert not OPS.add_soft_skin.poll() and "dynamorph.add_soft_skin" in drawn(arm)
     arm.parent = other
     assert skinning.armature_for(arm) == other
-    arm.parent_type, arm.parent_bone = "BONE", "upper"  # moves with it already
+    arm.parent_type, arm.parent_bone = "BONE", "upper"  # it already moves with the armature
     assert skinning.armature_for(arm) is None
     arm.parent = None
     other.data.bones["upper"].name = "pole"
@@ -243,7 +243,7 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm, capfd):
     ):
         assert words in warnings
     assert len(arm.dynamorph.targets) == 1
-    shown = " ".join(drawn(arm))  # the reports stay readable, each once
+    shown = " ".join(drawn(arm))  # each is reported once, so that the report stays readable
     assert (
         shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' is skinned by") == 1
     )
@@ -367,7 +367,7 @@ def test_paint_and_back(soft_arm, which, name, start, mode):
     assert (weights(soft_arm, name) == start).all()
     assert OPS.paint_group(which=which) == {"FINISHED"}
     assert soft_arm.mode == mode
-    OPS.paint_group(which=which)  # the group that is there
+    OPS.paint_group(which=which)  # the group that exists
     assert [*soft_arm.vertex_groups.keys()] == [*groups, name]
 
 
@@ -413,7 +413,7 @@ def test_the_first_stroke_shows(soft_arm, which, first):
 
 @pytest.fixture
 def held_arm(soft_arm):
-    """Coarse, and held by its thickness."""
+    """A coarse cage, held by the thickness of the body."""
     soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 300, 8
     soft_arm.dynamorph.model.hold = "THICKNESS"
     soft_arm.dynamorph.model.method = "SINGLE"

@@ -24,7 +24,7 @@ def ours(*kinds):
 
 
 def rna(kind):
-    """What Blender knows of a class; for an operator that is not in the class."""
+    """Blender's description of a class; for an operator it is not in the class itself."""
     if not issubclass(kind, bpy.types.Operator):
         return kind.bl_rna
     module, name = kind.bl_idname.split(".")
@@ -32,7 +32,7 @@ def rna(kind):
 
 
 def own_properties(kind):
-    """Its properties, without those that come from Blender's own classes."""
+    """The properties of a class, without those that come from Blender's own classes."""
     foreign = [base for base in kind.__mro__ if not base.__module__.startswith(MODULE)]
     inherited = {"rna_type", "name"}.union(*map(inspect.get_annotations, foreign), *map(dir, foreign))
     return [prop for prop in rna(kind).properties if prop.identifier not in inherited and prop.identifier[:3] != "bl_"]
@@ -54,7 +54,7 @@ def test_operators_are_found(operators):
 
 
 def test_every_operator_has_a_label_that_makes_sense_alone(operators):
-    """In the search, which omits internal operators, no panel gives it a context."""
+    """In the search, which omits internal operators, no panel gives a label its context."""
     found = [operator for operator in operators if "INTERNAL" not in getattr(operator, "bl_options", ())]
     assert not [operator.bl_idname for operator in found if len(operator.bl_label.split()) < 2]
     labels = [operator.bl_label for operator in operators]
@@ -83,7 +83,7 @@ def test_names_are_in_title_case(operators):
 
 
 def test_operators_that_change_data_are_undone(operators):
-    """All except those that only write files, start or stop something, or read the animation."""
+    """This covers all operators except those that only write files, start or stop something, or read the animation."""
     without = {operator.bl_idname for operator in operators if "UNDO" not in getattr(operator, "bl_options", ())}
     assert without <= {
         "dynamorph.cancel",

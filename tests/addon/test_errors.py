@@ -76,7 +76,7 @@ def test_a_bug_before_a_button_acts_is_one_too(soft_arm, monkeypatch, caplog):
 
 
 def edited(obj):
-    """After which Live tries again."""
+    """After this, Live tries again."""
     obj.update_tag()
     bpy.context.view_layer.update()
 

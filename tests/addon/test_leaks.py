@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is made for a moment is gone afterwards, also when that moment fails; other add-ons hear nothing of it."""
+"""Temporary data is gone afterwards, also after a failure, and the handlers of other add-ons are not called for it."""
 
 import gc
 import types
@@ -15,7 +15,7 @@ HEARD = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsg
 
 @pytest.fixture
 def heard():
-    """The scenes that another add-on's handlers are told of."""
+    """The scenes for which another add-on's handlers are called."""
     told = []
 
     def handler(scene, *_args):
@@ -45,7 +45,7 @@ def test_other_add_ons_hear_nothing_of_a_bake(scene, soft_arm, stand_in, heard):
 
 
 def test_other_add_ons_go_on_hearing_of_playback_with_live(scene, soft_arm, heard):
-    """Though Live, whose handler is called before theirs, reads the armature at many frames."""
+    """They do although Live, whose handler is called before theirs, reads the armature at many frames."""
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
     bpy.ops.dynamorph.build()

@@ -89,7 +89,7 @@ def values_at(obj, frame):
 
 
 def apart(first, second) -> float:
-    """The largest distance, as a part of the arm's length."""
+    """The largest distance, as a fraction of the arm's length."""
     return float(np.abs(first - second).max() / 2.0)
 
 
@@ -97,7 +97,7 @@ def apart(first, second) -> float:
 
 
 def sliding(obj):
-    """A rig that also travels, with its mesh."""
+    """The arm whose rig also travels, with its mesh."""
     rig = rig_of(obj)
     obj.parent = rig
     for frame, x in ((1, 0.0), (8, 0.5), (20, 0.0)):
@@ -113,7 +113,7 @@ def test_playback_is_the_bake(live_arm, change):
     assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
 
 
-def test_playback_runs_up_as_the_bake_does(live_arm):
+def test_playback_has_the_pre_roll_of_the_bake(live_arm):
     simulation = live_arm.dynamorph.simulation
     simulation.preroll, simulation.preroll_pose = 12, "ANIMATED"
     simulation.use_scene_range, simulation.start, simulation.end = False, 10, 20
@@ -247,7 +247,7 @@ def test_collapsed_bones_keep_their_size_from_block_to_block(live_arm):
     assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
 
 
-def test_of_a_long_shot_the_latest_rig_is_kept(playing, monkeypatch):
+def test_the_latest_rig_of_a_long_shot_is_kept(playing, monkeypatch):
     whole = play(playing, range(1, 41))
     monkeypatch.setattr(part("session"), "RIG_BYTES", 1)
     rig, rig_motion, read = session(playing).rig, part("rig_motion"), []
@@ -273,7 +273,7 @@ def test_other_materials_go_on_from_where_the_tissue_is(playing):
     after = play(playing, range(9, 19))
     step = np.abs(np.diff(np.concatenate([before, after[:2]]), axis=0)).max(axis=(1, 2))
     assert step[7] < 2 * step[:7].max()
-    rest = baked(playing)  # softer from the first frame on
+    rest = baked(playing)  # it is softer from the first frame on
     playing.dynamorph.targets[0].stiffness = playing.dynamorph.targets[1].stiffness = 2e4
     as_before = baked(playing)
     assert apart(after, as_before[8:18]) > 1e-3 and apart(after[0], as_before[8]) < apart(after[0], rest[8])
@@ -304,7 +304,7 @@ def test_steps_of_another_length_begin_a_session(playing):
     assert apart(shown, begun_at(playing, 6)) < 1e-6
 
 
-def test_edited_animation_is_read_anew(playing):
+def test_edited_animation_is_read_again(playing):
     play(playing, range(1, 6))
     bone = rig_of(playing).pose.bones["lower"]
     bone.rotation_euler.x = -1.0
@@ -349,7 +349,7 @@ def test_motion_amount_of_a_target_shows_at_once_and_as_in_the_bake(playing):
     assert apart(play(playing, range(1, 21)), whole) < 1e-6
 
 
-def test_motion_amount_of_a_target_that_is_no_number_is_refused(playing):
+def test_a_motion_amount_that_is_not_a_number_is_refused(playing):
     play(playing, range(1, 4))
     playing.dynamorph.targets["flexed"].influence = float("nan")
     stopped(playing, "reset the gains")
@@ -357,7 +357,7 @@ def test_motion_amount_of_a_target_that_is_no_number_is_refused(playing):
         baked(playing)
 
 
-def test_a_gain_that_is_no_number_is_not_shown(playing):
+def test_a_gain_that_is_not_a_number_is_not_shown(playing):
     play(playing, range(1, 4))
     playing.dynamorph.modes[0].gain = float("nan")
     stopped(playing, "reset the gains")
@@ -607,7 +607,7 @@ def test_rendering_in_the_background_simulates(playing):
 
 
 class FirstLook(Pressed):
-    """`first_look` pressed in a window; pressed: the buttons that it lets go on from there."""
+    """`first_look` pressed in a window; pressed: the buttons that it calls next."""
 
     def __init__(self, obj, monkeypatch, events=()):
         self.pressed = []
@@ -618,7 +618,7 @@ class FirstLook(Pressed):
 
 @pytest.fixture
 def new_arm(arm):
-    """A soft skin just added, with a cage that is coarse."""
+    """A soft skin that was just added, with a coarse cage."""
     bpy.ops.dynamorph.add_soft_skin()
     arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 200, 8
     arm.dynamorph.model.method = "SINGLE"
@@ -652,7 +652,7 @@ def test_without_a_window_nothing_is_built(arm):
 
 
 def test_undo_of_the_first_look(new_arm, monkeypatch):
-    """Two steps, as they are named: the model with Live, and the soft skin."""
+    """The two undo steps as Blender names them: the model with Live, and the soft skin."""
     bpy.ops.ed.undo_push(message="Add Soft Skin")
     FirstLook(new_arm, monkeypatch)
     bpy.ops.ed.undo_push(message="Build Soft Skin")
@@ -936,6 +936,69 @@ def test_a_saved_file_has_no_frozen_skin(playing, tmp_path):
     activate(obj)
     bpy.ops.dynamorph.live()
     assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+def test_a_copy_is_saved_like_a_file(playing, tmp_path):
+    play(playing, range(1, 5))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
+    assert key_mutes(playing) == LIVE
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    assert key_mutes(in_file(tmp_path / "copy.blend")) == ASLEEP
+
+
+def autosaved(path):
+    """Write the .blend as Blender's autosave and quit.blend do, which call no handler."""
+    lists = bpy.app.handlers.save_pre, bpy.app.handlers.save_post
+    before = [list(handlers) for handlers in lists]
+    for handlers in lists:
+        handlers.clear()
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    for handlers, each in zip(lists, before, strict=True):
+        handlers[:] = each
+
+
+def test_an_autosave_is_recovered_with_live_on(playing, tmp_path):
+    whole = play(playing, range(1, 10))
+    shown, path = evaluated_points(playing), tmp_path / "autosave.blend"
+    autosaved(path)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Arm"]
+    assert key_mutes(obj) == LIVE and part("live").is_on(obj) and apart(evaluated_points(obj), shown) < 1e-6
+    assert apart(play(obj, range(1, 10)), whole) < 1e-6
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+def test_an_autosave_after_the_live_key_was_renamed(playing, tmp_path):
+    play(playing, range(1, 10))
+    playing.data.shape_keys.key_blocks["Dynamorph Live"].name = "mine"
+    autosaved(tmp_path / "autosave.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "autosave.blend"))
+    obj = bpy.data.objects["Arm"]
+    assert part("live").is_on(obj)
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+@pytest.mark.parametrize("was_live", [False, True])
+def test_an_autosave_of_a_preview_is_recovered_without_it(live_arm, tmp_path, was_live):
+    if was_live:
+        bpy.ops.dynamorph.live()
+    path, stood = tmp_path / "autosave.blend", deltas(rig_of(live_arm))
+    running = part("preview").begin_preview(live_arm, part("live_operators").DYNAMORPH_OT_shake_test)
+    before = evaluated_points(live_arm)
+    running.show(np.concatenate([np.full(8, 0.01), [1.0, 0.0]]), Matrix.Translation((0.0, 0.0, 0.5)))
+    assert apart(evaluated_points(live_arm), before) > 0.1
+    autosaved(path)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Arm"]
+    assert deltas(rig_of(obj)) == stood and part("live").is_on(obj) == was_live
+    assert ("Dynamorph Live" in obj.data.shape_keys.key_blocks) == was_live
+    bpy.context.scene.frame_set(1)
+    assert apart(evaluated_points(obj), before) < 1e-6
 
 
 def test_a_file_that_cannot_be_saved_goes_on_playing(playing, tmp_path):

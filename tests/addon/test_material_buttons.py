@@ -47,7 +47,7 @@ def test_without_a_target_or_a_model_there_is_nothing_to_set(soft_arm):
 
 
 def built(obj):
-    """With a coarse cage, so that it builds in a second."""
+    """The soft arm with a coarse cage, so that it builds in a second."""
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     obj.dynamorph.model.cage_nodes = 200
     obj.dynamorph.model.modes = 8

@@ -192,7 +192,7 @@ def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
 
 
 def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
-    """As the first versions did, with which exporters of Blender's own crash."""
+    """The first versions stored bytes, on which Blender's own exporters crash."""
     model_store = part("model_store")
     bpy.ops.dynamorph.build()
     packed = model_store.stored_model(soft_arm)
@@ -240,7 +240,7 @@ def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
     with pytest.raises(errors.Cancelled):
         list(steps)
     batch.stop()
-    assert stand_in.looks < 10  # it did not play to its end
+    assert stand_in.looks < 10  # the bake did not run to its end
     assert fingerprint(soft_arm) == before
 
 
@@ -311,7 +311,7 @@ def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in)
         assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Cancelled: nothing was changed")]
         assert [thread.is_alive() for thread in batch.winding_down] == [True]
         stand_in.hears = None
-        assert Pressed(soft_arm).result == {"FINISHED"}  # while the other thread still computes
+        assert Pressed(soft_arm).result == {"FINISHED"}  # the other thread still computes
         assert batch.winding_down[0].is_alive() and len(soft_arm.dynamorph.bake.keys) == 3
     finally:
         hears.set()
@@ -339,7 +339,7 @@ def slow_rig(monkeypatch):
 
 
 def test_reading_the_rig_does_not_hold_the_window(soft_arm, stand_in, slow_rig):
-    """A turn takes 35 ms: seven samples of 5 ms, and one that is under way."""
+    """A turn takes 35 ms: seven samples of 5 ms, and the one in progress."""
     shown = []
     pressed = Pressed(soft_arm, before_tick=lambda batch: shown.append((len(slow_rig), batch.fraction, batch.message)))
     assert pressed.result == {"FINISHED"} and len(slow_rig) >= 96

@@ -102,7 +102,7 @@ def test_each_step_may_fail(switched_off, monkeypatch, name):
                 switched_off.register()
             except Failure:
                 assert left() == [], n
-        if len(calls) < n:  # none failed
+        if len(calls) < n:  # no call failed
             break
     assert n > 3 and left()
 

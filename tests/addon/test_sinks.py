@@ -302,13 +302,13 @@ def test_single_frame_and_still_bakes(scene, soft_arm):
 
 
 def influenced(bake, influence, frame):
-    """The displacement that Blender must show at a frame of an influence."""
+    """The displacement that Blender must show at a frame with an influence."""
     coordinates = influence * bake.coordinates + (1.0 - influence) * bake.static
     return replace(bake, coordinates=coordinates).displacement(frame - int(bake.frames[0]))
 
 
 def shown_displacement(obj):
-    """The shape keys' sum as Blender evaluates it (V, 3): the mesh with its Armature off."""
+    """The sum of the shape keys (V, 3) as Blender evaluates it: the mesh with its Armature modifier off."""
     obj.modifiers["Armature"].show_viewport = False
     bpy.context.view_layer.update()
     points = evaluated_points(obj)
@@ -473,7 +473,7 @@ def test_vertex_count_must_match(soft_arm):
 
 
 def test_writing_is_fast(scene):
-    """20 keys on 13,000 vertices, 250 frames: much faster than the points one by one in Python."""
+    """20 keys on 13,000 vertices with 250 frames are written much faster than point by point in Python."""
     rng = np.random.default_rng(0)
     obj = make_mesh(scene, "Body", rng.normal(size=(13_000, 3)), [(0, 1, 2)])
     obj.shape_key_add(name="Basis")

@@ -291,7 +291,7 @@ def test_the_sidebar_is_drawn_again_at_the_next_frame_only_where_bars_are(scene,
 
 @pytest.fixture
 def built_arm(soft_arm):
-    """With a coarse cage, so that it builds in a second."""
+    """The soft arm with a coarse cage, so that it builds in a second."""
     soft_arm.dynamorph.model.cage_nodes = 200
     soft_arm.dynamorph.model.modes = 8
     soft_arm.dynamorph.active_target_index = 1
@@ -390,7 +390,7 @@ def test_runs_of_frames():
     assert runs(np.zeros(3, bool)) == [] and runs(np.ones(3, bool)) == [(0, 2)]
 
 
-def test_curves_have_colours_of_their_own(scene, soft_arm):
+def test_each_curve_has_its_own_color(scene, soft_arm):
     for frame, name in zip(range(3, 19, 2), "abcdefgh", strict=True):
         add_key(soft_arm, name, np.zeros((len(soft_arm.data.vertices), 3)))
         scene.frame_set(frame)
@@ -547,7 +547,7 @@ def bounce(obj, target):
 
 
 def test_bounce_is_the_tissue_s_own(built_arm):
-    """Shown and set without the model, and yet equal to its motion."""
+    """It is shown and set without the model, and still agrees with the model's motion."""
     content = built_arm.dynamorph.model.content_id
     for target in built_arm.dynamorph.targets:
         assert target.bounce == pytest.approx(bounce(built_arm, target).frequency, rel=1e-5)
@@ -589,7 +589,7 @@ def test_what_damping_forbids(built_arm):
     target.mass_damping, target.stiffness_damping = 200.0, 0.02  # it creeps at any stiffness
     settle = target.settle
     assert target.bounce == 0.0
-    target.bounce = 3.0  # it need not any more, and settles as late
+    target.bounce = 3.0  # it is no longer overdamped, and settles as late
     assert target.bounce == pytest.approx(3.0, rel=1e-3) and target.settle == pytest.approx(settle, rel=1e-3)
     target.mass_damping = target.stiffness_damping = 0.0
     assert target.settle == pytest.approx(1e5)
@@ -597,7 +597,7 @@ def test_what_damping_forbids(built_arm):
     assert target.settle == pytest.approx(20.0, rel=1e-3)
 
 
-def test_weight_is_density_by_volume(scene, soft_arm):
+def test_mass_is_density_times_volume(scene, soft_arm):
     soft_arm.dynamorph.targets[1].region = "lower"
     soft_arm.dynamorph.model.cage_nodes = 300
     soft_arm.dynamorph.model.modes = 8
@@ -625,13 +625,13 @@ def test_mass_is_in_the_unit_that_blender_shows(scene, built_arm):
 
 
 def volume_of(obj):
-    """Of the closed mesh, by the divergence theorem."""
+    """The volume of the closed mesh, by the divergence theorem."""
     character = part("extract").character(obj)
     a, b, c = character.vertices[character.triangles].swapaxes(0, 1)
     return abs(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 
 
-def test_before_a_build_they_are_greyed(soft_arm):
+def test_before_a_build_they_are_grayed(soft_arm):
     target = soft_arm.dynamorph.targets[1]
     assert not target.is_measured and (target.bounce, target.settle, target.weight) == (0.0, 0.0, 0.0)
     material = target.material()
@@ -662,7 +662,7 @@ def test_undo(built_arm):
     assert bpy.data.objects["Arm"].dynamorph.targets[1].bounce == pytest.approx(9.0, rel=1e-4)
 
 
-def test_they_are_kept_in_the_file_but_not_in_set_ups(built_arm, tmp_path):
+def test_they_are_kept_in_the_file_but_not_in_setups(built_arm, tmp_path):
     before = built_arm.dynamorph.targets[1].bounce
     names = set(part("plain").plain(built_arm.dynamorph.targets[1]))
     assert "stiffness" in names and not names & {
