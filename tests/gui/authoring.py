@@ -31,6 +31,7 @@ from editors import (
 BRUSH = 40  # pixels, the radius
 ROW = 20  # pixels
 PROBLEM = 107  # pixels: the height of its five lines
+MODE = (-60, -35)  # pixels from the mouse to the drop-down in the dialog that a click opens
 
 
 @step("A problem, with its Fix")
@@ -155,7 +156,10 @@ def suggest_pose():
 
 @step("New from Pose", picture=view)
 def new_from_pose():
-    yield from sidebar.pop_up("dynamorph.new_from_pose")
+    x, y = yield from sidebar.pop_up("dynamorph.new_from_pose")
+    mode = (x + MODE[0], y + MODE[1])
+    yield from driver.pop_up(mode, "DYNAMORPH_OT_new_from_pose.mode")
+    yield from driver.tap("ESC", mode)
     yield from sidebar.key("RET")
     yield from until(lambda: skin().mode == "SCULPT", "Sculpt Mode")
     assert keys()[-1] == "Pose 1" == skin().active_shape_key.name

@@ -314,9 +314,10 @@ class Region:
         yield from click(position)
 
     def pop_up(self, operator: str):
-        """Click a button that opens a dialog or a menu."""
+        """Click a button that opens a dialog or a menu; returns where it is."""
         position = yield from self.find(operator)
         yield from pop_up(position, operator)
+        return position
 
     def field(self, wanted: str):
         """(position, owner, name) of a property's button."""

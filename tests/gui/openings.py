@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
+import bpy
 import driver
 from bpy.types import AddonPreferences, Header, Menu, Operator, Panel, UILayout, UIList
 from bpy_extras.io_utils import ExportHelper, ImportHelper
@@ -35,8 +37,19 @@ def watch():
         opens = any(DIALOG.search(inspect.getsource(each)) for each in own)
         if opens or issubclass(operator, (ExportHelper, ImportHelper)):
             there.add(operator.bl_idname)
+            there.update(_asked(operator))
     for source in Path(addon("ui").__file__).parent.glob("*.py"):
         there.update(SECTION.findall(source.read_text(encoding="utf-8")))
+
+
+def _asked(operator: type) -> Iterator[str]:
+    """The drop-downs of a dialog that Blender lays out by itself."""
+    if "invoke_props_dialog" in inspect.getsource(operator) and "draw" not in vars(operator):
+        module, name = operator.bl_idname.split(".")
+        known = getattr(getattr(bpy.ops, module), name).get_rna_type()
+        for field in known.properties:
+            if field.type == "ENUM" and not field.is_hidden:
+                yield f"{known.identifier}.{field.identifier}"
 
 
 def registered(kind) -> list[type]:
