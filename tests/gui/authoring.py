@@ -158,7 +158,7 @@ def suggest_pose():
 def new_from_pose():
     x, y = yield from sidebar.pop_up("dynamorph.new_from_pose")
     mode = (x + MODE[0], y + MODE[1])
-    yield from driver.pop_up(mode, "DYNAMORPH_OT_new_from_pose.mode")
+    yield from driver.drop_down(mode, "DYNAMORPH_OT_new_from_pose.mode")
     yield from driver.tap("ESC", mode)
     yield from sidebar.key("RET")
     yield from until(lambda: skin().mode == "SCULPT", "Sculpt Mode")

@@ -154,7 +154,7 @@ def pixels(box) -> np.ndarray:
 def pop_up(position, name: str):
     """Click what opens something over the window, and wait until it shows. A picture of it is left beside the result.
 
-    name: what it opens, as openings.py names it.
+    name: what it opens, as openings.py names it, which notes by itself that a panel is drawn or that an operator asks.
     """
     x, y = map(int, position)
     left, bottom = max(x - AROUND, 0), max(y - AROUND, 0)
@@ -169,6 +169,11 @@ def pop_up(position, name: str):
     changed[row - ROW : row + ROW] = False  # the button itself
     photograph(f"opened_{name}", box)
     assert changed.sum() > OPENS, f"{name} did not open: {changed.sum()} pixels changed"
+
+
+def drop_down(position, name: str):
+    """The same for a property's list, of which nobody notes that it is drawn."""
+    yield from pop_up(position, name)
     opened.add(name)
 
 
@@ -317,6 +322,7 @@ class Region:
         """Click a button that opens a dialog or a menu; returns where it is."""
         position = yield from self.find(operator)
         yield from pop_up(position, operator)
+        assert operator in opened, f"{operator} reported something instead"
         return position
 
     def field(self, wanted: str):
@@ -334,7 +340,7 @@ class Region:
     def look_into(self, wanted: str):
         """Open the list of what a field takes, and close it."""
         position, owner, name = yield from self.field(wanted)
-        yield from pop_up(position, f"{owner.bl_rna.identifier}.{name}")
+        yield from drop_down(position, f"{owner.bl_rna.identifier}.{name}")
         yield from tap("ESC", position)
         yield from drawn()
 
@@ -439,7 +445,7 @@ def choose_other(position, owner, name: str):
     """The same for a drop-down at a position, which is of the property `owner`.`name`."""
     before = getattr(owner, name)
     for arrows in (1, 2):  # the first may be the one that it shows
-        yield from pop_up(position, f"{owner.bl_rna.identifier}.{name}")
+        yield from drop_down(position, f"{owner.bl_rna.identifier}.{name}")
         for _ in range(arrows):
             yield from tap("DOWN_ARROW", position)
             yield 0.1

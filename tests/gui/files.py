@@ -68,7 +68,7 @@ def export_menu(operator="dynamorph.export", across=0.45):
     top = yield from sidebar.top_of("dynamorph.free_bake")
     x, _, width, _ = sidebar.box
     menu = (x + width * across, top - EXPORT)
-    yield from driver.pop_up(menu, f"{operator}.format")
+    yield from driver.drop_down(menu, f"{operator}.format")
     yield from driver.tap("G", menu)
 
 
@@ -123,7 +123,6 @@ def choose_file(opening, operator: str, path, within=()):
     yield from opening
     opened = lambda: any(area.type == "FILE_BROWSER" for area in driver.window().screen.areas)  # noqa: E731
     yield from until(lambda: opened() and browser.area.spaces.active.params, "the file browser")
-    driver.opened.add(operator)
     yield from driver.drawn()
     driver.photograph(f"opened_{operator}")
     yield from within

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import driver
 from driver import ASIDE, step, until
-from editors import ADDON, properties, select_target, settings, sidebar, skin, view
+from editors import ADDON, job_done, properties, select_target, settings, sidebar, skin, view
 from files import arrows, open_materials
 
 PRESETS = 16  # pixels: the middle of its button, from the top of the button below
@@ -17,7 +17,8 @@ PRESETS = 16  # pixels: the middle of its button, from the top of the button bel
 @step("Fit Bounce, and what a region can be")
 def fit():
     yield from select_target(1)
-    yield from driver.drawn()
+    yield from sidebar.press("dynamorph.build")
+    yield from job_done()
     yield from sidebar.look_into("targets[1].region")
     yield from sidebar.pop_up("dynamorph.fit_material")
     yield from sidebar.key("RET")

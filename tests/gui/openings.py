@@ -38,6 +38,8 @@ def watch():
         if opens or issubclass(operator, (ExportHelper, ImportHelper)):
             there.add(operator.bl_idname)
             there.update(_asked(operator))
+            if any("invoke" in vars(each) for each in operator.__mro__):
+                _watch_invoke(operator)
     for source in Path(addon("ui").__file__).parent.glob("*.py"):
         there.update(SECTION.findall(source.read_text(encoding="utf-8")))
 
@@ -85,6 +87,19 @@ def _watch(kind: type, shown=True):
         original(_Drawn(self), context)
 
     kind.draw = draw
+
+
+def _watch_invoke(operator: type):
+    """An operator that asks goes on, one that reports an error instead does not."""
+    original = operator.invoke
+
+    def invoke(self, context, event):
+        result = original(self, context, event)
+        if result & {"RUNNING_MODAL", "INTERFACE"}:
+            driver.opened.add(operator.bl_idname)
+        return result
+
+    operator.invoke = invoke
 
 
 class _Drawn:
