@@ -40,11 +40,12 @@ PACKAGES = (
     "libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev"
 )
 ENGINE_SOURCES = ("cpp", "cmake", "CMakeLists.txt", "pyproject.toml", "tools/tetgen.txt")
-# All that Blender may print: the steps, what operators report, the glTF exporter, and what Debian's lacks.
+# All that Blender may print: the steps, what operators report, the glTF exporter, presets, and what Debian's lacks.
 KNOWN = re.compile(
     r"STEP \w+|DROP FILE: .*|[\d:.]+ +operator +\| .*|[\d:.]+ +blend +\| Read blend: .*"
     r"|[\d:.]+ +\| INFO: (Starting glTF|Finished glTF|Primitives created|Extracting primitive).*"
     r"|[\d:.]+ +\| WARNING: Armature must be the parent of skinned mesh.*|Armature is selected by its name.*"
+    r"|Writing Preset: '.*'|Repository data: .* not found, sync required!"
     r"|.*(Draco|MeshOptimizer) is not available because library could not be found.*"
     r"|.*WARNING Could not get a list of mounted file-systems.*"
 )
