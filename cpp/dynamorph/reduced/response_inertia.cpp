@@ -33,14 +33,17 @@ ResponseInertia::ResponseInertia(std::shared_ptr<const SoftBody> body, const Mat
     }
   std::vector<Index> place(b.skin.cols(), -1);
   for (size_t k = 0; k < bones_.size(); ++k) place[bones_[k]] = Index(k);
+  const VectorXd unit = b.volumes.rowwise().sum().replicate(1, 3).transpose().reshaped();
+  modal_ = W.transpose() * (unit.asDiagonal() * U);
+  const MatrixXd rest = W - U * modal_.transpose();
   for (int s = 0; s < b.sets(); ++s) {
     Set& set = sets_.emplace_back();
     const VectorXd mass = b.volumes.col(s).replicate(1, 3).transpose().reshaped();
     set.mass = (mass.asDiagonal() * W.cwiseAbs2()).colwise().sum();
-    set.border = W.transpose() * (mass.asDiagonal() * U);
+    set.border = rest.transpose() * (mass.asDiagonal() * U);
     MatrixXd loads = MatrixXd::Zero(rows_, b.own_transforms ? 3 * nodes : 12 * Index(bones_.size()));
     for (Index i = 0; i < nodes; ++i) {
-      const auto moved = W.middleRows<3>(3 * i).transpose();  // (h, 3)
+      const auto moved = rest.middleRows<3>(3 * i).transpose();  // (h, 3)
       if (b.own_transforms) {
         loads.block(0, 3 * i, count_, 3) = b.volumes(i, s) * moved;
         continue;
@@ -94,24 +97,25 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
   scratch.past.setZero(r + count_);
   for (int m = 0; m < InertialTarget::kMoments; ++m)
     scratch.past += inertial.coefficients.row(m).sum() * *inertial.q[m];
-  mass.border().setZero();
+  mass.border().noalias() = modal_ * mass.corner();
+  damped.border().noalias() = modal_ * damped.corner();
   mass.rest().setZero();
-  damped.border().setZero();
   damped.rest().setZero();
-  force.tail(count_).setZero();
+  force.tail(count_).noalias() = modal_ * force.head(r);
   for (size_t s = 0; s < sets_.size(); ++s) {
     const Set& set = sets_[s];
     const double density = densities.density(Index(s)), damping = densities.damped(Index(s));
     scratch.force.setZero(rows_);
     add_single_product(set.loads.data(), rows_, scratch.loads.data(), scratch.loads.size(), scratch.force.data());
     force.tail(count_) += density * scratch.force.head(count_);
-    mass.border() += density * scale * set.border;
     mass.rest() += density * scale * set.mass;
-    damped.border() += damping * scale * set.border;
     damped.rest() += damping * scale * set.mass;
+    if (sets_.size() == 1) continue;  // its border is zero
+    mass.border() += density * scale * set.border;
+    damped.border() += damping * scale * set.border;
+    force.tail(count_).noalias() += density * scale * (set.border * scratch.past.head(r));
   }
   force.head(r).noalias() += mass.border().transpose() * scratch.past.tail(count_);
-  force.tail(count_).noalias() += mass.border() * scratch.past.head(r);
   force.tail(count_) += mass.rest().cwiseProduct(scratch.past.tail(count_));
 }
 

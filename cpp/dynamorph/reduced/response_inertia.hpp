@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Inertia of the responses (responses.hpp). Their displacement is small, so that of A^T M A only the mass at rest is
-// kept, which is diagonal among the responses; the moving rig acts on them through twelve loads of each bone,
+// Inertia of the responses (responses.hpp). W = U C^T + W' with W'^T M U = 0 for unit density. What moves in the modes,
+// U C^T, has their exact inertia. The displacement in W' is small, so that of its inertia only the mass at rest is kept,
+// which is diagonal among the responses; the moving rig acts on it through twelve loads of each bone,
 //
-//   force = sum_b (R_b^T [R^ | t^]_b) : sum_i m_i w_ib W_i (X_i, 1),
+//   force = sum_b (R_b^T [R^ | t^]_b) : sum_i m_i w_ib W'_i (X_i, 1),
 //
-// where [R^ | t^] is the bone's inertial target. On unseen clips of whole bodies this is as accurate as the exact
+// where [R^ | t^] is the bone's inertial target. On unseen clips of whole bodies this is nearly as accurate as the exact
 // inertia (docs/accuracy.md).
 #pragma once
 
@@ -37,7 +38,7 @@ class ResponseInertia {
   struct Set {
     LaneVector<float> loads;  ///< (rows, 12 bones); or with transforms of their own, (rows, 3 nodes)
     VectorXd mass;            ///< (h)
-    MatrixXd border;          ///< W^T M U (h, r)
+    MatrixXd border;          ///< W'^T M U (h, r), whose sum over the sets is zero
   };
   /// Writes the inertial target of each bone (12), or of each node (3), in its own frame. Returns the mean square
   /// scale of the bones.
@@ -48,6 +49,7 @@ class ResponseInertia {
   Eigen::Index count_, rows_;
   std::vector<int> bones_;       ///< those that carry soft tissue
   std::vector<double> volumes_;  ///< of their tissue, relative to all
+  MatrixXd modal_;               ///< C (h, r)
   std::vector<Set> sets_;
 };
 
