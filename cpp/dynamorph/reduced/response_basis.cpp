@@ -105,6 +105,7 @@ MatrixXd decoupled(const SparseMatrix& K, const VectorXd& mass, const MatrixXd& 
 }  // namespace
 
 ResponseBasis make_response_basis(const FullModel& model, int r, int h, const ProgressFn& progress) {
+  if (h < 1) throw std::invalid_argument("h: expected at least one response, got " + std::to_string(h));
   const VectorXd mass = unit_mass(model.body()), root = mass.cwiseSqrt();
   const int targets = int(model.targets().size()), most = r + h;
   MatrixXd sculpted(model.dofs(), targets);
