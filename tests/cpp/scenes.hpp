@@ -9,6 +9,7 @@
 #include "dynamorph/models/full_model.hpp"
 #include "dynamorph/reduced/basis.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
+#include "dynamorph/reduced/response_tables.hpp"
 
 namespace scenes {
 
@@ -89,6 +90,21 @@ inline std::shared_ptr<const ReducedModel> reduced_model(std::shared_ptr<const S
   const FullModel full(body, targets, law, blending);
   return std::make_shared<ReducedModel>(body, targets, reduce(full, make_basis(full, r).U), blending);
 }
+
+/// A body's targets in r modes and h responses, with all that they were made of.
+struct ResponseScene {
+  FullModel full;
+  ResponseBasis basis;
+  ReducedTables tables;
+  std::shared_ptr<const ReducedModel> model;
+
+  ResponseScene(std::shared_ptr<const SoftBody> body, std::vector<MorphTarget> targets, Law law, Blending blending,
+                int r = 10, int h = 20)
+      : full(body, targets, law, blending),
+        basis(make_response_basis(full, r, h)),
+        tables(reduce(full, basis)),
+        model(std::make_shared<ReducedModel>(body, targets, tables, blending)) {}
+};
 
 /// A bar of 0.8 m on `count` bones along it, each of which moves what is near; pinned at x = 0. Each set has less of it
 /// towards the end than the one before.

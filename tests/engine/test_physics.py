@@ -259,8 +259,8 @@ def test_a_sudden_stop_is_a_finite_impulse():
 # Targets -----------------------------------------------------------------------------------------------------------
 
 
-def sculpted(law, blending, reduced, damping=0.5, modes=12, cells=(8, 2, 2)):
-    """Neutral, a stiff bulge and a soft bend of a bar on two bones; (model, displacements, size)."""
+def sculpture(damping=0.5, cells=(8, 2, 2)):
+    """Neutral, a stiff bulge and a soft bend of a bar on two bones; (body, targets, displacements)."""
     nodes, tets = bar(cells, (0.4, 0.1, 0.1))
     count = np.ones(len(tets))
     s = nodes[:, 0] / 0.4
@@ -276,6 +276,12 @@ def sculpted(law, blending, reduced, damping=0.5, modes=12, cells=(8, 2, 2)):
         )
         for name, shape, (young, nu, rho) in zip("nbs", shapes, materials, strict=True)
     ]
+    return body, targets, shapes
+
+
+def sculpted(law, blending, reduced, damping=0.5, modes=12, cells=(8, 2, 2)):
+    """A model of that bar; (model, displacements, size)."""
+    body, targets, shapes = sculpture(damping, cells)
     model = dynamorph.FullModel(body, targets, law, blending)
     if reduced:
         tables = dynamorph.reduce(model, dynamorph.make_basis(model, modes).U)

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Models with many linear responses beside few tabulated modes, as Python sees them."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import dynamorph
+import numpy as np
+import pytest
+import test_physics
+from test_instruction_sets import available
+from test_physics import BLENDINGS, FLEXED, LAWS, TWO_BONES
+from test_threads import CORES
+
+MODES, RESPONSES = 10, 24
+
+
+def with_responses(law, blending, cells=(8, 2, 2)):
+    """The sculpted bar in modes and responses; (model, targets, full model, basis, tables)."""
+    body, targets, _ = test_physics.sculpture(cells=cells)
+    full = dynamorph.FullModel(body, targets, law, blending)
+    basis = dynamorph.make_response_basis(full, MODES, RESPONSES)
+    tables = dynamorph.reduce(full, basis)
+    return dynamorph.ReducedModel(body, targets, tables, blending), targets, full, basis, tables
+
+
+def tables_like(tables, **changes):
+    """The same tables with some of their arrays changed."""
+    given = {
+        "law": tables.law,
+        "basis": tables.basis,
+        "lame_lambda": tables.lame_lambda,
+        "lame_mu": tables.lame_mu,
+        "responses": tables.responses,
+        "response_lambda": tables.response_lambda,
+        "response_mu": tables.response_mu,
+        "reach": tables.reach,
+    }
+    return dynamorph.ReducedTables(**(given | changes))
+
+
+def moved(model, steps=30):
+    """Coordinates after some steps of a swinging rig."""
+    rig, weights = test_physics.swing(model, steps)
+    simulation = test_physics.simulation_of(model)
+    simulation.start(rig[0], rig[1], weights[0])
+    assert simulation.advance(rig[1:], weights[1:])["converged"]
+    return simulation.coordinates
+
+
+@pytest.mark.parametrize("blending", BLENDINGS)
+@pytest.mark.parametrize("law", LAWS)
+def test_static_solution_at_a_target_is_the_sculpted_shape(law, blending):
+    model, *_ = with_responses(law, blending)
+    _, _, shapes = test_physics.sculpture()
+    simulation = test_physics.simulation_of(model, tolerance=1e-9)
+    random = np.random.default_rng(1)
+    for j, shape in enumerate(shapes):
+        guess = model.target(j) + random.uniform(-1, 1, model.dofs) * 0.003 * np.sqrt(0.004)
+        coordinates, report = simulation.solve_static(FLEXED, np.eye(3)[j], guess=guess)
+        assert report["converged"] and report["iterations"] > 0
+        assert np.abs(model.displacement(coordinates) - shape).max() < 1e-6 * model.body.size
+
+
+def test_sizes_and_tables_survive_a_round_trip_through_arrays():
+    model, targets, full, basis, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    assert basis.U.shape == (full.dofs, MODES) and basis.W.shape == (full.dofs, RESPONSES)
+    assert basis.amplitudes.shape == tables.reach.shape == (MODES,)
+    assert np.all(basis.amplitudes > 0) and np.all(tables.reach > 0)
+    assert model.dofs == MODES + RESPONSES
+    pairs = MODES * (MODES + 1) // 2
+    assert [table.shape for table in tables.response_mu] == 3 * [(RESPONSES * (1 + pairs),)]
+    again = dynamorph.ReducedModel(full.body, targets, tables_like(tables), dynamorph.Blending.EVEN)
+    assert moved(again).tobytes() == moved(model).tobytes()
+
+
+def test_responses_follow_the_full_model_more_closely_than_the_modes_alone():
+    """In a small swing about the neutral shape, by the root mean square over all steps."""
+    model, targets, full, basis, _ = with_responses(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN)
+    modes = dynamorph.ReducedModel(full.body, targets, dynamorph.reduce(full, basis.U), dynamorph.Blending.EVEN)
+    angles = 0.01 * np.sin(np.arange(90) * 0.12)
+    bend = [np.concatenate([test_physics.bones(), test_physics.bones(rotation_about_y(a))]) for a in angles]
+    weights = np.repeat([[1.0, 0.0, 0.0]], len(bend) - 1, axis=0)
+    paths = []
+    for other in (full, model, modes):
+        simulation = test_physics.simulation_of(other)
+        simulation.start(bend[0], bend[1], weights[0])
+        path = []
+        for bones, weight in zip(bend[1:], weights, strict=True):
+            simulation.advance(bones[None], weight[None])
+            path.append(other.displacement(simulation.coordinates))
+        paths.append(np.array(path))
+    error, of_modes = (np.linalg.norm(path - paths[0]) / np.linalg.norm(paths[0]) for path in paths[1:])
+    assert error < 0.005  # 0.0017 measured, of the modes 0.017
+    assert error < 0.2 * of_modes
+
+
+def rotation_about_y(angle):
+    return test_physics.Rotation.from_euler("y", angle)
+
+
+def test_progress_is_reported_and_false_cancels():
+    full, _, _ = test_physics.sculpted(dynamorph.Law.STVK, dynamorph.Blending.EVEN, False)
+    seen = []
+    basis = dynamorph.make_response_basis(full, MODES, RESPONSES, progress=lambda done: seen.append(done) or True)
+    assert seen[0] == 0 and seen[-1] == 1 and seen == sorted(seen)
+    with pytest.raises(dynamorph.Cancelled):
+        dynamorph.make_response_basis(full, MODES, RESPONSES, progress=lambda done: False)
+    with pytest.raises(dynamorph.Cancelled):
+        dynamorph.reduce(full, basis, progress=lambda done: False)
+
+
+def test_what_does_not_fit_is_refused_by_name():
+    _, targets, full, _, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    short = [table[:-1] for table in tables.response_mu]
+    nowhere = tables.responses.copy()
+    nowhere[0, 0] = np.nan
+    for changes, message in (
+        ({"responses": tables.responses[:-3]}, "responses must be finite and have the rows of the basis"),
+        ({"responses": nowhere}, "responses must be finite"),
+        ({"responses": tables.responses[:, :-1]}, "the responses of 'n' do not fit"),
+        ({"response_mu": short}, "the responses of 'n' do not fit"),
+        ({"response_lambda": []}, "expected responses for each of 3 targets"),
+        ({"reach": 0 * tables.reach}, "reach must have 10 positive values"),
+        ({"reach": tables.reach[1:]}, "reach must have 10 positive values"),
+        ({"reach": np.full(MODES, np.nan)}, "reach must have 10 positive values"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            dynamorph.ReducedModel(full.body, targets, tables_like(tables, **changes), dynamorph.Blending.EVEN)
+    for modes in (2, full.dofs // 2 - RESPONSES):
+        with pytest.raises(dynamorph.Error, match="tabulated"):
+            dynamorph.make_response_basis(full, modes, RESPONSES)
+    with pytest.raises(ValueError, match="h: expected at least one response, got 0"):
+        dynamorph.make_response_basis(full, MODES, 0)
+
+
+def test_a_crowd_says_that_it_takes_modes_alone():
+    model, *_ = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    with pytest.raises(ValueError, match="it has responses, which a crowd does not support. Build it with modes alone"):
+        dynamorph.Crowd(model, 1 / 120, 3)
+
+
+def test_a_state_resumes_bit_for_bit():
+    model, *_ = with_responses(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN)
+    rig, weights = test_physics.swing(model, 20)
+    first = test_physics.simulation_of(model)
+    first.start(rig[0], rig[1], weights[0])
+    first.advance(rig[1:10], weights[1:10])
+    second = test_physics.simulation_of(model)
+    second.start(TWO_BONES, TWO_BONES, weights[0])
+    second.state = first.state
+    for simulation in (first, second):
+        simulation.advance(rig[10:], weights[10:])
+    assert first.coordinates.tobytes() == second.coordinates.tobytes()
+
+
+# The same bytes --------------------------------------------------------------------------------------------------
+
+
+def digest() -> str:
+    """Of a basis, its tables and a motion, on a bar that several chunks of work share."""
+    model, _, _, basis, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN, cells=(16, 4, 4))
+    found = hashlib.sha256()
+    arrays = (basis.U, basis.W, basis.amplitudes, *tables.response_lambda, *tables.response_mu, tables.reach)
+    for array in (*arrays, moved(model, 8)):
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
+
+
+def run(code, **variables):
+    """What a fresh Python prints that has this module as test_responses."""
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {key: value for key, value in os.environ.items() if key != "DYNAMORPH_ISA"}
+    environment |= {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"} | variables
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.mark.skipif(len(CORES) < 2, reason="one core, or a system that does not pin threads")
+def test_one_core_and_all_make_the_same_bytes():
+    def on(cores, most=0) -> tuple[str, int]:
+        found, threads = run(
+            f"import os; os.sched_setaffinity(0, {set(cores)!r}); import test_responses; test_responses.report({most})"
+        ).split()
+        return found, int(threads)
+
+    (alone, one), (limited, few), (together, several) = on([min(CORES)]), on(CORES, 1), on(CORES)
+    assert several > one == few  # or nothing was compared
+    assert alone == limited == together
+
+
+def report(most: int):
+    """The digest, and how many threads are there to do the work, limited to `most`."""
+    dynamorph.set_threads(most)
+    found = digest()
+    print(found, len(list(Path("/proc/self/task").iterdir())))
+
+
+def save_motion(path: str) -> None:
+    model, *_ = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN)
+    np.save(path, model.displacement(moved(model, 8)))
+
+
+def test_instruction_sets_move_alike_and_each_makes_the_same_bytes(tmp_path):
+    def motion(instruction_set, name):
+        file = tmp_path / f"{name}.npy"
+        run(f"import test_responses; test_responses.save_motion({str(file)!r})", DYNAMORPH_ISA=instruction_set)
+        return np.load(file)
+
+    expected = motion("baseline", "baseline")
+    for instruction_set in available():
+        found, again = (motion(instruction_set, f"{instruction_set}{k}") for k in range(2))
+        assert found.tobytes() == again.tobytes()
+        assert np.linalg.norm(found - expected) <= 1e-5 * np.linalg.norm(expected)
