@@ -49,7 +49,8 @@ void ArrowFactor::solve(const VectorXd& b, VectorXd& x) {
   const Eigen::Index r = H_->corner_size(), h = b.size() - r;
   if (h == 0) return factor_.solve(b, x);
   corner_ = b.head(r);
-  corner_.noalias() -= H_->border().transpose() * inverse_.cwiseProduct(b.tail(h));
+  rest_ = inverse_.cwiseProduct(b.tail(h));
+  corner_.noalias() -= H_->border().transpose() * rest_;
   factor_.solve(corner_, solved_);
   x.resize(b.size());
   x.head(r) = solved_;

@@ -48,8 +48,8 @@ class ArrowFactor {
 
  private:
   const ArrowMatrix* H_ = nullptr;
-  VectorXd inverse_, corner_, solved_;  ///< 1 / d, and scratch
-  MatrixXd scaled_, schur_;             ///< diag(d)^-1/2 B
+  VectorXd inverse_, corner_, rest_, solved_;  ///< 1 / d, and scratch
+  MatrixXd scaled_, schur_;                    ///< diag(d)^-1/2 B
   DenseFactor factor_;
 };
 

@@ -52,13 +52,13 @@ void Responses::blend(const VectorXd& w, Blend& out) const {
   out.constant.setZero(count_);
   out.linear.setZero(count_, r_);
   out.only = -1;
-  std::vector<const float*> active;
-  std::vector<double> weights;
+  out.active.clear();
+  out.active_weights.clear();
   for (size_t j = 0; j < stiffness_.size(); ++j) {
     if (w(j) == 0) continue;
-    out.only = active.empty() && w(j) == 1 ? int(j) : -1;
-    active.push_back(coupling_[j].data());
-    weights.push_back(w(j));
+    out.only = out.active.empty() && w(j) == 1 ? int(j) : -1;
+    out.active.push_back(coupling_[j].data());
+    out.active_weights.push_back(w(j));
     out.stiffness += w(j) * stiffness_[j];
     out.damping += w(j) * stiffness_damping_[j] * stiffness_[j];
     out.shape += w(j) * coordinates_[j];
@@ -68,7 +68,8 @@ void Responses::blend(const VectorXd& w, Blend& out) const {
   }
   if (out.only >= 0) return;
   out.coupling.resize(coupling_[0].size());
-  blend_tables(active.data(), weights.data(), int(active.size()), Index(out.coupling.size()), out.coupling.data());
+  blend_tables(out.active.data(), out.active_weights.data(), int(out.active.size()), Index(out.coupling.size()),
+               out.coupling.data());
 }
 
 double Responses::add(const Blend& blend, const VectorXd& q, const VectorXd& v, VectorXd& force,
@@ -111,10 +112,13 @@ double Responses::add(const Blend& blend, const VectorXd& q, const VectorXd& v, 
   force.head(r_) += fade * blend.along + first * work * blend.away;
   force.tail(count_) += fade * blend.curved;
   auto corner = stiffness.corner();
-  corner += fade * blend.bend + (second * work) * blend.away * blend.away.transpose();
-  corner += first * (blend.away * blend.along.transpose() + blend.along * blend.away.transpose());
+  corner += fade * blend.bend;
+  corner.noalias() += (second * work) * blend.away * blend.away.transpose();
+  corner.noalias() += first * blend.away * blend.along.transpose();
+  corner.noalias() += first * blend.along * blend.away.transpose();
   corner.diagonal() += (2 * first * work) * reach_.cwiseAbs2().cwiseInverse();
-  stiffness.border() = fade * J + (first * blend.curved) * blend.away.transpose();
+  stiffness.border() = fade * J;
+  stiffness.border().noalias() += first * blend.curved * blend.away.transpose();
   return energy;
 }
 

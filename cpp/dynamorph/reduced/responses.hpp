@@ -36,9 +36,11 @@ class Responses {
     MatrixXd linear;              ///< (h, r)
     LaneVector<float> coupling;   ///< sum_j w_j S_j, unless a single target has all the weight
     int only = -1;                ///< that target
-    /// Scratch: S v (padded h, r), S : y (pairs), 1/2 S(v, v), its derivatives, padded y.
+    /// Scratch: S v (padded h, r), S : y (pairs), 1/2 S(v, v), its derivatives, padded y, the tables with a weight.
     mutable MatrixXd slopes, bend;
     mutable VectorXd products, curved, padded, offset, along, away;
+    std::vector<const float*> active;
+    std::vector<double> active_weights;
   };
 
   /// Blends at target weights w (J).

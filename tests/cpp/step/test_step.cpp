@@ -67,6 +67,27 @@ TEST_CASE("a step of a reduced model allocates nothing, whatever the law, the po
     }
 }
 
+TEST_CASE("a step of a model with responses allocates nothing") {
+  const auto body = scenes::two_bone_bar(2);
+  for (Law law : {Law::linear, Law::stvk, Law::stable_stvk})
+    for (Blending blending : {Blending::forces, Blending::even}) {
+      const scenes::ResponseScene scene(body, scenes::targets(*body, 1), law, blending);
+      Simulation<ReducedModel> simulation(scene.model, {1 / 240., Scheme::bdf2, Vector3d(0, 0, -9.81)});
+      VectorXd w(3);
+      w << 1, 0, 1;
+      Transforms rig = scenes::bent(0);
+      simulation.start(rig, scenes::bent(0.01), w);
+      for (int i = 1; i <= 20; ++i) {
+        w(1) = i % 5 == 0 ? 0 : 0.02 * i;
+        w(0) = 1 - w(1);
+        rig = scenes::bent(0.01 * i);
+        allocations = 0;
+        CHECK(simulation.step(rig, w).converged);
+        if (i > 6) CHECK(allocations == 0);
+      }
+    }
+}
+
 TEST_CASE("weights and distances in pose space allocate nothing, with radii or without") {
   Rotations rest(1, 4), bent(1, 4), turned(1, 4);
   rest << 1, 0, 0, 0;
