@@ -147,7 +147,7 @@ class Shot:
         report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, static))
-        coordinates, free = player.amounts.shown(coordinates, weights), model.basis.T
+        coordinates, free = player.amounts.shown(coordinates, weights), model.modes.T
         if model.settings.solver == "FULL" and player.engine is not None:
             coordinates, static, free, report["compression_error"] = _compress(model, coordinates, static)
         modes = node_modes(model, free)

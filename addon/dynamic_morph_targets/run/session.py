@@ -45,7 +45,7 @@ class Tissue:
 
         self.player = simulate.Player(self.model, self.character, simulation_settings(obj, scene))
         self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
-        nodes = simulate.node_modes(self.model, self.model.basis.T)
+        nodes = simulate.node_modes(self.model, self.model.modes.T)
         modes = self.model.surface(nodes) if nodes.size else np.zeros((0, *self.character.vertices.shape))
         self.modes = len(modes)
         self.target_names = [target.name for target in self.character.by_method().targets]
