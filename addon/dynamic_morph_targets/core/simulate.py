@@ -20,6 +20,7 @@ from .player import STEP, Frame, Player
 from .rig_samples import RigSamples
 from .settings import SimulationSettings
 
+LOST = 2e-3  # of the motion, by a bake with fewer modes than the model
 CHECKED = 10  # frames that are checked for inverted tetrahedra: those with the largest coordinates
 
 
@@ -150,6 +151,8 @@ class Shot:
         coordinates, free = player.amounts.shown(coordinates, weights), model.modes.T
         if model.settings.solver == "FULL" and player.engine is not None:
             coordinates, static, free, report["compression_error"] = _compress(model, coordinates, static)
+        elif model.responses.size:
+            coordinates, static, free = _fewer(model, coordinates, static)
         modes = node_modes(model, free)
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
@@ -247,6 +250,20 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
         return modes
     modes[:, model.free] = free.reshape(len(free), -1, 3)
     return modes
+
+
+def _fewer(model: Model, coordinates: np.ndarray, static: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As few modes as this shot needs of a model with responses, most of which hardly move in one shot.
+
+    They keep the targets' shapes, and all but LOST of the root mean square of the motion. coordinates, static (F, dofs):
+    with and without motion. Returns both in the modes, and the modes (r, 3 free).
+    """
+    _, s, shapes = np.linalg.svd(static, full_matrices=False)
+    shapes = shapes[s > 1e-9 * max(s.max(initial=0.0), 1e-300)]
+    _, s, others = np.linalg.svd(coordinates - coordinates @ shapes.T @ shapes, full_matrices=False)
+    without = np.sqrt(np.cumsum(s[::-1] ** 2)[::-1])  # what is lost without a mode and all later ones
+    turn = np.concatenate([shapes, others[: max(1, int((without > LOST * np.linalg.norm(s)).sum()))]])
+    return coordinates @ turn.T, static @ turn.T, turn @ model.modes.T
 
 
 def _compress(
