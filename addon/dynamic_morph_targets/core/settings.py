@@ -83,7 +83,9 @@ class ModelSettings:
 
     @property
     def tabulated(self) -> int:
-        """How many of `modes` have energy tables. Their cost grows with the fourth power, that of responses linearly."""
+        """How many of `modes` have energy tables. Their cost grows with the fourth power of their number, that of
+        responses linearly.
+        """
         if self.basis == "MODES":
             return self.modes
         least, most = TABULATED

@@ -255,8 +255,8 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
 def _fewer(model: Model, coordinates: np.ndarray, static: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As few modes as this shot needs of a model with responses, most of which hardly move in one shot.
 
-    They keep the targets' shapes, and all but LOST of the root mean square of the motion. coordinates, static (F, dofs):
-    with and without motion. Returns both in the modes, and the modes (r, 3 free).
+    They keep the targets' shapes, and all but LOST of the root mean square of the motion. coordinates, static (F,
+    dofs): with and without motion. Returns both in the modes, and the modes (r, 3 free).
     """
     _, s, shapes = np.linalg.svd(static, full_matrices=False)
     shapes = shapes[s > 1e-9 * max(s.max(initial=0.0), 1e-300)]

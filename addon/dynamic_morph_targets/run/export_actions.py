@@ -49,16 +49,14 @@ class ClipJob(Job):
 
 def joined(bakes: Sequence[Bake]) -> Bake:
     """Bakes of one mesh, joined one after the other in time."""
-    first = bakes[0]
+    first, moved = bakes[0], ("coordinates", "static")
     together = {name: np.concatenate([getattr(bake, name) for bake in bakes]) for name in ("frames", "weights")}
     if all(np.array_equal(bake.modes, first.modes) for bake in bakes):
-        together |= {
-            name: np.concatenate([getattr(bake, name) for bake in bakes]) for name in ("coordinates", "static")
-        }
+        together |= {name: np.concatenate([getattr(bake, name) for bake in bakes]) for name in moved}
         return replace(first, **together)
-    # Each has modes of its own, and is zero in those of the others.
+    # Each has modes of its own, and does not move in those of the others.
     ends = np.cumsum([len(bake.modes) for bake in bakes])
-    for name in ("coordinates", "static"):
+    for name in moved:
         rows = [np.zeros((len(bake.frames), ends[-1])) for bake in bakes]
         for bake, row, end in zip(bakes, rows, ends, strict=True):
             row[:, end - len(bake.modes) : end] = getattr(bake, name)
