@@ -37,7 +37,7 @@ ASSETS = ROOT.parent / "shared" / "assets"
 LONGEST = 3600  # seconds that a character may take
 FRAMES = 48  # of a clip at most
 MODES, RESPONSES, FITTED = "MODES", "RESPONSES", "FITTED"
-BASES = {MODES: "modes alone", RESPONSES: "few modes, many bone responses", FITTED: "modes fitted to the shot"}
+BASES = {MODES: "vibration modes", RESPONSES: "bone responses", FITTED: "fitted modes"}
 COLORS = {MODES: plots.COLOURS["single material"], RESPONSES: plots.COLOURS["DMT reduced"]}
 ROWS = (
     *((MODES, detail) for detail in (12, 20, 30, 40, 60)),
@@ -45,6 +45,7 @@ ROWS = (
 )
 MAKEHUMAN, ANIMALS, OTHERS, SCENES = "MakeHuman", "animals", "other", "sample scenes"
 GREEN = "#3aa655"
+TIMES, ERRORS = (4.0, 6000.0), (1.0, 120.0)  # what the plot shows, microseconds and percent
 DIVERGES = 10.0  # an error that is no figure any more
 BUDGET, LARGER_BUDGET = 150.0, 450.0  # microseconds a step
 NONE = "-"
@@ -115,26 +116,31 @@ PAGE_TEXT = """# Accuracy of the reduced model
 How far the motion of the reduced model is from that of the unreduced one, and what a step takes, over *Detail*. `make
 accuracy` measures and writes this page and its plot; nothing on it is written by hand but the goals.
 
-{commit}. {blender}; {machine}; {jobs} at a time, one thread.
+{commit}.
+Blender {blender}; {machine}.
+Characters at a time: {jobs}; each on one thread.
 
-Every character is as *Add Soft Skin* and *Bake* leave it, with no other setting; the law is {law}. It then plays up to
-{frames} frames of clips that no basis has seen, simulated from the same start with every node of the cage and with each
-reduced model. The sample scenes have their own settings and the frames of [Results](results.md).
+Every character is as *Add Soft Skin* and *Bake* leave it, with no other setting; the law is {law}. It then plays
+up to {frames} frames of clips that no basis has seen, simulated from the same start with every node of the cage and
+with each reduced model. The sample scenes have settings of their own and play the frames that [Results](results.md)
+compares; only their *fitted modes* have seen them.
+
+*Vibration modes*: modes and their derivatives, all with tables of the energy. *Bone responses*: a few of these, and
+what each bone does to the soft tissue, linearly. *Detail* is the number of all together.
 
 *Error*: RMS of the difference, divided by the RMS of the unreduced dynamic motion, which is the displacement without
-the targets' shapes; both about their mean over time, by mass, over all nodes and frames of a clip. *Regions*: the same
-of the nodes of a part of the body, as a part of that part's own motion. *Step*: microseconds, without force fields; all
-steps of a clip in one call of the engine, every model in turn, the median. *Detail*: of {modes_basis}, the number of
-modes with their derivatives, all tabulated; of {responses_basis}, both together.
+the targets' shapes; both about their mean over time, by mass, over all nodes and frames of a clip. Of a part of the
+body: the same for its nodes, as a part of their own motion; none where they hardly move. *Step*: microseconds, without
+force fields; all steps of a clip in one call of the engine, every model in turn, the median.
 
 ## Summary
 
 ![Error against the time of a step]({plot})
 
-Lower and further left is better. The lines are means over the clips, the bands reach from the best clip to the worst,
-and the numbers are *Detail*. Green: the goals at {budget:g} µs a step.
+Lower and further left is better. Lines are means over the clips, shades reach from the best clip to the worst, and the
+numbers are *Detail*. Green: the goals at {budget:g} µs a step.
 
-Each goal with the *Detail* of the least mean error among those whose steps are short enough for every body of the
+Each goal, with the *Detail* of the least mean error among those whose steps are short enough for every body of the
 group. Bold: missed.
 
 {goals}
@@ -145,8 +151,8 @@ With the same choice of *Detail*; means over the clips. Bold: above the mean of 
 {regions}
 ## Characters
 
-*Motion*: of the unreduced model, in thousandths of the body's size, RMS. *Not converged*: frames with a step that has
-not, of all clips. Bold: the defaults.
+Without reduction: the motion, RMS in thousandths of the body's size. *Not converged*: frames with a step that has not,
+of all clips. Bold: the defaults.
 
 {characters}Who made the characters: [Attribution](attribution.md).
 """
@@ -297,7 +303,7 @@ def page(everything: dict[str, dict]) -> str:
     return (
         PAGE_TEXT.format(
             commit=every("commit"),
-            blender=f"Blender {every('blender')}",
+            blender=every("blender"),
             machine=every("machine"),
             jobs=max(each["jobs"] for each in found),
             law=every("law").replace("STABLE_STVK", "stable StVK"),
@@ -326,9 +332,9 @@ def goals_table(everything: dict[str, dict]) -> str:
                 continue
             value = goal.of(group, row)
             took = max(step(found, row) for found in group)
-            cells.append(f"{bold(percent(value), not value <= goal.limit(group, row))}, {row[1]} at {took:.0f} µs")
+            cells.append(f"{bold(percent(value), not value <= goal.limit(group, row))} ({row[1]}, {took:.0f} µs)")
         rows.append((goal.title, goal.asked(), f"≤ {goal.microseconds:g} µs", *cells))
-    return grid(("", "error asked", "step", *(f"{BASES[basis]}, *Detail*" for basis in (MODES, RESPONSES))), rows)
+    return grid(("", "error asked", "step", *(BASES[basis] for basis in (MODES, RESPONSES))), rows)
 
 
 def regions_table(everything: dict[str, dict]) -> str:
@@ -372,7 +378,7 @@ def unreduced_cells(found: dict, regions: Sequence[str]) -> tuple[str, ...]:
     whole = with_mean_and_worst([clip["moves"] for clip in moving])
     took = mean([clip["microseconds"] for clip in moving])
     return (
-        "*motion*, unreduced",
+        "not reduced",
         f"{found['dofs']:,}",
         f"{took:,.0f}",
         *iterations_between(moving, [f"{1000 * value:.2g} ‰" for value in (*whole, *parts)]),
@@ -418,39 +424,38 @@ def bold(text: str, wrong: bool) -> str:
 
 def draw(everything: dict[str, dict], path: Path) -> None:
     """Error against the time of a step, a panel for each group."""
-    panels = {
-        "MakeHuman, two bodies": (MAKEHUMAN,),
-        "Zoo: four animals and a woman": (ANIMALS, OTHERS),
-        "Sample scenes": (SCENES,),
-    }
-    drawing, axes = plots.figure(len(panels), height=3.8)
-    for panel, (title, groups) in zip(axes, panels.items(), strict=True):
-        group = [found for name in groups for found in of_group(everything, name)]
-        for basis in COLORS:
-            draw_basis(panel, group, basis)
+    panels = {"MakeHuman, two bodies": MAKEHUMAN, "Four animals": ANIMALS, "Sample scenes": SCENES}
+    drawing, axes = plots.figure(len(panels), height=4.2)
+    for panel, (title, name) in zip(axes, panels.items(), strict=True):
         plots.logarithmic(panel, x=True)
-        left, bottom = panel.get_xlim()[0], panel.get_ylim()[0]
+        for basis in COLORS:
+            draw_basis(panel, of_group(everything, name), basis)
+        if name == ANIMALS:  # no goal is about this one
+            for basis in COLORS:
+                draw_basis(panel, of_group(everything, OTHERS), basis, "woman, ")
         for goal in GOALS:
-            if goal.group in groups and goal.microseconds == BUDGET and goal.most:
-                panel.fill_between((left, BUDGET), bottom, 100 * goal.most, color=GREEN, alpha=0.15, linewidth=0)
-        panel.set_xlim(left=left)
-        panel.set_ylim(bottom=bottom)
-        panel.set_title(title)
-        panel.set_xlabel("a step, µs")
-        panel.set_ylabel("error, %")
+            if goal.group == name and goal.microseconds == BUDGET and goal.most:
+                panel.fill_between((TIMES[0], BUDGET), ERRORS[0], 100 * goal.most, color=GREEN, alpha=0.15, lw=0)
+                about = f"{goal.title.rpartition(' ')[2]} {goal.asked()}"
+                panel.text(1.1 * TIMES[0], 100 * goal.most, about, fontsize=7, color=GREEN, va="top")
+        panel.set(title=title, xlabel="a step, µs", ylabel="error, %", xlim=TIMES, ylim=ERRORS)
         panel.legend(fontsize=8)
     plots.save(drawing, path)
 
 
-def draw_basis(panel, group: Sequence[dict], basis: str) -> None:
-    """The mean over a group's clips with a band from the best to the worst, as far as nothing diverges."""
+def draw_basis(panel, group: Sequence[dict], basis: str, beside: str = "") -> None:
+    """The mean over a group's clips, in a shade from the best to the worst, as far as nothing diverges. beside: what is
+    said of a group that is shown beside that of the panel, by a thin line."""
     rows = [row for row in common_rows(group) if row[0] == basis and worst_error(group, row) < DIVERGES]
     if not rows:
         return
     times = [mean([step(found, row) for found in group]) for row in rows]
     means = [100 * mean_error(group, row) for row in rows]
+    if beside:
+        panel.plot(times, means, color=COLORS[basis], linestyle=":", lw=1, label=beside + BASES[basis])
+        return
     best_and_worst = [[100 * pick(errors(group, row)) for row in rows] for pick in (min, max)]
-    panel.fill_between(times, *best_and_worst, color=COLORS[basis], alpha=0.15, linewidth=0)
+    panel.fill_between(times, *best_and_worst, color=COLORS[basis], alpha=0.15, lw=0)
     panel.plot(times, means, color=COLORS[basis], marker="o", ms=4, label=BASES[basis])
     for (_, detail), time, value in zip(rows, times, means, strict=True):
         panel.annotate(str(detail), (time, value), (0, 5), textcoords="offset points", ha="center", fontsize=7)

@@ -14,7 +14,8 @@ REGIONS = {  # by how the names of their bones begin
     "legs": ("thigh", "calf", "foot", "ball", "toe"),
     "head and neck": ("neck", "head", "jaw", "eye", "ear", "tail"),
 }
-NOTHING = 1e-9  # meters: what moves less has no error
+NOTHING = 1e-9  # meters: what moves less has no error,
+HARDLY = 0.05  # and nor has a region that moves less than this part of the whole
 
 
 def by_bones(node_weights: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -51,14 +52,15 @@ def errors(
     """Of a motion (F, n, 3): RMS of its difference from the reference, both about their means, as a part of that of
     the reference's dynamic motion (F, n, 3), of the whole and by regions (n,): {"error", "regions"}.
 
-    None where the motion is not finite, or where the reference does not move.
+    None where the motion is not finite, or where the reference hardly moves.
     """
     apart = motion - reference
+    everywhere = np.ones(len(mass), bool)
+    whole = moves(dynamic, mass)
 
     def of(nodes: np.ndarray) -> float | None:
         size = moves(dynamic[:, nodes], mass[nodes]) if mass[nodes].any() else 0.0
-        error = moves(apart[:, nodes], mass[nodes]) / size if size > NOTHING else np.nan
+        error = moves(apart[:, nodes], mass[nodes]) / size if size > max(NOTHING, HARDLY * whole) else np.nan
         return error if np.isfinite(error) else None
 
-    everywhere = np.ones(len(mass), bool)
     return {"error": of(everywhere), "regions": {region: of(nodes) for region, nodes in regions.items()}}

@@ -113,8 +113,8 @@ def test_goals_say_what_is_missed(everything):
     lines = accuracy.goals_table(everything).splitlines()[2:]
     cells = {tuple(line.strip("| ").split(" | ")[k] for k in (0, 2)): line.split(" | ")[3:] for line in lines}
     modes, responses = cells["MakeHuman, mean", "≤ 150 µs"]
-    assert modes == "**31.5 %**, 20 at 30 µs"
-    assert responses == "10.5 %, 120 at 149 µs |"
+    assert modes == "**31.5 %** (20, 30 µs)"
+    assert responses == "10.5 % (120, 149 µs) |"
     assert cells["MakeHuman, worst", "≤ 150 µs"][1].startswith("13.2 %")
     assert cells["MakeHuman, torso", "≤ 150 µs"][1].startswith("10.0 %")
     assert cells["animals, worst", "≤ 150 µs"][1].startswith("**8.8 %**")
@@ -126,9 +126,9 @@ def test_page_shows_all_characters(everything, tmp_path):
     text = accuracy.page(everything)
     assert all(f"### {found['title']}" in text for found in everything.values())
     assert "Measured at commit `0123456` (2026-01-01)" in text
-    assert "**modes alone, 20** | 20 | 30.0 | 1.00 | 30.0 % | 33.0 %" in text  # the default
+    assert "**vibration modes, 20** | 20 | 30.0 | 1.00 | 30.0 % | 33.0 %" in text  # the default
     assert "diverges" in text
-    assert "modes, many bone responses, 40: refused, “too few”" in text
+    assert "bone responses, 40: refused, “too few”" in text
     accuracy.draw(everything, tmp_path / "plot.svg")
     assert "<svg" in (tmp_path / "plot.svg").read_text()
 
@@ -137,5 +137,5 @@ def test_page_without_responses(everything, tmp_path):
     """An extension that knows no such basis has rows of modes alone."""
     for found in everything.values():
         found["rows"] = [SMALL, LARGE]
-    assert "MakeHuman, mean | ≤ 12% | ≤ 150 µs | **31.5 %**, 20 at 30 µs | - |" in accuracy.goals_table(everything)
+    assert "MakeHuman, mean | ≤ 12% | ≤ 150 µs | **31.5 %** (20, 30 µs) | - |" in accuracy.goals_table(everything)
     accuracy.draw(everything, tmp_path / "plot.svg")
