@@ -197,6 +197,13 @@ class StandIn:
         def to_arrays(self):
             return self.arrays, self.meta
 
+        @property
+        def settings(self):
+            return part("settings").ModelSettings()
+
+        def with_settings(self, _settings):
+            return self
+
     def dependencies(self, character):
         shapes = {f"shape of '{t.name}'": hashlib.sha256(t.shape.tobytes()).hexdigest() for t in character.targets}
         return {"mesh": hashlib.sha256(character.vertices.tobytes()).hexdigest(), **shapes}

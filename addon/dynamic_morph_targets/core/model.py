@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 
 import dynamorph
 import numpy as np
@@ -123,6 +123,12 @@ class Model:
             return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
         tables = dynamorph.ReducedTables(law, self.basis, list(self.table_lambda), list(self.table_mu))
         return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
+
+    def with_settings(self, settings: ModelSettings) -> Model:
+        """The same model, to be simulated with another `solver`, or to keep another number of `modes` of what is then
+        unreduced. A model that was built as FULL has no modes for a reduced simulation.
+        """
+        return replace(self, settings=settings)
 
     @property
     def stepper(self) -> Callable[..., EngineSimulation]:

@@ -247,7 +247,8 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     outcome.warnings += outcome.report["warnings"]
     settings = given.settings
     first, last = outcome.model.summary.get("fitted", (settings.start, settings.end))
-    if settings.start < first or settings.end > last:
+    uses_modes = outcome.model.settings.solver == "REDUCED"
+    if uses_modes and (settings.start < first or settings.end > last):
         outcome.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
     found = outcome.verdict.as_dict(given.limits)
     if not found["ok"]:

@@ -51,7 +51,7 @@ def joined(bakes: Sequence[Bake]) -> Bake:
     """Bakes of one mesh with the same modes, joined one after the other in time. Raises SceneError."""
     first = bakes[0]
     if not all(np.array_equal(bake.modes, first.modes) for bake in bakes):
-        raise SceneError("Each clip has modes of its own, which the Full solver makes: choose the Reduced one")
+        raise SceneError("Each clip has modes of its own, which Final quality makes: set Quality to Reduced")
     together = {
         name: np.concatenate([getattr(bake, name) for bake in bakes])
         for name in ("frames", "coordinates", "weights", "static")
@@ -99,7 +99,8 @@ class ActionsExport(batch.Batch):
             )
         if obj.dynamorph.model.solver == "FULL" and obj.dynamorph.model.method != "STATIC":
             raise ExportError(
-                f"'{obj.name}': clips share their shape keys, and the Full solver makes others for each: choose Reduced"
+                f"'{obj.name}': clips share their shape keys, and Final quality makes others for each: set Quality to "
+                "Reduced"
             )
         self.key, self.path = key, path
         self.clips = actions.clips_of(obj)

@@ -240,6 +240,7 @@ def _free(obj, names, keep_cache=False):
     record.keys.clear()
     record.action = None
     record.summary = record.warnings = record.verdict = ""
+    record.off_final = -1.0
 
 
 def _clear_unused(keys, had_animation_data: bool):
