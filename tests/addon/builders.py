@@ -251,7 +251,7 @@ class StandInShot:
                 raise RuntimeError("cancelled")
             time.sleep(engine.patience / 10)
 
-    def bake(self):
+    def bake(self, exact=False):
         character, settings = self.character, self.settings
         rng = np.random.default_rng(1)
         vertices, targets = len(character.vertices), character.targets

@@ -64,6 +64,14 @@ def test_keys_that_lack_some_of_the_motion_say_so(coarse):
     assert lost > 0 and f"keys off by at most {1000 * lost:.2g} mm" in job.summary()
 
 
+def test_a_point_cache_holds_all_of_the_motion(coarse, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    coarse.dynamorph.model.solver, coarse.dynamorph.output.sink = "FULL", "PC2"
+    job = bake(coarse)
+    assert len(job.result.modes) > 4 and "off by" not in job.summary()
+    assert job.report["compression_error"] < 1e-5
+
+
 # Distance ----------------------------------------------------------------------------------------------------------
 
 

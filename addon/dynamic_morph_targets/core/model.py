@@ -125,8 +125,8 @@ class Model:
         return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
 
     def with_settings(self, settings: ModelSettings) -> Model:
-        """The same model, to be simulated with another `solver`, or to keep another number of `modes` of what is then
-        unreduced. A model that was built as FULL has no modes for a reduced simulation.
+        """The same model, to be simulated with another `solver`. One that was built as FULL has no modes for a reduced
+        simulation.
         """
         return replace(self, settings=settings)
 

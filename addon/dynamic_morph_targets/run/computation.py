@@ -184,9 +184,9 @@ class Computation:
         return shot
 
     def _judge(self, shot: Shot) -> None:
-        outcome = self.outcome
+        outcome, output = self.outcome, self.given.output
         with self.progress.stage("simulate"):
-            outcome.bake, outcome.report = shot.bake()
+            outcome.bake, outcome.report = shot.bake(exact=output is None or output.sink != "MODES")
         with self.progress.stage("judge"):
             outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake)
         outcome.report["inverted_volume"] = outcome.verdict.inverted

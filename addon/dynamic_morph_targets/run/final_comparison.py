@@ -15,7 +15,6 @@ from .batch import Batch
 from .computation import Computation
 from .job import Job
 
-KEPT_MODES = 100  # of an unreduced shot: what these lose is nothing beside what a reduced one lacks
 REDUCED = 0.05  # of the time, for the reduced simulation
 
 
@@ -35,8 +34,7 @@ class ShotJob(Job):
         given = self.input
         if given.model is None:
             raise SceneError(f"The model of '{self.name}' is out of date ({'; '.join(self.reasons)}): bake again first")
-        modes = KEPT_MODES if self._solver == "FULL" else given.character.settings.modes
-        given.character = given.character.with_settings(solver=self._solver, modes=modes)
+        given.character = given.character.with_settings(solver=self._solver)
         given.model = given.model.with_settings(given.character.settings)
         self.computation = Computation(given, self)
 

@@ -57,8 +57,10 @@ class Tissue:
         self.skin = Surface(handle, self.character.vertices[own], move, residual_shapes)
         self.followers: list[Surface] = []
         for follower in extract.followers(obj, self.character):
-            embedding = carrying.embedded(model, follower) if len(model.tets) else (model.tets, model.tets)
-            move = self._move(len(follower.points), *embedding, follower.from_body)
+            nodes, weights = model.embedding_nodes, model.embedding_weights
+            if len(model.tets):
+                nodes, weights = carrying.embedded(model, follower)
+            move = self._move(len(follower.points), nodes, weights, follower.from_body)
             handle = skin.ObjectHandle(follower.session_uid, follower.name)
             residual_shapes = carrying.residual_shapes_of(model, follower)
             self.followers.append(Surface(handle, follower.points, move, residual_shapes))
