@@ -19,17 +19,17 @@ from dynamic_morph_targets.__main__ import leave
 from stage import add_mesh, add_shape_keys, add_soft_skin, add_vertex_groups, save_scene, set_up_scene
 
 FRAMES = 3000
-SHOTS = {"walk": 26, "run": 16, "wave": 34}  # frames that a bend and its return take
+SHOTS = {"walk": 26, "run": 16, "wave": 34}  # frames of a bend and its return
 CHARACTERS = {"Arm": 1.0, "Leg": 1.3}  # thickness
 MODES = 40
 BEND = math.radians(100)  # of the whole elbow
-TOSS = 0.04  # metres up and down
+TOSS = 0.04  # meters up and down
 
 README = "A shot of Dynamorph's farm demo: two limbs that bend and are tossed about. Bake it with Dynamorph."
 
 
 def add_character(name: str, thickness: float) -> tuple[bpy.types.Object, bpy.types.Object]:
-    """The mesh, with what its model depends on alike in all shots, and its rig."""
+    """The mesh and its rig; what the model depends on is the same in all shots."""
     rig = limb.add_rig()
     rig.name = f"{name} Rig"
     rig.location.y = 0.5 * list(CHARACTERS).index(name)
@@ -46,7 +46,7 @@ def add_character(name: str, thickness: float) -> tuple[bpy.types.Object, bpy.ty
 
 
 def animate(rig: bpy.types.Object, period: int):
-    """Bend and return, over and over, with a toss at each."""
+    """Bend and return, over and over, with a toss each time."""
     for half in range(2 * FRAMES // period + 1):
         frame, up = 1 + half * period // 2, half % 2
         for b in limb.ELBOW:

@@ -4,9 +4,9 @@ openjd-cli:
 
     python slurm_submit.py dynamorph.openjd.yaml -p 'Shots=["walk","run"]' -p Folder=/show/shots -- --partition=farm
 
-What is after -- goes to sbatch. Prints a line for each step: its name and Slurm's id of its job. A step waits until all
-tasks before it have succeeded; only the last step is run whatever came of them, and can tell of it. Tasks and logs go
-into a folder, which like all that parameters name must be there on every node. docs/farm.md
+Arguments after -- go to sbatch. Prints a line for each step: its name and Slurm's id of its job. A step waits until all
+tasks before it have succeeded; only the last step runs even if they failed, and can report that. Tasks and logs go into
+a folder which, like everything that parameters name, must exist on every node. docs/farm.md
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from openjd.model import (
     preprocess_job_parameters,
 )
 
-EXTENSIONS = ["EXPR"]  # of the specification, that `openjd run` knows too
+EXTENSIONS = ["EXPR"]  # of the specification, which `openjd run` also knows
 TASK = Path(__file__).with_name("slurm_task.sh")
 
 
@@ -73,7 +73,7 @@ def wait_for(ids: list[str], is_last: bool) -> list[str]:
 
 
 def cancel(ids: dict[str, str]) -> str:
-    """Cancel the jobs of these steps; returns what came of it."""
+    """Cancel the jobs of these steps; returns a sentence about the outcome."""
     if not ids:
         return ""
     done = subprocess.run(["scancel", *ids.values()], check=False)
@@ -110,7 +110,7 @@ def main() -> int:
     openjd = Path(sys.executable).with_name("openjd")
     run = [openjd, "run", args.template.resolve(), "-p", f"file://{folder}/parameters.json"]
     ids: dict[str, str] = {}
-    for step in job.steps:  # a step comes after those that it depends on
+    for step in job.steps:  # a step follows those that it depends on
         after = [ids[dependency.dependsOn] for dependency in step.dependencies or ()]
         depend = wait_for(after, is_last=step is job.steps[-1])
         try:

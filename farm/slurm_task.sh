@@ -1,11 +1,11 @@
 #!/bin/bash
 # SPDX-License-Identifier: GPL-3.0-or-later
 # One task of an Open Job Description as an element of a Slurm array; submitted by slurm_submit.py. Arguments: the step's
-# folder, then an `openjd run` to which only the task is to be added.
+# folder, then an `openjd run` command without its task.
 #
-# Bad input (2) and a failed self-check (3) would come again, so they fail. Whatever else ends a task, a signal or a disk
-# that is full (75), is worth another try, here or on another node: it goes on from the last checkpoint. When a node is
-# lost, Slurm itself does the same.
+# Bad input (2) and a failed self-check (3) would recur, so the task fails. Anything else that ends a task, such as a
+# signal or a full disk (75), is worth another try, here or on another node: the task resumes from its last checkpoint.
+# When a node is lost, Slurm itself does the same.
 set -uo pipefail
 
 tries=5

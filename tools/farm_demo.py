@@ -2,10 +2,10 @@
 """Bakes three shots of two characters in two variants on a small render farm, and breaks it: `make farm-demo`.
 
 The farm is Slurm with two nodes on this machine, each a slurmd with processes and a core of its own. The job is
-farm/dynamorph.openjd.yaml, submitted by farm/slurm_submit.py. It runs on one node, on two, and on two one of which is
-hit: a bake on it is killed, and then the node itself. The bakes must come out the same, to the last bit.
+farm/dynamorph.openjd.yaml, submitted by farm/slurm_submit.py. It runs on one node, on two, and on two where one fails:
+a bake on it is killed, and then the node itself. The bakes must come out the same, to the last bit.
 
-What stands in the way of a farm (not root, not Debian) is printed, and counts as success; what goes wrong on it does
+A machine that cannot run a farm (not root, not Debian) is told why, and counts as success; a failure on the farm does
 not. Figures: build/farm/farm.json, and, if the machine has no other work, the table in docs/farm.md.
 """
 
@@ -88,7 +88,7 @@ class Bake:
 
 
 class Farm:
-    """Slurm on this machine, while the context lasts. Whatever ends this process ends all of it."""
+    """Slurm on this machine, while the context lasts. Whatever ends this process ends the whole farm."""
 
     def __init__(self, folder: Path, nodes: int):
         self.folder = folder
@@ -133,7 +133,7 @@ class Farm:
         self._daemon("slurmctld", "slurmctld", "-D")
         cores = sorted(os.sched_getaffinity(0))
         for i, name in enumerate(self.nodes):
-            # Process 1 of a namespace: when it is killed, so is at once all that the node runs.
+            # Process 1 of a namespace: when it is killed, everything that the node runs is killed at once.
             alone = ["unshare", "--pid", "--fork", "--kill-child", "--mount-proc"]
             run = ["bash", "-c", 'slurmd -D -N "$0" & wait $!', name]  # a shell, which collects orphans that end
             self._daemon(name, *alone, "taskset", "-c", str(cores[i % len(cores)]), *run)
@@ -153,7 +153,7 @@ class Farm:
         return run.stdout if run.returncode == 0 else None
 
     def _wait(self, what: str, happened, seconds: float = LONGEST):
-        """Until happened() returns something, which is returned. Raises Failed."""
+        """Wait until happened() returns something, and return that. Raises Failed."""
         end = time.monotonic() + seconds
         while not (found := happened()):
             for name, process in self.processes.items():
@@ -185,7 +185,7 @@ class Farm:
             try:
                 words = (process / "cmdline").read_text().split("\0")
                 variables = (process / "environ").read_text().split("\0")
-            except OSError:  # it has ended, or is none of ours
+            except OSError:  # it has ended, or is not ours
                 continue
             of = dict(variable.split("=", 1) for variable in variables if "=" in variable)
             mine = of.get("SLURM_CONF") == str(self.configuration) and of.get("SLURMD_NODENAME") == node
@@ -195,7 +195,7 @@ class Farm:
         return found
 
     def mid_bake(self, node: str, folder: Path) -> Bake:
-        """Wait for a bake on this node that is begun for the first time and is in its middle."""
+        """Wait for a bake on this node that runs for the first time and is half done."""
 
         def found():
             for bake in self.bakes(node):
@@ -231,7 +231,7 @@ def free_ports(count: int) -> list[int]:
 
 
 def run_job(name: str, nodes: int, faults=False) -> dict:
-    """Bake everything on so many nodes, with faults among them; returns what came of it. Raises Failed."""
+    """Bake everything on so many nodes, with faults among them; returns the measurements. Raises Failed."""
     folder = folder_of(name)
     output, caches, tasks = folder / "output", folder / "cache", folder / "tasks"
     output.mkdir(parents=True)
@@ -268,11 +268,11 @@ def run_job(name: str, nodes: int, faults=False) -> dict:
 
 
 def folder_of(run: str) -> Path:
-    return WORK / run.replace(" ", "_")  # Slurm's configuration knows no spaces
+    return WORK / run.replace(" ", "_")  # Slurm's configuration allows no spaces
 
 
 def inject_faults(farm: Farm, tasks: Path) -> dict[str, Bake]:
-    """Kill a bake, then its node in the middle of another, so that both have to go on elsewhere; returns the two."""
+    """Kill a bake, then its node in the middle of another, so that both must resume elsewhere; returns the two."""
     killed = farm.mid_bake("node2", tasks)
     farm.kill(killed, "node2")
     lost = farm.mid_bake("node2", tasks)
@@ -281,7 +281,7 @@ def inject_faults(farm: Farm, tasks: Path) -> dict[str, Bake]:
 
 
 def what_came_of(bake: Bake, bakes: dict[str, dict], tasks: Path) -> dict:
-    """Of a bake that was hit. nodes: where it was tried, one after the other, as farm/slurm_task.sh has noted."""
+    """What a bake that was killed went through. nodes: where it was tried, in order, as farm/slurm_task.sh recorded."""
     name = bake_name(tasks, bake)
     logs = sorted((tasks / "Bake").glob(f"{bake.task}.*.log"))  # of less than ten tries
     nodes = [log.read_text().partition("\n")[0].removeprefix("on ") for log in logs]
@@ -289,7 +289,7 @@ def what_came_of(bake: Bake, bakes: dict[str, dict], tasks: Path) -> dict:
 
 
 def bake_name(tasks: Path, bake: Bake) -> str:
-    """Of its report, as the template names it."""
+    """The path of its report, as the template names it."""
     (values,) = json.loads((tasks / f"Bake/{bake.task}.json").read_text())
     return " ".join(filter(None, values.values()))
 
@@ -308,7 +308,7 @@ def try_bad_input(farm: Farm, parameters: dict, folder: Path) -> int:
     farm.finish()
     page = folder / "output/index.json"
     if not page.exists() or NO_TARGET not in "".join(json.loads(page.read_text())["wrong"]):
-        raise Failed(f"no page tells of the bake that failed: see {folder}")
+        raise Failed(f"no page reports the bake that failed: see {folder}")
     return sum("exited with code: 2 " in log.read_text() for log in folder.glob("tasks/Bake/*.log"))
 
 
@@ -338,7 +338,7 @@ def judge(runs: list[dict]) -> dict:
 
 
 def shortcomings(runs: list[dict]) -> list[str]:
-    """What is not as it should be."""
+    """The sentences about what is not as it should be."""
     found = []
     for run in runs:
         if not run["hashes_equal"]:
@@ -381,7 +381,7 @@ def print_table(rows: list[list[str]]):
 
 
 def write_page(rows: list[list[str]], found: dict):
-    """Into docs/farm.md. Raises Failed."""
+    """Write the table into docs/farm.md. Raises Failed."""
     before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
     if not end:
@@ -408,7 +408,7 @@ def set_up():
     if subprocess.run(
         ["unshare", "--pid", "--fork", "--mount-proc", "true"], capture_output=True, check=False
     ).returncode:
-        raise CannotRun("namespaces of its own (unshare) are not permitted")
+        raise CannotRun("this process may not create namespaces (unshare)")
     shutil.rmtree(WORK, ignore_errors=True)
     for folder in ("tmp", "user"):
         (WORK / folder).mkdir(parents=True)

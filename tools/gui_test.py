@@ -2,8 +2,8 @@
 """Uses the extension in a real Blender window as an artist would: `make gui-test`.
 
 Debian's Blender is set up once in a folder of its own, build/gui or $DYNAMORPH_GUI. The extension is packed and
-installed there afresh each time, and tests/gui/scenario.py clicks through it on a virtual screen. What stands in the
-way of all that (not root, no network) is printed, and counts as success; what goes wrong later does not.
+installed there each time, and tests/gui/scenario.py clicks through it on a virtual screen. If the set-up is impossible
+(not root, no network), the reason is printed, and that counts as success; a later failure does not.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WORK = ROOT / "build/gui-test"
 PAGE = ROOT / "docs/window_test.md"
 BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the page
 PICTURES = ROOT / "docs/images/guide"
-CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part does without, and says so
+CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part runs without it, and says so
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
 SCREEN = (1600, 1100)
 MIRROR = "http://deb.debian.org/debian"
@@ -40,11 +40,12 @@ PACKAGES = (
     "libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev"
 )
 ENGINE_SOURCES = ("cpp", "cmake", "CMakeLists.txt", "pyproject.toml", "tools/tetgen.txt")
-# All that Blender may print: the steps, what operators report, the glTF exporter, and what Debian's lacks.
+# All that Blender may print: the steps, what operators report, the glTF exporter, presets, and what Debian's lacks.
 KNOWN = re.compile(
     r"STEP \w+|DROP FILE: .*|[\d:.]+ +operator +\| .*|[\d:.]+ +blend +\| Read blend: .*"
     r"|[\d:.]+ +\| INFO: (Starting glTF|Finished glTF|Primitives created|Extracting primitive).*"
     r"|[\d:.]+ +\| WARNING: Armature must be the parent of skinned mesh.*|Armature is selected by its name.*"
+    r"|Writing Preset: '.*'|Repository data: .* not found, sync required!"
     r"|.*(Draco|MeshOptimizer) is not available because library could not be found.*"
     r"|.*WARNING Could not get a list of mounted file-systems.*"
 )
@@ -101,7 +102,7 @@ def set_up_blender():
         raise CannotRun("a chroot needs root")
     alone = ["unshare", "--mount", "--pid", "--net", "--fork", "true"]
     if not shutil.which("unshare") or subprocess.run(alone, capture_output=True, check=False).returncode:
-        raise CannotRun("namespaces of its own (unshare) are not permitted")
+        raise CannotRun("this process may not create namespaces (unshare)")
     done = CHROOT / "dynamorph-packages"
     if done.exists() and done.read_text() == PACKAGES:
         return
@@ -109,7 +110,7 @@ def set_up_blender():
         urllib.request.urlopen(f"{MIRROR}/dists/sid/Release", timeout=30).close()
     except OSError as error:
         raise CannotRun(f"{MIRROR} cannot be reached ({error})") from error
-    print(f"gui-test: setting up Blender in {CHROOT}, some minutes and 2.6 GB", flush=True)
+    print(f"gui-test: setting up Blender in {CHROOT}, which takes some minutes and 2.6 GB", flush=True)
     if not CHROOT.exists():
         if not shutil.which("debootstrap"):
             run_here("apt-get", "-qq", "update")
@@ -146,7 +147,7 @@ def build_wheel() -> Path:
                 digest.update(str(path.relative_to(ROOT)).encode() + path.read_bytes())
     folder = WORK / "wheels" / digest.hexdigest()[:16]
     if not folder.exists():
-        print("gui-test: building the engine for Debian's Blender, some minutes", flush=True)
+        print("gui-test: building the engine for Debian's Blender, which takes some minutes", flush=True)
         for old in (folder.parent, WORK / "new"):
             shutil.rmtree(old, ignore_errors=True)
         # Debian's scikit-build-core is older than the one pinned.
@@ -195,7 +196,7 @@ def run_scenario() -> dict:
         raise Failed(f"{found.get('error') or f'Blender ended with {code}'}\n{tail('blender.log')}\nPictures: {shots}")
     log = (WORK / "blender.log").read_text(errors="replace")
     unknown = [line for line in log.splitlines() if line.strip() and not KNOWN.fullmatch(line)]
-    if unknown:  # panels do not raise: what is wrong with them stands here alone
+    if unknown:  # panels do not raise: their errors are printed here and nowhere else
         raise Failed("the scenario passed, but Blender printed\n" + "\n".join(unknown)[:3000])
     return found
 
@@ -236,7 +237,7 @@ def keep_pictures(names: list[str]):
 
 
 def without_empty_rows(picture: Image.Image, margin=10) -> Image.Image:
-    """Cut off the rows at the bottom that are all alike, but for a margin, which also holds an editor's border."""
+    """Cut off the uniform rows at the bottom, except for a margin, which also keeps an editor's border."""
     width, height = picture.size
     inner = picture.crop((0, 0, width, height - margin))
     last = inner.crop((0, inner.height - 1, width, inner.height)).resize(inner.size)
@@ -245,7 +246,7 @@ def without_empty_rows(picture: Image.Image, margin=10) -> Image.Image:
 
 
 def differ(picture: Image.Image, path: Path) -> bool:
-    """More than a blinking cursor, or a time that a button shows."""
+    """Whether two pictures differ by more than a blinking cursor, or a time that a button shows."""
     with Image.open(path) as other:
         if other.size != picture.size:
             return True

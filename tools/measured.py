@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which commit a generated page of docs/ was measured at, and which pages have aged since.
+"""The commit at which a generated page of docs/ was measured, and which pages have aged since.
 
 python tools/measured.py                  lists the pages that are out of date
 python tools/measured.py docs/PAGE.md     writes the present commit into a page that has such a line
@@ -57,12 +57,12 @@ def stamp(page: Path) -> None:
 
 
 def commits(page: Path) -> list[tuple[str, bool]]:
-    """The commits that a page names, and whether there were changes beside."""
+    """The commits that a page names, and whether there were uncommitted changes."""
     return [(found[1], bool(found[3])) for found in LINE.finditer(page.read_text(encoding="utf-8"))]
 
 
 def aged(page: Path) -> str:
-    """What has changed of a page's sources since it was measured, in one line; empty if nothing has."""
+    """What has changed in a page's sources since it was measured, in one line; empty if nothing has."""
     reasons, last = [], ""
     for commit, changes in dict.fromkeys(commits(page)):
         if changes:

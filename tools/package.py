@@ -28,8 +28,8 @@ def build_wheel(python: Path, source: Path, folder: Path, *options: str) -> None
 
 
 def build_native_wheels(folder: Path) -> list[Path]:
-    """One for each Python, of the modules that `make build` compiled."""
-    shutil.rmtree(folder, ignore_errors=True)  # every wheel found in it would be packed
+    """One wheel for each Python, of the modules that `make build` compiled."""
+    shutil.rmtree(folder, ignore_errors=True)  # every wheel in the folder would be packed
     for python in pythons():
         build_wheel(python, ROOT, folder, f"--config-settings=cmake.define.DYNAMORPH_PREBUILT={ROOT / 'build/cmake'}")
     return sorted(folder.glob("*.whl"))
@@ -49,7 +49,7 @@ def make_extension() -> None:
 
 
 def stage_extension(stage: Path) -> Path:
-    """A copy of the add-on, still without wheels; those belong into `stage`/wheels."""
+    """A copy of the add-on, still without wheels; those belong in `stage`/wheels."""
     shutil.rmtree(stage, ignore_errors=True)
     shutil.copytree(ADDON, stage, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("LICENSE", "LICENSES.md"):

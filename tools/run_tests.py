@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs every test that this machine can run, says which it could not, and counts: `make test`."""
+"""Runs every test that this machine can run, says which ones it could not run, and counts: `make test`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 SUPPORTED = {"3.11": "Blender 4.5 LTS", "3.13": "Blender 5.2 LTS"}
-SUITES = ("tests/engine", "tests/addon")  # apart: a crash of Blender does not take the engine's results along
+SUITES = ("tests/engine", "tests/addon")  # in separate processes: a crash of Blender does not lose the engine's results
 
 
 def run_engine_tests() -> Counter:
@@ -71,7 +71,7 @@ def main() -> int:
         for version, blender in SUPPORTED.items()
         if version not in found
     ]
-    print(f"Tests under Python {' and '.join(found)}: each folder of them speaks when it is done", flush=True)
+    print(f"Tests under Python {' and '.join(found)}: each folder reports when it is done", flush=True)
     with ThreadPoolExecutor() as pool:
         for of_version in pool.map(run_python, found):
             results |= of_version

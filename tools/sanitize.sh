@@ -34,7 +34,7 @@ echo "sanitize: memory errors and undefined behavior, C++"
 build address "-fsanitize=address,undefined -fno-sanitize-recover=undefined" engine_tests "$core"
 build/sanitize/address/engine_tests
 echo "sanitize: memory errors and undefined behavior, tests/engine"
-# Not: children that run out of "memory"; programs linked or emulated without a sanitizer.
+# Left out: children that run out of "memory"; programs linked or emulated without a sanitizer.
 preloaded "$python" -m pytest -k "not memory" tests/engine --ignore=tests/engine/test_examples.py \
   --ignore=tests/engine/test_instruction_sets.py
 echo "sanitize: data races, C++"

@@ -1,23 +1,26 @@
 #!/bin/bash
 # SPDX-License-Identifier: GPL-3.0-or-later
-# System packages where they are missing, and one virtual environment for each supported Python that is found.
-# Costs nothing when there is nothing to do. What few need is in groups, which are installed when they are named, as in
-# `setup.sh emulate farm`:
+# Installs missing system packages, and makes one virtual environment for each supported Python that it finds. It takes
+# no time when there is nothing to do. What few people need is in groups, which are installed when they are named, as
+# in `setup.sh emulate farm`:
 #   bench     the benchmarks
 #   emulate   the tests with another processor than this one (tests/engine/test_instruction_sets.py)
-#   farm      the demo of a render farm
+#   farm      the demo of a render farm; contains openjd
+#   openjd    the tests of farm/ with the tools of Open Job Description (tests/addon/test_farm.py)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 supported=(3.11 3.13) # Blender 4.5 LTS, Blender 5.2 LTS
 packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev doctest-dev
           libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
+needs_openjd=
 for group in "$@"; do
   case $group in
     bench) packages+=(libbenchmark-dev) ;;
     emulate) packages+=(qemu-user) ;;
-    farm) packages+=(slurmctld slurmd slurm-client munge) ;;
-    *) echo "setup: there is no group '$group': there are bench, emulate and farm" >&2 && exit 2 ;;
+    farm) packages+=(slurmctld slurmd slurm-client munge) needs_openjd=yes ;;
+    openjd) needs_openjd=yes ;;
+    *) echo "setup: there is no group '$group': there are bench, emulate, farm and openjd" >&2 && exit 2 ;;
   esac
 done
 openjd=openjd-cli==0.8.0
@@ -75,7 +78,7 @@ make_environment() { # version
     'import sysconfig; print(sysconfig.get_path("purelib"))')/dynamorph.pth"
 }
 
-make_openjd_environment() { # of its own: it needs nothing of Dynamorph's, nor that of it
+make_openjd_environment() { # a separate one: it shares no package with Dynamorph
   local environment=build/openjd pythons=(.venv/3.*/bin/python)
   [[ $(cat $environment/requirements.txt 2>/dev/null) != "$openjd" ]] || return 0
   echo "setup: installing $openjd"
@@ -92,4 +95,4 @@ if ! compgen -G '.venv/3.*/bin/python' >/dev/null; then
   echo "setup: Dynamorph needs Python ${supported[0]} or ${supported[1]}" >&2
   exit 1
 fi
-make_openjd_environment
+[[ -z $needs_openjd ]] || make_openjd_environment

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/basis.hpp"
 #include "dynamorph/reduced/reduced_model.hpp"
+#include "dynamorph/reduced/response_tables.hpp"
 #include "model_interface.hpp"
 
 using namespace dynamorph;
@@ -21,15 +22,41 @@ void bind_reduced(py::module_& m) {
       "Makes r modes. They span the targets' shapes exactly, then linear modes, modal derivatives and static responses "
       "by mass-PCA. progress(fraction) -> bool: returning False raises Cancelled.");
 
+  py::class_<ResponseBasis>(m, "ResponseBasis", "The subspace of a whole body: few modes and many responses.")
+      .def_readonly("U", &ResponseBasis::U, "The modes (3 free, r), orthonormal in the mass for unit density.")
+      .def_readonly("W", &ResponseBasis::W, "The responses (3 free, h), in which the energy stays quadratic.")
+      .def_readonly("amplitudes", &ResponseBasis::amplitudes, "How much each mode moves (r), relative to the others.");
+  m.def(
+      "make_response_basis",
+      [](const FullModel& model, int r, int h, const py::object& progress) {
+        const ProgressFn report = with_gil(progress);
+        py::gil_scoped_release release;
+        return make_response_basis(model, r, h, report);
+      },
+      "model"_a, "r"_a, "h"_a, "progress"_a = py::none(),
+      "Makes r modes and h responses from the static answers to what the bones can do. The modes span the targets' "
+      "shapes exactly. progress(fraction) -> bool: returning False raises Cancelled.");
+
   py::class_<ReducedTables>(m, "ReducedTables",
                             "The tables that a built reduced model stores. They hold geometry only, no material.")
       .def(py::init([](Law law, const MatrixXd& basis, const std::vector<VectorXd>& lambda,
-                       const std::vector<VectorXd>& mu) { return ReducedTables{law, basis, lambda, mu}; }),
-           "law"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a)
+                       const std::vector<VectorXd>& mu, const MatrixXd& responses,
+                       const std::vector<VectorXd>& response_lambda, const std::vector<VectorXd>& response_mu,
+                       const VectorXd& reach) {
+             return ReducedTables{law, basis, lambda, mu, responses, response_lambda, response_mu, reach};
+           }),
+           "law"_a, "basis"_a, "lame_lambda"_a, "lame_mu"_a, "responses"_a = MatrixXd(),
+           "response_lambda"_a = std::vector<VectorXd>(), "response_mu"_a = std::vector<VectorXd>(),
+           "reach"_a = VectorXd())
       .def_readonly("law", &ReducedTables::law)
       .def_readonly("basis", &ReducedTables::basis)
       .def_readonly("lame_lambda", &ReducedTables::lambda, "Per target, for lambda = 1 Pa.")
-      .def_readonly("lame_mu", &ReducedTables::mu, "Per target, for mu = 1 Pa.");
+      .def_readonly("lame_mu", &ReducedTables::mu, "Per target, for mu = 1 Pa.")
+      .def_readonly("responses", &ReducedTables::responses, "The responses (3 free, h), or (0, 0).")
+      .def_readonly("response_lambda", &ReducedTables::response_lambda,
+                    "Per target, stiffness and coupling of the responses for lambda = 1 Pa.")
+      .def_readonly("response_mu", &ReducedTables::response_mu, "Per target, for mu = 1 Pa.")
+      .def_readonly("reach", &ReducedTables::reach, "How far in each mode the responses' coupling acts (r).");
   m.def(
       "reduce",
       [](const FullModel& model, const MatrixXd& U, const py::object& progress) {
@@ -39,6 +66,15 @@ void bind_reduced(py::module_& m) {
       },
       "model"_a, "U"_a, "progress"_a = py::none(),
       "Computes the energy polynomials of every target in the basis U (3 free, r).");
+  m.def(
+      "reduce",
+      [](const FullModel& model, const ResponseBasis& basis, const py::object& progress) {
+        const ProgressFn report = with_gil(progress);
+        py::gil_scoped_release release;
+        return reduce(model, basis, report);
+      },
+      "model"_a, "basis"_a, "progress"_a = py::none(),
+      "The same in a basis with responses, whose stiffness and coupling are computed too.");
 
   py::class_<ReducedModel, std::shared_ptr<ReducedModel>> reduced(m, "ReducedModel", "The soft skin in r modes.");
   reduced.def(py::init<std::shared_ptr<SoftBody>, std::vector<MorphTarget>, const ReducedTables&, Blending>(),

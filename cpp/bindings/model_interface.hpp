@@ -6,6 +6,7 @@
 #include "bindings.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
+#include "dynamorph/reduced/arrow_matrix.hpp"
 
 namespace dynamorph {
 
@@ -24,6 +25,10 @@ int checked_target(const Model& model, int target) {
                                 std::to_string(target));
   return target;
 }
+
+/// A model's matrix as Python sees it: sparse, or dense.
+inline const SparseMatrix& as_numpy(const SparseMatrix& m) { return m; }
+inline MatrixXd as_numpy(const ArrowMatrix& m) { return m.dense(); }
 
 /// Bind-space node displacement (n, 3) at coordinates q.
 template <class Model>
@@ -56,7 +61,7 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
             VectorXd force;
             typename Model::Matrix stiffness = m.zero();
             const double energy = m.linearize(blend, q, force, stiffness);
-            return py::make_tuple(energy, force, stiffness);
+            return py::make_tuple(energy, force, as_numpy(stiffness));
           },
           "weights"_a, "q"_a,
           "Returns (energy in J, force dE/dq, stiffness dF/dq) at target weights (J) and coordinates q. The stiffness "
@@ -72,7 +77,7 @@ void bind_model(py::class_<Model, std::shared_ptr<Model>>& c) {
             still.bones.fill(&pose);
             typename Model::Inertia out;
             m.inertia(still, {VectorXd::Constant(m.body().sets(), density), VectorXd::Zero(m.body().sets())}, out);
-            return out.mass;
+            return as_numpy(out.mass);
           },
           "bones"_a, "density"_a,
           "The mass matrix A^T M A in the model's coordinates, at the bones' transforms (B, 3, 4).")

@@ -4,7 +4,6 @@
 import hashlib
 import importlib
 import threading
-import time
 from contextlib import contextmanager
 from math import pi
 from pathlib import Path
@@ -156,7 +155,7 @@ def assert_shows(obj, bake, extra=0.0):
 
 @contextmanager
 def soon():
-    """In the end, what is left to timers meanwhile: without a window there are none."""
+    """Call, at the end, what was left to timers in the meantime: without a window no timer runs."""
     asked = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(part("events"), "soon", lambda look, _seconds: asked.setdefault(look))
@@ -178,7 +177,7 @@ class StandIn:
         self.built = 0
         self.bytes = 800  # size of a model
         self.fail = None  # an exception that bake raises
-        self.patience = 0.0  # seconds that bake takes unless it is cancelled
+        self.waits = {}  # by character: an Event for which its bake waits at each frame unless it is cancelled
         self.hears = None  # an Event that it waits for before it looks whether it is
         self.looks = 0  # how often it has looked, of 10 times for each bake
         self.playing = threading.Event()  # bake has begun
@@ -221,12 +220,12 @@ class StandIn:
         meta = {"dependencies": self.dependencies(character), "summary": summary}
         return self.Model({"a": np.zeros(self.bytes // 8)}, meta)
 
-    def Shot(self, model, character, settings, progress):  # in the place of a class
+    def Shot(self, model, character, settings, progress):  # stands in for a class
         return StandInShot(self, character, settings, progress)
 
 
 class StandInShot:
-    """In the place of `simulate.Shot`."""
+    """Stands in for `simulate.Shot`."""
 
     def __init__(self, engine, character, settings, progress):
         self.engine, self.character, self.settings, self.progress = engine, character, settings, progress
@@ -247,9 +246,13 @@ class StandInShot:
             engine.hears.wait(60.0)
         for i in range(10):
             engine.looks += 1
-            if not self.progress(i / 10, f"Frame {i}"):
-                raise RuntimeError("cancelled")
-            time.sleep(engine.patience / 10)
+            self.tell(i)
+            while self.character.name in engine.waits and not engine.waits[self.character.name].wait(0.01):
+                self.tell(i)
+
+    def tell(self, frame):
+        if not self.progress(frame / 10, f"Frame {frame}"):
+            raise RuntimeError("cancelled")
 
     def bake(self, exact=False):
         character, settings = self.character, self.settings

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Nine rigged, animated characters of ../shared that nobody here made, opened as an artist opens them."""
+"""Nine rigged, animated characters of ../shared, made by others and opened as an artist opens them."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,7 +10,7 @@ import numpy as np
 
 ASSETS = Path(__file__).parents[3] / "shared" / "assets"
 BY = "[CC BY 4.0](https://creativecommons.org/licenses/by/4.0/)"
-CREDITS = {  # for whoever pictures them, as their licences ask
+CREDITS = {  # for the captions of their pictures, as their licenses ask
     "CesiumMan_notexture.glb": f"*Cesium Man*, © 2017 Cesium, {BY}; its textures, which carry a trademark, are "
     "removed.",
     "Fox.glb": f"*Fox*: mesh by PixelMannen, CC0; rig and animation by @tomkranis, {BY}; conversion to glTF by "
@@ -22,15 +22,15 @@ CREDITS = {  # for whoever pictures them, as their licences ask
 }
 OTHERS = "All others by Quaternius (quaternius.com), CC0, or by this project."
 CHANGED = "The pictures show them as simulated and rendered here."
-NODES, SUBSTEPS = 800, 2  # of the cage, and a frame: enough to see what goes wrong, and quick
+NODES, SUBSTEPS = 800, 2  # nodes of the cage, and steps per frame: enough to see what goes wrong, and quick
 
 
 @dataclass(frozen=True)
 class Shot:
     """A character with one of its clips.
 
-    keys: shape key -> frame of the clip whose pose is that target's; without any, there is one material. scale:
-    what an artist answers to the warning that the body is of no likely size. stiffness: of all targets, Pa.
+    keys: shape key -> frame of the clip whose pose is that target's; without any, there is one material. scale: how an
+    artist reacts to the warning that the size of the body is unlikely. stiffness: of all targets, Pa.
     """
 
     file: str
@@ -63,7 +63,7 @@ SHOTS = {
 def open_shot(shot: Shot):
     """The character's largest skinned mesh as a soft skin that plays the shot's clip; the scene has its frames.
 
-    It is held by bones and moves as far as it likes, which asks more of the engine than what one click makes.
+    Bones hold it, and nothing limits its motion, which demands more of the engine than a soft skin made by one click.
     """
     open_file(shot.path)
     scene, body = bpy.context.scene, largest_skinned()
@@ -72,7 +72,7 @@ def open_shot(shot: Shot):
     play(body.modifiers["Armature"].object, bpy.data.actions[shot.clip])
     resize(body, shot.scale)
     if body.data.shape_keys and body.data.shape_keys.animation_data:
-        body.data.shape_keys.animation_data.action = None  # it moves keys that are no targets
+        body.data.shape_keys.animation_data.action = None  # it moves keys that are not targets
     bpy.ops.dynamorph.add_soft_skin()
     bpy.ops.dynamorph.find_pieces()
     for key in body.data.shape_keys.key_blocks:
@@ -124,7 +124,7 @@ def play(rig, action):
 
 
 def resize(obj, scale: float):
-    """Scale the whole character, by what all of it is parented to."""
+    """Scale the whole character through a parent of all its objects."""
     while obj.parent:
         obj = obj.parent
     obj.scale *= scale
@@ -145,7 +145,7 @@ class Baked:
 
     @property
     def size(self) -> float:
-        """Diagonal of the bounding box, metres."""
+        """Diagonal of the bounding box, meters."""
         return float(np.linalg.norm(np.ptp(self.skin, axis=0)))
 
     @cached_property
@@ -157,8 +157,8 @@ class Baked:
 
     @property
     def inside(self) -> np.ndarray:
-        """Which of the skin's vertices are in the cage's tetrahedra, but for those that bones alone move."""
-        from dynamorph import TetMesh, embed  # what opens and plays a character does without the engine
+        """Which of the skin's vertices are in the cage's tetrahedra, except those that bones alone move."""
+        from dynamorph import TetMesh, embed  # opening and playing a character needs no engine
 
         model = self.job.model
         soft = self.skin[self.job.character.pieces >= 0]
@@ -166,7 +166,7 @@ class Baked:
 
 
 def bake(jobs, body) -> Baked:
-    """The scene's frames. jobs: the add-on's module, by whichever name it is loaded."""
+    """The scene's frames. jobs: the add-on's module, under the name by which it was loaded."""
     job = jobs.Job(body, goal="BAKE", substeps=SUBSTEPS)
     jobs.run(job)
     return Baked(body, job)

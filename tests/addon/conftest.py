@@ -26,7 +26,7 @@ def pytest_sessionfinish(session, exitstatus):
 
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config):
-    """Leave at once when all is reported: bpy 4.5 may wait for ever, as Python ends, for a thread of its own."""
+    """Leave at once when all is reported: as Python ends, bpy 4.5 may wait forever for one of its own threads."""
     if bpy.app.version < (5, 0) and EXIT in config.stash:
         from dynamic_morph_targets.__main__ import leave
 
@@ -69,11 +69,20 @@ def soft_arm(arm):
 
 
 @pytest.fixture
+def viewport(scene):
+    """A 3D view in which the add-on draws; see viewport.Viewport."""
+    from viewport import Viewport
+
+    with Viewport() as viewport:
+        yield viewport
+
+
+@pytest.fixture
 def stand_in(addon, monkeypatch):
     """Replaces the engine by one that answers at once; see builders.StandIn."""
     from builders import StandIn, part
 
     engine = StandIn()
     monkeypatch.setattr(part("engine"), "engine", lambda: (engine, engine))
-    part("model_store")._load.cache_clear()
+    part("model_store").forget()
     return engine

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Characters of several meshes for the tests: parts that share their ends, eyes, helmets, heads."""
+"""Characters of several meshes for the tests: parts whose ends coincide, eyes, helmets, heads."""
 
 import bpy
 import numpy as np
@@ -27,7 +27,7 @@ def skin(obj, rig, weights, bones=BONES):
 
 
 def tube_between(bottom: float, top: float, rings: int, closed=(True, True)):
-    """A tube along z, with caps at its ends or not."""
+    """A tube along z, with or without caps at its ends."""
     vertices, faces = scenes.tube(rings=rings, length=top - bottom)
     caps = [face for face, is_closed in zip(faces[-2:], closed, strict=True) if is_closed]
     return np.asarray(vertices) + np.array([0.0, 0.0, bottom]), [*faces[:-2], *caps]

@@ -16,7 +16,7 @@ SIDEBAR = region(280)
 
 
 def registered(name, kind):
-    """The class by which Blender draws a panel, a menu or a list: what is not registered it does not draw."""
+    """The class with which Blender draws a panel, a menu or a list. Blender does not draw what is not registered."""
     found = getattr(bpy.types, name, None)
     assert found and issubclass(found, kind), f"{name} is not registered"
     return found

@@ -15,7 +15,7 @@ def with_pins(obj):
     settings.pieces.clear()
     settings.simulation.max_displacement = settings.simulation.max_thickness = 0.0
     for target in settings.targets:
-        for name in (*MATERIAL, "frequency", "by_hand"):  # these last: a stiffness that is set counts as set by hand
+        for name in (*MATERIAL, "frequency", "by_hand"):  # these come last: setting a stiffness marks it as set by hand
             target.property_unset(name)
         target.frequency, target.by_hand = 0.0, False
     return obj

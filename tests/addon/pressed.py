@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A button pressed in a window, without a window: Blender's own operator, and the events that a test gives it."""
 
-import time
 import types
 
 import bpy
@@ -11,33 +10,67 @@ from builders import activate, part
 APP = bpy.app
 
 
-class InWindow:
-    """Stands in for bpy.app, which says that Blender runs in the background."""
+class Instead:
+    """Stands in for something of Blender: has these attributes in the place of its own."""
 
-    background = False
+    def __init__(self, original, **attributes):
+        self.__dict__.update(attributes)
+        self.original = original
 
     def __getattr__(self, name):
-        return getattr(APP, name)
+        return getattr(self.original, name)
+
+
+def in_window(patch):
+    """bpy.app says that Blender runs in a window."""
+    patch.setattr(bpy, "app", Instead(APP, background=False))
+
+
+def press(obj, name, calls, **settings):
+    """Press the button of the operator class `name`, by Blender, and let `calls` be what it does.
+
+    In the background Blender calls an operator's `execute` even where it is to be invoked, so that leads to
+    calls(operator, context). settings: the operator's properties.
+    """
+    activate(obj)
+
+    def execute(operator, context):
+        first.undo()
+        return calls(operator, context)
+
+    with pytest.MonkeyPatch.context() as patch, pytest.MonkeyPatch.context() as first:
+        in_window(patch)
+        first.setattr(getattr(bpy.types, name), "execute", execute)
+        return getattr(bpy.ops.dynamorph, name.partition("_OT_")[2])(**settings)
+
+
+def invoked(obj, name, **window_manager):
+    """The result of a button that asks something first; window_manager: what does in the place of its methods."""
+
+    def calls(operator, context):
+        manager = Instead(context.window_manager, **window_manager)
+        return operator.invoke(Instead(context, window_manager=manager), None)
+
+    return press(obj, name, calls)
 
 
 class Pressed:
     """A job's button pressed in a window: `events`, then timer ticks until it ends.
 
-    In the background Blender calls an operator's `execute` even where it is to be invoked, and gives it no events. So
-    `execute` leads to the operator's own `invoke` here, and its own `modal` is called with the context there is. What
-    Blender does itself stays as it is: when another file is loaded it calls `cancel`, and `result` is None.
+    In the background Blender gives an operator no events. So its own `invoke` and `modal` are called here, with the
+    context there is. What Blender does itself stays as it is: when another file is loaded it calls `cancel`, and
+    `result` is None.
 
     settings: the operator's properties. reports: (kind, text). turns: how many events it was given.
     """
 
     def __init__(self, obj, events=(), operator="DYNAMORPH_OT_bake", before_tick=None, **settings):
         self.reports, self.turns, self.operator = [], 0, None
-        activate(obj)
         with pytest.MonkeyPatch.context() as patch:
             kind = getattr(bpy.types, operator)
-            # Blender shows what a modal operator reports after an event, and no sooner: it is read as it is said.
+            # Blender shows the reports of a modal operator only after an event, so they are read as they are made.
             patch.setattr(kind, "__getattribute__", self._attribute(kind.__getattribute__), raising=False)
-            self.result = self._invoke(kind, settings)
+            self.result = press(obj, operator, self._invoke, **settings)
             self._play(iter(events), before_tick)
         assert part("batch").running is None
 
@@ -50,16 +83,9 @@ class Pressed:
     def _report(self, kind, text):
         self.reports.append((*kind, text))
 
-    def _invoke(self, kind, settings):
-        def execute(operator, context):
-            first.undo()
-            self.operator = operator
-            return operator.invoke(context, None)
-
-        with pytest.MonkeyPatch.context() as patch, pytest.MonkeyPatch.context() as first:
-            patch.setattr(bpy, "app", InWindow())
-            first.setattr(kind, "execute", execute)
-            return getattr(bpy.ops.dynamorph, kind.__name__.partition("_OT_")[2])(**settings)
+    def _invoke(self, operator, context):
+        self.operator = operator
+        return operator.invoke(context, None)
 
     def _play(self, events, before_tick):
         batch = part("batch")
@@ -73,4 +99,6 @@ class Pressed:
             event = types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS")
             self.result = self.operator.modal(bpy.context, event)
             self.turns += 1
-            time.sleep(0.005)  # the job's thread goes on
+            for job in self.operator.batch.jobs:
+                if job.thread.is_alive():
+                    job.thread.join(0.005)  # it goes on

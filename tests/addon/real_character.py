@@ -38,7 +38,7 @@ def open_character(clip: str):
 
 
 def make_soft(clip: str):
-    """The same of the character that is open."""
+    """The same for the character that is open."""
     body, rig = bpy.data.objects["Body"], bpy.data.objects["Rig"]
     body.data.shape_keys.animation_data.action = None  # the file's "breathing" moves keys that are no targets
     for key in body.data.shape_keys.key_blocks:
@@ -74,6 +74,6 @@ def _pose(rig, turned: dict[str, float]):
     for bone in rig.pose.bones:
         bone.matrix_basis.identity()
         if bone.name in turned:
-            axis = bone.bone.matrix_local.to_3x3().row[0]  # world x, in the bone's space
+            axis = bone.bone.matrix_local.to_3x3().row[0]  # the world's x axis in the bone's space
             bone.rotation_quaternion = Quaternion(axis, math.radians(turned[bone.name]))
     bpy.context.view_layer.update()

@@ -52,7 +52,7 @@ def settings(group):
             value = [settings(item) for item in value]
         elif isinstance(value, bpy.types.PropertyGroup):
             gone = isinstance(value, part("target_properties").DynamorphKey) and not value.name
-            value = None if gone else settings(value)  # of a key that is not there it does not matter what it was
+            value = None if gone else settings(value)  # the former state of a missing key does not matter
         elif prop.type == "POINTER":
             value = value and value.name
         elif getattr(prop, "is_array", False):
@@ -62,13 +62,13 @@ def settings(group):
 
 
 def plain(data):
-    """The simple properties of a modifier, say."""
+    """The simple properties of something, for example a modifier."""
     given = {prop.identifier: getattr(data, prop.identifier) for prop in data.bl_rna.properties}
     return {name: value for name, value in given.items() if isinstance(value, bool | int | float | str)}
 
 
 def state():
-    """Everything that a button of the add-on may change, of every mesh and rig of the scene."""
+    """Everything of every mesh and rig in the scene that a button of the add-on may change."""
     out = {"frame": bpy.context.scene.frame_current, "active": bpy.context.object and bpy.context.object.name}
     for obj in bpy.context.scene.objects:
         mine = out[obj.name] = {"mode": obj.mode, "world": [tuple(row) for row in obj.matrix_world]}
@@ -152,7 +152,7 @@ def baked(obj):
 
 
 def held(obj):
-    """By its thickness."""
+    """Let the thickness of the body hold it."""
     obj.dynamorph.model.hold = "THICKNESS"
     built(obj)
 
@@ -165,7 +165,7 @@ def judged(obj):
 
 
 def captured_on_the_way(obj):
-    """So that the end of the shot is far from the target."""
+    """Add a pose so that the end of the shot is far from the target."""
     target_selected(obj)
     bpy.context.scene.frame_set(8)
     OPS.capture_pose()
@@ -214,7 +214,7 @@ FOLDER = Path(tempfile.mkdtemp(prefix="dynamorph_test_"))
 SETUP, PRESET = str(FOLDER / "setup.json"), FOLDER / "preset.py"
 
 
-CALLS = {  # what a button needs before it, and what it is given
+CALLS = {  # what a button needs beforehand, and its arguments
     "add_piece": (other_mesh_selected, {}),
     "add_soft_skin": (no_soft_skin, {}),
     "add_target": (posed, {"key": "smile"}),
@@ -262,7 +262,7 @@ CALLS = {  # what a button needs before it, and what it is given
     "swap_slot": (two_slots, {}),
     "use_selected_bones": (bones_selected, {}),
 }
-CHANGING_NOTHING = {  # of what is saved and undone
+CHANGING_NOTHING = {  # nothing that is saved or undone
     "cancel": (target_selected, {}),
     "export": (baked, {"format": "RAW", "filepath": str(FOLDER / "clip.npz")}),
     "export_actions": (baked, {"format": "GLTF", "filepath": str(FOLDER / "clips.glb")}),

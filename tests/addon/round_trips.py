@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake in every form that it can take, read back by something else, and how far that is from the engine's surface.
+"""A bake in every form that it can take is read back by another program, and compared with the engine's surface.
 
 Readers are for the tests; `measure` is for a page. As a script it measures a sample scene and prints JSON:
 
@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class ReaderMissing(RuntimeError):
-    """What reads a format is not installed. The message says what is missing."""
+    """The reader of a format is not installed. The message says what is missing."""
 
 
 # Readers: (path, mesh's name, frames) -> surface at each frame (F, V, 3), Blender's axes and units ------------------
@@ -59,7 +59,7 @@ def imported(load: Callable, path: Path, **options):
 
 
 def by_import(load: str, **options) -> Callable:
-    """A reader that is Blender's own; load: of bpy.ops."""
+    """One of Blender's own readers; load: an operator of bpy.ops."""
     group, name = load.split(".")
 
     def read(path: Path, mesh: str, frames) -> np.ndarray:
@@ -116,7 +116,7 @@ def by_c_runtime(path: Path, _mesh: str, frames) -> np.ndarray:
 
 
 def point_cache(path: Path, _mesh: str, frames) -> np.ndarray:
-    """PC2 with a surface a frame, local space."""
+    """PC2 with one surface per frame, local space."""
     data = path.read_bytes()
     assert data[:12] == b"POINTCACHE2\0"
     version, vertices, first, step, count = struct.unpack_from("<iiffi", data, 12)
@@ -148,7 +148,7 @@ np.save(sys.argv[2], out)
 
 
 def by_usd_core(path: Path, mesh: str, frames) -> np.ndarray:
-    """By Pixar's library, in a process of its own: its symbols clash with bpy's."""
+    """Read by Pixar's library in a separate process: its symbols clash with bpy's."""
     with tempfile.TemporaryDirectory() as folder:
         points = Path(folder) / "points.npy"
         command = [sys.executable, "-c", USD, path, points, mesh.replace(" ", "_"), *map(str, frames)]
@@ -207,7 +207,7 @@ class Gltf:
         return found[0]
 
     def times(self, animation: str | None) -> np.ndarray:
-        """Seconds (F,) of all its keys, which all channels have."""
+        """The times (F,) in seconds of its keys, which all channels share."""
         every = [self.array(sampler.input)[:, 0] for sampler in self.animation(animation).samplers]
         assert all(np.array_equal(every[0], times) for times in every)
         return every[0]
@@ -287,7 +287,7 @@ class Gltf:
 
 
 def rotations(quaternions: np.ndarray) -> np.ndarray:
-    """Matrices (F, 3, 3) of quaternions (F, 4), x y z w, of about unit length."""
+    """Matrices (F, 3, 3) of quaternions (F, 4), x y z w, whose length is about one."""
     x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).astype(float).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
@@ -303,7 +303,8 @@ def rotations(quaternions: np.ndarray) -> np.ndarray:
 def farthest(seen: np.ndarray, exact: np.ndarray, same_order=True) -> float:
     """The largest distance of a vertex between two moving surfaces (F, V, 3).
 
-    same_order: False if vertices were split at seams or put in another order. Which is which, all frames tell together.
+    same_order: False if vertices were split at seams or put in another order. All frames together tell which vertex is
+    which.
     """
     assert len(seen) == len(exact)
     if same_order:
@@ -312,7 +313,7 @@ def farthest(seen: np.ndarray, exact: np.ndarray, same_order=True) -> float:
     first, second = (surface.transpose(1, 0, 2).reshape(surface.shape[1], -1) for surface in (seen, exact))
     squares = (first**2).sum(axis=1)[:, None] + (second**2).sum(axis=1) - 2 * first @ second.T
     forth, back = squares.argmin(axis=1), squares.argmin(axis=0)
-    apart = (seen - exact[:, forth], seen[:, back] - exact)  # none is left out on either side
+    apart = (seen - exact[:, forth], seen[:, back] - exact)  # no vertex is left out on either side
     return max(float(np.linalg.norm(each, axis=2).max()) for each in apart)
 
 
@@ -322,7 +323,8 @@ def farthest(seen: np.ndarray, exact: np.ndarray, same_order=True) -> float:
 @dataclass(frozen=True)
 class Form:
     """What a bake becomes. sink, keys: of its output; key: of exports.FORMATS, or none; read: None if Blender shows it;
-    reader: who reads. local: before skinning."""
+    reader: the name of what reads it. local: before skinning.
+    """
 
     name: str
     reader: str
@@ -354,7 +356,7 @@ FORMS = (
 
 
 def module_of(obj, name: str):
-    """A module of the add-on, such as run.job, by whichever name it is loaded."""
+    """A module of the add-on, such as run.job, under the name by which it was loaded."""
     package = type(obj.dynamorph).__module__.removesuffix(".scene.properties")
     return importlib.import_module(f"{package}.{name}")
 
@@ -362,7 +364,8 @@ def module_of(obj, name: str):
 @dataclass(frozen=True)
 class Exact:
     """The engine's surface of a bake (F, V, 3), before skinning in local space and in the world. size: diagonal of the
-    box around the body at rest. All in metres, which Blender's units and the mesh's are too."""
+    box around the body at rest. All in meters, which Blender's units and the mesh's are too.
+    """
 
     local: np.ndarray
     world: np.ndarray
@@ -370,8 +373,9 @@ class Exact:
 
 
 def exact(job) -> Exact:
-    """What the engine computed at whole frames, of a shot that was read at once, skinned by NumPy from the arrays that
-    it had."""
+    """What the engine computed at whole frames of a shot that was read at once, skinned by NumPy from the engine's own
+    arrays.
+    """
     from builders import skinned
 
     character, bake, settings = job.character, job.result, job.settings
@@ -384,7 +388,7 @@ def exact(job) -> Exact:
 
 
 def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = None) -> list[dict]:
-    """Bake `obj`, a soft skin on plain bones in a scene in metres, in each form, and read it back; the scene is lost.
+    """Bake `obj`, a soft skin on plain bones in a scene in meters, in each form, and read it back; the scene is lost.
 
     Returns for each form: form, reader; error, the largest distance from the engine's surface over all frames and
     vertices, in sizes of the body; bytes of keys or of the file; seconds to write it, without the simulation.
@@ -413,7 +417,7 @@ def measure(obj, folder: Path, forms=FORMS, frames: tuple[int, int] | None = Non
         else:
             row["error"] = farthest(shown(name, numbers), ours.world) / ours.size
         found.append(row)
-    for form, row, path, numbers, ours in unread:  # some empty the scene
+    for form, row, path, numbers, ours in unread:  # some readers empty the scene
         try:
             seen = form.read(path, name, numbers)
         except ReaderMissing as missing:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A body of several meshes is one body: one cage, closed seams; all are written, shown, removed, exported together."""
+"""A body of several meshes is one body: one cage and closed seams; all meshes are written, shown, removed and exported
+together.
+"""
 
 import bpy
 import numpy as np
@@ -23,7 +25,7 @@ pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 OPS = bpy.ops.dynamorph
 JOINED = (("Body", "Top"), ("Top", "Cap"))
-SIZE = 2.3  # metres, about
+SIZE = 2.3  # meters, about
 
 
 @pytest.fixture
@@ -52,7 +54,7 @@ def rest(obj):
 
 
 def positions(found, frames):
-    """Of all meshes at some frames, {name: (F, V, 3)}."""
+    """The points of all meshes at some frames, {name: (F, V, 3)}."""
     out = {name: [] for name, obj in found.items() if obj.type == "MESH"}
     for frame in frames:
         bpy.context.scene.frame_set(frame)
@@ -62,7 +64,7 @@ def positions(found, frames):
 
 
 def assert_closed(found, frames=range(1, 15), moves=0.01):
-    """Points that coincide at rest do so in every frame, and the skin around moves, in metres."""
+    """Check that points that coincide at rest do so in every frame, and that the skin around them moves, in meters."""
     shown = positions(found, frames)
     for first, second in JOINED:
         apart = np.linalg.norm(rest(found[first])[:, None] - rest(found[second])[None], axis=2)
@@ -102,7 +104,7 @@ def test_the_character_covers_all_meshes(figure):
     assert len(character.vertices) == len(character.weights) == sum(counts)
     assert [each.name for each in character.parts] == ["Top", "Cap"] and character.own.stop == counts[0]
     world = np.concatenate([rest(figure[name]) for name in ("Body", "Top", "Cap")])
-    assert np.abs(character.vertices - world).max() < 2e-5  # the body's object is where the world is
+    assert np.abs(character.vertices - world).max() < 2e-5  # the body's object space is world space
     cap = character.parts[1].members
     assert (character.rigidity[cap] == 1.0).all() and not character.pieces.any()
     doubles = character.coincident != np.arange(sum(counts))
@@ -135,7 +137,7 @@ def test_a_choice_of_the_artist_has_no_reason(figure):
 
 
 def test_a_soft_skin_goes_on_the_body(scene):
-    """Not on an active helmet; if the armature is active, on its softest mesh."""
+    """It is never put on an active helmet; if the armature is active, it goes on its softest mesh."""
     found = make_figure(scene)
     activate(found["Eye"])
     OPS.add_soft_skin()
@@ -267,7 +269,7 @@ def test_nothing_is_written_unless_all_can_be(figure):
 
 @pytest.mark.parametrize("key", ["GLTF", "FBX", "ALEMBIC", "USD"])
 def test_an_export_takes_all_meshes_along(figure, tmp_path, key):
-    """Including the rigid ones, and what is parented to a bone."""
+    """This includes the rigid ones, and what is parented to a bone."""
     export_actions, exports, losses, body = part("export_actions"), part("exports"), part("losses"), figure["Body"]
     if not exports.FORMATS[key].is_available:
         pytest.skip("not in this Blender")
@@ -322,7 +324,7 @@ def test_an_export_without_a_bake_is_refused_before_the_file_browser(figure):
 
 
 def test_a_sculpt_goes_on_across_a_seam(figure):
-    """The nearest skin takes it over, less and less with the distance."""
+    """The nearest skin of the other mesh takes it over, less with growing distance."""
     body = figure["Body"]
     points = part("mesh_data").rest_points(body)
     body.dynamorph.model.method = "DYNAMIC"
@@ -352,7 +354,7 @@ def test_soft_groups_of_the_other_meshes_count(figure):
     seam = character.coincident[character.parts[0].members] < character.own.stop
     assert (character.softness[character.own] == 1.0).all()
     assert character.softness[character.parts[0].members][~seam][:-16] == pytest.approx(0.25)
-    assert (character.softness[character.parts[1].members] == 0.0).all()  # held nevertheless
+    assert (character.softness[character.parts[1].members] == 0.0).all()  # it is held nevertheless
 
 
 def test_softness_from_the_hold_goes_to_all_meshes_of_the_body(figure):
@@ -410,7 +412,7 @@ def test_loose_parts_on_one_bone_are_rigid(scene):
     for name in ("Body", "Top", "Cap", "Eye"):
         bpy.data.objects.remove(found[name])
     OPS.add_soft_skin()
-    # The ring shares its points with the tube by place alone, so that it is welded to it.
+    # The points of the ring coincide with those of the tube, so the two are welded.
     assert attachments(obj) == [("", "Dynamorph Piece Part", "RIGID")]
     character = part("extract").character(obj, without_targets=True)
     assert (character.pieces == -1).sum() == len(horn[0]) and obj.dynamorph.pieces[0].reason.startswith("This loose")
@@ -424,7 +426,7 @@ def hard_robot(scene):
     return merged(scene, rig, parts)
 
 
-def test_a_wholly_hard_character_is_recognised(scene):
+def test_a_wholly_hard_character_is_recognized(scene):
     obj = hard_robot(scene)
     OPS.add_soft_skin()
     text = "'Merged': nothing soft found: paint the Softness Map"
@@ -462,7 +464,7 @@ def test_a_jelly_on_one_bone_is_soft(scene):
 
 
 def test_skin_that_shares_points_with_what_a_bone_carries_stays_there(figure):
-    """Objects that are parented to a bone have no keys, so the skin must not move away from them."""
+    """Objects that are parented to a bone get no keys, so the skin must not move away from them."""
     body = figure["Body"]
     points, faces = tube_between(-0.3, 0.0, 3, closed=(True, False))
     boot = make_mesh(bpy.context.scene, "Boot", points, faces)

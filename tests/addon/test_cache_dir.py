@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A folder that processes share: models are built once, bakes are gone on with, and nothing is mistaken for another."""
+"""A folder that processes share: models are built once, bakes are resumed, and nothing is confused."""
 
 import bpy
 import numpy as np
@@ -46,7 +46,7 @@ def stopped(obj, folder, monkeypatch, stretches):
             batch.run(job.Job(obj, "BAKE", cache_dir=cache_dir.CacheDir(folder)))
 
 
-def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
+def test_a_stopped_bake_is_resumed(coarse, folder, monkeypatch):
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
     assert len(list(folder.glob("*.unfinished"))) == 1
@@ -58,7 +58,7 @@ def test_a_stopped_bake_is_gone_on_with(coarse, folder, monkeypatch):
     assert job.report["steps"] == whole.report["steps"]
 
 
-def test_a_bake_with_other_modes_begins_anew(coarse, folder, monkeypatch):
+def test_a_bake_with_other_modes_starts_over(coarse, folder, monkeypatch):
     """Models that are built elsewhere from the same scene may have modes with other signs."""
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
@@ -70,10 +70,10 @@ def test_a_bake_with_other_modes_begins_anew(coarse, folder, monkeypatch):
     assert not baked(coarse, folder).input.resumed
 
 
-def test_a_changed_file_begins_anew(coarse, folder, monkeypatch):
+def test_a_changed_file_starts_over(coarse, folder, monkeypatch):
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=1)
-    rig_of(coarse).pose.bones[0].constraints.new("LIMIT_ROTATION")  # of which settings and animation know nothing
+    rig_of(coarse).pose.bones[0].constraints.new("LIMIT_ROTATION")  # which neither settings nor animation mention
     bpy.ops.wm.save_mainfile()
     assert not baked(coarse, folder).input.resumed
 
@@ -88,7 +88,7 @@ def test_models_are_built_once(coarse, folder, monkeypatch):
 
 
 def test_models_fitted_to_a_shot_are_not_shared(coarse, folder):
-    """Another shot of the same character would get them."""
+    """Otherwise another shot of the same character would get them."""
     coarse.dynamorph.model.fit_to_shot = True
     job = baked(coarse, folder)
     assert "fitted" in job.model.summary
@@ -96,7 +96,7 @@ def test_models_fitted_to_a_shot_are_not_shared(coarse, folder):
 
 
 @pytest.mark.parametrize("setting", ["loop", "probed"])
-def test_what_cannot_be_gone_on_with_is_baked_all_the_same(coarse, tmp_path, folder, setting):
+def test_what_cannot_be_resumed_is_baked_all_the_same(coarse, tmp_path, folder, setting):
     if setting == "loop":
         coarse.dynamorph.simulation.loop = True
     else:
@@ -108,7 +108,7 @@ def test_what_cannot_be_gone_on_with_is_baked_all_the_same(coarse, tmp_path, fol
 
 
 def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
-    """Its own cage may have others, if another version made it."""
+    """Its own cage may have other nodes, if another version made it."""
     coarse.modifiers["Armature"].use_deform_preserve_volume = True
     shared = baked(coarse, folder)
     part("storage").forget_model(coarse)
@@ -121,8 +121,8 @@ def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
     assert np.allclose(job.result.coordinates, shared.result.coordinates, atol=1e-4)
 
 
-def test_an_undo_between_two_stretches_stops_a_bake(coarse, folder, monkeypatch):
-    """What was read before it belongs to another scene."""
+def test_an_undo_between_two_chunks_stops_a_bake(coarse, folder, monkeypatch):
+    """What was read before the undo belongs to another scene."""
     monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 5)
     job = part("job").Job(coarse, "BAKE")
     batch = part("batch").Batch([job], "BAKE")

@@ -50,7 +50,7 @@ SETTINGS = [
 
 
 @pytest.mark.parametrize("path, value, sentence", SETTINGS)
-def test_a_setting_is_named_until_it_is_set_back(baked, path, value, sentence):
+def test_a_setting_is_named_until_it_is_reset(baked, path, value, sentence):
     owner, _, name = path.rpartition(".")
     group = baked.dynamorph.path_resolve(owner) if owner else baked.dynamorph
     before = getattr(group, name)
@@ -79,7 +79,7 @@ def test_the_scene_counts(scene, baked, path, value, sentence):
     assert outdated(baked) == []
 
 
-def test_targets_that_come_go_are_renamed_or_muted(scene, baked):
+def test_targets_that_are_added_removed_renamed_or_muted(scene, baked):
     baked.data.shape_keys.key_blocks["flexed"].name = "biceps"
     bpy.context.view_layer.update()
     assert baked.dynamorph.targets[1].name == "biceps" and outdated(baked) == []
@@ -99,8 +99,8 @@ def test_targets_that_come_go_are_renamed_or_muted(scene, baked):
     assert outdated(baked) == ['target "flexed" is gone']
 
 
-def test_another_target_in_the_place_of_one_is_no_rename(scene, baked):
-    """Although the two change at the same time, as in a rename."""
+def test_a_target_that_replaces_another_is_no_rename(scene, baked):
+    """Both change at the same time, as in a rename."""
     baked.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.remove_target()
     scene.frame_set(20)
@@ -111,8 +111,8 @@ def test_another_target_in_the_place_of_one_is_no_rename(scene, baked):
     assert outdated(baked) == [] == model_changes(baked)
 
 
-def test_records_from_before_know_no_sculpts(baked):
-    """A target that replaced another one counts as renamed, as it did then."""
+def test_older_records_know_no_sculpts(baked):
+    """A target that replaced another one still counts as renamed, as it did in those versions."""
     record = baked.dynamorph.model
     built = json.loads(record.built)
     for target in built["targets"].values():
@@ -150,7 +150,7 @@ def test_a_sculpt_makes_both_old(baked):
 
 
 @pytest.mark.parametrize("name, value", [("modes", 7), ("law", "LINEAR"), ("cage_nodes", 900)])
-def test_the_model_s_settings_are_named_until_they_are_set_back(baked, name, value):
+def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value):
     model = baked.dynamorph.model
     before = getattr(model, name)
     setattr(model, name, value)
@@ -249,7 +249,7 @@ def test_a_bake_is_up_to_date_after_loading(baked, tmp_path):
         assert looked(bpy.data.objects["Arm"]) == []
 
 
-def test_free_bake_and_bakes_of_before_say_nothing(baked):
+def test_delete_bake_and_older_bakes_say_nothing(baked):
     baked.dynamorph.bake.inputs = ""
     assert outdated(baked) == []
     bpy.ops.dynamorph.bake()
@@ -259,7 +259,7 @@ def test_free_bake_and_bakes_of_before_say_nothing(baked):
 
 
 def test_drawing_is_cheap(soft_arm, stand_in):
-    """However large the mesh is, and however many keyframes it has."""
+    """The cost depends neither on the size of the mesh nor on the number of keyframes."""
 
     def drawing():
         bpy.ops.dynamorph.bake()
@@ -278,7 +278,7 @@ def test_drawing_is_cheap(soft_arm, stand_in):
 
 
 def test_a_bake_says_what_it_was_made_from_and_what_came_of_it(scene, baked):
-    """With hashes that are equal for the same scene."""
+    """The hashes are equal for the same scene."""
     record = baked.dynamorph.bake
     before = record.content_id, record.digest
     assert all(len(digest) == 64 for digest in before)

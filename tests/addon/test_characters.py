@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Nine characters, most of them made elsewhere and messy as they are: opened, made soft, built, baked, baked again and
-deleted.
+"""Nine characters, most of them made elsewhere and as messy as they came: opened, made soft, built, baked, baked again,
+and the bake deleted.
 """
 
 from dataclasses import replace
@@ -37,7 +37,7 @@ def test_the_tissue_moves_but_stays_on_the_body(baked):
     assert np.isfinite(moved).all()
     assert 1e-3 * baked.size < np.linalg.norm(moved, axis=2).max() < 0.5 * baked.size
     swings = np.linalg.norm(np.ptp(moved, axis=0), axis=1)
-    assert swings.max() > 1e-3 * baked.size  # it swings instead of only sagging
+    assert swings.max() > 1e-3 * baked.size  # it swings, and does not only sag
 
 
 def test_the_skin_is_inside_its_cage(baked):
@@ -48,7 +48,7 @@ def test_blender_shows_what_the_engine_computed(baked):
     assert_shows(baked.body, baked.job.result)
 
 
-def test_a_second_bake_is_the_first_and_free_bake_restores(baked_from):
+def test_a_second_bake_equals_the_first_and_delete_bake_restores(baked_from):
     before, baked = baked_from
     again = characters.bake(part("batch"), baked.body).job
     assert again.reasons == []  # the model is equivalent to a new one
@@ -60,7 +60,7 @@ def test_a_second_bake_is_the_first_and_free_bake_restores(baked_from):
 
 @pytest.mark.parametrize("name", ["Fox", "T-rex"])
 def test_a_body_of_no_likely_size_is_baked_all_the_same(addon, name):
-    """As imported, tens of meters long and far too soft for that: there is a warning, and the bake is finite."""
+    """It is tens of meters long as imported, and far too soft for that: there is a warning, and the bake is finite."""
     body = opened(replace(characters.SHOTS[name], scale=1.0))
     assert "check the scale" in body.dynamorph.model.warnings
     baked = characters.bake(part("batch"), body)

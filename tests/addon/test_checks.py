@@ -136,11 +136,11 @@ def test_the_armature_is_found_by_parent_or_by_bones_of_the_groups_names(scene, 
     other = make_rig(scene, "Other", bones=1)
     activate(arm)
     no_armature(arm)
-    assert skinning.armature_for(arm) is None and fixes(arm) == []  # either may be meant
+    assert skinning.armature_for(arm) is None and fixes(arm) == []  # it is not clear which one is meant
     assert not OPS.add_soft_skin.poll() and "dynamorph.add_soft_skin" in drawn(arm)
     arm.parent = other
     assert skinning.armature_for(arm) == other
-    arm.parent_type, arm.parent_bone = "BONE", "upper"  # moves with it already
+    arm.parent_type, arm.parent_bone = "BONE", "upper"  # it already moves with the armature
     assert skinning.armature_for(arm) is None
     arm.parent = None
     other.data.bones["upper"].name = "pole"
@@ -218,29 +218,22 @@ def test_nothing_but_the_button_where_nothing_is_wrong(arm):
     assert len(drawn(make_mesh(bpy.context.scene, "Stone", *scenes.tube()))) > 1
 
 
-def added(obj):
+def added(capfd):
     """The warnings of Add Soft Skin."""
-
-    class Add(part("base").SoftSkinOperator):
-        apply = part("setup_operators").DYNAMORPH_OT_add_soft_skin.apply
-        warnings = []
-
-        def report(self, kind, text):
-            assert kind == {"WARNING"}
-            self.warnings.append(text)
-
-    Add().apply(obj)
-    return Add.warnings
+    capfd.readouterr()
+    assert OPS.add_soft_skin() == {"FINISHED"}
+    said = capfd.readouterr().out.splitlines()
+    return [line.removeprefix("Warning: ") for line in said if line.startswith("Warning: ")]
 
 
-def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
+def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm, capfd):
     for spoil in (envelopes, rest_position, envelope_multiply):
         spoil(arm)
     for group in arm.vertex_groups:
         group.remove([3, 4, 5])
     arm.scale = (100.0, 100.0, 100.0)
     bpy.context.view_layer.update()
-    warnings = " ".join(added(arm))
+    warnings = " ".join(added(capfd))
     for words in (
         "bone envelopes",
         "rest position",
@@ -250,20 +243,20 @@ def test_a_soft_skin_is_added_whatever_can_be_solved_later(arm):
     ):
         assert words in warnings
     assert len(arm.dynamorph.targets) == 1
-    shown = " ".join(drawn(arm))  # the reports stay readable, each once
+    shown = " ".join(drawn(arm))  # each is reported once, so that the report stays readable
     assert (
         shown.count("check the scale") == shown.count("have no bone weight:") == shown.count("'Arm' is skinned by") == 1
     )
 
 
-def test_a_sound_mesh_is_added_without_a_word(arm):
-    assert added(arm) == []
+def test_a_sound_mesh_is_added_without_a_word(arm, capfd):
+    assert added(capfd) == []
 
 
-def test_a_soft_skin_is_added_in_edit_mode(arm):
+def test_a_soft_skin_is_added_in_edit_mode(arm, capfd):
     arm.shape_key_clear()
     edit_mode(arm)
-    assert added(arm) == ["'Arm' is in Edit Mode: leave it first"]
+    assert added(capfd) == ["'Arm' is in Edit Mode: leave it first"]
     assert fixes(arm) == ["LEAVE_EDIT_MODE"]
     OPS.fix(problem="LEAVE_EDIT_MODE")
     assert found(arm) == []
@@ -374,7 +367,7 @@ def test_paint_and_back(soft_arm, which, name, start, mode):
     assert (weights(soft_arm, name) == start).all()
     assert OPS.paint_group(which=which) == {"FINISHED"}
     assert soft_arm.mode == mode
-    OPS.paint_group(which=which)  # the group that is there
+    OPS.paint_group(which=which)  # the group that exists
     assert [*soft_arm.vertex_groups.keys()] == [*groups, name]
 
 
@@ -420,7 +413,7 @@ def test_the_first_stroke_shows(soft_arm, which, first):
 
 @pytest.fixture
 def held_arm(soft_arm):
-    """Coarse, and held by its thickness."""
+    """A coarse cage, held by the thickness of the body."""
     soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 300, 8
     soft_arm.dynamorph.model.hold = "THICKNESS"
     soft_arm.dynamorph.model.method = "SINGLE"

@@ -101,7 +101,7 @@ def test_all_in_place(shot, run, stand_in):
 def test_inside_blender_the_open_file_is_used(shot, run, tmp_path):
     output = tmp_path / "baked.blend"
     assert run("bake", "--object", "Arm", "-o", output, opens_file=False)[0] == 0
-    assert bpy.data.filepath == str(shot)  # the session stays with its file
+    assert bpy.data.filepath == str(shot)  # the session keeps its own file
     assert bake_of(output, "Arm")
 
 
@@ -143,7 +143,7 @@ def test_bad_input(shot, run, stand_in, arguments, words):
 
 
 def test_no_open_file(scene, run):
-    """Blender runs the command even if the file it was given does not exist."""
+    """Blender runs the command even if its file does not exist."""
     code, _, errors = run("info", opens_file=False)
     assert code == 2 and "no .blend is open" in errors
 
@@ -192,8 +192,13 @@ def test_ctrl_c(shot, run, stand_in):
 
 
 def interrupt(shot, run, stand_in):
-    stand_in.patience = 10.0
-    threading.Timer(1.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    stand_in.waits["Arm"] = threading.Event()
+
+    def press_ctrl_c():
+        assert stand_in.playing.wait(60.0)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=press_ctrl_c).start()
     before = shot.read_bytes()
     code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
     assert code == 130 and "interrupted" in errors
@@ -202,7 +207,7 @@ def interrupt(shot, run, stand_in):
 
 
 def test_blenders_own_ctrl_c_handler(shot, run, monkeypatch):
-    """It is set in C: Python reports it as None, and does not accept None."""
+    """A handler that was set in C is None to Python, which does not accept None in return."""
     install = signal.signal
     monkeypatch.setattr(signal, "signal", lambda number, handler: install(number, handler) and None)
     assert run("info", shot)[0] == 0
@@ -211,7 +216,7 @@ def test_blenders_own_ctrl_c_handler(shot, run, monkeypatch):
 
 @pytest.mark.parametrize("arguments, code", [(["-h"], 0), (["info", "nowhere.blend"], 2), (["bake"], 2)])
 def test_as_a_python_module(arguments, code):
-    """A process of its own, to see the exit code that a farm sees."""
+    """Run in a separate process, to see the exit code that a farm sees."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "addon")}
     command = [sys.executable, "-m", "dynamic_morph_targets", *arguments]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
@@ -424,7 +429,7 @@ def test_what_one_of_many_refuses_is_found_before_any_work(shot, run, stand_in):
     assert stand_in.built == 0
 
 
-def test_a_fault_of_ours_is_reported(shot, run, stand_in):
+def test_a_bug_is_reported(shot, run, stand_in):
     stand_in.fail = ZeroDivisionError("a bug")
     report = shot.parent / "report.json"
     code, _, errors = run("bake", shot, "--object", "Arm", "--in-place", "--report", report)
@@ -448,7 +453,7 @@ def test_exit_codes_tell_bugs_from_what_is_expected(shot, run, stand_in):
 
 
 def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):
-    """Which no bake deletes: the .blend as it was last saved may still play the one before."""
+    """No bake deletes such files: the .blend as it was last saved may still use the previous one."""
     monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
     for mass_damping in (1, 2):
         change = f"Neutral.mass_damping={mass_damping}"

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the whole interface has in common: names, descriptions, texts that can be translated."""
+"""What the whole interface has in common: names, descriptions, texts that can be translated. What all tests have."""
 
+import ast
 import inspect
+import types
+from pathlib import Path
 
 import bpy
 import pytest
-from builders import MODULE, part
+from builders import MODULE, PACKAGE, part
+from layout import Layout
 
 
 def ours(*kinds):
@@ -20,7 +24,7 @@ def ours(*kinds):
 
 
 def rna(kind):
-    """What Blender knows of a class; for an operator that is not in the class."""
+    """Blender's description of a class; for an operator it is not in the class itself."""
     if not issubclass(kind, bpy.types.Operator):
         return kind.bl_rna
     module, name = kind.bl_idname.split(".")
@@ -28,7 +32,7 @@ def rna(kind):
 
 
 def own_properties(kind):
-    """Its properties, without those that come from Blender's own classes."""
+    """The properties of a class, without those that come from Blender's own classes."""
     foreign = [base for base in kind.__mro__ if not base.__module__.startswith(MODULE)]
     inherited = {"rna_type", "name"}.union(*map(inspect.get_annotations, foreign), *map(dir, foreign))
     return [prop for prop in rna(kind).properties if prop.identifier not in inherited and prop.identifier[:3] != "bl_"]
@@ -50,7 +54,7 @@ def test_operators_are_found(operators):
 
 
 def test_every_operator_has_a_label_that_makes_sense_alone(operators):
-    """In the search, which omits internal operators, no panel gives it a context."""
+    """In the search, which omits internal operators, no panel gives a label its context."""
     found = [operator for operator in operators if "INTERNAL" not in getattr(operator, "bl_options", ())]
     assert not [operator.bl_idname for operator in found if len(operator.bl_label.split()) < 2]
     labels = [operator.bl_label for operator in operators]
@@ -79,7 +83,7 @@ def test_names_are_in_title_case(operators):
 
 
 def test_operators_that_change_data_are_undone(operators):
-    """All except those that only write files, start or stop something, or read the animation."""
+    """This covers all operators except those that only write files, start or stop something, or read the animation."""
     without = {operator.bl_idname for operator in operators if "UNDO" not in getattr(operator, "bl_options", ())}
     assert without <= {
         "dynamorph.cancel",
@@ -118,7 +122,73 @@ def test_reports_can_be_translated(soft_arm, monkeypatch, tmp_path, capfd):
 
 
 def test_labels_can_be_translated(addon, monkeypatch):
-    preferences = part("preferences")
     translate(monkeypatch, "preferences", "iface_", {"Engine: version {version}": "Rechenkern {version}"})
-    monkeypatch.setattr(preferences.metadata, "version", lambda _name: "1.2.3")
-    assert preferences._engine_version() == "Rechenkern 1.2.3"
+    monkeypatch.setattr(part("preferences").metadata, "version", lambda _name: "1.2.3")
+    monkeypatch.setattr(part("engine"), "engine_problem", lambda: "")
+    preferences, drawn = bpy.context.preferences.addons[MODULE].preferences, []
+    shown = types.SimpleNamespace(layout=Layout(drawn), bl_rna=preferences.bl_rna)
+    type(preferences).draw(shown, bpy.context)
+    assert drawn == ["model_folder", "threads", "Rechenkern 1.2.3"]
+
+
+# The tests -----------------------------------------------------------------------------------------------------------
+
+TESTS = Path(__file__).parents[1]
+ENGINE = TESTS.parent / "cpp" / "bindings" / "dynamorph"
+
+
+def is_private(name):
+    return name.startswith("_") and not name.startswith("__") and name.strip("_") != ""
+
+
+def nodes(path):
+    """The syntax of a module, without the constant parts of formatted texts."""
+    found = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    parts = {id(part) for node in found if isinstance(node, ast.JoinedStr) for part in node.values}
+    return [node for node in found if not (isinstance(node, ast.Constant) and id(node) in parts)]
+
+
+def private_names(*folders):
+    """What the modules in these folders define for themselves alone: functions, classes, variables and attributes."""
+    found = set()
+    for node in (node for folder in folders for path in folder.rglob("*.py") for node in nodes(path)):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+        elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+            found.add(node.id if isinstance(node, ast.Name) else node.attr)
+    return {name for name in found if is_private(name)}
+
+
+def named_in(node):
+    """The names that a test may take from another module in this place: imported, as an attribute, or as a text."""
+    if isinstance(node, ast.ImportFrom):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.Attribute) and not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
+        return [node.attr]
+    if isinstance(node, ast.Constant) and isinstance(node.value, str) and len(node.value.split()) == 1:
+        return node.value.split(".")  # for getattr and setattr
+    return []
+
+
+def private_uses(path, private):
+    return [f"{path.name}:{node.lineno} {name}" for node in nodes(path) for name in named_in(node) if name in private]
+
+
+def test_tests_use_no_private_names():
+    """They go by what a user or another module can see."""
+    private = private_names(PACKAGE, ENGINE)
+    assert len(private) > 200
+    assert [use for path in sorted(TESTS.rglob("*.py")) for use in private_uses(path, private)] == []
+
+
+def test_private_names_are_found(tmp_path):
+    lines = (
+        "from run import _hid",
+        "run._hid()",
+        "getattr(run, '_hid')",
+        "set('run.Player._hid', 1)",
+        "self._hid(f'{1}_hid')",
+    )
+    path = tmp_path / "test.py"
+    path.write_text("\n".join(lines))
+    assert private_uses(path, {"_hid"}) == [f"test.py:{line} _hid" for line in (1, 2, 3, 4)]

@@ -76,7 +76,7 @@ def test_a_bug_before_a_button_acts_is_one_too(soft_arm, monkeypatch, caplog):
 
 
 def edited(obj):
-    """After which Live tries again."""
+    """After this, Live tries again."""
     obj.update_tag()
     bpy.context.view_layer.update()
 
@@ -97,20 +97,23 @@ def test_live_logs_a_bug_once_and_says_it(soft_arm, monkeypatch, caplog):
     assert live.problem(soft_arm) == "'Arm' is hidden" and bugs(caplog) == [KeyError]
 
 
-def test_overlays_log_a_bug_once(addon, monkeypatch, caplog):
+def test_overlays_log_a_bug_once(viewport, soft_arm, monkeypatch, caplog):
     overlays = part("overlays")
     state = types.SimpleNamespace(**dict.fromkeys(("depth_test_set", "depth_mask_set", "blend_set"), lambda _: None))
     monkeypatch.setattr(overlays, "gpu", types.SimpleNamespace(state=state))
-    draw = overlays._quietly(lambda: 1 / 0)
+    monkeypatch.setattr(overlays, "painted", lambda *_args: 1 / 0)
     for _ in range(3):
-        draw()
+        viewport.draw("POST_VIEW")
     assert bugs(caplog) == [ZeroDivisionError]
+    asked = []
 
-    def refuse():
+    def refuse(*args):
+        asked.append(args)
         raise part("errors").SceneError("no model")
 
-    overlays._quietly(refuse)()
-    assert bugs(caplog) == [ZeroDivisionError]
+    monkeypatch.setattr(overlays, "painted", refuse)
+    viewport.draw("POST_VIEW")
+    assert asked and bugs(caplog) == [ZeroDivisionError]
 
 
 def test_there_is_one_logger(addon):

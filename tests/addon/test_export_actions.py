@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A clip for each Action, as games use them: each read back and compared with Blender playing and baking it alone."""
+"""A clip for each Action, as games use them: each read back and compared with what Blender shows when it plays and
+bakes that Action alone.
+"""
 
 from dataclasses import replace
 
@@ -31,7 +33,7 @@ def new_action(rig, name, bone, axis, keys):
 @pytest.fixture
 def game_arm(scene):
     """The soft arm with a built model, a sleeve, and two clips as artists store them: "Bend", which is active, and
-    "Wave", a loop of a bone that Bend does not move, which is pushed down. Other Actions are not its clips.
+    "Wave", a loop of a bone that Bend does not move, which is pushed down. No other Action is a clip of it.
     """
     obj = coarse(make_soft(make_arm(scene)))
     rig = rig_of(obj)
@@ -207,7 +209,7 @@ def test_the_buttons_write_clips(game_arm, tmp_path, capfd):
     OPS.bake()
     assert OPS.export(format="GLTF", clips="ACTIONS", filepath=str(tmp_path / "arm")) == {"FINISHED"}
     assert "'Arm' written as 'arm.glb': Bend, Wave" in capfd.readouterr().out
-    OPS.export(format="RAW", clips="ACTIONS", filepath=str(tmp_path / "arm"))  # it has one only
+    OPS.export(format="RAW", clips="ACTIONS", filepath=str(tmp_path / "arm"))  # it has only one
     assert sorted(file.name for file in tmp_path.iterdir()) == ["arm.glb", "arm.npz"]
 
 

@@ -81,7 +81,7 @@ def test_an_export_changes_neither_selection_nor_mode(scene, baked, tmp_path, ke
 
 @pytest.mark.parametrize("name", READERS)
 def test_what_stands_beside_the_character_stays_out(scene, baked, tmp_path, name):
-    """Selected or not, and in whatever scenes."""
+    """Whether they are selected or not, and in whichever scenes they are."""
     obj, _ = baked
     make_arm(scene, "Other").select_set(True)
     bpy.data.scenes.new("Second").collection.objects.link(obj)
@@ -91,7 +91,7 @@ def test_what_stands_beside_the_character_stays_out(scene, baked, tmp_path, name
 
 
 def test_gltf_holds_the_bake_s_shapes_and_values(baked, tmp_path):
-    """Before skinning: rest + weights . morph targets."""
+    """The surface before skinning: rest + weights . morph targets."""
     pytest.importorskip("pygltflib")
     obj, bake = baked
     exact = key_positions(obj) + np.array([bake.displacement(k) for k in range(len(bake.frames))])
@@ -142,7 +142,7 @@ def test_a_raw_clip_is_the_bake(baked, tmp_path, read):
 
 @pytest.mark.parametrize("key", ["ALEMBIC", "USD"])
 def test_a_model_that_is_kept_with_the_object_is_not_exported(baked, tmp_path, key):
-    """Blender would crash on bytes, which the first versions stored."""
+    """Blender's exporter would crash on bytes, which the first versions stored."""
     obj, _ = baked
     obj.pop(part("model_store").PACKED, None)
     obj[part("model_store").PACKED] = b"a\0b"
@@ -150,7 +150,7 @@ def test_a_model_that_is_kept_with_the_object_is_not_exported(baked, tmp_path, k
     assert part("model_store").PACKED.encode() not in path.read_bytes()
 
 
-def test_blenders_own_exporter_bears_a_model(soft_arm, stand_in, tmp_path):
+def test_blenders_own_exporter_accepts_a_model(soft_arm, stand_in, tmp_path):
     """All custom properties are written by default."""
     bpy.ops.dynamorph.build()
     assert part("model_store").PACKED in soft_arm
@@ -284,7 +284,7 @@ def test_export_check_sees_keys_that_stand_at_0_now(baked):
 
 
 def test_a_muted_key_is_not_shown(scene, baked, tmp_path):
-    """FBX has no muted keys."""
+    """FBX knows no muted keys."""
     obj, _ = baked
     smile = keys_of(obj).key_blocks["smile"]
     smile.value, smile.mute = 1.0, True
@@ -311,7 +311,7 @@ def test_a_name_keeps_what_only_looks_like_a_suffix():
 
 
 def test_usd_has_the_frames_that_were_asked_for(baked, tmp_path):
-    """Its exporter uses those of the scene."""
+    """USD's exporter uses the frames of the scene."""
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not for this Python")
     obj, _ = baked
     part("export_actions").export(obj, "USD", tmp_path / "part.usdc", (5, 9))

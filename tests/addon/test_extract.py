@@ -247,7 +247,7 @@ def test_to_bind_does_not_depend_on_rotation(soft_arm):
 
 
 def test_captured_pose_counts_constraints(scene, soft_arm):
-    """matrix_basis would read identity here."""
+    """matrix_basis would be the identity here."""
     follow = rig_of(soft_arm).pose.bones["upper"].constraints.new("LIMIT_ROTATION")
     follow.use_limit_x, follow.min_x, follow.max_x, follow.owner_space = True, 0.5, 1.0, "LOCAL"
     scene.frame_set(1)
@@ -506,7 +506,7 @@ def test_two_characters_do_not_interfere(scene, soft_arm):
 
 
 def test_large_mesh_is_read_fast(scene):
-    """Ten times as many vertices take about ten times as long; and none takes long by itself."""
+    """Ten times as many vertices take about ten times as long, and no vertex takes long."""
     small, large = long_tube(scene, 40), long_tube(scene, 400)
     character = part("extract").character
     assert character(large).weights.shape == (40_000, 3)
@@ -516,7 +516,7 @@ def test_large_mesh_is_read_fast(scene):
 
 
 def long_tube(scene, rings):
-    """A soft skin with a target, of 100 vertices a ring."""
+    """A soft skin with a target and 100 vertices per ring."""
     rig = make_rig(scene)
     vertices, faces = scenes.tube(rings=rings, around=100)
     obj = make_mesh(scene, "Long", vertices, faces)

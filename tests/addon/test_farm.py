@@ -98,9 +98,9 @@ def test_but_not_for_ever(try_task):
 
 # Open Job Description -------------------------------------------------------------------------------------------------
 
-COUNTS = 'echo "$@" >>"$0.asked"; wc -l <"$0.asked"'  # sbatch: notes what is asked, and counts
+COUNTS = 'echo "$@" >>"$0.asked"; wc -l <"$0.asked"'  # stands in for sbatch: records its arguments and counts the calls
 
-needs_openjd = pytest.mark.skipif(not OPENJD.exists(), reason="needs openjd-cli: make setup")
+needs_openjd = pytest.mark.skipif(not OPENJD.exists(), reason="openjd-cli is not installed: tools/setup.sh openjd")
 
 
 def submit(folder, *options):
@@ -132,7 +132,7 @@ def test_each_step_is_an_array_that_waits_for_the_one_before(tmp_path):
     assert "--dependency" not in asked[0]
     assert all(f"--output={tmp_path}/slurm/" in line and "--partition=farm" in line for line in asked)
     assert all(f"--dependency=afterok:{i} --kill-on-invalid-dep=yes " in asked[i] for i in (1, 2))
-    assert "--dependency=afterany:3 " in asked[3] and "--kill" not in asked[3]  # its page tells of failures
+    assert "--dependency=afterany:3 " in asked[3] and "--kill" not in asked[3]  # its page reports failures
     tasks = [json.loads((tmp_path / f"slurm/Bake/{i}.json").read_text()) for i in range(6)]
     assert [[task["Shot"], task["Wedge"][:9]] for (task,) in tasks[:4]] == [
         ["walk", ""], ["walk", "Neutral.s"], ["walk", "Neutral.p"], ["run", ""],
@@ -179,7 +179,7 @@ def test_the_template_says_what_the_command_line_knows(addon, run_template, tmp_
     assert found[7].output == tmp_path / "out/walk Left Leg Neutral.stiffness=3e4.blend"
     reports = [args.report for args in found[:8]]
     assert len(set(reports)) == 8
-    # Those of bakes, and no others, are where the last step looks for them.
+    # The reports of bakes, and no others, are where the last step looks for them.
     assert found[8].expect == 4 and [report.parent == found[8].folder for report in reports] == [False] * 4 + [True] * 4
 
 

@@ -17,7 +17,7 @@ FEELS = ("SUBTLE", "NATURAL", "CARTOON")
 
 @pytest.fixture
 def built_arm(soft_arm):
-    """With a coarse cage, so that it builds in a second."""
+    """The soft arm with a coarse cage, so that it builds in a second."""
     soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
     OPS.build()
     return soft_arm
@@ -43,7 +43,7 @@ def test_a_preset_shows_without_a_build(built_arm, key):
     assert OPS.apply_feel(feel=key) == {"FINISHED"}
     assert felt(neutral) == pytest.approx((feel.frequency, feel.damping_ratio), rel=1e-4)
     assert neutral.bounce == pytest.approx(feel.frequency, rel=1e-4)
-    assert flexed.stiffness == pytest.approx(3.0 * neutral.stiffness)  # it stays as much stiffer
+    assert flexed.stiffness == pytest.approx(3.0 * neutral.stiffness)  # it keeps the ratio of the stiffnesses
     for target in (neutral, flexed):
         assert target.frequency == pytest.approx(feel.frequency) and not target.by_hand
     simulation = built_arm.dynamorph.simulation
@@ -157,7 +157,7 @@ def test_setups_and_slots_keep_what_was_set_by_hand(built_arm, tmp_path):
     assert [(t.stiffness, t.frequency, t.by_hand) for t in built_arm.dynamorph.targets] == known
 
 
-def test_a_slot_of_before_has_pascals(built_arm):
+def test_an_older_slot_has_pascals(built_arm):
     OPS.copy_slot()
     slots = part("slots")
     old = slots.slot_settings(built_arm)
@@ -171,7 +171,7 @@ def test_a_slot_of_before_has_pascals(built_arm):
 
 
 def motion(obj, amount, **settings):
-    """Displacements (F, V, 3) of a bake that is not written, about the targets' shapes."""
+    """Displacements (F, V, 3) from the targets' shapes, of a bake that is not written."""
     obj.dynamorph.simulation.amount = amount
     job = part("job").Job(obj, "BAKE", stored=False, **settings)
     part("batch").run(job)

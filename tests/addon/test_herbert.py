@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sample scene Herbert: its statements are true, in every Blender."""
+"""The sample scene Herbert: what its description says is true in every Blender."""
 
 import subprocess
 import sys
@@ -30,7 +30,7 @@ def herbert(scene):
 
 
 def centre_of_mass(herbert):
-    """The path (F, 3) of his centre of mass over the whole scene, armature space."""
+    """The path (F, 3) of his center of mass over the whole scene, armature space."""
     bones = herbert.modifiers["Armature"].object.data.bones
     rest = {bone.name: np.array([bone.head_local, bone.tail_local]).mean(axis=0) for bone in bones}
     character = part("extract").character(herbert)

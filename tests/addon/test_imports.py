@@ -99,7 +99,7 @@ def test_core_and_io_do_without_blender():
 
 
 def test_what_a_job_s_thread_computes_does_without_blender():
-    """Neither the module nor anything that it imports."""
+    """Neither the module nor anything that it imports may import Blender."""
     graph, found = graph_of(PACKAGE), modules(PACKAGE)
     reached, ahead = set(), {"run/computation"}
     while ahead:

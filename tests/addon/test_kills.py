@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bakes that are killed, and go on in another process with the same bytes; models that processes share."""
+"""Bakes that are killed and resume in another process with the same bytes; models that processes share."""
 
 import json
 import os
@@ -31,7 +31,7 @@ def shot(scene, tmp_path):
 
 
 def environment():
-    """Of a process that runs the add-on's command line."""
+    """The environment variables of a process that runs the add-on's command line."""
     paths = os.pathsep.join(filter(None, [str(ROOT / "addon"), os.environ.get("PYTHONPATH")]))
     return os.environ | {"PYTHONPATH": paths}
 
@@ -53,7 +53,7 @@ def baked(process, report):
 
 
 def kept_at(caches):
-    """When an unfinished bake was kept last."""
+    """The time at which the state of an unfinished bake was last stored."""
     return [path.stat().st_mtime_ns for path in caches.glob("*.unfinished")]
 
 
@@ -71,8 +71,8 @@ def killed(shot, report, caches, moments):
 
 
 def test_killed_at_any_moment_nothing_is_lost(shot, tmp_path):
-    """With kill -9, as often as DYNAMORPH_KILLS says, at random moments of the bake; then it finishes with the bytes of
-    an undisturbed bake.
+    """The bake is killed with kill -9 at random moments, as often as DYNAMORPH_KILLS says; then it finishes with the
+    bytes of an undisturbed bake.
     """
     whole, caches = tmp_path / "whole.json", tmp_path / "caches"
     undisturbed = baked(baking(shot, whole), whole)

@@ -2,8 +2,8 @@
 """Live shows what a bake would, continues through edits, and leaves no trace; so do its previews."""
 
 import json
-import time
 import types
+from itertools import pairwise
 
 import addon_utils
 import bpy
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from builders import MODULE, activate, evaluated_points, fingerprint, part, refused, rig_of
 from mathutils import Matrix
-from pressed import Pressed
+from pressed import Pressed, press
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -72,8 +72,24 @@ def baked(obj, **settings):
     return np.array([rest + job.result.displacement(k) for k in range(len(job.result.frames))])
 
 
+def begun_at(obj, frame, **settings):
+    """The surface (V, 3) with which a bake begins that starts at this frame."""
+    simulation = obj.dynamorph.simulation
+    whole = simulation.use_scene_range, simulation.start, simulation.end
+    simulation.use_scene_range, simulation.start, simulation.end = False, frame, frame + 1
+    first = baked(obj, **settings)[0]
+    simulation.use_scene_range, simulation.start, simulation.end = whole
+    return first
+
+
+def values_at(obj, frame):
+    """What Live shows at a frame: coordinates (r,) and target weights (J,)."""
+    now, settings = session(obj), part("session").simulation_settings(obj, bpy.context.scene)
+    return np.split(now.values(obj, settings, frame, arrives=False), [now.tissue.modes])
+
+
 def apart(first, second) -> float:
-    """The largest distance, as a part of the arm's length."""
+    """The largest distance, as a fraction of the arm's length."""
     return float(np.abs(first - second).max() / 2.0)
 
 
@@ -81,7 +97,7 @@ def apart(first, second) -> float:
 
 
 def sliding(obj):
-    """A rig that also travels, with its mesh."""
+    """The arm whose rig also travels, with its mesh."""
     rig = rig_of(obj)
     obj.parent = rig
     for frame, x in ((1, 0.0), (8, 0.5), (20, 0.0)):
@@ -97,7 +113,7 @@ def test_playback_is_the_bake(live_arm, change):
     assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
 
 
-def test_playback_runs_up_as_the_bake_does(live_arm):
+def test_playback_has_the_pre_roll_of_the_bake(live_arm):
     simulation = live_arm.dynamorph.simulation
     simulation.preroll, simulation.preroll_pose = 12, "ANIMATED"
     simulation.use_scene_range, simulation.start, simulation.end = False, 10, 20
@@ -136,11 +152,9 @@ def test_sub_frames_are_those_of_the_bake(playing):
 def test_begins_again_at_the_start_and_after_a_jump(playing):
     whole = play(playing, range(1, 11))
     assert apart(play(playing, range(1, 11)), whole) == 0.0
-    assert len(session(playing)._frames) == 10
-    bpy.context.scene.frame_set(40)  # too far to have been played
-    assert list(session(playing)._frames) == [40]
-    bpy.context.scene.frame_set(20)
-    assert list(session(playing)._frames) == [20]
+    for frame in (40, 20):  # too far to have been played
+        (shown,) = play(playing, [frame])
+        assert apart(shown, begun_at(playing, frame)) < 1e-6
 
 
 def test_dropped_frames_are_simulated_all_the_same(playing):
@@ -197,11 +211,9 @@ def test_a_loop_goes_on_without_a_jump(live_arm):
 def test_a_loop_whose_last_frames_are_dropped_goes_on(live_arm):
     live_arm.dynamorph.simulation.loop = True
     bpy.ops.dynamorph.live()
-    play(live_arm, range(1, 18))
-    play(live_arm, [1])
-    assert session(live_arm).tissue.player.passes == 1
-    play(live_arm, [2, 9, 1])  # that was no end
-    assert session(live_arm)._frames[1].steps["steps"] == 0
+    first = play(live_arm, range(1, 18))[0]
+    assert apart(play(live_arm, [1])[0], first) > 1e-3
+    assert apart(play(live_arm, [2, 9, 1])[-1], first) < 1e-6  # that was no end
 
 
 def test_static_morph_targets_loop(live_arm):
@@ -235,12 +247,20 @@ def test_collapsed_bones_keep_their_size_from_block_to_block(live_arm):
     assert apart(play(live_arm, range(1, 21)), baked(live_arm)) < 1e-6
 
 
-def test_of_a_long_shot_the_latest_rig_is_kept(playing, monkeypatch):
+def test_the_latest_rig_of_a_long_shot_is_kept(playing, monkeypatch):
     whole = play(playing, range(1, 41))
     monkeypatch.setattr(part("session"), "RIG_BYTES", 1)
-    session(playing).rig.forget()
+    rig, rig_motion, read = session(playing).rig, part("rig_motion"), []
+    rig.forget()
+    sample_rig = rig_motion.sample_rig
+    monkeypatch.setattr(rig_motion, "sample_rig", lambda *args: read.append(args[1:3]) or sample_rig(*args))
     assert apart(play(playing, range(1, 41)), whole) == 0.0
-    assert list(session(playing).rig._blocks) == [1, 2]
+    assert read == [(1, 17), (17, 33), (33, 49)]
+    for frame in (40, 20):
+        rig.after(playing, frame)
+    assert len(read) == 3
+    rig.after(playing, 16)
+    assert read[3:] == [(1, 17)]
 
 
 # Changes while it plays --------------------------------------------------------------------------------------------
@@ -253,7 +273,7 @@ def test_other_materials_go_on_from_where_the_tissue_is(playing):
     after = play(playing, range(9, 19))
     step = np.abs(np.diff(np.concatenate([before, after[:2]]), axis=0)).max(axis=(1, 2))
     assert step[7] < 2 * step[:7].max()
-    rest = baked(playing)  # softer from the first frame on
+    rest = baked(playing)  # it is softer from the first frame on
     playing.dynamorph.targets[0].stiffness = playing.dynamorph.targets[1].stiffness = 2e4
     as_before = baked(playing)
     assert apart(after, as_before[8:18]) > 1e-3 and apart(after[0], as_before[8]) < apart(after[0], rest[8])
@@ -269,29 +289,29 @@ def test_the_same_settings_written_again_change_nothing(playing):
 
 def test_another_pose_of_a_target_counts_at_once(playing):
     play(playing, range(1, 15))
-    weights = session(playing)._frames[14].weights
+    _, weights = values_at(playing, 14)
     playing.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.capture_pose()  # of frame 14
     play(playing, [15])
-    assert session(playing)._frames[14].weights == pytest.approx(weights)
-    assert session(playing)._frames[15].weights == pytest.approx([0, 1])
+    assert values_at(playing, 15)[1] == pytest.approx([0, 1])
+    assert values_at(playing, 14)[1] == pytest.approx(weights)
 
 
 def test_steps_of_another_length_begin_a_session(playing):
     play(playing, range(1, 6))
     playing.dynamorph.simulation.substeps = 2
-    play(playing, [6])
-    assert list(session(playing)._frames) == [6] and session(playing).rig.substeps == 2
+    (shown,) = play(playing, [6])
+    assert apart(shown, begun_at(playing, 6)) < 1e-6
 
 
-def test_edited_animation_is_read_anew(playing):
+def test_edited_animation_is_read_again(playing):
     play(playing, range(1, 6))
     bone = rig_of(playing).pose.bones["lower"]
     bone.rotation_euler.x = -1.0
     bone.keyframe_insert("rotation_euler", frame=8)
     bpy.context.view_layer.update()
     play(playing, range(6, 9))
-    assert session(playing)._frames[8].weights == pytest.approx([1, 0], abs=1e-6)
+    assert values_at(playing, 8)[1] == pytest.approx([1, 0], abs=1e-6)
 
 
 def test_another_frame_map_counts_at_once(playing):
@@ -302,14 +322,15 @@ def test_another_frame_map_counts_at_once(playing):
 
 def test_gains_and_solo_show_at_once(playing):
     play(playing, range(1, 9))
-    static = session(playing).tissue.player.static(session(playing)._frames[8].weights)
+    coordinates, weights = values_at(playing, 8)
     modes, tissue = playing.dynamorph.modes, session(playing).tissue
+    static = tissue.player.static(weights)
     assert [mode.name for mode in modes][:2] == ["Mode 01", "Mode 02"] and len(modes) == 8
     modes[2].solo = True
     modes[2].gain = 2.0
     alone = static.copy()
-    alone[2] += 2.0 * (session(playing)._frames[8].coordinates - static)[2]
-    expected = tissue.points(np.concatenate([alone, session(playing)._frames[8].weights])).reshape(-1, 3)
+    alone[2] += 2.0 * (coordinates - static)[2]
+    expected = tissue.points(np.concatenate([alone, weights])).reshape(-1, 3)
     assert apart(surface(playing), expected) < 1e-7
     assert bpy.ops.dynamorph.reset_gains() == {"FINISHED"}
     assert apart(surface(playing), baked(playing)[7]) < 1e-6
@@ -320,17 +341,15 @@ def test_motion_amount_of_a_target_shows_at_once_and_as_in_the_bake(playing):
     playing.dynamorph.targets["flexed"].influence = 0.0
     bake, static = baked(playing), session(playing).tissue.player.static
     assert apart(surface(playing), bake[-1]) < 1e-6 < apart(whole[-1], bake[-1])
-    weights = session(playing)._frames[20].weights
-    assert (
-        apart(surface(playing).ravel(), session(playing).tissue.points(np.concatenate([static(weights), weights])))
-        < 1e-6
-    )
+    _, weights = values_at(playing, 20)
+    expected = session(playing).tissue.points(np.concatenate([static(weights), weights])).reshape(-1, 3)
+    assert apart(surface(playing), expected) < 1e-6
     assert apart(play(playing, range(1, 21)), bake) < 1e-6
     playing.dynamorph.targets["flexed"].influence = 1.0
     assert apart(play(playing, range(1, 21)), whole) < 1e-6
 
 
-def test_motion_amount_of_a_target_that_is_no_number_is_refused(playing):
+def test_a_motion_amount_that_is_not_a_number_is_refused(playing):
     play(playing, range(1, 4))
     playing.dynamorph.targets["flexed"].influence = float("nan")
     stopped(playing, "reset the gains")
@@ -338,7 +357,7 @@ def test_motion_amount_of_a_target_that_is_no_number_is_refused(playing):
         baked(playing)
 
 
-def test_a_gain_that_is_no_number_is_not_shown(playing):
+def test_a_gain_that_is_not_a_number_is_not_shown(playing):
     play(playing, range(1, 4))
     playing.dynamorph.modes[0].gain = float("nan")
     stopped(playing, "reset the gains")
@@ -348,9 +367,9 @@ def test_a_gain_that_is_no_number_is_not_shown(playing):
     play(playing, [5])
 
 
-def test_amount_shows_at_once_and_as_in_the_bake(playing):
+def test_amount_shows_at_once_and_as_in_the_bake(playing, monkeypatch):
     play(playing, range(1, 10))
-    whole, frames = surface(playing), dict(session(playing)._frames)
+    whole, player, simulated = surface(playing), part("player").Player, []
 
     def moved():
         return part("heat").displacements(playing)[playing.session_uid]
@@ -358,8 +377,11 @@ def test_amount_shows_at_once_and_as_in_the_bake(playing):
     heat = moved()
     assert heat.max() > 0.05
     for amount in (0.5, 0.0, 2.0):
-        playing.dynamorph.simulation.amount = amount
-        assert session(playing)._frames == frames  # nothing is simulated for it
+        with monkeypatch.context() as patch:
+            for step in ("begin", "begin_again", "advance"):
+                patch.setattr(player, step, lambda *args: simulated.append(args))
+            playing.dynamorph.simulation.amount = amount
+        assert not simulated
         assert apart(surface(playing), baked(playing)[8]) < 1e-6
         np.testing.assert_allclose(moved(), amount * heat, rtol=1e-4, atol=1e-6)
     playing.dynamorph.simulation.amount = 1.0
@@ -608,7 +630,7 @@ def test_rendering_in_the_background_simulates(playing):
 
 
 class FirstLook(Pressed):
-    """`first_look` pressed in a window; pressed: the buttons that it lets go on from there."""
+    """`first_look` pressed in a window; pressed: the buttons that it calls next."""
 
     def __init__(self, obj, monkeypatch, events=()):
         self.pressed = []
@@ -619,7 +641,7 @@ class FirstLook(Pressed):
 
 @pytest.fixture
 def new_arm(arm):
-    """A soft skin just added, with a cage that is coarse."""
+    """A soft skin that was just added, with a coarse cage."""
     bpy.ops.dynamorph.add_soft_skin()
     arm.dynamorph.model.cage_nodes, arm.dynamorph.model.modes = 200, 8
     arm.dynamorph.model.method = "SINGLE"
@@ -653,7 +675,7 @@ def test_without_a_window_nothing_is_built(arm):
 
 
 def test_undo_of_the_first_look(new_arm, monkeypatch):
-    """Two steps, as they are named: the model with Live, and the soft skin."""
+    """The two undo steps as Blender names them: the model with Live, and the soft skin."""
     bpy.ops.ed.undo_push(message="Add Soft Skin")
     FirstLook(new_arm, monkeypatch)
     bpy.ops.ed.undo_push(message="Build Soft Skin")
@@ -735,59 +757,78 @@ def test_a_shake_moves_the_rig_as_it_says(live_arm):
     live_arm.scale = (-1.0, 1.0, 1.0)
     bpy.context.view_layer.update()
     transform = Matrix.Translation((0.3, -0.2, 0.1)) @ Matrix.Rotation(0.7, 4, (0.6, 0.0, 0.8))
-    for obj in preview.movers(live_arm):
-        before, mover = np.array(obj.matrix_world), preview._Mover(obj)
-        mover.move(transform)
-        bpy.context.view_layer.update()
-        assert np.array(obj.matrix_world) == pytest.approx(np.array(transform) @ before, abs=1e-5)
-        mover.restore()
-        bpy.context.view_layer.update()
-        assert np.array(obj.matrix_world) == pytest.approx(before, abs=1e-6)
+    live_arm.dynamorph.model.hold = "THICKNESS"  # the bones are elsewhere
+    bpy.ops.dynamorph.build()
+    before = {obj: np.array(obj.matrix_world) for obj in preview.movers(live_arm)}
+    running = preview.Preview(live_arm, bpy.types.DYNAMORPH_OT_shake_test)
+    running.show(np.concatenate([np.zeros(running.tissue.modes), [1.0, 0.0]]), transform)
+    bpy.context.view_layer.update()
+    for obj, stood in before.items():
+        assert np.array(obj.matrix_world) == pytest.approx(np.array(transform) @ stood, abs=1e-5)
+    running.end()
+    bpy.context.view_layer.update()
+    for obj, stood in before.items():
+        assert np.array(obj.matrix_world) == pytest.approx(stood, abs=1e-6)
     assert [obj.name for obj in preview.movers(live_arm)] == ["Arm Rig", "Arm"]
     live_arm.parent = rig
     assert [obj.name for obj in preview.movers(live_arm)] == ["Arm Rig"]
 
 
+class Playing:
+    """The button of a preview, pressed in a window; it has a clock of its own."""
+
+    def __init__(self, obj, operator, monkeypatch, **settings):
+        self.now = 0.0  # seconds
+        monkeypatch.setattr(part("live_operators"), "time", types.SimpleNamespace(monotonic=lambda: self.now))
+        assert press(obj, operator, self._begin, **settings) == {"RUNNING_MODAL"}
+
+    def _begin(self, button, context):
+        self.button = button
+        return button.invoke(context, None)
+
+    def send(self, kind="TIMER"):
+        """An event, and what comes of it."""
+        return self.button.modal(bpy.context, types.SimpleNamespace(type=kind, value="PRESS"))
+
+
 @pytest.fixture
-def shaken(playing):
-    """A live arm in the middle of a shake test at frame 3, and how its rig stood before."""
-    preview, live_operators = part("preview"), part("live_operators")
+def shaken(playing, monkeypatch):
+    """A live arm in the middle of a shake test at frame 3, how its rig stood before, and the button of the test."""
     play(playing, range(1, 4))
     bpy.ops.ed.undo_push(message="before")
     bpy.context.scene.frame_set(3)
     bpy.ops.ed.undo_push(message="another")
     stood = deltas(rig_of(playing))
-    preview.preview = preview.Preview(playing, live_operators.DYNAMORPH_OT_shake_test)
-    values = np.concatenate([np.full(8, 0.01), [1.0, 0.0]])
-    preview.preview.show(values, Matrix.Translation((0, 0, 0.5)))
+    button = Playing(playing, "DYNAMORPH_OT_shake_test", monkeypatch, kind="HOP")
+    button.now = 0.35
+    assert button.send() == {"RUNNING_MODAL"}
     assert deltas(rig_of(playing)) != stood and part("preview").is_running("dynamorph.shake_test")
-    return playing, stood
+    return playing, stood, button
 
 
 def test_frames_that_pass_do_not_disturb_a_preview(shaken):
-    obj, _ = shaken
+    obj, stood, button = shaken
     swung = surface(obj)
     bpy.context.scene.frame_set(4)
     assert apart(surface(obj), swung) == 0.0
-    part("preview").end_preview()
+    assert button.send("ESC") == {"CANCELLED"} and deltas(rig_of(obj)) == stood
     assert apart(surface(obj), baked(obj)[3]) < 1e-6
 
 
 def test_undo_ends_a_preview(shaken):
-    _, stood = shaken
+    _, stood, button = shaken
     bpy.ops.ed.undo()
     obj = bpy.data.objects["Arm"]
-    assert part("preview").preview is None and deltas(rig_of(obj)) == stood
+    assert deltas(rig_of(obj)) == stood and button.send() == {"CANCELLED"}
     assert apart(play(obj, [4]), baked(obj)[3]) < 1e-6
 
 
-def test_saving_and_loading_end_a_preview(shaken, tmp_path):
-    obj, stood = shaken
+def test_saving_and_loading_end_a_preview(shaken, tmp_path, monkeypatch):
+    obj, stood, button = shaken
     path = str(tmp_path / "shaken.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
-    assert part("preview").preview is None and deltas(rig_of(obj)) == stood
-    preview, live_operators = part("preview"), part("live_operators")
-    preview.preview = preview.Preview(obj, live_operators.DYNAMORPH_OT_play_mode)
+    assert deltas(rig_of(obj)) == stood and button.send() == {"CANCELLED"}
+    Playing(obj, "DYNAMORPH_OT_play_mode", monkeypatch)
     bpy.ops.wm.open_mainfile(filepath=path)
     assert part("preview").preview is None and not part("live").lent
     assert deltas(rig_of(bpy.data.objects["Arm"])) == stood
@@ -831,50 +872,15 @@ def test_play_mode_is_refused_while_blender_renders(live_arm, monkeypatch):
 
 def test_a_mode_that_plays_stands_still_while_blender_renders(live_arm, monkeypatch):
     """A render that begins meanwhile reads what would be written."""
-    live_operators, window, tick = (
-        part("live_operators"),
-        PreviewWindow(live_arm),
-        types.SimpleNamespace(type="TIMER", value="NOTHING"),
-    )
-    play_mode = live_operators.DYNAMORPH_OT_play_mode
-
-    class Button(live_operators.PreviewOperator):
-        bl_idname, bl_label = play_mode.bl_idname, play_mode.bl_label
-        frames, _swinging, passes = play_mode.frames, staticmethod(play_mode._swinging), play_mode.passes
-
-    button = Button()
-    button._begin(window)
-    time.sleep(0.1)
-    assert button.modal(window, tick) == {"RUNNING_MODAL"}
-    swung = surface(live_arm)
-    with monkeypatch.context() as patch:
-        patch.setattr(part("rig_motion"), "render_runs", lambda: True)
-        time.sleep(0.1)
-        assert button.modal(window, tick) == {"RUNNING_MODAL"}
-    assert apart(surface(live_arm), swung) == 0.0
-    part("preview").end_preview()
-    assert button.modal(window, tick) == {"CANCELLED"}
-
-
-class PreviewWindow:
-    """Stands in for the context of a window in which a preview plays: its timers and what it asks of the screen."""
-
-    def __init__(self, obj):
-        self.object = obj
-        self.window = self.window_manager = self.workspace = self.screen = self
-        self.is_animation_playing = False
-
-    def event_timer_add(self, _seconds, window):
-        return window
-
-    def event_timer_remove(self, _timer):
-        pass
-
-    def status_text_set(self, _text):
-        pass
-
-    def modal_handler_add(self, _operator):
-        pass
+    button, shown = Playing(live_arm, "DYNAMORPH_OT_play_mode", monkeypatch), []
+    monkeypatch.setattr(part("rig_motion"), "render_runs", lambda: button.now > 0.3)
+    for button.now in (0.1, 0.2, 0.3, 0.4, 0.5):
+        assert button.send() == {"RUNNING_MODAL"}
+        shown.append(surface(live_arm))
+    assert button.send("ESC") == {"CANCELLED"}
+    steps = [apart(first, second) for first, second in pairwise(shown)]
+    assert min(steps[:2]) > 1e-4 and steps[2:] == [0.0, 0.0]
+    assert part("preview").preview is None
 
 
 # Comparing ---------------------------------------------------------------------------------------------------------
@@ -953,6 +959,69 @@ def test_a_saved_file_has_no_frozen_skin(playing, tmp_path):
     activate(obj)
     bpy.ops.dynamorph.live()
     assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+def test_a_copy_is_saved_like_a_file(playing, tmp_path):
+    play(playing, range(1, 5))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
+    assert key_mutes(playing) == LIVE
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    assert key_mutes(in_file(tmp_path / "copy.blend")) == ASLEEP
+
+
+def autosaved(path):
+    """Write the .blend as Blender's autosave and quit.blend do, which call no handler."""
+    lists = bpy.app.handlers.save_pre, bpy.app.handlers.save_post
+    before = [list(handlers) for handlers in lists]
+    for handlers in lists:
+        handlers.clear()
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    for handlers, each in zip(lists, before, strict=True):
+        handlers[:] = each
+
+
+def test_an_autosave_is_recovered_with_live_on(playing, tmp_path):
+    whole = play(playing, range(1, 10))
+    shown, path = evaluated_points(playing), tmp_path / "autosave.blend"
+    autosaved(path)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Arm"]
+    assert key_mutes(obj) == LIVE and part("live").is_on(obj) and apart(evaluated_points(obj), shown) < 1e-6
+    assert apart(play(obj, range(1, 10)), whole) < 1e-6
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+def test_an_autosave_after_the_live_key_was_renamed(playing, tmp_path):
+    play(playing, range(1, 10))
+    playing.data.shape_keys.key_blocks["Dynamorph Live"].name = "mine"
+    autosaved(tmp_path / "autosave.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "autosave.blend"))
+    obj = bpy.data.objects["Arm"]
+    assert part("live").is_on(obj)
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
+@pytest.mark.parametrize("was_live", [False, True])
+def test_an_autosave_of_a_preview_is_recovered_without_it(live_arm, tmp_path, was_live):
+    if was_live:
+        bpy.ops.dynamorph.live()
+    path, stood = tmp_path / "autosave.blend", deltas(rig_of(live_arm))
+    running = part("preview").begin_preview(live_arm, part("live_operators").DYNAMORPH_OT_shake_test)
+    before = evaluated_points(live_arm)
+    running.show(np.concatenate([np.full(8, 0.01), [1.0, 0.0]]), Matrix.Translation((0.0, 0.0, 0.5)))
+    assert apart(evaluated_points(live_arm), before) > 0.1
+    autosaved(path)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Arm"]
+    assert deltas(rig_of(obj)) == stood and part("live").is_on(obj) == was_live
+    assert ("Dynamorph Live" in obj.data.shape_keys.key_blocks) == was_live
+    bpy.context.scene.frame_set(1)
+    assert apart(evaluated_points(obj), before) < 1e-6
 
 
 def test_a_file_that_cannot_be_saved_goes_on_playing(playing, tmp_path):

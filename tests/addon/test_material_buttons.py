@@ -5,6 +5,7 @@ import bpy
 import numpy as np
 import pytest
 from builders import part, refused
+from pressed import invoked
 
 OPS = bpy.ops.dynamorph
 
@@ -46,7 +47,7 @@ def test_without_a_target_or_a_model_there_is_nothing_to_set(soft_arm):
 
 
 def built(obj):
-    """With a coarse cage, so that it builds in a second."""
+    """The soft arm with a coarse cage, so that it builds in a second."""
     pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
     obj.dynamorph.model.cage_nodes = 200
     obj.dynamorph.model.modes = 8
@@ -73,31 +74,16 @@ def test_fit_bounce(built_arm):
 
 
 def test_the_dialog_begins_with_the_bounce_as_it_is(built_arm):
-    base, material_operators, target = part("base"), part("material_operators"), built_arm.dynamorph.targets[1]
+    asked = []
 
-    class Context:
-        object = built_arm
-        asked = None
+    def dialog(operator):
+        asked.append((operator.frequency, operator.settle))
+        return {"CANCELLED"}
 
-        @property
-        def window_manager(self):
-            return self
-
-        def invoke_props_dialog(self, operator):
-            self.asked = (operator.frequency, operator.settle)
-            return {"RUNNING_MODAL"}
-
-    class Fit(base.SoftSkinOperator):
-        frequency, settle = 3.0, 1.0
-        invoke, _ask = (
-            material_operators.DYNAMORPH_OT_fit_material.invoke,
-            material_operators.DYNAMORPH_OT_fit_material._ask,
-        )
-
-    context = Context()
-    assert Fit().invoke(context, None) == {"RUNNING_MODAL"}
+    target = built_arm.dynamorph.targets[1]
+    assert invoked(built_arm, "DYNAMORPH_OT_fit_material", invoke_props_dialog=dialog) == {"CANCELLED"}
     now = part("material_fit").bounce(*part("model_store").fit_input(built_arm, target))
-    assert context.asked == (now.frequency, now.settle)
+    assert asked == [pytest.approx((now.frequency, now.settle), rel=1e-6)]
 
 
 def test_a_fit_needs_a_model_of_the_present_body(built_arm):

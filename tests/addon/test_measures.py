@@ -36,7 +36,7 @@ def tube(open_ends=False, **shape):
 
 
 def folded(vertices, degrees, stretch):
-    """Bend a tube along z into an arc that turns by `degrees` over the middle `stretch` metres, as skinning would."""
+    """Bend a tube along z into an arc that turns by `degrees` over the middle `stretch` meters, as skinning would."""
     _, _, z = vertices.T
     t = np.clip((z - z.max() / 2) / stretch + 0.5, 0, 1)
     turn = np.radians(degrees) * (t * t * (3 - 2 * t))

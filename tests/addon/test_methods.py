@@ -90,9 +90,7 @@ def test_single_material_needs_no_targets(arm):
 @pytest.mark.parametrize("solver", ["FULL", "REDUCED"])
 @pytest.mark.parametrize("method", ["DYNAMIC", "SHAPE"])
 def test_shape_follows_the_pose_and_stiffness_only_if_dynamic(arm, method, solver):
-    """One push in both target poses: only a pose-dependent shape gives the same response, up to the rotation of the
-    skin.
-    """
+    """The same push in both target poses: only a pose-dependent shape responds alike, apart from its rotation."""
     job = run(arm, method=method, solver=solver)
     engine = job.model.engine(job.character)
     stepper = dynamorph.FullSimulation if solver == "FULL" else dynamorph.ReducedSimulation
@@ -140,7 +138,7 @@ def test_targets_are_met_in_both_regions_at_once(two_regions, solver):
 
 @pytest.mark.parametrize("solver, leak", [("FULL", 0.05), ("REDUCED", 0.1)])
 def test_motion_amount_of_a_target_ends_with_its_region(two_regions, solver, leak):
-    """As well as the nodes know it, or the modes can."""
+    """They agree as well as the nodes, or the modes, can represent it."""
     rig_of(two_regions).pose.bones["upper"].rotation_euler.y = 0.8  # the pose of 'tip', all the time
     run(two_regions, solver=solver, modes=40)
     motion = []
@@ -233,7 +231,7 @@ def test_fields_that_would_act_otherwise_than_shown_are_refused(arm):
 
 
 def test_a_target_that_changes_its_region_makes_the_model_old(two_regions):
-    """Also when the order of the shapes does not tell."""
+    """This also holds where the order of the shapes does not tell."""
     add_key(two_regions, "as it was", np.zeros((len(two_regions.data.vertices), 3)))
     rig_of(two_regions).pose.bones["upper"].rotation_euler.y = 0.4
     bpy.ops.dynamorph.add_target(key="as it was")

@@ -54,7 +54,7 @@ def nothing_before_and_after(rig, action):
 
 
 def faded(rig, action):
-    """From one strip into another that moves on, by their blends and by an influence that is keyed."""
+    """One strip fades into another that travels further, by blending and by a keyed influence."""
     strip_of(rig, action, -4, extrapolation="HOLD")
     strip_of(rig, action, 8, scale=0.7, extrapolation="NOTHING", blend_in=5, blend_out=3)
     added = strip_of(rig, action, 2, blend_type="ADD", use_animated_influence=True, use_reverse=True)
@@ -190,7 +190,7 @@ def test_edited_strips_show_what_was_baked(baked, edit, time_at, influence):
 
 @pytest.mark.parametrize("edit, time_at", EDITS)
 def test_the_strip_of_the_motion_is_enough(baked, edit, time_at):
-    """Where all of it shows; otherwise the strip of the shapes follows soon after."""
+    """It is enough where all of the motion shows; otherwise the strip of the shapes follows soon after."""
     obj, bake = baked
     with soon():
         edit(strips_of(obj)[1])
@@ -246,7 +246,7 @@ def test_strips_of_one_track_fade_into_each_other(baked, copy_action):
 
 
 @pytest.mark.parametrize("copy_action", [False, True])
-def test_free_bake_removes_every_strip_of_the_bake(soft_arm, copy_action):
+def test_delete_bake_removes_every_strip_of_the_bake(soft_arm, copy_action):
     before = fingerprint(soft_arm)
     part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
     again(soft_arm, 30, copy_action)

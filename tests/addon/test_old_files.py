@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Files of earlier versions, in tests/golden, with the model and the bake that they wrote.
 
-arm_COMMIT.blend holds the arm of builders.make_arm with 8 modes in a cage of 200 nodes, baked over frames 1 to 20. What
-else there is of each version, golden/author.py says, which wrote it.
+arm_COMMIT.blend holds the arm of builders.make_arm with 8 modes in a cage of 200 nodes, baked over frames 1 to 20.
+golden/author.py, which wrote them, says what other files each version has.
 """
 
 import json
@@ -49,7 +49,7 @@ def test_there_are_old_files():
 
 
 def assert_says(now, then, place="dynamorph"):
-    """All that was said of a property group is said now; there may be more."""
+    """Check that all values of a property group are as recorded; there may be more."""
     if isinstance(then, dict):
         for name, value in then.items():
             assert_says(now[name], value, f"{place}.{name}")
@@ -89,7 +89,7 @@ def test_what_was_keyed_and_driven_still_is(version):
 
 
 def test_what_was_linked_and_overridden_still_is(version):
-    """The override has settings of its own, and plays as the arm that it overrides."""
+    """The override has its own settings, and plays like the arm that it overrides."""
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / f"shot_{version}.blend"))
     then = written(version)
     override = bpy.data.objects["Arm Override"]
@@ -104,7 +104,7 @@ def test_what_was_linked_and_overridden_still_is(version):
 
 
 def test_an_old_setup_and_old_presets_load(version, tmp_path):
-    """Onto the arm without any: saved again, the setup says what it said."""
+    """It is applied to an arm without targets: saved again, the setup says the same."""
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / f"arm_{version}.blend"))
     obj = bpy.data.objects["Arm"]
     before = author.said(obj.dynamorph)
@@ -126,7 +126,7 @@ def test_an_old_setup_and_old_presets_load(version, tmp_path):
 
 
 def test_an_old_file_bakes_as_it_was_baked(old_arm):
-    """With the model that it holds, not with a new one; to 1e-6 of the body's size."""
+    """It is baked with the stored model, not with a new one, and agrees to 1e-6 of the body's size."""
     before = played(old_arm)
     size = np.linalg.norm(np.ptp(before[0], axis=0))
     assert np.abs(before - before[0]).max() > 0.05 * size
@@ -136,7 +136,7 @@ def test_an_old_file_bakes_as_it_was_baked(old_arm):
 
 
 def test_an_old_bake_goes_on(old_arm):
-    """A part of it again, into the frames that there are."""
+    """A part of it is baked again into the existing frames."""
     before = played(old_arm)
     size = np.linalg.norm(np.ptp(before[0], axis=0))
     simulation = old_arm.dynamorph.simulation

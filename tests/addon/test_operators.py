@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Buttons and jobs, with an engine that answers at once."""
 
+import itertools
 import sys
 import threading
-import time
+import types
 
 import addon_utils
 import bpy
@@ -139,7 +140,7 @@ def test_a_second_build_replaces_the_first(soft_arm, stand_in):
     for size in (800, 1600):
         stand_in.bytes = size
         bpy.ops.dynamorph.build()
-        model_store._load.cache_clear()
+        model_store.forget()
         assert model_store.stale_reasons(soft_arm, extract.character(soft_arm)) == []
 
 
@@ -161,7 +162,7 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     bpy.ops.dynamorph.bake()
     assert stand_in.built == 2
     next((tmp_path / "two" / "dynamorph_models").iterdir()).unlink()
-    model_store._load.cache_clear()
+    model_store.forget()
     reasons = model_store.stale_reasons(bpy.data.objects["Arm"], None)
     assert "is missing" in reasons[0]
 
@@ -184,20 +185,20 @@ def test_a_damaged_model_is_built_again(soft_arm, stand_in, damage):
     damaged = damage(list(soft_arm[model_store.PACKED]))
     del soft_arm[model_store.PACKED]
     soft_arm[model_store.PACKED] = damaged
-    model_store._load.cache_clear()
+    model_store.forget()
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.run(job)
     assert stand_in.built == 2 and len(job.reasons) == 1
 
 
 def test_a_model_that_was_kept_as_bytes_is_read(soft_arm, stand_in):
-    """As the first versions did, with which exporters of Blender's own crash."""
+    """The first versions stored bytes, on which Blender's own exporters crash."""
     model_store = part("model_store")
     bpy.ops.dynamorph.build()
     packed = model_store.stored_model(soft_arm)
     del soft_arm[model_store.PACKED]
     soft_arm[model_store.PACKED] = packed
-    model_store._load.cache_clear()
+    model_store.forget()
     assert model_store.stored_model(soft_arm) == packed
     assert model_store.stale_reasons(soft_arm, part("extract").character(soft_arm)) == []
 
@@ -228,7 +229,7 @@ def test_a_result_that_is_not_a_number_is_refused(soft_arm, stand_in, monkeypatc
 
 def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
     errors = part("errors")
-    stand_in.patience = 2.0
+    stand_in.waits["Arm"] = threading.Event()
     before = fingerprint(soft_arm)
     job = part("job").Job(soft_arm, goal="BAKE")
     batch = part("batch").Batch([job], "BAKE")
@@ -239,13 +240,13 @@ def test_cancelling_is_fast_and_changes_nothing(soft_arm, stand_in):
     with pytest.raises(errors.Cancelled):
         list(steps)
     batch.stop()
-    assert stand_in.looks < 10  # it did not play to its end
+    assert stand_in.looks < 10  # the bake did not run to its end
     assert fingerprint(soft_arm) == before
 
 
 def test_ctrl_c_stops_the_thread(soft_arm, stand_in):
     batch, job = part("batch"), part("job")
-    stand_in.patience = 5.0
+    stand_in.waits["Arm"] = threading.Event()
 
     def interrupt(_job):
         raise KeyboardInterrupt
@@ -290,7 +291,6 @@ def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
 
 
 def test_modal_bake(soft_arm, stand_in):
-    stand_in.patience = 0.1
     pressed = Pressed(soft_arm, ["MOUSEMOVE", "TIMER"])
     assert pressed.result == {"FINISHED"} and len(soft_arm.dynamorph.bake.keys) == 3
     assert "20 frames" in pressed.reports[-1][1] and "built first: not built yet" in pressed.reports[-1][1]
@@ -311,7 +311,7 @@ def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in)
         assert pressed.result == {"CANCELLED"} and pressed.reports == [("WARNING", "Cancelled: nothing was changed")]
         assert [thread.is_alive() for thread in batch.winding_down] == [True]
         stand_in.hears = None
-        assert Pressed(soft_arm).result == {"FINISHED"}  # while the other thread still computes
+        assert Pressed(soft_arm).result == {"FINISHED"}  # the other thread still computes
         assert batch.winding_down[0].is_alive() and len(soft_arm.dynamorph.bake.keys) == 3
     finally:
         hears.set()
@@ -322,21 +322,24 @@ def test_escape_ends_a_bake_at_once_whatever_the_engine_does(soft_arm, stand_in)
 
 @pytest.fixture
 def slow_rig(monkeypatch):
-    """A rig that takes 5 ms a sample: a list of the samples that were taken."""
-    sampling, samples = part("rig_motion").RigSampling, []
-    read = sampling._read
+    """A rig that takes 5 ms a sample, by its own clock: a list of the samples that were taken."""
+    rig_motion, samples, clock = part("rig_motion"), [], itertools.count(0.0, 0.005)
+    advance = rig_motion.RigSampling.advance
 
-    def slowly(*arguments):
-        time.sleep(0.005)
-        samples.append(arguments)
-        read(*arguments)
+    def noted(sampling, *arguments):
+        first = sampling.done
+        try:
+            return advance(sampling, *arguments)
+        finally:
+            samples.extend(range(first, sampling.done))
 
-    monkeypatch.setattr(sampling, "_read", slowly)
+    monkeypatch.setattr(rig_motion.RigSampling, "advance", noted)
+    monkeypatch.setattr(rig_motion, "time", types.SimpleNamespace(perf_counter=clock.__next__))
     return samples
 
 
 def test_reading_the_rig_does_not_hold_the_window(soft_arm, stand_in, slow_rig):
-    """A turn takes 35 ms: seven samples of 5 ms, and one that is under way."""
+    """A turn takes 35 ms: seven samples of 5 ms, and the one in progress."""
     shown = []
     pressed = Pressed(soft_arm, before_tick=lambda batch: shown.append((len(slow_rig), batch.fraction, batch.message)))
     assert pressed.result == {"FINISHED"} and len(slow_rig) >= 96
@@ -375,11 +378,12 @@ def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, endi
 
 def test_a_bake_waits_until_edit_mode_is_left(soft_arm, stand_in):
     """Nothing can be written there; a long simulation must not be lost for that."""
-    waited, stand_in.patience = [], 0.2
+    waited, stand_in.waits["Arm"] = [], threading.Event()
 
     def edit(batch):
         if batch.message.startswith("Frame") and not waited:
             bpy.ops.object.mode_set(mode="EDIT")
+            stand_in.waits["Arm"].set()
         if "leave Edit Mode" in batch.message:
             waited.append(batch.message)
         if len(waited) == 3:
@@ -392,12 +396,12 @@ def test_a_bake_waits_until_edit_mode_is_left(soft_arm, stand_in):
 
 def test_escape_while_a_bake_waits(soft_arm, stand_in):
     before = fingerprint(soft_arm)
-    entered, stand_in.patience = [], 0.2
+    entered = stand_in.waits["Arm"] = threading.Event()
 
     def edit(batch):
-        if batch.message.startswith("Frame") and not entered:
+        if batch.message.startswith("Frame") and not entered.is_set():
             bpy.ops.object.mode_set(mode="EDIT")
-            entered.append(True)
+            entered.set()
         if "leave Edit Mode" in batch.message:
             batch.cancel()
 
@@ -423,7 +427,7 @@ def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
 
 
 def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
-    stand_in.patience = 5.0
+    stand_in.waits["Arm"] = threading.Event()
     batch = part("batch")
     job = part("job").Job(soft_arm, goal="BAKE")
     batch.running = batch.Batch([job], "BAKE")
@@ -464,13 +468,19 @@ def test_bake_all_is_one_step(soft_arm, leg, stand_in):
 
 
 def test_one_progress_bar_for_all(soft_arm, leg, stand_in):
-    stand_in.patience = 0.2
-    seen = []
-    pressed = Pressed(
-        soft_arm, operator="DYNAMORPH_OT_bake_all", before_tick=lambda batch: seen.append((batch.name, batch.fraction))
-    )
-    assert pressed.result == {"FINISHED"} and {name for name, _ in seen} == {"Arm", "Leg"}
-    assert [fraction for _, fraction in seen] == sorted(fraction for _, fraction in seen)
+    seen, computing = [], set()
+    for name in ("Arm", "Leg"):
+        stand_in.waits[name] = threading.Event()
+
+    def look(batch):
+        seen.append(batch.fraction)
+        if "Frame" in batch.message:
+            computing.add(batch.name)
+            stand_in.waits[batch.name].set()
+
+    pressed = Pressed(soft_arm, operator="DYNAMORPH_OT_bake_all", before_tick=look)
+    assert pressed.result == {"FINISHED"} and computing == {"Arm", "Leg"}
+    assert seen == sorted(seen)
     assert ["20 frames" in text for _, text in pressed.reports] == [True, True]
 
 
@@ -486,10 +496,10 @@ def test_none_is_baked_when_one_cannot_be_or_on_escape(soft_arm, leg, stand_in):
     stand_in.Shot = fails_for_the_leg
     refused(bpy.ops.dynamorph.bake_all, "'Leg': too soft")
     assert (fingerprint(soft_arm), fingerprint(leg)) == before
-    stand_in.Shot, stand_in.patience = shot, 0.3
+    stand_in.Shot, stand_in.waits["Leg"] = shot, threading.Event()
 
     def escape(batch):
-        if batch.name == "Leg" and batch.fraction > 0.6:
+        if batch.name == "Leg" and "Frame" in batch.message:
             batch.cancel()
 
     assert Pressed(soft_arm, operator="DYNAMORPH_OT_bake_all", before_tick=escape).result == {"CANCELLED"}

@@ -30,7 +30,7 @@ def dry_of(bake):
 
 
 def written(obj, bake, folder, skin=None, to_bind=None, **output):
-    """The bake written as `output` says; returns how far the surface is off, in metres."""
+    """Write the bake as `output` says; returns how far the surface is off, in meters."""
     point_cache, baked, paths = part("point_cache"), part("baked"), part("paths")
     chosen = part("settings").OutputSettings(**output)
     keys, off = part("keys").as_keys(bake, chosen, np.eye(3) if to_bind is None else to_bind)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh of the artist's own as the cage: read where the skin rests, a dependency of the model, refused with advice."""
+"""The artist's own mesh as the cage: it is read where the skin rests, the model depends on it, and refusals come with
+advice.
+"""
+
+import inspect
 
 import bpy
 import numpy as np
@@ -16,7 +20,7 @@ LOW, HIGH = -0.1, 2.1  # around the arm
 
 @pytest.fixture
 def caged(soft_arm):
-    """The arm with a box for its cage, which stands on another place and is scaled."""
+    """The arm with a box as its cage, which stands elsewhere and is scaled."""
     soft_arm.dynamorph.model.cage_nodes = 200
     soft_arm.dynamorph.model.modes = 8
     box = make_mesh(bpy.context.scene, "Box", CORNERS, FACES)
@@ -44,7 +48,7 @@ def test_the_model_is_made_in_the_artists_cage(caged):
 
 
 def test_the_cage_is_read_at_rest_and_at_the_start(caged):
-    """Skinned like the body, moved together with it, and whatever the current frame."""
+    """It does not matter whether it is skinned like the body or moved with it, nor what the current frame is."""
     rig, box = rig_of(caged), box_of(caged)
     for bone in ("upper", "lower"):
         group = box.vertex_groups.new(name=bone)
@@ -62,7 +66,7 @@ def test_the_cage_is_read_at_rest_and_at_the_start(caged):
 
 
 def test_the_cage_fits_a_body_of_any_scale(caged):
-    """Where a unit of the body is a thousand of the cage's."""
+    """One unit of the body is a thousand units of the cage."""
     box = box_of(caged)
     for moved in (caged, rig_of(caged)):
         moved.scale = (1000.0,) * 3
@@ -90,7 +94,7 @@ def test_the_cage_is_a_dependency(caged):
 
 def test_a_deleted_cage_is_missed_or_forgotten(caged):
     box = box_of(caged)
-    bpy.context.scene.collection.objects.unlink(box)  # what Delete leaves of an object that is used
+    bpy.context.scene.collection.objects.unlink(box)  # what Delete leaves of an object that still has users
     refused(bpy.ops.dynamorph.build, "'Box' of 'Arm' is not in the scene any more")
     bpy.data.objects.remove(box)
     bpy.ops.dynamorph.build()
@@ -116,8 +120,10 @@ def test_an_unusable_cage_is_refused_with_its_name(caged, spoil, words):
 
 
 def test_only_other_meshes_can_be_cages(caged):
-    candidates = part("model_properties")._is_other_mesh
+    """Blender asks the property as it is registered, when it lists what to choose from."""
     model = caged.dynamorph.model
+    annotations = inspect.get_annotations(part("model_properties").DynamorphModel, eval_str=True)
+    candidates = annotations["cage_object"].keywords["poll"]
     assert candidates(model, box_of(caged))
     assert not candidates(model, caged)
     assert not candidates(model, rig_of(caged))

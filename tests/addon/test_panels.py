@@ -43,7 +43,7 @@ def status() -> list[str]:
 
 
 def test_the_status_bar_says_what_runs(soft_arm, stand_in, monkeypatch):
-    """It asks when it draws: nothing is left behind in a workspace or window that the artist has gone from."""
+    """It looks when it draws, so nothing is left behind in a workspace or window that the artist has left."""
     assert status() == []
     job = part("job").Job(soft_arm, goal="BAKE")
     job.fraction, job.message = 0.4, "Frame 7"

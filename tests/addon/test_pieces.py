@@ -106,7 +106,7 @@ def test_a_sleeve_shows_what_the_tissue_around_it_does(dressed):
 
 
 def test_a_piece_that_is_the_skin_itself_stays_on_it(soft_arm):
-    """The same surface as an object of its own: also the residual shapes of a coarse cage are there."""
+    """The same surface as a separate object: the residual shapes of a coarse cage are there, too."""
     twin = make_sleeve(coarse(soft_arm), away=1.0)
     add_piece(soft_arm, twin)
     bake(soft_arm)
@@ -140,7 +140,7 @@ def test_live_and_a_shake_test_show_the_sleeve_too(dressed):
 def test_a_bake_of_two_is_undone_and_freed_as_one(dressed):
     arm, sleeve = dressed
     sleeve.shape_key_add(name="Basis")
-    worn = sleeve.shape_key_add(name="flexed", from_mix=False)  # called like a target: it is in the bake
+    worn = sleeve.shape_key_add(name="flexed", from_mix=False)  # named like a target, so the bake contains it
     worn.value = 0.5
     before = fingerprint(arm), fingerprint(sleeve)
     bake(arm)
@@ -374,7 +374,7 @@ def test_other_meshes_are_found(soft_arm):
 
 
 def make_arm_with(*blobs):
-    """An arm whose mesh also has boxes: (centre, size, weight of the lower bone, material slot) each."""
+    """An arm whose mesh also has boxes, each given as (centre, size, weight of the lower bone, material slot)."""
     rig = make_rig(bpy.context.scene, "Arm Rig")
     vertices, faces = scenes.tube()
     points, weights, polygons = [np.asarray(vertices)], [scenes.two_bone_weights(vertices)], [list(f) for f in faces]
@@ -422,7 +422,7 @@ def test_many_loose_parts_are_grouped_by_material(scene):
 
 
 def test_seams_do_not_part_a_mesh():
-    """As imported: each face has vertices of its own."""
+    """Imported meshes may have separate vertices for each face."""
     vertices, faces = scenes.tube()
     points = np.concatenate([np.asarray(vertices)[list(face)] for face in faces])
     first = np.cumsum([0, *(len(face) for face in faces)])
@@ -517,7 +517,7 @@ def test_a_setup_with_wrong_pieces_changes_nothing(dressed, piece):
 
 
 def test_a_copy_leaves_the_clothes_where_they_are(dressed):
-    """An object follows one soft skin."""
+    """An object can follow only one soft skin."""
     arm, sleeve = dressed
     arm.vertex_groups.new(name="Dynamorph Piece Hair").add(range(100), 1.0, "REPLACE")
     arm.dynamorph.pieces.add().group = "Dynamorph Piece Hair"

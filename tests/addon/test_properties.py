@@ -172,7 +172,7 @@ def test_posing_costs_little(scene, soft_arm):
 
 
 def hashed(monkeypatch) -> list:
-    """Of what hashes are made from now on."""
+    """Record what is hashed from now on."""
     found, references = [], part("references")
     original = references.hashlib.blake2b
 
@@ -185,7 +185,7 @@ def hashed(monkeypatch) -> list:
 
 
 def test_a_slider_step_hashes_no_keys(scene, arm, monkeypatch):
-    """They are what they were: only their values are others."""
+    """The keys are unchanged: only their values differ."""
     many = [add_key(arm, f"key {i}", 0.01 * i) for i in range(1, 21)]
     make_soft(arm, [key.name for key in many[:1]])
     with_targets(arm, many)
@@ -211,7 +211,9 @@ def with_targets(obj, blocks):
 
 
 def test_hashes_are_those_of_the_points(scene, arm):
-    """Those that files have, whatever is kept of them: after each edit, of keys whose points trade places too."""
+    """They equal those stored in files, whatever is cached: after each edit, and for keys whose points trade places,
+    too.
+    """
     references, block = part("references"), arm.data.shape_keys.key_blocks["flexed"]
 
     def expected():

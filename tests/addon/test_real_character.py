@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A rigged, animated body that nobody here made, headless from end to end: built, baked, compared and pictured."""
+"""A rigged, animated body made by others, headless from end to end: built, baked, compared and rendered."""
 
 import sys
 from dataclasses import replace
@@ -64,7 +64,7 @@ def test_tissue_moves_and_knows_its_pose(baked, single):
     moved = displacements(job.result)
     assert np.isfinite(moved).all()
     weights = job.result.weights
-    assert weights[:, 1:3].max() > 0.4  # both knees bend at once, and each has its own target
+    assert weights[:, 1:3].max() > 0.4  # both knees bend at the same time, and each has its own target
     assert np.allclose(weights.sum(axis=1), 1.0)
     peak = np.linalg.norm(moved, axis=2).max()
     assert 0.01 * height(job) < peak < 0.1 * height(job)
@@ -89,7 +89,9 @@ def test_blender_shows_what_the_engine_computed(baked):
 
 
 def test_a_target_s_pose_shows_the_sculpted_shape(baked):
-    """Held at the pose of a target the body rests at its shape key, to 1e-6 of its size, gravity or not."""
+    """Held at the pose of a target, the body rests in the shape of its key, to 1e-6 of its size, with or without
+    gravity.
+    """
     _, job = baked
     _, simulate = part("engine").engine()
     targets = job.character.targets
@@ -124,8 +126,8 @@ def test_picture(baked, single):
         PICTURE,
     )
     pixels = [np.asarray(row.pictures[2], float) for row in rows]
-    assert pixels[0].std() > 5  # something is there
-    assert np.abs(pixels[0] - pixels[2]).mean() > 0.1  # and it moves
+    assert pixels[0].std() > 5  # the picture is not empty
+    assert np.abs(pixels[0] - pixels[2]).mean() > 0.1  # and the body moves
 
 
 def _keep_outside(clothes, body):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The swimsuit and the eyes of a body that nobody here made."""
+"""The swimsuit and the eyes of a body made by others."""
 
 import bpy
 import numpy as np
@@ -17,7 +17,7 @@ FRAMES = range(9, 46, 4)
 
 
 def depths(suit, body):
-    """How deep the vertices of `suit` are inside `body`, as Blender shows them: (F, V) in metres."""
+    """How deep the vertices of `suit` are inside `body`, as Blender shows them: (F, V) in meters."""
     triangles = part("mesh_data").mesh_triangles(body.data).tolist()
     out = []
     for frame in FRAMES:
@@ -30,7 +30,7 @@ def depths(suit, body):
 
 
 def test_the_swimsuit_stays_on_the_body(addon):
-    """Plainly skinned, the swinging body passes through it; baked, no more than in the file itself."""
+    """The swinging body passes through a plainly skinned suit, but no deeper through a baked one than in the file."""
     body = real_character.open_character("gen_jump")
     suit = bpy.data.objects["Swimsuit"]
     suit.data.shape_keys.animation_data.action = None

@@ -13,7 +13,7 @@ from layout import drawn
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 OPS = bpy.ops.dynamorph
 LENGTH = 4.0
-MOVES = 0.005  # metres, of a bar 4 m long
+MOVES = 0.005  # meters, of a bar 4 m long
 EXACT = 1e-6  # of weights: poses are stored in single precision
 CHAIN = ("upper", "lower", "hand", "finger")  # a joint at each whole x
 
@@ -62,7 +62,7 @@ def bar(scene):
 
 
 def as_new(obj):
-    """Whatever Add Soft Skin chooses: a new soft skin, of pascals that stay, with a coarse cage."""
+    """Give a soft skin a fixed stiffness in pascals and a coarse cage, whatever Add Soft Skin has chosen."""
     settings = obj.dynamorph
     settings.model.hold, settings.simulation.substeps = "THICKNESS", 3
     settings.model.cage_nodes, settings.model.modes, settings.model.pin_radius = 500, 20, 0.3
@@ -166,7 +166,7 @@ def test_what_a_target_would_add_is_said_beside_the_list(bar):
 
 
 def test_without_any_shape_key(bar):
-    """The Basis is the bake's to make, and the artist's to remove."""
+    """The bake makes the Basis; only the artist removes it."""
     bar.shape_key_clear()
     assert not list(part("checks").problems(bar))
     assert np.abs(motion(bar)).max() > MOVES
@@ -195,7 +195,7 @@ def test_on_the_command_line(bar, tmp_path, capfd):
 # Material ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_new_target_is_of_the_neutral_s_material(bar):
+def test_a_new_target_has_the_neutral_material(bar):
     neutral = bar.dynamorph.targets[0]
     neutral.set_material(part("settings").Material(5e3, 0.3, 900.0, 0.5, 0.02))
     neutral.frequency, neutral.by_hand = 2.5, True
@@ -256,7 +256,7 @@ def test_a_key_that_moves_nothing_yet_takes_all_that_are_turned(bar):
 
 
 def sculpt(obj, key, centre):
-    """As strokes do, while the key is sculpted."""
+    """Change the points of the key as sculpting strokes do."""
     block = obj.data.shape_keys.key_blocks[key]
     before = part("mesh_data").target_shape(obj, key)
     bpy.ops.object.mode_set(mode="OBJECT")
@@ -355,7 +355,7 @@ def test_the_artist_s_regions_stay(bar):
     pose(bar, lower=1.0)
     OPS.capture_pose()
     assert bar.dynamorph.targets["flexed"].region == "Mine"
-    add(bar, "beside", 1.5, lower=0.5)  # of the same joint: it competes with the other one, in its region
+    add(bar, "beside", 1.5, lower=0.5)  # of the same joint: it competes with the other target, in the same region
     assert bar.dynamorph.targets["beside"].region == "Mine" and (group(bar, "Mine") > 0).sum() == 100
     bar.dynamorph.active_target_index = 1
     OPS.region_from_sculpt()
@@ -412,14 +412,27 @@ def test_targets_are_met_exactly(bar, second):
     OPS.build()
     OPS.check_targets()
     missed = [float(line.split(":")[1].split()[0]) for line in bar.dynamorph.live.checks.split("\n")]
-    assert len(missed) == 5 and max(missed) < 1e-3  # millimetres, of a bar of 4 m
+    assert len(missed) == 5 and max(missed) < 1e-3  # millimeters, of a bar of 4 m
+
+
+def test_regions_are_named_as_an_artist_would(bar):
+    add(bar, "first", 1.0, lower=1.0, hand=0.4)
+    bar.vertex_groups.new(name="tip").add(range(4), 1.0, "REPLACE")
+    add(bar, "second", 3.0, finger=1.0).region = "tip"
+    OPS.build()
+    OPS.check_targets()
+    lines = bar.dynamorph.live.checks.split("\n")
+    checked = ["Neutral", "Neutral (Region first)", "first", "Neutral (Region tip)", "second"]
+    assert [line.split(":")[0] for line in lines] == checked
+    texts = " ".join(drawn(bar))
+    assert "Region first" in texts and "Region tip" in texts and "Dynamorph Region" not in texts
 
 
 def test_a_target_leaves_the_motion_of_the_rest_alone(bar):
     """A flexed biceps does not stop a belly from jiggling."""
 
     def swing(where):
-        """Root mean square of the motion in the target's pose, metres."""
+        """Root mean square of the motion in the target's pose, meters."""
         pose(bar, lower=1.0)
         return np.sqrt((motion(bar)[:, where] ** 2).sum(axis=2).mean())
 
@@ -452,7 +465,9 @@ def test_a_pose_serves_as_many_targets_as_limbs_are_turned(bar):
 
 
 def test_a_new_target_takes_over_nothing_of_other_limbs(bar):
-    """New from Pose starts as the blend of all targets there. What the others still show is removed from its key."""
+    """New from Pose starts as the blend of all targets in that pose. What the others still show is removed from its
+    key.
+    """
     add(bar, "tip", 3.0, finger=1.0)
     pose(bar, lower=1.0, finger=1.0)
     OPS.new_from_pose(key="root")
@@ -508,7 +523,7 @@ def test_a_sculpt_shows_in_its_pose_until_something_else_does(bar):
 
 
 def test_a_sculpt_is_hidden_by_the_frames_that_have_another_pose(bar):
-    """Otherwise it would show over the whole timeline, in every pose."""
+    """Without that, it would show over the whole timeline, in every pose."""
     bone = rig_of(bar).pose.bones["lower"]
     bone.rotation_mode = "XYZ"
     for frame, angle in ((1, 0.0), (5, 1.0), (8, 1.0), (10, 0.0)):
@@ -518,7 +533,7 @@ def test_a_sculpt_is_hidden_by_the_frames_that_have_another_pose(bar):
     OPS.new_from_pose(key="flexed")
     sculpt(bar, "flexed", 1.0)
     OPS.finish_sculpt()
-    for frame in (5, 6, 8):  # the pose stays, and something else moves
+    for frame in (5, 6, 8):  # the pose stays while something else moves
         bpy.context.scene.frame_set(frame)
         assert value(bar, "flexed") == 1.0
     bpy.context.scene.frame_set(10)

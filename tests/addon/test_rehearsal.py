@@ -37,7 +37,7 @@ def limit(obj, displacement, thickness=0.0):
 
 
 def test_the_build_gives_the_frequency(new_arm):
-    """At every scale: Bounce is as requested, whatever stiffness that takes."""
+    """At every scale the Bounce is as requested, whatever stiffness that takes."""
     found = []
     for scale in (1.0, 10.0):
         rig_of(new_arm).scale = (scale,) * 3
@@ -93,7 +93,7 @@ def test_a_rehearsal_keeps_the_skin_within_its_limits(new_arm):
 
 
 def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
-    """After its tries, here of small steps, it is baked as it is, and nothing claims otherwise."""
+    """After its attempts, which take small steps here, it is baked as it is, and nothing claims otherwise."""
     monkeypatch.setattr(part("rehearsal"), "FACTOR", (1.01, 1.01))
     limit(new_arm, 1e-3)
     job = bake(new_arm)
@@ -121,7 +121,7 @@ def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
 @pytest.mark.parametrize("power", [1.0, 2.0, 4.0])
 @pytest.mark.parametrize("needed", [0.5, 3.6, 6.0, 20.0])
 def test_a_rehearsal_finds_the_lowest_frequency(power, needed):
-    """However fast the motion decreases with the frequency; never below the requested one."""
+    """It does so however fast the motion decreases with the frequency, and never goes below the requested one."""
     rehearsal = part("rehearsal").Rehearsal(3.5)
     frequency = 3.5
     while frequency:
@@ -134,14 +134,14 @@ def test_a_rehearsal_finds_the_lowest_frequency(power, needed):
         assert found > 0.5
 
 
-def test_a_rehearsal_of_what_is_no_number_ends():
+def test_a_rehearsal_without_finite_numbers_ends():
     rehearsal = part("rehearsal").Rehearsal(3.5)
     rehearsal.learn(3.5, float("nan"))
     assert rehearsal.next() is None and rehearsal.best == 3.5
 
 
 def test_a_rehearsal_of_a_long_shot_reads_it_again(new_arm, monkeypatch):
-    """In chunks whose rig is not kept."""
+    """The shot is read in chunks whose rig is not kept."""
     limit(new_arm, 0.0)
     farthest = bake(new_arm).verdict.displacement
     limit(new_arm, 0.6 * farthest)
@@ -194,7 +194,7 @@ def test_targets_follow_the_neutral_unless_set_by_hand(new_arm):
 
 
 def test_old_settings_are_left_alone(new_arm):
-    """Pins, pascals and no limits, as in older files: no calibration, no rehearsal."""
+    """Older files have pins, pascals and no limits, so there is neither calibration nor rehearsal."""
     settings = new_arm.dynamorph
     settings.model.hold = "BONES"
     limit(new_arm, 0.0)
@@ -209,7 +209,7 @@ def test_old_settings_are_left_alone(new_arm):
 
 
 def test_the_verdict_measures_what_was_baked(new_arm):
-    """Against the displacements of the bake itself, frame by frame."""
+    """It is compared with the displacements of the bake itself, frame by frame."""
     limit(new_arm, 0.0)
     job = bake(new_arm)
     rest = job.character.vertices @ job.character.to_bind.T
@@ -223,7 +223,7 @@ def test_the_verdict_measures_what_was_baked(new_arm):
 
 
 def test_wreckage_is_no_success(new_arm):
-    """Whatever the limits say: turned over and torn skin is named, and a remedy with it."""
+    """Skin that is turned over or torn is named with a remedy, whatever the limits say."""
     limit(new_arm, 0.0)
     bpy.ops.dynamorph.build()
     new_arm.dynamorph.targets[0].bounce = 0.4

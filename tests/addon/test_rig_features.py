@@ -41,7 +41,7 @@ def constraint(owner, kind: str, target, **settings):
 
 
 def driven(owner, path: str, index: int, expression: str, target=None, kind="TRANSFORMS", **settings):
-    """By an expression of "v", which `kind` and `settings` read from the target."""
+    """Add a driver with an expression of "v", which `kind` and `settings` read from the target."""
     driver = owner.driver_add(path, index).driver
     driver.type, driver.expression = "SCRIPTED", expression
     if target is None:
@@ -323,7 +323,7 @@ def test_what_is_baked_is_what_blender_evaluates(scene, soft_arm, feature):
 
 @pytest.mark.parametrize("kind", ["SINGLE_PROP", "CONTEXT_PROP"])
 def test_drivers_that_read_the_scene_are_named(scene, soft_arm, kind):
-    """What a driver reads of the user's scene stands still in the scene that samples the rig."""
+    """Values that a driver reads from the user's scene do not change in the scene that samples the rig."""
     driven(bone_of(soft_arm, "upper"), "rotation_euler", 1, "v", scene, "SINGLE_PROP", data_path="frame_current")
     if kind == "CONTEXT_PROP":
         rig_of(soft_arm).animation_data.drivers[0].driver.variables[0].type = kind

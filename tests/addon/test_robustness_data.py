@@ -102,7 +102,7 @@ def test_a_bone_is_renamed_whose_group_is_a_region(soft_arm):
 
 @pytest.mark.parametrize("name", ["x" * 63, "日本語" * 7])
 def test_names_as_long_as_blender_allows(skin, name):
-    """63 bytes, which end within a letter when something is put before them."""
+    """Such names have 63 bytes, and are cut within a letter when something is put before them."""
     keys_of(skin).key_blocks["flexed"].name = skin.name = skin.data.name = name
     before = fingerprint(skin)
     for _ in range(2):
@@ -161,7 +161,7 @@ def test_alt_d(skin, when):
 
 
 def test_shift_d_of_the_whole_character(skin):
-    """The copy has a rig of its own, which moves otherwise, and a model that is still good."""
+    """The copy has its own rig, which moves differently, and a model that is still valid."""
     bake(skin)
     copy = duplicate(skin, False, rig_of(skin))
     assert copy.data != skin.data and rig_of(copy) != rig_of(skin)
@@ -208,7 +208,7 @@ def test_two_characters_on_one_armature(scene, skin):
     results = {}
     for obj, stiffness in ((skin, 5e3), (other, 8e4)):
         bpy.ops.object.select_all(action="DESELECT")
-        obj.select_set(True)  # of two skins on the active armature the buttons are about the selected one
+        obj.select_set(True)  # of two skins on the active armature, the buttons act on the selected one
         obj.dynamorph.targets[0].stiffness = stiffness
         assert OPS.bake() == {"FINISHED"}
         results[obj] = bake(obj).result
@@ -294,7 +294,7 @@ def test_mesh_edited_after_the_bake(skin, change):
 
 
 @pytest.mark.parametrize("change", EDITS)
-def test_free_bake_after_an_edit(skin, change):
+def test_delete_bake_after_an_edit(skin, change):
     bake(skin)
     change(skin)
     assert OPS.free_bake() == {"FINISHED"}
@@ -303,7 +303,7 @@ def test_free_bake_after_an_edit(skin, change):
 
 
 def test_parts_separated_and_joined_after_the_bake(skin):
-    """Each part takes the keys of the bake along, and the record of them."""
+    """Each part keeps the keys of the bake, and their record."""
     bake(skin)
     activate(skin)
     bpy.ops.object.mode_set(mode="EDIT")
@@ -361,7 +361,7 @@ def test_all_shape_keys_deleted(skin):
     assert not skin.dynamorph.bake.keys and len(skin.dynamorph.targets) == 2
 
 
-def test_the_soft_skin_is_not_removed_by_halves(skin):
+def test_the_soft_skin_is_not_half_removed(skin):
     """Blender removes no shape keys in Edit Mode."""
     bake(skin)
     keys = names(skin)
@@ -412,7 +412,7 @@ def test_driver_nla_and_action_on_the_keys(scene, skin):
         scene.frame_set(i + 1)
         expected = skinned(character, samples[i : i + 1], job.result.displacement(i) + own[i])[0]
         assert np.abs(evaluated_points(skin) - expected).max() < 2e-5
-    assert keys_of(skin).key_blocks["flexed"].value == pytest.approx(1.0)  # driven on, but muted
+    assert keys_of(skin).key_blocks["flexed"].value == pytest.approx(1.0)  # still driven, but muted
     scene.frame_set(1)
     assert OPS.free_bake() == {"FINISHED"}
     assert fingerprint(skin) == before

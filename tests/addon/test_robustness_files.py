@@ -57,7 +57,9 @@ def test_buttons_that_change_nothing(skin, name):
 
 
 def test_many_steps_undone_and_redone(skin):
-    """A session: add a target, change settings, build, bake, free; then all the way back and forth."""
+    """A session adds a target, changes settings, builds, bakes and deletes the bake; then all of it is undone and
+    redone.
+    """
     bpy.ops.ed.undo_push(message="start")
     steps = [state()]
     for name, arguments in (("apply_material", {"preset": "SKIN"}), ("build", {}), ("bake", {}), ("free_bake", {})):
@@ -158,11 +160,11 @@ def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypa
     obj = open_shot(asset("build"), link=False)
     refused(OPS.bake, "'Arm' is large.*save the .blend first")
     assert obj.dynamorph.model.content_id and not obj.dynamorph.bake.keys
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "elsewhere.blend"))  # beside it after all
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "elsewhere.blend"))  # now its file has a place
     assert bake(obj).reasons == []
     (tmp_path / "far").mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "far" / "shot.blend"))
-    part("model_store")._load.cache_clear()
+    part("model_store").forget()
     assert "is missing" in bake(obj).reasons[0]
 
 
@@ -182,7 +184,7 @@ def test_a_linked_character_plays_and_cannot_be_changed(asset):
 
 
 def test_a_linked_character_that_is_live_plays(asset):
-    """As it is, an override too; to turn it off is for the file that it comes from."""
+    """It plays as it is, an override too; only the file that it comes from can turn it off."""
     obj = open_shot(asset("live"), link=True)
     for overridden in (False, True):
         playing = override() if overridden else obj
@@ -193,7 +195,7 @@ def test_a_linked_character_that_is_live_plays(asset):
 
 
 def test_a_local_object_with_a_linked_mesh_is_refused(asset):
-    """Its settings would be saved, and nothing that is made of its mesh."""
+    """Its settings would be saved, but nothing that is made of its mesh."""
     linked = open_shot(asset("build"), link=True)
     obj = linked.copy()
     bpy.context.scene.collection.objects.link(obj)

@@ -39,7 +39,7 @@ def travelling(obj):
 
 
 def in_centimetres(obj, units=100.0):
-    """As many exporters make them: armature and mesh 100 times too large, below an object of scale 0.01."""
+    """Many exporters write an armature and a mesh 100 times too large, below an object of scale 0.01."""
     root = parented(obj)
     root.scale = (1.0 / units, 1.0 / units, 1.0 / units)
     activate(rig_of(obj))
@@ -93,7 +93,7 @@ def test_a_mirrored_character_moves_as_its_mirror_image(skin):
 
 
 def test_small_units_below_a_small_scale_change_nothing(scene, skin):
-    """By a power of two, which rounds nothing: the same cage, and the same motion in the world.
+    """The scale is a power of two, so nothing is rounded: the cage and the motion in the world are the same.
 
     The targets' poses, whose sag is balanced, were captured before.
     """
@@ -199,7 +199,7 @@ def test_modifiers_after_the_armature(scene, skin, add):
 
 
 def test_twice_the_frame_rate_is_the_same_motion(scene, skin):
-    """In seconds: 39 frames at 48 a second are 20 at 24, with steps of the same length."""
+    """39 frames at 48 per second last as long as 20 at 24, with steps of the same length."""
     curves = rig_of(skin).animation_data.action.layers[0].strips[0].channelbags[0].fcurves
     for curve in curves:
         for point in curve.keyframe_points:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whatever state the scene is in, no button and no panel of the add-on fails with an error of Python's."""
+"""Whatever state the scene is in, no button and no panel of the add-on fails with a Python error."""
 
 import bpy
 import numpy as np
@@ -190,7 +190,7 @@ def press(name):
         return "grey"
     try:
         button("EXEC_DEFAULT", True, **BUTTONS[name][1])
-    except RuntimeError as error:  # that is how a report of an error reaches Python
+    except RuntimeError as error:  # this is how an error report reaches Python
         assert "Traceback" not in str(error)
         return str(error)
     return "done"
@@ -286,7 +286,7 @@ def test_armature_deleted_while_its_bake_plays(scene, stand_in):
 
 
 def test_panels_refuse_what_does_not_exist(addon):
-    """The layout that stands in for Blender's would notice."""
+    """The stand-in for Blender's layout would notice it."""
     with pytest.raises(AssertionError):
         Layout([]).prop(bpy.context.scene, "no such property")
     with pytest.raises(KeyError):
@@ -298,8 +298,8 @@ def test_panels_refuse_what_does_not_exist(addon):
 
 
 @pytest.mark.parametrize("button", ["live", "remove_target"])
-def test_live_is_not_ended_by_halves(baked_file, button):
-    """Blender removes no shape keys in Edit Mode; and without its soft skin nothing would turn Live off."""
+def test_live_is_not_half_ended(baked_file, button):
+    """Blender removes no shape keys in Edit Mode, and without its soft skin nothing could turn Live off."""
     bpy.ops.wm.open_mainfile(filepath=baked_file)
     live_in_edit_mode()
     mesh().dynamorph.active_target_index = 0

@@ -19,14 +19,14 @@ def rows(soft_arm, tmp_path):
 def test_every_form_has_the_engine_s_surface(rows):
     budget = [name for name in rows if "8" in name[0]]
     assert len(rows) == len(round_trips.FORMS) and len(budget) == 2
-    errors = {name: row["error"] for name, row in rows.items() if row["error"] is not None}  # else a reader is missing
+    errors = {name: row["error"] for name, row in rows.items() if row["error"] is not None}  # None: no reader
     assert len(errors) >= len(rows) - 4
     assert {name: error for name, error in errors.items() if error > ERROR} == {}
     assert all(row["bytes"] > 0 and row["seconds"] > 0.0 for row in rows.values())
 
 
 def test_a_budget_is_off_as_the_bake_says(soft_arm, tmp_path):
-    """The same in Blender and in a file."""
+    """The error is the same in Blender and in a file."""
     obj = coarse(soft_arm)
     forms = [replace(form, keys=2) for form in round_trips.FORMS if form.keys]
     in_blender, in_gltf = (row["error"] for row in round_trips.measure(obj, tmp_path, forms))

@@ -30,7 +30,7 @@ def shot(scene, tmp_path):
 
 
 def hashes(shot, cores) -> dict[str, tuple[str, str]]:
-    """Of the model and the bake of each character, made by a process that has these cores."""
+    """The hashes of the model and the bake of each character, made by a process that may use these cores."""
     report = shot.with_suffix(".json")
     run = "runpy.run_module('dynamic_morph_targets', run_name='__main__')"
     command = f"import os, runpy; os.sched_setaffinity(0, {cores}); {run}"

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sample scenes: what they state is so, in every Blender, and the script that wrote them still writes them."""
+"""The sample scenes: what their descriptions say is true in every Blender, and the script that wrote them still writes
+the same.
+"""
 
 import subprocess
 import sys

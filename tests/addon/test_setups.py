@@ -16,6 +16,7 @@ from costs import cost
 from layout import Layout
 from mathutils import Matrix
 from mathutils.bvhtree import BVHTree
+from pressed import invoked
 
 OPS = bpy.ops.dynamorph
 
@@ -111,7 +112,7 @@ def test_matrices_take_one_line_each_and_names_stay(rich, tmp_path):
     setups.write(tmp_path / "odd.json", setup)
     assert setups.read(tmp_path / "odd.json") == setup
     lines = (tmp_path / "odd.json").read_text().splitlines()
-    assert sum(line.count(",") >= 15 for line in lines) == 3 * (1 + 2 * 2)  # of the rig, and two of two bones
+    assert sum(line.count(",") >= 15 for line in lines) == 3 * (1 + 2 * 2)  # of the rig, and two for each of two bones
 
 
 def test_on_another_character_what_is_missing_is_listed_and_skipped(scene, rich, file, capfd):
@@ -240,7 +241,7 @@ FLAT = [0.0] * 16
 def test_a_wrong_file_is_refused_and_nothing_changed(rich, tmp_path, change, words):
     before = setup_of(rich)
     wrong = setup_of(rich)
-    wrong["targets"][0]["stiffness"] = 99.0  # would be written first
+    wrong["targets"][0]["stiffness"] = 99.0  # it would be written first
     change(wrong)
     path = tmp_path / "wrong.json"
     path.write_text(json.dumps(wrong))
@@ -453,7 +454,7 @@ def test_a_subdivided_mesh_gets_what_lies_between(rich):
 
 @pytest.mark.parametrize("scale", [(2.0, 0.5, 3.0), (-1.0, 1.0, 1.0)])
 def test_scales_and_rotations_of_both_are_carried_along(rich, scale):
-    """A mesh that stands in the same place, but stores its points in another space."""
+    """A mesh in the same place that stores its points in another space."""
     other = twin(rich)
     rich.matrix_world = Matrix.LocRotScale((1, 2, 3), Matrix.Rotation(0.5, 3, "X"), (1.5, 1.5, 0.7))
     bpy.context.view_layer.update()
@@ -547,20 +548,17 @@ def test_a_far_mesh_is_reported(rich, capfd):
     assert "'Twin' is up to 5" in capfd.readouterr().out
 
 
-def test_the_dialog_only_asks_where_something_would_be_lost(rich, monkeypatch):
-    operator = part("transfer_operators").DYNAMORPH_OT_copy_to_selected
-    asked = []
-    manager = types.SimpleNamespace(invoke_props_dialog=lambda _self: asked.append(1) or {"RUNNING_MODAL"})
-    context = types.SimpleNamespace(object=rich, view_layer=bpy.context.view_layer, window_manager=manager)
-    self = types.SimpleNamespace(execute=lambda _context: {"FINISHED"})
-    for keys, count in ((False, 0), (True, 1)):
-        context.selected_objects = [rich, twin(rich, keys=keys)]
-        operator.invoke(self, context, None)
-        assert len(asked) == count
+def test_the_dialog_only_asks_where_something_would_be_lost(rich):
+    for keys, result in ((False, "FINISHED"), (True, "CANCELLED")):
+        other = twin(rich, keys=keys)
+        select(rich, other)
+        name = "DYNAMORPH_OT_copy_to_selected"
+        assert invoked(rich, name, invoke_props_dialog=lambda _button: {"CANCELLED"}) == {result}
+        assert bool(other.dynamorph.targets) != keys
 
 
 def test_nearest_points_of_a_surface():
-    """Against the distances to a dense sampling of the triangles, and exact at the vertices."""
+    """They are compared with a dense sampling of the triangles, and are exact at the vertices."""
     rng = np.random.default_rng(3)
     vertices = rng.normal(size=(30, 3))
     triangles = np.concatenate([rng.permutation(30).reshape(-1, 3) for _ in range(3)])
@@ -579,7 +577,7 @@ def test_nearest_points_of_a_surface():
 
 
 def test_nearest_points_of_triangles_whose_corners_are_in_a_line():
-    """But for rounding, which leaves the coordinates on their planes to chance."""
+    """Rounding is an exception: it leaves the coordinates on their planes to chance."""
     rng = np.random.default_rng(4)
     start, along = rng.uniform(-1.0, 1.0, (2000, 3)), 0.1 * rng.normal(size=(2000, 3))
     corners = np.stack([start, start + along, start + 0.5 * along], axis=1)
@@ -631,7 +629,7 @@ def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monk
     model_store = part("model_store")
     monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
     chosen.model_folder = str(tmp_path / "models")
-    OPS.build()  # though the .blend has no folder yet
+    OPS.build()  # even though the .blend has no folder yet
     name = f"{soft_arm.dynamorph.model.content_id}.dynamorph"
     assert [file.name for file in (tmp_path / "models").iterdir()] == [name]
     assert model_store.stored_model(soft_arm)
@@ -642,7 +640,7 @@ def test_large_models_go_where_the_user_wants(soft_arm, stand_in, tmp_path, monk
         model_store.stored_model(soft_arm)
     OPS.build()
     assert (tmp_path / "shots" / "cache" / "models" / name).is_file()
-    chosen.model_folder = "//elsewhere"  # another user: a model beside the .blend is found nevertheless
+    chosen.model_folder = "//elsewhere"  # another user still finds a model beside the .blend
     (tmp_path / "shots" / "cache" / "models").rename(tmp_path / "shots" / "dynamorph_models")
     assert model_store.stored_model(soft_arm)
     soft_arm.dynamorph.model.content_id = "../../etc/passwd"

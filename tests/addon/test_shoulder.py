@@ -54,7 +54,7 @@ def baked(shoulder):
 
 
 def static_shape(shoulder, motion, frame):
-    """The targets' shapes blended by the pose, nothing moving by itself; the arm is posed as in target `motion`."""
+    """The targets' shapes blended by the pose, without any dynamics; the arm is posed as in target `motion`."""
     names = ("Neutral", "Half fold", "Folded")
     knots = [turn(shoulder.targets[name].local[FOREARM]) for name in names]
     angle = turn(shoulder.elbow[frame - 1])
@@ -71,7 +71,7 @@ def turn(transform):
 def intersecting_pairs(shoulder, vertices):
     """Pairs of triangles of the elbow's region and of the whole skin that intersect and share no vertex.
 
-    The rest of the skin keeps its shape while the elbow folds: that is looked at once, with `measures`.
+    The rest of the skin keeps its shape while the elbow folds, so it is examined once, with `measures`.
     """
     triangles = shoulder.character.triangles
     near = triangles[(shoulder.character.target_sets[1].region_weights[triangles] > 0).any(axis=1)]
@@ -103,7 +103,7 @@ def test_mesh_is_closed_and_skinned_smoothly(shoulder):
         if edge.calc_length() > 1e-3 and edge.is_contiguous
     ]
     mesh.free()
-    assert np.max(jumps) < 25  # per metre: a joint takes at least 4 cm
+    assert np.max(jumps) < 25  # per meter: a joint extends over at least 4 cm
 
 
 def test_six_targets_in_two_sets_on_four_bones(shoulder):

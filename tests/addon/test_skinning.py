@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Skinning that is more than sums of bone matrices: the engine gets what Blender shows."""
+"""Skinning that is more than a sum of bone matrices: the engine gets what Blender shows."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -124,7 +124,7 @@ def locked_groups(obj):
 
 
 def zero_weights(obj):
-    """Vertices without groups, with weights of zero, and with less than Blender heeds."""
+    """Vertices without groups, with weights of zero, and with weights that Blender ignores."""
     for group in obj.vertex_groups:
         group.remove([3, 4, 5])
         group.add([6, 7], 0.0, "REPLACE")
@@ -254,7 +254,9 @@ def test_probing_in_slices_is_the_same_and_leaves_nothing_between_them(soft_arm)
 
 @pytest.mark.parametrize("inherit", ["FULL", "ALIGNED", "NONE"])
 def test_captured_poses_are_taken_again(scene, soft_arm, inherit):
-    """A target's pose holds what constraints and bones' inheritance made of it; the copy that takes it has none."""
+    """A target's pose includes the effect of constraints and of what bones inherit; the copy of the rig that takes it
+    has neither.
+    """
     twisting(soft_arm)
     rig = rig_of(soft_arm)
     rig.data.bones["lower"].inherit_scale = inherit
@@ -295,7 +297,7 @@ def run(obj, **options):
     ids=lambda change: change.__name__,
 )  # fmt: skip
 def test_blender_shows_what_the_engine_computed(scene, small_arm, change):
-    """The skin, displaced by the bake, where a probe of it says that the engine has it."""
+    """Check that Blender shows the skin, displaced by the bake, where a probe says that the engine has it."""
     change(small_arm)
     job = run(small_arm)
     assert np.abs(job.result.coordinates).max() > 0 and job.report["inverted"] == 0
@@ -405,7 +407,8 @@ def test_a_loop_a_jump_and_wind(scene, small_arm):
     rest = job.character.vertices @ job.character.to_bind.T
     assert player.pose_gap(job.computation.rig[:1]) < 1e-12 and player.pose_gap(job.computation.rig) > 0.1
     assert player.posing.skinned(job.computation.rig[:1])[0] == pytest.approx(rest[player.posing.skin.known], abs=1e-5)
-    push = player._push(job.computation.rig.fields, 0, player.posing.frames(job.computation.rig[:1])[0])
+    frames, moved = player.posing.frames(job.computation.rig[:1])[0], player.engine.displacement(player.past[0])
+    push = player.posing.skin.push(job.computation.rig.fields, 0, frames, moved)
     assert push.sum(axis=0)[2] == pytest.approx(40.0 * player.posing.skin.areas.sum(), rel=1e-6)
     small_arm.dynamorph.simulation.loop = True
     assert "gap" in run(small_arm).report
@@ -489,7 +492,7 @@ def test_a_body_in_two_cages(small_arm):
     )
 
 
-def test_a_shot_in_stretches_is_the_whole_shot(small_arm, monkeypatch):
+def test_a_shot_in_chunks_is_the_whole_shot(small_arm, monkeypatch):
     twisting(small_arm)
     whole = run(small_arm).result
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 6)
@@ -548,7 +551,7 @@ def test_previews(scene, small_arm):
 
 
 def test_another_way_of_skinning_counts_at_once(scene, small_arm):
-    """Live asks Blender about the nodes as soon as bones do not say it."""
+    """Live asks Blender for the nodes as soon as bones no longer determine them."""
     run(small_arm, goal="BUILD")
     bpy.ops.dynamorph.live()
     session = part("live").sessions[small_arm.session_uid]

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The list of targets: suggested by drivers, sculpted in their pose, mirrored, moved, copied, gone to."""
+"""The list of targets: they are suggested by drivers, sculpted in their pose, mirrored, moved, copied, and posed on the
+rig.
+"""
 
 import types
 from math import pi, radians
@@ -25,7 +27,7 @@ def shape(obj, name):
 
 
 def angles(obj, target):
-    """How far each bone is turned in a target's pose, in degrees, by name; those that are not left out."""
+    """How far each bone is turned in a target's pose, in degrees, by name; bones that are not turned are left out."""
     geometry = part("geometry")
     skeleton = part("references").rest_skeleton(rig_of(obj).data)
     local = target.local(skeleton)
@@ -150,16 +152,17 @@ def test_a_failure_puts_the_armature_back(arm, monkeypatch):
     OPS.add_soft_skin()
     drive(arm, "flexed", "a", a=("ROT_X", "lower"))
     before = channels(rig_of(arm)), len(bpy.data.scenes)
-    calls = []
+    current_pose, turned = part("rig_motion").current_pose, []
 
-    def broken(trial, key):
-        calls.append(key)
-        if len(calls) > 50:
-            raise part("errors").SceneError("broken")
-        return 0.0
+    def broken(obj, depsgraph=None):
+        if depsgraph is None:  # as the artist sees it, before bones are turned
+            return current_pose(obj)
+        turned.append(channels(rig_of(arm)))
+        raise part("errors").SceneError("broken")
 
-    monkeypatch.setattr(part("suggest")._Trial, "value", broken)
+    monkeypatch.setattr(part("rig_motion"), "current_pose", broken)
     refused(OPS.suggest_targets, "broken")
+    assert turned and turned[0] != before[0]
     assert (channels(rig_of(arm)), len(bpy.data.scenes)) == before and names(arm) == ["Neutral"]
 
 
@@ -207,7 +210,9 @@ def test_without_the_engine_a_new_target_starts_as_the_basis(soft_arm, monkeypat
 
 
 def test_edits_in_the_pose_land_in_bind_space(soft_arm):
-    """What is moved up in the posed mesh moves up in the posed mesh, so the shape key holds it turned back."""
+    """A vertex that is moved up in the posed mesh stays moved up there, so the shape key stores the displacement turned
+    back.
+    """
     pose_by_hand(soft_arm, lower=pi / 3)
     soft_arm.show_only_shape_key = True
     OPS.new_from_pose(key="up", mode="EDIT")
@@ -233,7 +238,7 @@ def test_finish_puts_back_what_was_shown(soft_arm, mode, pinned):
     OPS.new_from_pose(mode=mode)
     assert bpy.context.object == soft_arm and soft_arm.mode == mode and rig.mode == "OBJECT"
     assert soft_arm.show_only_shape_key and "dynamorph.finish_sculpt" in drawn(soft_arm)
-    assert not list(part("checks").notes(soft_arm))  # no advice to end what the button has begun
+    assert not list(part("checks").notes(soft_arm))  # there is no advice to end what the button has begun
     refused(OPS.new_from_pose, "Press Finish Sculpting first")
     OPS.finish_sculpt()
     assert bpy.context.object == rig and rig.mode == "POSE" and soft_arm.mode == "OBJECT"
@@ -328,7 +333,7 @@ def test_go_to_pose_names_bones_that_stay_elsewhere(soft_arm, capfd):
 
 
 def make_two_arms(scene):
-    """A bar along x of two arms, each two bones of rolls of their own, weighted and keyed alike."""
+    """A bar along x with two arms of two bones each, whose rolls differ; weights and keys are alike."""
     rig = make_rig(scene, "Arms Rig", bones=0)
     activate(rig)
     bpy.ops.object.mode_set(mode="EDIT")
@@ -412,7 +417,7 @@ def test_mirrored_twice_is_the_original(arms):
 
 
 def test_gravity_is_mirrored_with_the_armature(arms):
-    """Where the armature leant when its pose was captured it leans the other way: gravity in its space is mirrored."""
+    """The mirrored armature leans the other way than the one whose pose was captured: its gravity is mirrored."""
     rig_of(arms).rotation_euler = (0.3, 0.5, -0.2)
     bpy.context.view_layer.update()
     OPS.capture_pose()
@@ -474,7 +479,7 @@ def test_moving_targets(scene, soft_arm):
     assert names(soft_arm) == ["Neutral", "flexed", "smile"]
     OPS.move_target(direction="UP")
     assert names(soft_arm) == ["Neutral", "smile", "flexed"] and soft_arm.dynamorph.active_target.name == "smile"
-    assert OPS.move_target(direction="UP") == {"CANCELLED"}  # the neutral target stays the first
+    assert OPS.move_target(direction="UP") == {"CANCELLED"}  # the neutral target stays first
     OPS.move_target(direction="DOWN")
     assert OPS.move_target(direction="DOWN") == {"CANCELLED"}
     assert names(soft_arm) == ["Neutral", "flexed", "smile"] and soft_arm.dynamorph.active_target_index == 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A real body whose arms hang at its sides: the cage joins them to it, and is cut so that it does no longer."""
+"""A real body whose arms hang at its sides: the cage joins them to it, and is cut so that it no longer does."""
 
 import math
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One character moves alike in meters however the scene contains it: units, scales, rotations, parents."""
+"""One character moves alike in meters, whatever units, scales, rotations and parents the scene has."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,7 +15,7 @@ from mathutils import Matrix
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
 SUBSTEPS = 5
-TRAVEL = ((1, 0.0), (12, 0.5), (20, 0.2))  # frame, metres
+TRAVEL = ((1, 0.0), (12, 0.5), (20, 0.2))  # frame, meters
 SAME = 1e-6  # body sizes
 STILL = np.eye(4)
 
@@ -25,7 +25,7 @@ STILL = np.eye(4)
 
 @dataclass
 class Shot:
-    """A baked shot: its model, the object's world transform at its start, and the skin (F, V, 3), all in metres."""
+    """A baked shot: its model, the object's world transform at its start, and the skin (F, V, 3), all in meters."""
 
     model: object
     world: np.ndarray
@@ -108,7 +108,7 @@ def clear():
 
 
 def reframe(placed, frame: Matrix):
-    """Another transform of an object, undone in its data."""
+    """Give an object another transform, and undo it in its data."""
     if placed.type == "MESH":
         placed.data.transform(frame.inverted(), shape_keys=True)
     else:
@@ -134,7 +134,7 @@ def scaled(obj, mesh: float, rig: float):
 
 
 def in_units(obj, metres: float):
-    """In a scene with a unit of this many meters, all numbers scale accordingly."""
+    """Make a unit of the scene this many meters, and scale all numbers accordingly."""
     bpy.context.scene.unit_settings.scale_length = metres
     scaled(obj, metres, metres)
     for placed in (obj, rig_of(obj)):
@@ -150,7 +150,7 @@ def holder(transform: Matrix):
 
 
 def parented(child, parent):
-    """With the inverse matrix, so that the child stays where it is."""
+    """Parent with the inverse matrix, so that the child stays where it is."""
     bpy.context.view_layer.update()
     child.parent = parent
     child.matrix_parent_inverse = parent.matrix_world.inverted()
@@ -167,7 +167,7 @@ def both_on(parent, obj):
 
 
 def placed_by_fbx(obj):
-    """As an import leaves it: y is up and the data in centimeters, undone by a parent."""
+    """Leave the object as an importer does: y is up and the data is in centimeters, which a parent undoes."""
     frame = turned(pi / 2, "X") @ Matrix.Scale(0.01, 4)
     empty = holder(frame)
     for placed in (obj, rig_of(obj)):
@@ -198,7 +198,7 @@ PLACED_WITH_OTHER_AXES = {
 
 @pytest.mark.parametrize("name", PLACED)
 def test_the_same_motion(scene, name):
-    """Built and baked again, including the cage."""
+    """The character is built and baked again, including the cage."""
     expected = original()
     obj = limb(clear())
     PLACED[name](obj)
@@ -256,7 +256,7 @@ def test_the_same_motion_on_a_bone_that_travels(scene):
 
 @pytest.mark.skipif(not real_character.CHARACTER.exists(), reason="needs ../shared/assets")
 def test_the_same_motion_of_a_real_character(scene):
-    """Compared in one cage: so many coordinates, rounded at another scale, may lead to another."""
+    """They are compared in one cage: so many coordinates, rounded at another scale, may lead to another cage."""
     shots = []
     for scale in (1.0, 0.01, 100.0):
         body = real_character.open_character("cmu_131_03_hop")
@@ -268,7 +268,7 @@ def test_the_same_motion_of_a_real_character(scene):
 
 
 def scaled_family(body, size: float):
-    """A rig with its child: the scale is the rig's alone."""
+    """A rig with its child: only the rig is scaled."""
     frame = Matrix.Scale(size, 4)
     reframe(rig_of(body), frame)
     body.data.transform(frame.inverted(), shape_keys=True)
@@ -279,7 +279,7 @@ def scaled_family(body, size: float):
 
 @pytest.mark.parametrize("scale", [0.001, 0.01, 0.3937, 10.0, 100.0])
 def test_the_cage_does_not_depend_on_the_scale(scene, scale):
-    """It is meshed on a grid of its own size: in between lie the digits that single precision cuts at another scale."""
+    """It is meshed on a grid of its own size: other scales differ in the digits that single precision cuts off."""
     expected = original().model
     obj = limb(clear())
     scaled(obj, scale, scale)
@@ -293,14 +293,14 @@ def test_the_cage_does_not_depend_on_the_scale(scene, scale):
 
 @pytest.fixture
 def in_centimetres(scene):
-    """The arm, 200 units long, in a scene whose unit is a centimetre."""
+    """The arm, 200 units long, in a scene whose unit is a centimeter."""
     obj = limb(scene)
     in_units(obj, 0.01)
     bpy.context.view_layer.update()
     return obj
 
 
-def test_sizes_are_told_in_metres(in_centimetres):
+def test_sizes_are_reported_in_meters(in_centimetres):
     extract, scene = part("extract"), bpy.context.scene
     assert extract.warnings(in_centimetres, extract.character(in_centimetres)) == []
     assert part("transfer").size(in_centimetres) == pytest.approx(2.17, abs=0.01)
@@ -310,7 +310,7 @@ def test_sizes_are_told_in_metres(in_centimetres):
     assert "'Arm' is 217 m long and will move like something of that size: check the scale" in warning
 
 
-def test_without_a_unit_system_a_unit_is_a_metre(in_centimetres):
+def test_without_a_unit_system_a_unit_is_a_meter(in_centimetres):
     bpy.context.scene.unit_settings.system = "NONE"
     np.testing.assert_allclose(part("extract").character(in_centimetres).to_bind, np.eye(3))
 
@@ -326,12 +326,12 @@ def test_another_unit_scale_makes_a_model_old(in_centimetres):
     )
 
 
-def test_the_cages_distance_is_in_metres(in_centimetres):
+def test_the_distance_of_the_cage_is_in_meters(in_centimetres):
     in_centimetres.dynamorph.model.cage_thickness = 3.0  # Blender units, as the panel takes it
     assert part("extract").character(in_centimetres).settings.cage_thickness == pytest.approx(0.03)
 
 
-def test_force_fields_are_in_metres(in_centimetres):
+def test_force_fields_are_in_meters(in_centimetres):
     bpy.ops.object.effector_add(type="WIND", location=(300.0, 0.0, 0.0))
     field = bpy.context.object.field
     field.use_max_distance, field.distance_max = True, 250.0

@@ -53,7 +53,7 @@ def test_a_verdict_is_read(addon):
 )
 def test_what_is_no_verdict_is_a_sentence(baked, text):
     baked.dynamorph.bake.verdict = text
-    if text == "\0":  # no text of Blender's
+    if text == "\0":  # not one of Blender's texts
         assert baked.dynamorph.bake.verdict == "" and part("verdict").parsed("\0").text
         return
     assert part("verdict").UNREADABLE in text_of(baked)
@@ -106,7 +106,7 @@ def test_what_the_verdict_says_is_said_once(baked):
     assert "The skin moves by up to" in text_of(baked)
 
 
-def test_a_bake_that_goes_takes_its_verdict_along(baked):
+def test_a_deleted_bake_takes_its_verdict_along(baked):
     assert "The skin moves by up to 9.0%" in text_of(baked)
     OPS.free_bake()
     assert baked.dynamorph.bake.verdict == ""
@@ -183,7 +183,7 @@ def test_rehearse_asks_the_job_for_it(baked, monkeypatch):
 
 
 def test_in_a_window_the_remedy_goes_on_to_a_bake(baked, monkeypatch):
-    """`bpy.ops` cannot be pressed in the background as in a window: what is asked of it is looked at."""
+    """In the background `bpy.ops` cannot be called as in a window, so the test looks at what is asked of it."""
     goes_on = []
     monkeypatch.setattr(part("job_operators"), "press", lambda _operator, name: goes_on.append(name))
     before = baked.dynamorph.model.cage_nodes

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The add-on with the real engine: Blender shows what the engine computed, and models become outdated only for a
+"""The add-on with the real engine: Blender shows what the engine computed, and models become out of date only for a
 reason.
 """
 
@@ -119,8 +119,8 @@ def test_what_needs_one_is_named(small_arm, change, reason):
     assert reason in "; ".join(run(small_arm, goal="BAKE").reasons)
 
 
-def test_a_cage_that_targets_grade_is_made_anew_for_other_targets(small_arm):
-    """Otherwise it would be fine where an old sculpt was."""
+def test_a_cage_that_targets_grade_is_made_again_for_other_targets(small_arm):
+    """Otherwise it would be fine where an earlier sculpt was."""
     batch, model_store, job, extract, build = (
         part("batch"),
         part("model_store"),

@@ -155,10 +155,11 @@ def next_frame():
 def test_live(benchmark, live_body):
     """Our share of a frame that is simulated while it plays, with the rig's sub-frames; `whole` has Blender's too."""
     scene, plays = bpy.context.scene, bpy.app.handlers.frame_change_pre
-    plays.remove(live._frame_changed)
+    follows = live.HANDLERS["frame_change_pre"]
+    plays.remove(follows)
     benchmark.pedantic(lambda: live.follow(live_body, scene), setup=next_frame, rounds=200)
     without = fastest_frames(100)
-    plays.append(live._frame_changed)
+    plays.append(follows)
     scene.frame_set(1)
     assert not live.problem(live_body)
     benchmark.extra_info.update(whole=fastest_frames(100), without=without)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a contributor reads is true: recipes name files that exist, and `make help` lists all targets."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -37,4 +38,35 @@ def test_setup_refuses_a_group_that_it_does_not_have():
     if shutil.which("bash") is None:
         pytest.skip("bash is not installed")
     run = subprocess.run(["bash", ROOT / "tools/setup.sh", "nonsense"], capture_output=True, text=True, check=False)
-    assert run.returncode == 2 and "bench, emulate and farm" in run.stderr
+    assert run.returncode == 2 and "bench, emulate, farm and openjd" in run.stderr
+
+
+PYTHON = """#!/bin/bash
+# In the place of a Python: makes environments that are like itself, installs nothing.
+case "$*" in
+  "-m venv "*) mkdir -p "$3/bin" && cp "$0" "$3/bin/python" ;;
+  *purelib*) dirname "$0" ;;
+esac
+"""
+
+
+@pytest.mark.parametrize("groups, installed", [([], False), (["openjd"], True), (["farm"], True)])
+def test_setup_installs_what_few_need_where_it_is_named(tmp_path, groups, installed):
+    if shutil.which("bash") is None:
+        pytest.skip("bash is not installed")
+    programs = {"packages/dpkg-query": "#!/bin/bash\necho -n installed\n"}
+    for version in ("3.11", "3.13"):
+        programs[f".venv/{version}/bin/python"] = PYTHON
+    for name, text in programs.items():
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o755)
+    shutil.copytree(ROOT / "tools", tmp_path / "tools")
+    search = f"{tmp_path / 'packages'}:{os.environ['PATH']}"
+    subprocess.run(
+        ["bash", tmp_path / "tools/setup.sh", *groups],
+        env=os.environ | {"PATH": search},
+        capture_output=True,
+        check=True,
+    )
+    assert (tmp_path / "build/openjd/requirements.txt").exists() == installed

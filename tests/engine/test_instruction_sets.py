@@ -19,7 +19,7 @@ import test_physics
 
 SETS = ["baseline", "avx2", "avx512"] if platform.machine() in ("x86_64", "AMD64") else ["baseline"]
 ROOT = Path(__file__).parents[2]
-BUILD = Path(dynamorph._core.__file__).resolve().parents[2]  # of CMake
+BUILD = Path(dynamorph._core.__file__).resolve().parents[2]  # of CMake, where the compiled module lies
 TESTS = BUILD / "engine_tests"
 # Source files of the C++ tests that run kernels.
 WITH_KERNELS = "*/elastic/*,*/models/*,*/reduced/*,*/step/*,*/simd/*"

@@ -287,10 +287,20 @@ def test_another_cage_is_tried(monkeypatch, fault):
 
 
 @pytest.mark.parametrize(("code", "name"), [(-11, "SIGSEGV"), (0xC0000005, "0xc0000005"), (0xC00000FD, "0xc00000fd")])
-def test_a_crash_is_known_by_its_exit_code(code, name):
+def test_a_crash_is_known_by_its_exit_code(monkeypatch, children, code, name):
     """Of POSIX and of Windows: another resolution is tried after it."""
-    with pytest.raises(meshing._MesherFailed, match=rf"crashed on this mesh \({name}\)"):
-        meshing._raise_failure(code, "", 1)
+
+    class Crashed(subprocess.Popen):
+        def wait(self, timeout=None):
+            super().wait(timeout)
+            self.returncode = code
+            return code
+
+    monkeypatch.setattr(subprocess, "Popen", Crashed)
+    monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", "crash")
+    with pytest.raises(dynamorph.Error, match=rf"crashed on this mesh \({name}\)"):
+        dynamorph.mesh_body(*box(), 300)
+    assert len(children) == len(meshing.RESOLUTIONS)
 
 
 def test_an_own_cage_takes_the_place_of_the_wrap():

@@ -29,7 +29,9 @@ from editors import (
 )
 
 BRUSH = 40  # pixels, the radius
+ROW = 20  # pixels
 PROBLEM = 107  # pixels: the height of its five lines
+MODE = (-60, -35)  # pixels from the mouse to the drop-down in the dialog that a click opens
 
 
 @step("A problem, with its Fix")
@@ -52,6 +54,9 @@ def problem():
 @step("Build Cage")
 def build_cage():
     yield from sidebar.unfold("dynamorph.build_cage", above="dynamorph.new_from_pose")
+    yield from sidebar.choose_other("model.hold")
+    for name in ("model.cage_object", "dynamorph.soft_group", "dynamorph.stiffness_group"):
+        yield from sidebar.look_into(name)
     yield from sidebar.enter("model.cage_nodes", "800")
     yield from sidebar.press("dynamorph.build_cage")
     yield from job_done()
@@ -98,9 +103,18 @@ def attachments():
     listed = lambda: [piece.object for piece in settings().pieces]  # noqa: E731
     yield from until(lambda: cuff in listed(), "the cuff in the list")
     settings().active_piece_index = listed().index(cuff)
-    yield from driver.keep("attachments", sidebar)
+    left, y, width, height = sidebar.box
+    bottom = (yield from sidebar.top_of("dynamorph.find_pieces")) - ROW
+    yield from driver.keep("attachments", sidebar, (left, bottom, width, y + height - bottom))
+    yield from sidebar.choose_other("pieces[0].choice")
+    yield from sidebar.look_into("pieces[0].object")
     yield from sidebar.press("dynamorph.remove_piece")
     yield from until(lambda: cuff not in listed(), "the cuff to be out of the list")
+    yield from sidebar.press("dynamorph.add_piece")
+    yield from until(lambda: listed() == [None], "an attachment without an object")
+    yield from sidebar.look_into("pieces[0].group")
+    yield from sidebar.press("dynamorph.remove_piece")
+    yield from until(lambda: not listed(), "an empty list")
     yield from sidebar.fold("dynamorph.find_pieces")
     bpy.data.objects.remove(cuff)
 
@@ -113,6 +127,7 @@ def add_a_cuff():
     cuff.shape_key_clear()
     cuff.dynamorph.targets.clear()
     bpy.context.scene.collection.objects.link(cuff)
+    cuff.select_set(False)
     return cuff
 
 
@@ -141,8 +156,10 @@ def suggest_pose():
 
 @step("New from Pose", picture=view)
 def new_from_pose():
-    yield from sidebar.press("dynamorph.new_from_pose")
-    yield from driver.drawn()
+    x, y = yield from sidebar.pop_up("dynamorph.new_from_pose")
+    mode = (x + MODE[0], y + MODE[1])
+    yield from driver.drop_down(mode, "DYNAMORPH_OT_new_from_pose.mode")
+    yield from driver.tap("ESC", mode)
     yield from sidebar.key("RET")
     yield from until(lambda: skin().mode == "SCULPT", "Sculpt Mode")
     assert keys()[-1] == "Pose 1" == skin().active_shape_key.name
@@ -244,4 +261,31 @@ def targets():
     block = skin().data.shape_keys.key_blocks["sideways"]
     block.driver_remove("value")  # Blender goes on evaluating the driver of a key that is removed with it
     skin().shape_key_remove(block)
+    bpy.context.scene.frame_set(1)
+
+
+@step("Add Target, with several keys to choose from")
+def add_target():
+    """Two keys more and a target's many bones, not by hand, so that a menu and a section come."""
+    before = len(settings().targets)
+    for name in ("first", "second"):
+        skin().shape_key_add(name=name, from_mix=False)
+    bpy.context.scene.frame_set((limb.FIRST + limb.FLEXED) // 2)
+    yield from driver.drawn()
+    yield from sidebar.pop_up("dynamorph.add_target")
+    yield from driver.tap("DOWN_ARROW", sidebar.seen("dynamorph.add_target"))
+    yield 0.1
+    yield from driver.tap("RET", sidebar.seen("dynamorph.add_target"))
+    yield from until(lambda: len(settings().targets) == before + 1, "the target")
+    target = settings().active_target
+    assert target.name in ("first", "second")
+    target.set_bones([f"bone {i}" for i in range(12)])
+    yield from driver.drawn()
+    yield from sidebar.unfold("dynamorph.remove_bone", above=f"targets[{before}].region")
+    yield from sidebar.fold("dynamorph.remove_bone")
+    target.set_bones(["forearm"])
+    yield from sidebar.press("dynamorph.remove_target")
+    yield from until(lambda: len(settings().targets) == before, "the target to be removed")
+    for name in ("first", "second"):
+        skin().shape_key_remove(skin().data.shape_keys.key_blocks[name])
     bpy.context.scene.frame_set(1)

@@ -47,6 +47,7 @@ def influence():
 def other_keys():
     """A key a frame, then a budget of keys, show the same motion."""
     whole, output = shown_at(limb.FLEXED + 1), settings().output
+    yield from sidebar.choose_other("output.sink")
     for sink, name, value in (("FRAMES", "output.every", "1"), ("MODES", "output.keys", "8")):
         output.sink = sink
         yield from driver.drawn()
@@ -130,6 +131,8 @@ def at(*fractions: float):
 def cancel_reading():
     yield from sidebar.fold("dynamorph.new_from_pose")  # the section below the list is long
     yield from sidebar.unfold("simulation.substeps", above="output.sink")
+    for name in ("scheme", "begin", "preroll_pose"):
+        yield from sidebar.choose_other(f"simulation.{name}")
     yield from sidebar.enter("simulation.substeps", "20")
     assert settings().simulation.substeps == 20
     bpy.context.scene.frame_end = 2000

@@ -31,10 +31,13 @@ HEADER = 21  # pixels from one closed section's header to the next
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
 END = 500  # no buttons for so many pixels: there are none below
 NEAR = 400  # pixels: no section is higher
+AROUND = 350  # pixels: where of a button that which it opens is looked for
+OPENS = 1500  # pixels that change outside of a button when something opens
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
 
 result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
 actions = 0  # clicks, keys and entries so far, as an artist counts them
+opened: set[str] = set()  # menus and the like, by their names in openings.py
 
 
 def window():
@@ -146,6 +149,32 @@ def pixels(box) -> np.ndarray:
     found = np.array(image.pixels[:], np.float32).reshape(box[3], box[2], 4)[:, :, :3]
     bpy.data.images.remove(image)
     return found
+
+
+def pop_up(position, name: str):
+    """Click what opens something over the window, and wait until it shows. A picture of it is left beside the result.
+
+    name: what it opens, as openings.py names it, which notes by itself that a panel is drawn or that an operator asks.
+    """
+    x, y = map(int, position)
+    left, bottom = max(x - AROUND, 0), max(y - AROUND, 0)
+    box = left, bottom, min(x + AROUND, window().width) - left, min(y + AROUND, window().height) - bottom
+    yield from move(position)
+    yield from drawn()
+    before = pixels(box)
+    yield from click(position)
+    yield from drawn()
+    changed = np.abs(pixels(box) - before).max(axis=-1) > 0.05
+    row = box[3] - (y - bottom)  # from the top
+    changed[row - ROW : row + ROW] = False  # the button itself
+    photograph(f"opened_{name}", box)
+    assert changed.sum() > OPENS, f"{name} did not open: {changed.sum()} pixels changed"
+
+
+def drop_down(position, name: str):
+    """The same for a property's list, of which nobody notes that it is drawn."""
+    yield from pop_up(position, name)
+    opened.add(name)
 
 
 class Region:
@@ -289,6 +318,32 @@ class Region:
         position = yield from self.find(wanted)
         yield from click(position)
 
+    def pop_up(self, operator: str):
+        """Click a button that opens a dialog or a menu; returns where it is."""
+        position = yield from self.find(operator)
+        yield from pop_up(position, operator)
+        assert operator in opened, f"{operator} reported something instead"
+        return position
+
+    def field(self, wanted: str):
+        """(position, owner, name) of a property's button."""
+        position = yield from self.find(wanted)
+        path = next(button for button in self.known if is_button(button, wanted))
+        owner, _, name = path.rpartition(".")
+        return position, eval(owner), name  # a path of Blender's, such as bpy.data.objects["Arm"].dynamorph.model
+
+    def choose_other(self, wanted: str):
+        """Choose another item in a drop-down than it shows, with the arrow keys, and set it back."""
+        position, owner, name = yield from self.field(wanted)
+        yield from choose_other(position, owner, name)
+
+    def look_into(self, wanted: str):
+        """Open the list of what a field takes, and close it."""
+        position, owner, name = yield from self.field(wanted)
+        yield from drop_down(position, f"{owner.bl_rna.identifier}.{name}")
+        yield from tap("ESC", position)
+        yield from drawn()
+
     def pick(self, x: float, condition, what: str):
         """Click the tab, down a column of them at `x` of the window, after which `condition()` is true: one action."""
         global actions
@@ -384,6 +439,23 @@ class Region:
             send("A", "PRESS", position, unicode=letter)
         yield from tap("RET", position)
         yield 0.1
+
+
+def choose_other(position, owner, name: str):
+    """The same for a drop-down at a position, which is of the property `owner`.`name`."""
+    before = getattr(owner, name)
+    for arrows in (1, 2):  # the first may be the one that it shows
+        yield from drop_down(position, f"{owner.bl_rna.identifier}.{name}")
+        for _ in range(arrows):
+            yield from tap("DOWN_ARROW", position)
+            yield 0.1
+        yield from tap("RET", position)
+        yield 0.1
+        if getattr(owner, name) != before:
+            setattr(owner, name, before)
+            yield from drawn()
+            return
+    raise AssertionError(f"the arrow keys choose no other {name} than {before}")
 
 
 def is_button(button: str, wanted: str) -> bool:

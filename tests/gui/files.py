@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials from the pop-up; the setup saved as a file, and loaded from it."""
+"""Materials from the pop-up; the bake as a file of another format; the setup saved as a file, and loaded from it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ import struct
 
 import bpy
 import driver
+import frames
 from driver import WORK, Region, measure, step, until
-from editors import addon, baked, select_target, settings, sidebar, viewport
+from editors import addon, baked, select_target, settings, sidebar, skin, viewport
 
 browser = Region("FILE_BROWSER", "WINDOW")
+options = Region("FILE_BROWSER", "TOOL_PROPS")
 SETUP, GLB = WORK / "arm.json", WORK / "arm.glb"
 EXPORT = 38  # pixels: the middle of its menu, from the top of the button above
+OPTIONS = {"format": 15, "clips": 41}  # pixels: the middles of the export's drop-downs, from the top of their region
 
 
 @step("A measured material")
@@ -21,14 +24,8 @@ def material():
     yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
     yield from select_target(1)
     yield from driver.drawn()  # its properties have come
-    x, _, width, _ = sidebar.box
-    _, row = yield from sidebar.find("dynamorph.fit_material")
-    button = (x + width * 0.3, row)
-    yield from driver.click(button)
-    for _ in range(2):  # the second of the list
-        yield from driver.tap("DOWN_ARROW", button)
-        yield 0.1
-    yield from driver.drawn()
+    button = yield from open_materials()
+    yield from arrows(button, "DOWN_ARROW", 2)  # the second of the list
     yield from driver.tap("RET", button)
     _, second, *_ = addon("core.material_presets").PRESETS.values()
     yield from until(lambda: settings().active_target.stiffness == second.material.stiffness, "the material")
@@ -36,10 +33,26 @@ def material():
     yield from driver.rest()
 
 
+def open_materials():
+    """The pop-up, whose button has no name that could be looked for; returns where that is."""
+    x, _, width, _ = sidebar.box
+    _, row = yield from sidebar.find("dynamorph.fit_material")
+    button = (x + width * 0.3, row)
+    yield from driver.pop_up(button, "DYNAMORPH_PT_material_presets")
+    return button
+
+
+def arrows(position, key: str, count: int):
+    for _ in range(count):
+        yield from driver.tap(key, position)
+        yield 0.1
+    yield from driver.drawn()
+
+
 @step("Export the bake as glTF")
 def export():
     GLB.unlink(missing_ok=True)
-    yield from choose_file(export_menu(), GLB)
+    yield from choose_file(export_menu(), "dynamorph.export", GLB, choose_options())
     yield from until(GLB.exists, "the file")
     data = GLB.read_bytes()
     (length,) = struct.unpack_from("<I", data, 12)  # of the JSON in it, after two headers
@@ -50,14 +63,35 @@ def export():
     yield from driver.tap("ESC", viewport.middle)  # close what the export says, which lies over the sidebar
 
 
-def export_menu():
-    """Choose glTF by its letter in the menu below Delete Bake, which has no name that could be looked for."""
+def export_menu(operator="dynamorph.export", across=0.45):
+    """Choose glTF by its letter in a menu below Delete Bake, which has no name that could be looked for."""
     top = yield from sidebar.top_of("dynamorph.free_bake")
-    x, _ = sidebar.seen("dynamorph.free_bake")
-    menu = (x, top - EXPORT)
-    yield from driver.click(menu)
-    yield 0.2
+    x, _, width, _ = sidebar.box
+    menu = (x + width * across, top - EXPORT)
+    yield from driver.drop_down(menu, f"{operator}.format")
     yield from driver.tap("G", menu)
+
+
+def choose_options():
+    """Each drop-down of the export, in the file browser; they have no names either."""
+    x, y, width, height = options.box
+    for name, below in OPTIONS.items():
+        asked = browser.area.spaces.active.active_operator.properties
+        yield from driver.choose_other((x + width * 0.75, y + height - below), asked, name)
+
+
+@step("Export Check")
+def export_check():
+    loses = skin().modifiers.new("Smooth", "SMOOTH")  # not by hand
+    yield from driver.drawn()
+    with frames.timed(addon("ui.export_operators"), "draw_losses") as drawn:
+        yield from export_menu("dynamorph.export_check", 0.83)
+        yield from until(lambda: drawn, "what the format leaves out")
+    driver.opened.add("dynamorph.export_check")
+    yield from driver.drawn()
+    driver.photograph("opened_dynamorph.export_check")
+    yield from driver.tap("ESC", sidebar.middle)
+    skin().modifiers.remove(loses)
 
 
 @step("Save Setup")
@@ -67,7 +101,7 @@ def save_setup():
     yield from sidebar.fold("dynamorph.new_from_pose")
     yield from sidebar.unfold_last("dynamorph.save_setup", below="dynamorph.bake_all")
     SETUP.unlink(missing_ok=True)
-    yield from choose_file(sidebar.press("dynamorph.save_setup"), SETUP)
+    yield from choose_file(sidebar.press("dynamorph.save_setup"), "dynamorph.save_setup", SETUP)
     yield from until(SETUP.exists, "the file")
     assert len(json.loads(SETUP.read_text())["targets"]) == len(settings().targets)
 
@@ -77,18 +111,21 @@ def load_setup():
     target = settings().targets[1]
     stiffness = target.stiffness
     target.stiffness = 4 * stiffness
-    yield from choose_file(sidebar.press("dynamorph.load_setup"), SETUP)
+    yield from choose_file(sidebar.press("dynamorph.load_setup"), "dynamorph.load_setup", SETUP)
     yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup of the file")
     yield from sidebar.fold("dynamorph.save_setup")
     yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
 
 
-def choose_file(opening, path):
-    """Open the file browser by a generator, and choose a file in it."""
+def choose_file(opening, operator: str, path, within=()):
+    """Open the file browser of an operator by a generator, and choose a file in it; within: what to do there first."""
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"  # nobody is here to manage another window
     yield from opening
     opened = lambda: any(area.type == "FILE_BROWSER" for area in driver.window().screen.areas)  # noqa: E731
     yield from until(lambda: opened() and browser.area.spaces.active.params, "the file browser")
+    yield from driver.drawn()
+    driver.photograph(f"opened_{operator}")
+    yield from within
     chosen = browser.area.spaces.active.params
     chosen.directory = str(path.parent).encode()
     chosen.filename = path.name

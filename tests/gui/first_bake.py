@@ -10,6 +10,7 @@ import bpy
 import driver
 import frames
 import limb
+import openings
 from driver import WORK, measure, step, until
 from editors import (
     ADDON,
@@ -74,6 +75,7 @@ def install():
     yield from viewport.key("RET")
     yield from until(lambda: ADDON in bpy.context.preferences.addons, "the extension to be installed and enabled", 60)
     measure("Installed", f"{time.monotonic() - start:.0f} s")
+    openings.watch()
 
 
 @step("Select the mesh")

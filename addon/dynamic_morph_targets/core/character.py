@@ -8,7 +8,7 @@ scale applied, so its lengths are meters, *world* is Blender's world space in me
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -17,6 +17,8 @@ import numpy as np
 
 from .geometry import inverse
 from .settings import Material, ModelSettings
+
+REGION = "Dynamorph Region "  # how the names of automatic regions' vertex groups begin
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,21 @@ class TargetSet:
     name: str
     targets: tuple[Target, ...]
     region_weights: np.ndarray
+
+
+def region_label(group: str) -> str:
+    """What an artist calls the region of a vertex group."""
+    return f"Region {group.removeprefix(REGION)}"
+
+
+def target_labels(target_sets: Sequence[TargetSet]) -> list[str]:
+    """What an artist calls the targets of all sets (J,): by name, and each region's neutral target with its region."""
+    body, *regions = target_sets
+    labels = [target.name for target in body.targets]
+    for region in regions:
+        neutral = f"{body.targets[0].name} ({region_label(region.name)})"
+        labels += [neutral, *(target.name for target in region.targets[1:])]
+    return labels
 
 
 class OwnCage(NamedTuple):

@@ -25,13 +25,13 @@ def cycle(player: Player, rig: RigSamples) -> tuple[list[Frame], float]:
 
     Passes over its range are repeated until one ends as it began: in position and, by the frame after, in velocity.
     """
-    loop = _Loop(player, rig)
-    if not _accelerate(loop) and player.pose_gap(rig) <= SAME_POSE * player.size:  # otherwise it cannot close
-        _newton(loop)
+    loop = Loop(player, rig)
+    if not repeat_accelerated(loop) and player.pose_gap(rig) <= SAME_POSE * player.size:  # otherwise it cannot close
+        solve_by_newton(loop)
     return loop.frames, loop.gap
 
 
-class _Loop:
+class Loop:
     """One pass over the range of a loop, as a map from its start to its end: coordinates (4, dofs) then and at the last
     three steps before. The result of the pass that closed best is kept: frames and gap, as for `cycle`.
     """
@@ -73,8 +73,10 @@ class _Loop:
         return ended
 
 
-def _accelerate(loop: _Loop) -> bool:
-    """Anderson's acceleration of repeated passes: the next one begins where the last ones, combined by weights that sum
+def repeat_accelerated(loop: Loop) -> bool:
+    """Call `loop` until it ends as it began; False when that takes too many passes, or comes to no numbers.
+
+    Anderson's acceleration of repeated passes: the next one begins where the last ones, combined by weights that sum
     to one, would have ended as they began, in the least squares sense.
 
     For a linear law that is exact once there are as many passes as directions of error (Walker and Ni 2011, Anderson
@@ -98,8 +100,10 @@ def _accelerate(loop: _Loop) -> bool:
     return False
 
 
-def _newton(loop: _Loop) -> None:
-    """Newton's method for the fixed point of a pass. Its tangent is only ever multiplied, by a pass with a slightly
+def solve_by_newton(loop: Loop) -> None:
+    """Call `loop` until it ends as it began, or until that is given up.
+
+    Newton's method for the fixed point of a pass. Its tangent is only ever multiplied, by a pass with a slightly
     different start (Knoll and Keyes 2004, Jacobian-free Newton-Krylov methods).
 
     Tissue so soft that one pass does not predict the next closes by it. Plain passes precede it, and replace steps that
@@ -126,7 +130,7 @@ def _newton(loop: _Loop) -> None:
             return
 
 
-def _newton_step(loop: _Loop, began: np.ndarray, ended: np.ndarray) -> np.ndarray:
+def _newton_step(loop: Loop, began: np.ndarray, ended: np.ndarray) -> np.ndarray:
     """What to add to `began`, by GMRES (Saad and Schultz 1986): the least squares solution, to a tenth, in the space
     that passes from nearby span.
     """

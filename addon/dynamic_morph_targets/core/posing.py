@@ -12,7 +12,7 @@ from typing import Protocol
 import dynamorph
 import numpy as np
 
-from .character import Character, Skeleton, Target, TargetSet
+from .character import Character, Skeleton, Target, TargetSet, target_labels
 from .errors import SceneError
 from .geometry import determinant, inverse
 from .model import Model
@@ -44,7 +44,7 @@ def placing_bones(character: WithTargets) -> list[int]:
 def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
     """Raises dynamorph.Error, naming both, when two targets have the same pose; SceneError on a missing bone."""
     names = character.skeleton.names
-    sets = []
+    sets, labels = [], iter(target_labels(character.target_sets))
     for target_set in character.target_sets:
         named = sorted({bone for target in target_set.targets for bone in target.bones})
         missing = [bone for bone in named if bone not in names]
@@ -53,7 +53,7 @@ def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
         sets.append(
             dynamorph.TargetSet(
                 [names.index(bone) for bone in named],
-                [target.name for target in target_set.targets],
+                [next(labels) for _ in target_set.targets],
                 [target.local for target in target_set.targets],
                 radii=[target.radius for target in target_set.targets],
             )

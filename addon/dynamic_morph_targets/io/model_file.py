@@ -104,10 +104,8 @@ def content_id(packed: bytes) -> str:
     return hashlib.sha256(packed).hexdigest()[:32]
 
 
-def _header_bytes(
-    tensors: Mapping[str, object], meta_text: str, hashes_text: str, version: str = str(VERSION)
-) -> bytes:
-    metadata = {"format": FORMAT, "version": version, "meta": meta_text, "hashes": hashes_text, "header_hash": ""}
+def _header_bytes(tensors: Mapping[str, object], meta_text: str, hashes_text: str) -> bytes:
+    metadata = {"format": FORMAT, "version": str(VERSION), "meta": meta_text, "hashes": hashes_text, "header_hash": ""}
     header = {**tensors, "__metadata__": metadata}
     metadata["header_hash"] = hashlib.sha256(json.dumps(header).encode()).hexdigest()
     text = json.dumps(header).encode()

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from ..core import baked, calibration, records
+from ..core import baked, calibration, logger, records
 from ..core.errors import SceneError
 from ..io import model_file
 from ..scene import skin, staleness, target_properties
 from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
 from ..write import comparison, live_key
 from ..write.bake import NewBake, check, check_free, check_local, check_not_edited, free
+from ..write.before import Before
 from ..write.storage import fit_modes, keep_model, model_path
 from .bake_input import Request, handles
 from .job_data import BakeInput, Outcome, Progress
@@ -37,12 +38,16 @@ def write_all(writers: Sequence[Writer]) -> None:
         for writer in writers:
             writer.save_model(undo)
         for writer in writers:
+            writer.keep(undo)
+        for writer in writers:
             writer.add_keys(undo)
         for writer in writers:
             writer.show_keys()
         for writer in writers:
             writer.store()
         undo.pop_all()
+    for writer in writers:
+        writer.remove_old()
 
 
 def target(request: Request, given: BakeInput) -> bpy.types.Object:
@@ -59,8 +64,8 @@ def target(request: Request, given: BakeInput) -> bpy.types.Object:
 class Writer:
     """Writes what one job came to, in steps of which each is done for all jobs before the next one.
 
-    What can fail comes first. What was there before is replaced by the last two, which can hardly fail: if one of them
-    does, the new bakes are removed, but the old ones are gone too.
+    What can be refused comes first. What was there before stays until all new bakes play, and is removed last: whatever
+    fails until then, it plays again.
     """
 
     def __init__(self, request: Request, given: BakeInput, outcome: Outcome, progress: Progress):
@@ -80,8 +85,8 @@ class Writer:
                 check(piece, needs_keys=False)
             for piece in skin.followers(obj):
                 check_not_edited(piece)
-                if piece not in pieces:
-                    check_free(piece)
+            for piece in self._left_behind():
+                check_free(piece)
         self._packed = self.outcome.packed
         moves = self.request.folder not in (None, blend_folder())
         if self._packed is None and not self.given.only_cage and PACKED not in obj and moves:
@@ -98,6 +103,13 @@ class Writer:
         with self.progress.stage("store model"):
             model_file.save(self._file, self._packed)
 
+    def keep(self, undo: ExitStack) -> None:
+        """Remember what the next steps change."""
+        obj = self.request.target.find()
+        others = (*self._pieces(), *skin.followers(obj)) if self.given.is_bake else ()
+        for each in dict.fromkeys((obj, *others)):
+            undo.callback(Before(each).restore)
+
     def add_keys(self, undo: ExitStack) -> None:
         """Write the bakes of all meshes beside the existing ones. Raises SinkError."""
         if not self.given.is_bake:
@@ -107,23 +119,36 @@ class Writer:
             for each, (keys, cache) in zip((obj, *self._pieces()), self.outcome.written, strict=True):
                 new = NewBake(each, keys, None if each == obj else obj, cache)
                 undo.callback(new.take_back)
+                new.add()
                 self._new.append(new)
                 self.outcome.size += new.size + (cache.stat().st_size if cache else 0)
 
     def show_keys(self) -> None:
-        """Make the new bakes replace the old ones and Live."""
+        """Make the new bakes play in the place of the old ones and of Live."""
         if not self.given.is_bake:
             return
-        obj, pieces = self.request.target.find(), self._pieces()
+        obj = self.request.target.find()
         with self.progress.stage("write keys"), self.request.scene.as_context():
             if comparison.is_plain(obj):
                 comparison.show(obj, False)
-            live_key.remove(obj)
-            for piece in skin.followers(obj):
-                if piece not in pieces:
-                    free(piece)
+            live_key.hide(obj, True)
+            for piece in self._left_behind():
+                comparison.show(piece, True)
             for new in self._new:
-                new.replace()
+                new.show()
+
+    def remove_old(self) -> None:
+        """Remove what no longer plays. What fails here is logged: the new bakes play, so the job has succeeded."""
+        if not self.given.is_bake:
+            return
+        obj = self.request.target.find()
+        left = [(free, piece) for piece in self._left_behind()]
+        with self.request.scene.as_context():
+            for remove, *what in ((live_key.remove_hidden, obj), *left, *((new.remove_old,) for new in self._new)):
+                try:
+                    remove(*what)
+                except Exception as bug:
+                    logger.log_bug(bug)
 
     def store(self) -> None:
         """Store the model and the findings with the object."""
@@ -142,6 +167,11 @@ class Writer:
 
     def _pieces(self) -> list[bpy.types.Object]:
         return [handle.find() for handle in handles(self.given.followers)]
+
+    def _left_behind(self) -> list[bpy.types.Object]:
+        """The meshes that follow the old bake or Live, but not the new bake."""
+        pieces = self._pieces()
+        return [each for each in skin.followers(self.request.target.find()) if each not in pieces]
 
     def _store_model(self, obj: bpy.types.Object) -> None:
         given, model = self.given, self.outcome.model

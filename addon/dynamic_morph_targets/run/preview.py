@@ -40,6 +40,7 @@ class Preview:
         if not self._was_live:
             self.tissue.add_keys(obj)
         live.lent.add(self.object.session_uid)
+        obj.dynamorph.live.lent, obj.dynamorph.live.was_on = True, self._was_live
 
     def show(self, values: np.ndarray, transform: Matrix | None = None) -> None:
         """values: see Tissue.values. transform: in world space, of the rig. Raises SceneError when the key is gone."""
@@ -58,11 +59,27 @@ class Preview:
             mover.restore()
         with suppress(SceneError, SinkError):  # it was deleted; or is edited now, and then stays live
             obj = self.object.find()
+            obj.dynamorph.live.lent = obj.dynamorph.live.was_on = False
             if self._was_live:
                 live.refresh(obj)
             else:
                 live_key.remove(obj)
                 muting.show_target(obj, self._sculpt)
+
+
+def end_recovered() -> None:
+    """Put back what a preview showed when the loaded file was saved by Blender itself (autosave, quit.blend), which
+    calls no handler that would have ended it.
+    """
+    for obj in [obj for obj in bpy.data.objects if obj.library is None]:
+        record = obj.dynamorph.live
+        if record.moved:
+            _move_back(obj)
+        if record.lent:
+            was_on, record.lent, record.was_on = record.was_on, False, False
+            if not was_on:
+                with suppress(SinkError):  # in Edit Mode it stays live
+                    live_key.remove(obj)
 
 
 class _Mover:
@@ -71,6 +88,8 @@ class _Mover:
     def __init__(self, obj: bpy.types.Object):
         self.object = skin.ObjectHandle.of(obj)
         self.before = [getattr(obj, name).copy() for name in DELTAS]
+        obj.dynamorph.live.deltas = [number for delta in self.before for number in delta]
+        obj.dynamorph.live.moved = True
         self.basis = obj.matrix_basis.copy()  # with the deltas
         self.parent = obj.matrix_world @ self.basis.inverted()
 
@@ -89,9 +108,16 @@ class _Mover:
 
     def restore(self) -> None:
         with suppress(SceneError):  # it was deleted
-            obj = self.object.find()
-            for name, value in zip(DELTAS, self.before, strict=True):
-                setattr(obj, name, value)
+            _move_back(self.object.find())
+
+
+def _move_back(obj: bpy.types.Object) -> None:
+    """To where it stood before a `_Mover` moved it."""
+    numbers = iter(obj.dynamorph.live.deltas)
+    for name in DELTAS:
+        setattr(obj, name, [next(numbers) for _ in getattr(obj, name)])
+    obj.dynamorph.live.moved = False
+    obj.dynamorph.live.property_unset("deltas")
 
 
 def _matrix(euler: Euler, order: str) -> Matrix:

@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import bpy
@@ -21,12 +20,11 @@ from ..core.settings import Material, SimulationSettings
 from ..scene import extract, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
 from ..write import live_key
 from ..write.reconcile import reconcile
+from .live_surface import Move, Surface, by_modes, by_nodes
 
 if TYPE_CHECKING:  # it needs the engine
     from ..core.player import Frame, State
 
-# What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
-Move = Callable[[np.ndarray], np.ndarray]
 # Frames whose rig is read at once; the setup costs as much as five frames, and more frames would be noticed as a
 # stutter.
 BLOCK = 16
@@ -71,15 +69,18 @@ class Tissue:
         """
         model = self.model
         if not len(model.tets):  # static morph targets
-            return partial(_blended, shapes=np.zeros((0, 3 * count), np.float32))
+            return by_modes(np.zeros((0, count, 3)))
         from_bind = np.linalg.inv(model.to_bind)
         turn = from_bind if from_body is None else from_body @ from_bind
         if model.settings.solver == "FULL":
-            return partial(_carried, free=model.free, nodes=nodes, weights=weights.astype(np.float32), turn=turn)
+            return by_nodes(model.free, nodes, weights, turn)
+        return by_modes(np.einsum("va,rvac->rvc", weights, self._node_modes[:, nodes]) @ turn.T)
+
+    @cached_property
+    def _node_modes(self) -> np.ndarray:
+        """The modes of the nodes (r, n, 3), bind space."""
         _, simulate = engine.engine()
-        modes = simulate.node_modes(model, model.basis.T)
-        shapes = np.einsum("va,rvac->rvc", weights, modes[:, nodes]) @ turn.T
-        return partial(_blended, shapes=shapes.reshape(len(shapes), -1).astype(np.float32))
+        return simulate.node_modes(self.model, self.model.basis.T)
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:
@@ -119,53 +120,6 @@ class Tissue:
     def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:
         """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""
         return surface.move(values[: self.dofs] - self.player.static(values[self.dofs :])).reshape(-1, 3)
-
-
-class Surface:
-    """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
-
-    vertices (V, 3), residual_shapes (J, V, 3): local space. move: see Move. written (3 V,): the points of the key.
-    """
-
-    def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, move: Move, residual_shapes: np.ndarray):
-        self.object = handle
-        self.move = move
-        self.written: np.ndarray | None = None
-        self._rest = vertices.astype(np.float32).ravel()
-        self._residual_shapes = residual_shapes.reshape(len(residual_shapes), -1).astype(np.float32)
-
-    def points(self, values: np.ndarray) -> np.ndarray:
-        """Points (3 V,), float32, local space."""
-        coordinates, weights = np.split(values, [len(values) - len(self._residual_shapes)])
-        return self._rest + self.move(coordinates) + _blended(weights, self._residual_shapes)
-
-    def show(self, values: np.ndarray) -> bool:
-        """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
-        block = live_key.find(self.object.find(), self.written)
-        if block is None or 3 * len(block.points) != len(self._rest):
-            return False
-        self.written = self.points(values)
-        live_key.write(block, self.written)
-        return True
-
-
-def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """(k,) times (k, 3 V), float32. Not with @, which wakes threads: if they must wait, it takes a hundred times as
-    long.
-    """
-    return np.einsum("k,kv->v", values.astype(np.float32), shapes)
-
-
-def _carried(
-    coordinates: np.ndarray, free: np.ndarray, nodes: np.ndarray, weights: np.ndarray, turn: np.ndarray
-) -> np.ndarray:
-    """The displacement (3 V,), float32, of points by a cage whose `free` nodes (n,) have moved by coordinates.
-
-    nodes, weights (V, 4): which carry each point; turn (3, 3): from bind space to that of the points.
-    """
-    moved = np.zeros((len(free), 3), np.float32)
-    moved[free] = np.einsum("nc,dc->nd", coordinates.reshape(-1, 3), turn)
-    return np.einsum("va,vac->vc", weights, moved[nodes]).ravel()
 
 
 class Rig:

@@ -12,6 +12,7 @@ from bpy.props import (
     CollectionProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -29,6 +30,13 @@ class DynamorphLive(PropertyGroup):
 
     key: PointerProperty(name="Key", description="The shape key that Live rewrites", type=DynamorphKey)
     muted: CollectionProperty(name="Muted", description="Target keys that Live muted", type=DynamorphKey)
+    lent: BoolProperty(
+        name="In Preview",
+        description="Whether a preview shows something else for a while",
+    )
+    was_on: BoolProperty(name="Was Live", description="Whether Live was on before the preview")
+    moved: BoolProperty(name="Moved", description="Whether a preview moves this object by its delta transform")
+    deltas: FloatVectorProperty(name="Deltas", description="The delta transform of this object before that", size=10)
     slot: EnumProperty(
         name="Slot", description="Which of two sets of settings is in use",
         items=(("A", "A", "The first set of settings", 0), ("B", "B", "The second set of settings", 1)), default="A",

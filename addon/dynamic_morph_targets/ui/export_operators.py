@@ -22,7 +22,7 @@ from . import widgets
 from .base import SoftSkinOperator, listed, report_errors
 from .job_operators import JobOperator
 
-LINE = 60  # characters per line in the file browser's sidebar
+LINE = 60  # characters per line of a pop-up
 FORMATS = [
     (key, each.label, each.description, number)
     for number, (key, each) in enumerate(exports.FORMATS.items())
@@ -31,9 +31,9 @@ FORMATS = [
 SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
 
 
-def draw_losses(layout, lost):
+def draw_losses(layout, lost, width=LINE):
     for text in lost:
-        widgets.draw_message(layout, text, width=LINE)
+        widgets.draw_message(layout, text, width=width)
 
 
 class BakedOperator(SoftSkinOperator):
@@ -122,7 +122,8 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         layout.prop(self, "format")
         if exports.FORMATS[self.format].skins:
             layout.prop(self, "clips")
-        draw_losses(layout, _shown_losses(skin.mesh_in(context).session_uid, self.format, self.chosen_clips))
+        lost = _shown_losses(skin.mesh_in(context).session_uid, self.format, self.chosen_clips)
+        draw_losses(layout, lost, widgets.LINE)  # beside the files there is as little room as in the sidebar
 
     def check(self, _context):
         """The file name follows the format."""

@@ -18,9 +18,10 @@ from bpy.types import Operator
 from mathutils import Matrix
 
 from ..core import records
+from ..core.character import target_labels
 from ..core.errors import SceneError, SinkError
 from ..run import live, preview
-from ..run.preview import SECONDS, SWING, Preview, end_preview, is_running, movers, shaken
+from ..run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ..scene import events, model_store, rig_motion, skin
 from ..scene.registration import of_classes
 from ..write import comparison
@@ -300,7 +301,9 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         model, character = model_store.current_model(obj)
         from ..core import compare  # needs the engine, which is there now
 
-        lines = [f"{name}: {1000 * miss:.3f} mm" for name, miss in compare.residuals(model, character).items()]
+        misses = compare.residuals(model, character)
+        labels = zip(target_labels(character.target_sets), character.targets, strict=True)
+        lines = [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
         obj.dynamorph.live.checks = "\n".join(lines)
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 
@@ -346,7 +349,19 @@ def _before_save(*_args):
                 comparison.show(obj, False)
 
 
-HANDLERS = dict.fromkeys(("undo_pre", "redo_pre", "load_pre"), _before_change) | {"save_pre": _before_save}
+@persistent
+def _loaded(*_args):
+    """load_post, before Live's own."""
+    end_recovered()
+
+
+HANDLERS = {
+    "undo_pre": _before_change,
+    "redo_pre": _before_change,
+    "load_pre": _before_change,
+    "load_post": _loaded,
+    "save_pre": _before_save,
+}
 CLASSES = (
     DYNAMORPH_OT_live,
     DYNAMORPH_OT_first_look,

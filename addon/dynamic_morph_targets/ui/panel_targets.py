@@ -8,6 +8,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Menu, UIList
 
 from ..core import engine, errors
+from ..core.character import region_label
 from ..run import batch, weight_curves
 from ..scene import checks
 from .widgets import draw_message
@@ -179,7 +180,8 @@ def draw_bars(layout, context, obj):
     for s, targets in shown:
         column = layout.column(align=True)
         if len(shown) > 1:
-            column.label(text=now.sets[s].name, icon="GROUP_VERTEX", translate=False)
+            name = now.sets[s].name
+            column.label(text=region_label(name) if s else name, icon="GROUP_VERTEX", translate=False)
         for target, weight in zip(now.sets[s].targets, now.weights[0, targets.start : targets.stop], strict=True):
             column.progress(factor=weight, text=f"{target.name}  {weight:.2f}")
         if now.outside[0, s]:

@@ -7,6 +7,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
+from ..core.character import region_label
 from ..run import weight_curves
 from ..scene import events, skin
 from ..scene.registration import of_classes
@@ -54,6 +55,7 @@ class DYNAMORPH_OT_suggest_pose(SoftSkinOperator, Operator):
         scene.frame_set(scene.frame_start + pose)
         text = rpt_("Frame {frame}: {away:.0f} degrees from any target of {name}. New from Pose adds one here")
         away, name = np.degrees(found.nearest[pose, s]), found.sets[s].name
+        name = region_label(name) if s else name
         self.report({"INFO"}, text.format(frame=scene.frame_current, away=away, name=name))
 
 

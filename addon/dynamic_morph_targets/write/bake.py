@@ -10,7 +10,7 @@ there may be a point cache: a Mesh Cache modifier before all others, whose influ
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import bpy
@@ -25,6 +25,7 @@ from ..scene.references import basis_hash, key_points, key_reach
 from ..scene.skin import cache_modifier, followers
 from .bake_influence import MOTION, SHAPES, keep_influence, strip_of
 from .bake_reading import baked_names
+from .before import Before
 from .muting import mute_targets, unmute_targets
 from .reconcile import reconcile
 
@@ -93,22 +94,30 @@ def check_local(*blocks):
 def write_keys(obj, bake: Bake, skin=None, cache: Path | None = None) -> int:
     """Write the bake as shape keys and F-curves, replacing the previous bake of `obj`. Raises SinkError.
 
-    The old bake goes only when the new one is complete; its Influence stays. skin: the soft skin that `obj` follows,
+    The old bake goes only when the new one plays; its Influence stays. skin: the soft skin that `obj` follows,
     if it is none itself; its Basis is made if there is none. cache: a point cache (.pc2, .mdd) that plays the motion,
     if the keys do not. Returns the bytes of keys and curves.
     """
-    new = NewBake(obj, bake, skin, cache)
-    new.replace()
+    with ExitStack() as undo:
+        undo.callback(Before(obj).restore)
+        new = NewBake(obj, bake, skin, cache)
+        undo.callback(new.take_back)
+        new.add()
+        new.show()
+        undo.pop_all()
+    new.remove_old()
     return new.size
 
 
 class NewBake:
-    """A bake of `obj` that stands beside the one that it will `replace`, and that can be taken back; as `write_keys`.
+    """A bake of `obj` that takes the place of another; the arguments are those of `write_keys`.
 
-    Raises SinkError; what fails while it is made leaves no trace.
+    `add` writes it beside the old one, `show` lets it play in the place of the old one, and `remove_old` removes that.
+    Until then `take_back` and `Before.restore` undo everything.
     """
 
     def __init__(self, obj, bake: Bake, skin=None, cache: Path | None = None):
+        """Changes nothing yet. Raises SinkError."""
         check(obj, needs_keys=skin is None)
         reconcile(obj)
         if bake.modes.shape[1] != len(obj.data.vertices):
@@ -116,61 +125,95 @@ class NewBake:
                 f"Mesh '{obj.name}' has {len(obj.data.vertices)} vertices, the bake {bake.modes.shape[1]}: bake again"
             )
         self._obj, self._bake, self._skin, self._cache = obj, bake, skin, cache
+        record, keys = obj.dynamorph.bake, obj.data.shape_keys
         self._followed = obj.dynamorph.follows
-        follow(obj, skin)
-        self._had_keys = obj.dynamorph.had_keys
         self._old = baked_names(obj)  # now: a new key may look like an old one, or take the name of a deleted one
-        record, has_animation_data = obj.dynamorph.bake, obj.data.shape_keys.animation_data is not None
-        self._had_animation_data = record.had_animation_data if record.exists else has_animation_data
+        self._old_cache = ""  # name of the old bake's modifier, if the new one does not use it
+        self._old_action, self._old_index = record.action, record.active_index
+        self._had_animation_data = record.had_animation_data if record.exists else bool(keys and keys.animation_data)
+        self._had_tracks = len(keys.animation_data.nla_tracks) if keys and keys.animation_data else 0
+        self._had_names = keys.key_blocks.keys() if keys else ["Basis"]
+        self._active_index = obj.active_shape_key_index
         self._keys: list[Key] = []
         self._names: list[str] = []  # temporary, because the old bake may still use the final names
         self._action = None
-        self._is_shown = False
-        active_index = obj.active_shape_key_index
-        try:
-            self._keys = scaled_keys(bake, key_points(obj.data.shape_keys.reference_key))
-            for key in self._keys:
-                self._names.append(_add_key(obj, key).name)
-            self._action = bpy.data.actions.new(f"{MOTION} {obj.name}")
-            _add_curves(obj.data.shape_keys, self._action, self._names, bake.frames, self._keys)
-        except BaseException:
-            obj.active_shape_key_index = active_index
-            self.take_back()
-            raise
-        obj.active_shape_key_index = active_index
 
     @property
     def size(self) -> int:
         """Bytes of keys and curves."""
         return sum(key.bytes() for key in self._keys)
 
-    def take_back(self):
-        """Remove it: what it stands beside stays, what it has replaced is gone."""
+    def add(self):
+        """Write its keys and curves beside those of the old one."""
         obj = self._obj
-        if self._is_shown:
-            free(obj)
+        follow(obj, self._skin)
+        self._keys = scaled_keys(self._bake, key_points(obj.data.shape_keys.reference_key))
+        for key in self._keys:
+            self._names.append(_add_key(obj, key).name)
+        self._action = bpy.data.actions.new(f"{MOTION} {obj.name}")
+        _add_curves(obj.data.shape_keys, self._action, self._names, self._bake.frames, self._keys)
+        obj.active_shape_key_index = self._active_index
+
+    def take_back(self):
+        """Remove what `add` has written, however far it came."""
+        obj, keys = self._obj, self._obj.data.shape_keys
+        if keys is None:
             return
-        active = obj.active_shape_key.name if obj.active_shape_key else ""
-        keys = obj.data.shape_keys
-        _remove(obj, [keys.key_blocks[name] for name in self._names], self._action)
-        obj.active_shape_key_index = max(keys.key_blocks.find(active), 0)
+        tracks = keys.animation_data.nla_tracks if keys.animation_data else []
+        for track in list(tracks)[self._had_tracks :]:
+            tracks.remove(track)
+        for name in set(keys.key_blocks.keys()) - set(self._had_names):
+            obj.shape_key_remove(keys.key_blocks[name])
+        if self._action:
+            bpy.data.actions.remove(self._action)
+        obj.active_shape_key_index = self._active_index
         _clear_unused(keys, self._had_animation_data)
         if self._followed is None:
             leave(obj)
-        else:
-            obj.dynamorph.follows = self._followed
 
-    def replace(self):
-        """Let it be the bake of its object, in the place of the old one."""
-        obj, skin, record = self._obj, self._skin, self._obj.dynamorph.bake
-        obj.dynamorph.follows, obj.dynamorph.had_keys = skin, self._had_keys  # removing Live may have ended that
+    def show(self):
+        """Let it be the bake of its object. The old one stays, muted, and nothing refers to it any more."""
+        obj, record, modifier = self._obj, self._obj.dynamorph.bake, cache_modifier(self._obj)
         keep_influence(strip_of(obj.data.shape_keys, record.action), strip_of(obj.data.shape_keys, self._action))
-        _free(obj, self._old, keep_cache=self._cache is not None)
-        _record(obj, self._names, [key.name for key in self._keys], self._action, self._had_animation_data)
-        self._is_shown = True
+        for name in self._old:
+            obj.data.shape_keys.key_blocks[name].mute = True
+        unmute_targets(obj, record.muted)
+        if modifier and not self._cache:
+            modifier.show_viewport = modifier.show_render = False
+            self._old_cache, record.cache = modifier.name, ""
+        self._record()
         if self._cache:
-            _play_cache(obj, self._cache, self._bake, skin)
-        mute_targets(obj, record.muted, self._bake.target_names, skin)
+            _play_cache(obj, self._cache, self._bake, self._skin)
+        mute_targets(obj, record.muted, self._bake.target_names, self._skin)
+
+    def _record(self):
+        record, blocks = self._obj.dynamorph.bake, self._obj.data.shape_keys.key_blocks
+        record.keys.clear()
+        for name in self._names:
+            index = blocks.find(name)
+            key = record.keys.add()
+            key.refer_to(blocks, index)
+            key.reach = key_reach(blocks[index])
+        record.basis = basis_hash(blocks)
+        record.action = self._action
+        record.had_animation_data = self._had_animation_data
+        record.active_index = self._obj.active_shape_key_index
+        record.summary = record.warnings = record.verdict = ""
+        record.off_final = -1.0
+
+    def remove_old(self):
+        """Remove the bake that it has replaced, and take its names."""
+        obj, record = self._obj, self._obj.dynamorph.bake
+        if self._old_cache:
+            _remove_modifier(obj, obj.modifiers[self._old_cache])
+        _remove_keys(obj, self._old, self._old_action, self._old_index)
+        record.active_index = obj.active_shape_key_index
+        blocks = obj.data.shape_keys.key_blocks
+        for reference, name, key in zip(record.keys, self._names, self._keys, strict=True):
+            index = blocks.find(name)
+            if name != key.name and key.name not in blocks:
+                blocks[index].name = key.name  # the curves' paths follow
+            reference.refer_to(blocks, index)
 
 
 def ensure_basis(obj):
@@ -220,27 +263,35 @@ def check_free(obj):
         check(obj)
 
 
-def _free(obj, names, keep_cache=False):
-    """keep_cache: the modifier stays for the next bake, with the place and the influence that the artist gave it."""
-    record = obj.dynamorph.bake
-    keys = obj.data.shape_keys
+def _free(obj, names):
+    record, keys = obj.dynamorph.bake, obj.data.shape_keys
     if record.exists and keys:
-        active = obj.active_shape_key.name if obj.active_shape_key else ""
-        _remove(obj, [keys.key_blocks[name] for name in names], record.action)
-        index = keys.key_blocks.find(active)
-        obj.active_shape_key_index = index if index >= 0 else min(record.active_index, len(keys.key_blocks) - 1)
+        _remove_keys(obj, names, record.action, record.active_index)
         _clear_unused(keys, record.had_animation_data)
     unmute_targets(obj, record.muted)
     modifier = cache_modifier(obj)
-    if modifier and not keep_cache:
-        modifier.driver_remove("factor")
-        obj.modifiers.remove(modifier)
-    if not keep_cache:
-        record.cache = ""
+    if modifier:
+        _remove_modifier(obj, modifier)
+    record.cache = record.summary = record.warnings = record.verdict = ""
     record.keys.clear()
     record.action = None
-    record.summary = record.warnings = record.verdict = ""
     record.off_final = -1.0
+
+
+def _remove_keys(obj, names, action, active_index: int):
+    """Remove these shape keys with the Action and its strips. active_index: of the key that is active afterwards, if
+    the active one is among them.
+    """
+    blocks = obj.data.shape_keys.key_blocks
+    active = obj.active_shape_key.name if obj.active_shape_key else ""
+    _remove(obj, [blocks[name] for name in names], action)
+    index = blocks.find(active)
+    obj.active_shape_key_index = index if index >= 0 else min(active_index, len(blocks) - 1)
+
+
+def _remove_modifier(obj, modifier):
+    modifier.driver_remove("factor")
+    obj.modifiers.remove(modifier)
 
 
 def _clear_unused(keys, had_animation_data: bool):
@@ -358,20 +409,3 @@ def _moves_only(action, paths: set[str]) -> bool:
     bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
     moved = {curve.data_path for bag in bags for curve in bag.fcurves}
     return bool(moved) and moved <= paths
-
-
-def _record(obj, names, wanted, action, had_animation_data):
-    """Give the new keys their final names, now that the old bake is gone, and record them."""
-    blocks = obj.data.shape_keys.key_blocks
-    record = obj.dynamorph.bake
-    for name, want in zip(names, wanted, strict=True):
-        index = blocks.find(name)
-        if name != want and want not in blocks:
-            blocks[index].name = want  # the curves' paths follow
-        key = record.keys.add()
-        key.refer_to(blocks, index)
-        key.reach = key_reach(blocks[index])
-    record.basis = basis_hash(blocks)
-    record.action = action
-    record.had_animation_data = had_animation_data
-    record.active_index = obj.active_shape_key_index

@@ -68,6 +68,13 @@ def _remove(obj):
         bake.leave(obj)
 
 
+def remove_hidden(obj):
+    """The same for a hidden key, whose targets something else has muted since: they stay as they are."""
+    for each in (obj, *followers(obj)):
+        each.dynamorph.live.muted.clear()
+    remove(obj)
+
+
 def hide(obj, hidden: bool):
     """Let `obj` and what follows it look as without Live, while the key stays; or as with it again."""
     for each in (obj, *followers(obj)):

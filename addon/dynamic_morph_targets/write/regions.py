@@ -16,12 +16,11 @@ import hashlib
 
 import numpy as np
 
-from ..core.character import Skeleton
+from ..core.character import REGION, Skeleton
 from ..core.geometry import turned, welded
 from ..scene import animation, mesh_data, rig_motion
 from .reconcile import reconcile
 
-PREFIX = "Dynamorph Region "
 SUPPORT = 0.02  # of a sculpt's largest displacement; vertices that move less do not count as sculpted
 GROWN = 0.25  # of the sculpt's radius; the region is 1 up to this distance beyond the sculpt
 RINGS = 3.0  # smallest number of edges over which a region fades
@@ -106,7 +105,7 @@ def update(obj, left=()):
     automatic = _not_painted(obj, automatic, groups)
     before = {target.region for target in automatic} | {*left}
     chosen = [target for target in settings.targets[1:] if not target.auto_region]
-    made = {target.region for target in automatic if target.made_region or target.region.startswith(PREFIX)}
+    made = {target.region for target in automatic if target.made_region or target.region.startswith(REGION)}
     free = made - {target.region for target in chosen}
     for together in _sharing_bones(automatic):
         bones = _bones(together)
@@ -165,7 +164,7 @@ def _write(obj, together: list, groups, free: set[str]) -> tuple[str, str]:
     weights = np.max(regions, axis=0)
     name = next((target.region for target in together if target.region in free), "")
     free.discard(name)
-    group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=PREFIX + together[0].name)
+    group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=REGION + together[0].name)
     write_group(obj, group, weights)
     return group.name, _digest(weights)
 
@@ -176,7 +175,7 @@ def _remove(obj, names):
     used = {settings.soft_group, settings.stiffness_group, *(target.region for target in settings.targets)}
     used |= {piece.group for piece in settings.pieces}
     for name in names:
-        if name.startswith(PREFIX) and name not in used and name in obj.vertex_groups:
+        if name.startswith(REGION) and name not in used and name in obj.vertex_groups:
             obj.vertex_groups.remove(obj.vertex_groups[name])
 
 

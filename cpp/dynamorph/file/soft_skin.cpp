@@ -117,7 +117,8 @@ SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets
   if (J != shapes.rows())
     throw std::invalid_argument("targets: expected " + std::to_string(shapes.rows()) + ", got " + std::to_string(J));
   ReducedTables tables{
-      how.law, table<double>(content, "basis", {3 * Eigen::Index(body->free_nodes.size()), -1}), {}, {}};
+      how.law, table<double>(content, "basis", {3 * Eigen::Index(body->free_nodes.size()), -1}), {}, {}, {}, {}, {},
+      {}};
   const Eigen::Index size = tables.layout().distinct();
   const auto lambda = table<double>(content, "table_lambda", {J, size});
   const auto mu = table<double>(content, "table_mu", {J, size});

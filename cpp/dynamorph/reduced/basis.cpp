@@ -5,77 +5,25 @@
 
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
-#include <Eigen/SVD>
 #include <algorithm>
-#include <set>
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
-#include "dynamorph/elastic/sparse_cholesky.hpp"
-#include "dynamorph/reduced/gram_accumulator.hpp"
 #include "dynamorph/reduced/gram_kernels.hpp"
+#include "dynamorph/reduced/mass_pca.hpp"
 #include "dynamorph/reduced/polynomials.hpp"
+#include "dynamorph/reduced/static_solver.hpp"
 #include "dynamorph/reduced/table_layout.hpp"
 
 namespace dynamorph {
 
 namespace {
 
-/// Lumped mass of every degree of freedom for unit density, all sets together (3 free).
-VectorXd unit_mass(const SoftBody& body) {
-  const VectorXd nodes = body.volumes.rowwise().sum();
-  VectorXd mass(3 * nodes.size());
-  for (Eigen::Index i = 0; i < nodes.size(); ++i) mass.segment<3>(3 * i).setConstant(nodes(i));
-  return mass;
-}
-
-/// The targets with energies in K about target j's shape: j itself, and of every other set the first target, which is
-/// its neutral. Targets need not be ordered by set.
-std::vector<int> summed_at(const std::vector<MorphTarget>& targets, int j) {
-  std::vector<int> summed{j};
-  std::set<int> sets{targets[j].set};
-  for (int other = 0; other < int(targets.size()); ++other)
-    if (sets.insert(targets[other].set).second) summed.push_back(other);
-  return summed;
-}
-
-/// K_j + epsilon M, factored. A body without pins has rigid modes; the shift keeps K positive definite and is far
-/// below the first elastic frequency.
-struct Factored {
-  Factored(const FullModel& model, int target, std::function<void()> tick_ = {})
-      : mass(unit_mass(model.body()) * model.targets()[target].density), tick(std::move(tick_)) {
-    SparseMatrix K = model.zero();
-    for (int j : summed_at(model.targets(), target)) values(K) += values(model.rest_stiffness(j));
-    shift = 1e-9 * (K.diagonal().array() / mass.array()).maxCoeff();
-    K.diagonal() += shift * mass;
-    if (!solver.factorize(K))
-      throw Error("Target '" + model.targets()[target].name +
-                  "' has a shape with degenerate elements. Smooth its sculpt, or raise the cage resolution.");
-  }
-  VectorXd solve(const VectorXd& load) const {
-    if (tick) tick();
-    return solver.solve(load);
-  }
-  MatrixXd solve_all(MatrixXd loads) const {
-    constexpr Eigen::Index kSome = 8;  // as many as the solver takes at a time
-    for (Eigen::Index first = 0; first < loads.cols(); first += kSome) {
-      const Eigen::Index some = std::min(kSome, loads.cols() - first);
-      solver.solve_in_place(loads.middleCols(first, some));
-      for (Eigen::Index c = 0; tick && c < some; ++c) tick();
-    }
-    return loads;
-  }
-  VectorXd mass;               ///< (3 free), kg
-  double shift;                ///< 1/s^2
-  std::function<void()> tick;  ///< called for every solve: reports progress, may throw Cancelled
-  BlockCholesky<double> solver;
-};
-
 /// (M^-1/2 (K + shift M) M^-1/2)^-1, the operator that Spectra iterates with.
 class InverseOperator {
  public:
   using Scalar = double;
-  explicit InverseOperator(const Factored& factored) : factored_(factored), root_(factored.mass.cwiseSqrt()) {}
+  explicit InverseOperator(const StaticSolver& factored) : factored_(factored), root_(factored.mass.cwiseSqrt()) {}
   Eigen::Index rows() const { return root_.size(); }
   Eigen::Index cols() const { return root_.size(); }
   void set_shift(double) {}  // the factorization is already shifted
@@ -85,11 +33,11 @@ class InverseOperator {
   }
 
  private:
-  const Factored& factored_;
+  const StaticSolver& factored_;
   VectorXd root_;
 };
 
-LinearModes solve_modes(const Factored& factored, const std::string& name, int k) {
+LinearModes solve_modes(const StaticSolver& factored, const std::string& name, int k) {
   InverseOperator op(factored);
   const int n = int(op.rows());
   const int search = std::min(n, std::max(2 * k + 1, 20));
@@ -204,7 +152,7 @@ Candidates candidates(const FullModel& model, int target, int k, const MatrixXd&
   const Eigen::Index pairs = bent * (bent + 1) / 2;
   const double expected = double(k + pairs + loads.cols() + 3 + 4 * k);  // solves; the eigensolver takes a few per mode
   double solves = 0;
-  const Factored factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
+  const StaticSolver factored(model, target, [&] { report(progress, std::min(1.0, solves++ / expected)); });
   const LinearModes modes = solve_modes(factored, model.targets()[target].name, k);
   // Rigid modes of an unpinned body would swamp all others.
   const VectorXd frequencies = modes.omega.cwiseMax(1e-3 * modes.omega(k - 1));
@@ -247,27 +195,6 @@ RowMajor in_common_units(const std::vector<Candidates>& found, double amplitude,
   return all;
 }
 
-/// The lower triangle of A^T A.
-MatrixXd gram(const RowMajor& A) {
-  GramAccumulator products(A.cols());
-  for (Eigen::Index i = 0; i < A.rows(); ++i) products.add(A.row(i).data());
-  products.finish();
-  MatrixXd out(A.cols(), A.cols());
-  for (Eigen::Index j = 0; j < A.cols(); ++j)
-    for (Eigen::Index i = j; i < A.cols(); ++i) out(i, j) = products(j, i);
-  return out;
-}
-
-/// Orthonormal basis of the columns' span, with a relative rank tolerance of 1e-9.
-MatrixXd orthonormal(const MatrixXd& columns) {
-  MatrixXd unit = columns;
-  for (Eigen::Index c = 0; c < unit.cols(); ++c)
-    if (unit.col(c).norm() > 0) unit.col(c).normalize();
-  const Eigen::JacobiSVD<MatrixXd, Eigen::HouseholderQRPreconditioner> svd(unit, Eigen::ComputeThinU);
-  const Eigen::Index rank = (svd.singularValues().array() > 1e-9).count();
-  return svd.matrixU().leftCols(rank);
-}
-
 }  // namespace
 
 MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& modes) {
@@ -279,11 +206,18 @@ MatrixXd force_curvatures(const FullModel& model, int target, const MatrixXd& mo
   return sum;
 }
 
+MatrixXd force_curvatures_alone(const FullModel& model, int target, const MatrixXd& modes) {
+  const RowMajor by_node = modes;
+  RowMajor sum = RowMajor::Zero(modes.rows(), modes.cols() * (modes.cols() + 1) / 2);
+  if (model.law() != Law::linear) add_curvatures(model, target, by_node, sum);
+  return sum;
+}
+
 LinearModes linear_modes(const FullModel& model, int target, int k) {
   if (k < 1 || k >= model.dofs())
     throw std::invalid_argument("k: expected 1 to " + std::to_string(model.dofs() - 1) + " modes, got " +
                                 std::to_string(k));
-  return solve_modes(Factored(model, target), model.targets()[target].name, k);
+  return solve_modes(StaticSolver(model, target), model.targets()[target].name, k);
 }
 
 Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
@@ -302,10 +236,7 @@ Basis make_basis(const FullModel& model, int r, const ProgressFn& progress) {
   const int k = std::min(std::max(r, 8), model.dofs() / 3);
   report(progress, 0);
   const MatrixXd loads = bone_loads(model.body());
-  const std::vector<int> neutral = summed_at(model.targets(), 0);
-  std::vector<int> distinct{0};  // each set's first target is the same neutral
-  for (int j = 1; j < targets; ++j)
-    if (std::find(neutral.begin(), neutral.end(), j) == neutral.end()) distinct.push_back(j);
+  const std::vector<int> distinct = distinct_targets(model.targets());
   std::vector<Candidates> found(distinct.size());
   run_tasks(int(found.size()), progress,
             [&](int i, const ProgressFn& done) { found[i] = candidates(model, distinct[i], k, loads, done); });

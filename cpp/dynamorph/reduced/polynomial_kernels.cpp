@@ -134,4 +134,27 @@ void blend_tables(const float* const* __restrict tables, const double* __restric
     for (Index i = 0; i < size; ++i) out[i] = mul_add(out[i], float(weights[k]), tables[k][i]);
 }
 
+void couple(const float* __restrict S, Index h, Index r, const double* __restrict v, const double* __restrict y,
+            double* __restrict slopes, double* __restrict products) {
+  for (Index k = 0; k < r; ++k) {
+    double* own = slopes + k * h;
+    for (Index l = k; l < r; ++l, S += h) {
+      double* other = slopes + l * h;
+      const double vk = v[k], vl = l == k ? 0 : v[l];
+      Double4 sums[2] = {};
+      for (Index i = 0; i < h; i += kChunk) {
+        const DoubleW entries = to_double(load(S + i));
+        sums[0] = mul_add(sums[0], entries.low, load(y + i));
+        sums[1] = mul_add(sums[1], entries.high, load(y + i + 4));
+        store(mul_add(load(other + i), vk, entries.low), other + i);
+        store(mul_add(load(other + i + 4), vk, entries.high), other + i + 4);
+        if (l == k) continue;
+        store(mul_add(load(own + i), vl, entries.low), own + i);
+        store(mul_add(load(own + i + 4), vl, entries.high), own + i + 4);
+      }
+      *products++ = sum_of(sums[0] + sums[1]);
+    }
+  }
+}
+
 }  // namespace dynamorph::DYNAMORPH_ISA

@@ -22,6 +22,11 @@ struct ReducedTables {
   MatrixXd basis;                ///< U (3 free, r)
   std::vector<VectorXd> lambda;  ///< per target, the distinct coefficients as `unfolded` takes them
   std::vector<VectorXd> mu;
+  /// The responses (responses.hpp), or none: W (3 free, h); per target D (h), then S (h, pairs) column by column,
+  /// unless the law is linear; and how far their coupling reaches (r).
+  MatrixXd responses;
+  std::vector<VectorXd> response_lambda, response_mu;
+  VectorXd reach;
 
   TableLayout layout() const { return {basis.cols(), law != Law::linear}; }
 };

@@ -15,7 +15,7 @@ void pack(const MatrixXd& symmetric, VectorXd& packed) {
     for (Eigen::Index l = k; l < r; ++l, ++p) packed(p) = symmetric(k, l);
 }
 
-void unpack(const VectorXd& packed, MatrixXd& symmetric) {
+void unpack(const VectorXd& packed, Eigen::Ref<MatrixXd> symmetric) {
   const Eigen::Index r = symmetric.rows();
   for (Eigen::Index k = 0, p = 0; k < r; ++k)
     for (Eigen::Index l = k; l < r; ++l, ++p) symmetric(k, l) = symmetric(l, k) = packed(p);
@@ -51,6 +51,21 @@ std::vector<VectorXd> checked_coordinates(const SoftBody& body, const std::vecto
 std::variant<ModalInertia, NodalInertia> inertia_of(const std::shared_ptr<const SoftBody>& body, const MatrixXd& U) {
   if (body->own_transforms) return NodalInertia(body, U);
   return ModalInertia(*body, U);
+}
+
+MatrixXd side_by_side(const MatrixXd& U, const MatrixXd& W) {
+  MatrixXd out(U.rows(), U.cols() + W.cols());
+  out << U, W;
+  return out;
+}
+
+/// W, checked against U (3 free, r); (3 free, 0) if there is none.
+MatrixXd checked_responses(const ReducedTables& tables) {
+  const MatrixXd& W = tables.responses;
+  if (W.cols() == 0) return MatrixXd(tables.basis.rows(), 0);
+  if (W.rows() != tables.basis.rows() || !W.allFinite())
+    throw std::invalid_argument("tables: responses must be finite and have the rows of the basis");
+  return W;
 }
 
 /// Shifts a table (Taylor) from v = z - z_j to z. Returns the energy at z = 0, and writes the force (r) there.
@@ -112,14 +127,16 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
     : body_(std::move(body)),
       targets_(std::move(targets)),
       blending_(blending),
-      U_(tables.basis),
-      coordinates_(checked_coordinates(*body_, targets_, U_)),
+      basis_(side_by_side(tables.basis, checked_responses(tables))),
+      coordinates_(checked_coordinates(*body_, targets_, tables.basis)),
       layout_(tables.layout()),
+      responses_(tables, targets_, blending, coordinates_),
       padded_pairs_(whole_chunks(layout_.pairs())),
-      inertia_(inertia_of(body_, U_)) {
+      inertia_(inertia_of(body_, tables.basis)),
+      response_inertia_(body_, tables.basis, checked_responses(tables)) {
   check(tables.law);
   check(blending_);
-  const Eigen::Index r = U_.cols();
+  const Eigen::Index r = layout_.r;
   if (tables.lambda.size() != targets_.size() || tables.mu.size() != targets_.size())
     throw std::invalid_argument("tables: expected one for each of " + std::to_string(targets_.size()) + " targets");
   for (size_t j = 0; j < targets_.size(); ++j) {
@@ -143,7 +160,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
                                 std::to_string(w.size()));
   if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
   out.of = this;
-  const Eigen::Index r = dofs(), pairs = layout_.pairs();
+  const Eigen::Index r = layout_.r, pairs = layout_.pairs();
   out.weights = w;
   out.mass.blend(targets_, body_->sets(), w);
   out.active.clear();
@@ -168,8 +185,10 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
       out.energy += w(j) * energies_[j];
     }
   }
-  out.damping.resize(r, r);
-  unpack(out.packed_damping, out.damping);
+  responses_.blend(w, out.responses);
+  if (out.damping.rows() != dofs()) out.damping = zero();
+  unpack(out.packed_damping, out.damping.corner());
+  if (responses_.count() > 0) out.damping.rest() = out.responses.damping;
   if (!layout_.nonlinear || out.only >= 0) return;
   out.table.resize(tables_[0].size());
   blend_tables(out.active.data(), out.active_weights.data(), int(out.active.size()), Eigen::Index(out.table.size()),
@@ -177,8 +196,8 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
 }
 
 void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
-  const Eigen::Index r = dofs(), rows = padded_pairs_;
-  blend.v = z - blend.centre;
+  const Eigen::Index r = layout_.r, rows = padded_pairs_;
+  blend.v = z.head(r) - blend.centre;
   if (!layout_.nonlinear && blend.linear.size() == rows) return;  // always zero
   blend.linear.setZero(rows);
   blend.quadratic.setZero(rows);
@@ -200,12 +219,14 @@ double ReducedModel::energy(const Blend& blend, const VectorXd& z) const {
 
 double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const {
   expand(blend, z);
+  const Eigen::Index r = layout_.r;
   force.resize(dofs());
-  stiffness.resize(dofs(), dofs());
+  if (stiffness.rows() != dofs()) stiffness = zero();
   const double energy = contract_orders(blend.stiffness.data(), blend.linear.data(), blend.quadratic.data(),
-                                        blend.v.data(), dofs(), force.data(), stiffness.data());
-  force += blend.force;
-  return blend.energy + blend.force.dot(blend.v) + energy;
+                                        blend.v.data(), r, force.data(), stiffness.corner().data());
+  force.head(r) += blend.force;
+  return blend.energy + blend.force.dot(blend.v) + energy +
+         responses_.add(blend.responses, z, blend.v, force, stiffness);
 }
 
 void ReducedModel::blend(EightBlend& out) const {
@@ -258,26 +279,41 @@ void ReducedModel::linearize(EightBlend& blend, const LaneVector<DoubleW>& z, Do
 }
 
 void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const {
+  ModalInertia::Result& modes = out.modes;
   if (const auto* nodal = std::get_if<NodalInertia>(&inertia_))
-    nodal->evaluate(inertial, densities, out.nodes, out.mass, out.damped, out.force);
+    nodal->evaluate(inertial, densities, out.nodes, modes.mass, modes.damped, modes.force);
   else
-    std::get<ModalInertia>(inertia_).evaluate(inertial, densities, out);
+    std::get<ModalInertia>(inertia_).evaluate(inertial, densities, modes);
+  if (out.mass.rows() != dofs()) out.mass = out.damped = zero();
+  out.mass.corner() = modes.mass;
+  out.damped.corner() = modes.damped;
+  out.force.resize(dofs());
+  out.force.head(layout_.r) = modes.force;
+  response_inertia_.evaluate(inertial, densities, out.responses, out.mass, out.damped, out.force);
 }
 
 const ModalInertia& ReducedModel::modal_inertia() const {
   if (body_->own_transforms)
     throw std::invalid_argument("model: its nodes have their own transforms, which a crowd does not support");
+  if (responses_.count() > 0)
+    throw std::invalid_argument("model: it has responses, which a crowd does not support. Build it with modes alone");
   return std::get<ModalInertia>(inertia_);
 }
 
+VectorXd ReducedModel::target(int j) const {
+  VectorXd out = VectorXd::Zero(dofs());
+  out.head(layout_.r) = coordinates_[j];
+  return out;
+}
+
 void ReducedModel::displacement(const VectorXd& z, VectorXd& u) const {
-  u.setZero(U_.rows());
-  add_product(U_.data(), U_.rows(), z.data(), z.size(), u.data());
+  u.setZero(basis_.rows());
+  add_product(basis_.data(), basis_.rows(), z.data(), z.size(), u.data());
 }
 
 void ReducedModel::project_force(const VectorXd& f, VectorXd& out) const {
   out.resize(dofs());
-  transposed_product(U_.data(), U_.rows(), U_.cols(), f.data(), out.data());
+  transposed_product(basis_.data(), basis_.rows(), basis_.cols(), f.data(), out.data());
 }
 
 }  // namespace dynamorph

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The soft skin in a modal subspace, u = U z, with the interface of FullModel.
+// The soft skin in a subspace, u = U z + W y, with the interface of FullModel: tabulated modes U and, for whole bodies,
+// linear responses W.
 #pragma once
 
 #include <variant>
@@ -7,9 +8,12 @@
 #include "dynamorph/models/morph_target.hpp"
 #include "dynamorph/models/soft_body.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
+#include "dynamorph/reduced/arrow_matrix.hpp"
 #include "dynamorph/reduced/modal_inertia.hpp"
 #include "dynamorph/reduced/nodal_inertia.hpp"
 #include "dynamorph/reduced/polynomials.hpp"
+#include "dynamorph/reduced/response_inertia.hpp"
+#include "dynamorph/reduced/responses.hpp"
 #include "dynamorph/reduced/table_layout.hpp"
 
 namespace dynamorph {
@@ -21,16 +25,21 @@ double linearize(const VectorXd& table, const TableLayout& layout, const VectorX
 
 class ReducedModel {
  public:
-  using Matrix = MatrixXd;
-  struct Inertia : ModalInertia::Result {
+  using Matrix = ArrowMatrix;
+  struct Inertia {
+    Matrix mass;     ///< (U, W)^T A^T M A (U, W)
+    Matrix damped;   ///< the same with M times mass damping
+    VectorXd force;  ///< of the inertial target
+    ModalInertia::Result modes;
     NodalInertia::Scratch nodes;
+    ResponseInertia::Scratch responses;
   };
 
   struct Blend {
     const ReducedModel* of = nullptr;  ///< the model that made it
     VectorXd weights;
     SetDensities mass;
-    Matrix damping;           ///< sum_j w_j beta_j K_j (r, r)
+    Matrix damping;           ///< sum_j w_j beta_j K_j
     VectorXd stiffness;       ///< K0, packed
     LaneVector<float> table;  ///< sum_j w_j table_j, unless a single target has all the weight
     int only = -1;            ///< that target
@@ -41,6 +50,7 @@ class ReducedModel {
     /// a weight.
     mutable VectorXd v, pairs, linear, quadratic, unused_force;
     mutable Matrix unused_stiffness;
+    Responses::Blend responses;
     VectorXd packed_damping;
     std::vector<const float*> active;
     std::vector<double> active_weights;
@@ -60,8 +70,9 @@ class ReducedModel {
   const SoftBody& body() const { return *body_; }
   const std::shared_ptr<const SoftBody>& shared_body() const { return body_; }
   const std::vector<MorphTarget>& targets() const { return targets_; }
-  const MatrixXd& basis() const { return U_; }
-  int dofs() const { return int(U_.cols()); }
+  const MatrixXd& basis() const { return basis_; }  ///< (U, W)
+  int dofs() const { return int(basis_.cols()); }
+  int modes() const { return int(layout_.r); }  ///< the first coordinates; those of the responses follow
   /// Norm of the coordinates when the whole body moves by one meter, as far as the modes can.
   double metre() const { return std::sqrt(body_->volume); }
 
@@ -73,12 +84,13 @@ class ReducedModel {
   void linearize(EightBlend& blend, const LaneVector<DoubleW>& z, DoubleW& energy, LaneVector<DoubleW>& force,
                  LaneVector<DoubleW>& stiffness) const;
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
-  /// Throws std::invalid_argument when there is none, because the nodes have their own transforms.
+  /// Throws std::invalid_argument when it is not all inertia: the nodes have their own transforms, or there are
+  /// responses.
   const ModalInertia& modal_inertia() const;
   void displacement(const VectorXd& z, VectorXd& u) const;
   void project_force(const VectorXd& f, VectorXd& out) const;
-  VectorXd target(int j) const { return coordinates_[j]; }
-  Matrix zero() const { return Matrix::Zero(dofs(), dofs()); }
+  VectorXd target(int j) const;
+  Matrix zero() const { return Matrix(layout_.r, responses_.count()); }
 
  private:
   /// Computes the packed orders of the tangent at v, in the scratch.
@@ -87,9 +99,10 @@ class ReducedModel {
   std::shared_ptr<const SoftBody> body_;
   std::vector<MorphTarget> targets_;
   Blending blending_;
-  MatrixXd U_;
-  std::vector<VectorXd> coordinates_;  ///< z_j
+  MatrixXd basis_;
+  std::vector<VectorXd> coordinates_;  ///< z_j (r)
   TableLayout layout_;
+  Responses responses_;
   Eigen::Index padded_pairs_;
   /// Per target with its material, about z_j (even) or 0 (forces). K0 is in double. [K1 | K2] is in single precision,
   /// in the order in which a step reads it: this halves the bytes and keeps forces to 1e-7 of the largest.
@@ -99,6 +112,7 @@ class ReducedModel {
   std::vector<VectorXd> forces_;          ///< forces blending: at z = 0
   std::vector<double> energies_;
   std::variant<ModalInertia, NodalInertia> inertia_;
+  ResponseInertia response_inertia_;
 };
 
 }  // namespace dynamorph

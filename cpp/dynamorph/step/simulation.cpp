@@ -182,7 +182,8 @@ StepReport Simulation<Model>::advance(const Transforms& bones, const VectorXd& w
   values(damped_) = values(inertia_.damped) + values(blend_.damping);
   values(quadratic_.hessian) = values(inertia_.mass) / rule.square + (rule.velocity[0] / h) * values(damped_);
   velocity_ = (rule.velocity[0] * next_ + rule.velocity[1] * state_.q[0] + rule.velocity[2] * state_.q[1]) / h;
-  quadratic_.g.noalias() += damped_ * velocity_;
+  Arithmetic::multiply(damped_, velocity_, resistance_);
+  quadratic_.g += resistance_;
   quadratic_.origin = next_;
   // Far from the world's origin, posed positions lose digits, and inertia multiplies the loss.
   quadratic_.round_off =

@@ -100,7 +100,7 @@ class Simulation {
   typename Model::Blend blend_;
   typename Model::Inertia inertia_;
   typename Model::Matrix damped_;
-  VectorXd next_, velocity_;  ///< coordinates of the step, and bind-pose velocity
+  VectorXd next_, velocity_, resistance_;  ///< coordinates of the step, bind-pose velocity, and damping at it
   QuadraticTerm<Arithmetic> quadratic_;
   ElasticTerm<Model, Arithmetic, const typename Model::Blend> elastic_;
   NewtonScratch<Arithmetic> newton_;

@@ -84,8 +84,9 @@ TEST_CASE("blended and in single precision, as it is stepped: to 1e-6 of the lar
       const VectorXd z = random_vector(12, 1e-3, 6);
       VectorXd F, f;
       SparseMatrix K = full.zero();
-      MatrixXd k;
-      const double E = full.linearize(big, U * z, F, K), e = reduced.linearize(small, z, f, k);
+      ArrowMatrix tangent;
+      const double E = full.linearize(big, U * z, F, K), e = reduced.linearize(small, z, f, tangent);
+      const MatrixXd k = tangent.dense();
       const double largest = f.cwiseAbs().maxCoeff();
       CHECK((f - U.transpose() * F).cwiseAbs().maxCoeff() <= 1e-6 * largest);  // 1.4e-7 measured
       CHECK(std::abs(e - E) <= 1e-6 * E);
@@ -101,7 +102,7 @@ TEST_CASE("no target at all: no force and no energy") {
   ReducedModel::Blend blend;
   reduced.blend(VectorXd::Zero(3), blend);
   VectorXd force;
-  MatrixXd stiffness;
+  ArrowMatrix stiffness;
   CHECK(reduced.linearize(blend, VectorXd::Ones(10), force, stiffness) == 0);
   CHECK(force.norm() == 0);
 }

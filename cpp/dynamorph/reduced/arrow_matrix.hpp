@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The matrices of a reduced model: few tabulated modes (r), which all act on each other, and many responses (h), each
+// of which acts on itself and on the modes alone.
+#pragma once
+
+#include "dynamorph/core/types.hpp"
+#include "dynamorph/elastic/dense_factor.hpp"
+
+namespace dynamorph {
+
+/// The symmetric matrix [A B^T; B diag(d)] with the corner A (r, r), the border B (h, r) and d (h). Without responses,
+/// h = 0, it is the dense matrix A.
+class ArrowMatrix {
+ public:
+  using Index = Eigen::Index;
+
+  ArrowMatrix() = default;
+  /// Zero.
+  ArrowMatrix(Index r, Index h) : r_(r), h_(h), entries_(VectorXd::Zero(r * r + h * r + h)) {}
+
+  Index rows() const { return r_ + h_; }
+  Index corner_size() const { return r_; }
+  Eigen::Map<MatrixXd> corner() { return {entries_.data(), r_, r_}; }
+  Eigen::Map<const MatrixXd> corner() const { return {entries_.data(), r_, r_}; }
+  Eigen::Map<MatrixXd> border() { return {entries_.data() + r_ * r_, h_, r_}; }
+  Eigen::Map<const MatrixXd> border() const { return {entries_.data() + r_ * r_, h_, r_}; }
+  Eigen::Map<VectorXd> rest() { return {entries_.data() + r_ * r_ + h_ * r_, h_}; }  ///< d
+  Eigen::Map<const VectorXd> rest() const { return {entries_.data() + r_ * r_ + h_ * r_, h_}; }
+
+  VectorXd diagonal() const;
+  void add_to_diagonal(double factor, const VectorXd& values);
+  void multiply(const VectorXd& x, VectorXd& y) const;
+  MatrixXd dense() const;
+
+  friend Eigen::Map<VectorXd> values(ArrowMatrix& m) { return {m.entries_.data(), m.entries_.size()}; }
+  friend Eigen::Map<const VectorXd> values(const ArrowMatrix& m) { return {m.entries_.data(), m.entries_.size()}; }
+
+ private:
+  Index r_ = 0, h_ = 0;
+  VectorXd entries_;  ///< the corner and the border column by column, then d
+};
+
+/// Solves H x = b by the Schur complement A - B^T diag(d)^-1 B. Allocates only when the size changes.
+class ArrowFactor {
+ public:
+  bool compute(const ArrowMatrix& H);  ///< returns false when H is not positive definite
+  void solve(const VectorXd& b, VectorXd& x);
+
+ private:
+  const ArrowMatrix* H_ = nullptr;
+  VectorXd inverse_, corner_, solved_;  ///< 1 / d, and scratch
+  MatrixXd scaled_, schur_;             ///< diag(d)^-1/2 B
+  DenseFactor factor_;
+};
+
+}  // namespace dynamorph

@@ -1,0 +1,172 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "dynamorph/reduced/response_basis.hpp"
+
+#include <Eigen/Eigenvalues>
+#include <Eigen/QR>
+#include <algorithm>
+
+#include "dynamorph/core/errors.hpp"
+#include "dynamorph/core/parallel.hpp"
+#include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/mass_pca.hpp"
+#include "dynamorph/reduced/static_solver.hpp"
+#include "dynamorph/reduced/table_layout.hpp"
+
+namespace dynamorph {
+
+using Eigen::Index;
+
+namespace {
+
+/// Of the motion's size. It decides which derivatives are among the responses; 0.03 and 0.3 do nearly as well.
+constexpr double kBending = 0.1;
+/// Radius, relative to the body, at which rotation and stretch of a bone accelerate tissue as much as its translation.
+constexpr double kRadius = 0.1;
+
+/// The loads (3 free, at most `most`) that accelerated bones put on the tissue for unit density, M w_b (X - c_b, 1) e:
+/// twelve of each bone, as M^-1/2 times their strongest combinations.
+RowMajor bone_loads(const SoftBody& body, Index most) {
+  const Index nodes = body.skin.rows(), bones = body.own_transforms ? 1 : body.skin.cols();
+  const VectorXd volumes = body.volumes.rowwise().sum();
+  MatrixXd weights = MatrixXd::Zero(nodes, bones);  // nodes with their own transforms are loaded as if by one bone
+  for (Index i = 0; i < nodes; ++i)
+    for (SkinWeights::InnerIterator it(body.skin, i); it; ++it) weights(i, bones > 1 ? it.col() : 0) += it.value();
+  const MatrixXd X = body.rest.reshaped<Eigen::RowMajor>(nodes, 3);
+  RowMajor loads = RowMajor::Zero(3 * nodes, 12 * bones);
+  for (Index b = 0; b < bones; ++b) {
+    const VectorXd part = weights.col(b).cwiseProduct(volumes);
+    const double volume = part.sum();
+    if (!(volume > 0)) continue;
+    const Eigen::RowVector3d centre = part.transpose() * X / volume;
+    for (Index i = 0; i < nodes; ++i)
+      for (int axis = 0; axis < 3; ++axis)
+        for (int c = 0; c < 4; ++c)
+          loads(3 * i + axis, 12 * b + 4 * axis + c) =
+              std::sqrt(volumes(i)) * weights(i, b) * (c < 3 ? (X(i, c) - centre(c)) / (kRadius * body.size) : 1);
+  }
+  return strongest(loads, most);
+}
+
+/// M^1/2 times static answers at one target: to the bones' loads, and of those to slowly changing loads.
+struct Answers {
+  RowMajor first, second;
+};
+
+Answers answers(const StaticSolver& solver, const VectorXd& root, const RowMajor& loads, Index most) {
+  Answers out;
+  out.first = root.asDiagonal() * solver.solve_all(root.asDiagonal() * loads);
+  out.first = strongest(out.first, most);
+  out.second = root.asDiagonal() * solver.solve_all(root.asDiagonal() * out.first);
+  out.second *= out.first.norm() / out.second.norm();
+  return out;
+}
+
+/// M^1/2 times the static answers to the second derivatives of the force in the given motions (3 free, k).
+RowMajor bending(const FullModel& model, int target, const StaticSolver& solver, const VectorXd& root,
+                 const MatrixXd& motions) {
+  MatrixXd loads = force_curvatures(model, target, motions);
+  for (Index i = 0; i < motions.cols(); ++i) loads.col(pair_index(motions.cols(), i, i)) /= 2;
+  return root.asDiagonal() * solver.solve_all(std::move(loads));
+}
+
+RowMajor side_by_side(const std::vector<RowMajor>& blocks, const std::vector<double>& scales) {
+  Index columns = 0;
+  for (const RowMajor& block : blocks) columns += block.cols();
+  RowMajor all(blocks[0].rows(), columns);
+  for (size_t i = 0, at = 0; i < blocks.size(); at += blocks[i].cols(), ++i)
+    all.middleCols(at, blocks[i].cols()) = scales[i] * blocks[i];
+  return all;
+}
+
+/// Progress of a part of a call, from one fraction of it to another.
+ProgressFn part_of(const ProgressFn& progress, double from, double to) {
+  if (!progress) return {};
+  return [=](double done) { return progress(from + (to - from) * done); };
+}
+
+void remove_span(const MatrixXd& orthonormal, RowMajor& columns) {
+  for (int twice = 0; twice < 2; ++twice)  // the second time for round-off
+    columns.noalias() -= orthonormal * (orthonormal.transpose() * columns);
+}
+
+MatrixXd orthonormalized(const MatrixXd& columns) {
+  const Eigen::HouseholderQR<MatrixXd> qr(columns);
+  return qr.householderQ() * MatrixXd::Identity(columns.rows(), columns.cols());
+}
+
+/// Turns W (3 free, h) into its K-orthogonal part to U, with W^T M W = I and W^T K W diagonal.
+MatrixXd decoupled(const SparseMatrix& K, const VectorXd& mass, const MatrixXd& U, const MatrixXd& W) {
+  const MatrixXd KU = K * U;
+  const MatrixXd free = W - U * (U.transpose() * KU).ldlt().solve(KU.transpose() * W);
+  const MatrixXd stiffness = free.transpose() * (K * free), inertia = free.transpose() * mass.asDiagonal() * free;
+  return free * Eigen::GeneralizedSelfAdjointEigenSolver<MatrixXd>(stiffness, inertia).eigenvectors();
+}
+
+}  // namespace
+
+ResponseBasis make_response_basis(const FullModel& model, int r, int h, const ProgressFn& progress) {
+  const VectorXd mass = unit_mass(model.body()), root = mass.cwiseSqrt();
+  const int targets = int(model.targets().size()), most = r + h;
+  MatrixXd sculpted(model.dofs(), targets);
+  for (int j = 0; j < targets; ++j) sculpted.col(j) = root.cwiseProduct(model.target(j));
+  const MatrixXd shapes = orthonormal(sculpted);
+  const Index motions = r - shapes.cols();
+  if (motions < 1 || most >= model.dofs() / 2)
+    throw Error("A detail of " + std::to_string(most) + " (" + std::to_string(r) +
+                " tabulated): this model needs more tabulated modes than " + std::to_string(shapes.cols()) +
+                " (its targets' shapes) and fewer in all than " + std::to_string(model.dofs() / 2) +
+                " (half its degrees of freedom).");
+
+  report(progress, 0);
+  const RowMajor loads = bone_loads(model.body(), 2 * most);
+  const std::vector<int> distinct = distinct_targets(model.targets());
+  std::vector<std::unique_ptr<StaticSolver>> solvers(distinct.size());
+  std::vector<RowMajor> firsts(distinct.size()), blocks(3 * distinct.size());
+  run_tasks(int(distinct.size()), part_of(progress, 0, 0.5), [&](int i, const ProgressFn& done) {
+    double solves = 0;
+    const double expected = double(loads.cols() + most);
+    solvers[i] =
+        std::make_unique<StaticSolver>(model, distinct[i], [&] { report(done, std::min(1.0, solves++ / expected)); });
+    Answers found = answers(*solvers[i], root, loads, most);
+    firsts[i] = blocks[3 * i] = std::move(found.first);
+    blocks[3 * i + 1] = std::move(found.second);
+    solvers[i]->tick = nullptr;
+  });
+
+  // Stiff targets answer less and count less.
+  ResponseBasis basis;
+  RowMajor all = side_by_side(firsts, std::vector<double>(firsts.size(), 1.0));
+  remove_span(shapes, all);
+  MatrixXd low = strongest(all, motions);
+  if (low.cols() < motions)
+    throw Error(std::to_string(r) + " modes are more than this cage can move in. Ask for fewer.");
+  const VectorXd sizes = low.colwise().norm();
+  basis.amplitudes = VectorXd::Constant(r, sizes.maxCoeff());
+  basis.amplitudes.tail(motions) = sizes;
+  MatrixXd Y(model.dofs(), r);
+  Y << shapes, low * sizes.cwiseInverse().asDiagonal();
+  Y = orthonormalized(Y);
+  basis.U = root.cwiseInverse().asDiagonal() * Y;
+
+  std::vector<double> scales(blocks.size(), 1.0);
+  if (model.law() != Law::linear) {
+    const MatrixXd moved = root.cwiseInverse().asDiagonal() * low;
+    run_tasks(int(distinct.size()), part_of(progress, 0.5, 0.8), [&](int i, const ProgressFn&) {
+      blocks[3 * i + 2] = strongest(bending(model, distinct[i], *solvers[i], root, moved), most);
+      scales[3 * i + 2] = kBending * firsts[i].norm() / blocks[3 * i + 2].norm();
+    });
+  } else {
+    for (size_t i = 0; i < distinct.size(); ++i) blocks[3 * i + 2].resize(model.dofs(), 0);
+  }
+  all = side_by_side(blocks, scales);
+  remove_span(Y, all);
+  report(progress, 0.85);
+  const MatrixXd high = orthonormalized(strongest(all, h).colwise().normalized());
+  basis.W = decoupled(solvers[0]->stiffness, mass, basis.U, root.cwiseInverse().asDiagonal() * high);
+  if (!basis.U.allFinite() || !basis.W.allFinite())
+    throw Error("The modes of this setup are not finite. Check its stiffness and rebuild.");
+  report(progress, 1);
+  return basis;
+}
+
+}  // namespace dynamorph

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Dialogs, presets of one's own, copies, and where else the extension shows: below Shape Keys and in Preferences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import driver
+from driver import ASIDE, step, until
+from editors import ADDON, job_done, properties, select_target, settings, sidebar, skin, view
+from files import arrows, open_materials
+
+PRESETS = 16  # pixels: the middle of its button, from the top of the button below
+
+
+@step("Fit Bounce, and what a region can be")
+def fit():
+    yield from select_target(1)
+    yield from sidebar.press("dynamorph.build")
+    yield from job_done()
+    yield from sidebar.look_into("targets[1].region")
+    yield from sidebar.pop_up("dynamorph.fit_material")
+    yield from sidebar.key("RET")
+
+
+# Presets -------------------------------------------------------------------------------------------------------------
+
+
+def preset_file(kind: str) -> Path:
+    folder = bpy.utils.user_resource("SCRIPTS", path=f"presets/dynamorph/{kind}")
+    return Path(folder, "New_Preset.py")
+
+
+def save_choose_and_remove(opening, kind: str, change, is_as_saved):
+    """In a pop-up of presets, whose last buttons are: the preset, its removal, the name of another, its addition."""
+    saved = preset_file(kind)
+    button = yield from opening()
+    yield from arrows(button, "UP_ARROW", 1)
+    yield from driver.tap("RET", button)
+    yield from until(saved.exists, "the file of the preset")
+    yield from driver.tap("ESC", button)
+    change()
+    assert not is_as_saved()
+    button = yield from opening()
+    yield from arrows(button, "UP_ARROW", 4)
+    yield from driver.tap("RET", button)
+    yield from until(is_as_saved, "the settings of the preset")
+    yield from driver.tap("ESC", button)
+    button = yield from opening()
+    yield from arrows(button, "UP_ARROW", 3)
+    yield from driver.tap("RET", button)
+    yield from until(lambda: not saved.exists(), "the file of the preset to be removed")
+    yield from driver.tap("ESC", button)
+    yield from driver.rest()
+
+
+@step("A material saved as a preset")
+def material_preset():
+    target = settings().active_target
+    stiffness = target.stiffness
+
+    def change():
+        target.stiffness = 2.0 * stiffness
+
+    yield from save_choose_and_remove(open_materials, "material", change, lambda: target.stiffness == stiffness)
+
+
+@step("A setup saved as a preset")
+def setup_preset():
+    yield from sidebar.fold("dynamorph.new_from_pose")
+    yield from sidebar.unfold_last("dynamorph.save_setup", below="dynamorph.bake_all")
+    model = settings().model
+    modes = model.modes
+
+    def change():
+        model.modes = modes + 1
+
+    yield from save_choose_and_remove(open_setups, "setup", change, lambda: model.modes == modes)
+
+
+def open_setups():
+    """The pop-up, whose button has no name that could be looked for; returns where that is."""
+    below = "dynamorph.copy_to_selected"
+    top = yield from sidebar.top_of(below)
+    x, _ = sidebar.seen(below)
+    button = (x, top + PRESETS)
+    yield from driver.pop_up(button, "DYNAMORPH_PT_setup_presets")
+    return button
+
+
+# Copies, and other places --------------------------------------------------------------------------------------------
+
+
+@step("Copy to Selected, which asks")
+def copy_to_selected():
+    body = skin()
+    other = add_a_copy()  # not by hand
+    yield from driver.drawn()
+    yield from sidebar.pop_up("dynamorph.copy_to_selected")
+    yield from sidebar.key("RET")
+    names = [target.name for target in body.dynamorph.targets]
+    yield from until(lambda: [target.name for target in other.dynamorph.targets] == names, "the copy")
+    bpy.data.objects.remove(other)
+    yield from sidebar.fold("dynamorph.save_setup")
+    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
+
+
+def add_a_copy():
+    """A second mesh on the armature, with the same shape keys: those would be overwritten."""
+    other = skin().copy()
+    other.data = skin().data.copy()
+    other.name = "Copy"
+    other.dynamorph.targets.clear()
+    bpy.context.scene.collection.objects.link(other)
+    other.select_set(True)
+    return other
+
+
+@step("The panel below Shape Keys")
+def object_data():
+    skin().active_shape_key_index = 1
+    yield from driver.drawn()
+    _, row = yield from properties.find("relative_key")
+    x = properties.box[0] + ASIDE
+    for header in range(int(row) - 16, int(row) - 80, -8):
+        yield from driver.click((x, header))
+        yield from driver.drawn()
+        if "DYNAMORPH_PT_object_data" in driver.opened:
+            break
+    driver.photograph("opened_DYNAMORPH_PT_object_data")
+    yield from driver.click((x, header))
+
+
+@step("The extension's preferences")
+def preferences():
+    area = view.area
+    area.type = "PREFERENCES"
+    try:
+        bpy.context.preferences.active_section = "ADDONS"
+        bpy.context.window_manager.addon_search = "Dynamorph"
+        bpy.ops.preferences.addon_expand(module=ADDON)
+        yield from driver.drawn()
+        yield from until(lambda: "DynamorphPreferences" in driver.opened, "the preferences")
+        driver.photograph("opened_DynamorphPreferences")
+    finally:
+        area.type = "VIEW_3D"
+    yield from driver.drawn()
