@@ -314,6 +314,8 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
     only_cage = set(then) <= set(CAGE_DEPENDENCIES)
     considered = CAGE_DEPENDENCIES if only_cage else {**now, **then}
     changed = [name for name in considered if now.get(name) != then.get(name)]
+    if model.settings.solver == "REDUCED" and "solver" in changed:  # it serves unreduced simulations too
+        changed.remove("solver")
     names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
     if "number of targets" in changed:
         changed = [name for name in changed if not name.startswith("shape ")]

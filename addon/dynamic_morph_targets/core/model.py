@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 
 import dynamorph
 import numpy as np
@@ -134,6 +134,12 @@ class Model:
             list(self.response_mu), self.reach.reshape(-1),
         )  # fmt: skip
         return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
+
+    def with_settings(self, settings: ModelSettings) -> Model:
+        """The same model, to be simulated with another `solver`. One that was built as FULL has no modes for a reduced
+        simulation.
+        """
+        return replace(self, settings=settings)
 
     @property
     def modes(self) -> np.ndarray:

@@ -105,7 +105,8 @@ class ActionsExport(batch.Batch):
             )
         if obj.dynamorph.model.solver == "FULL" and obj.dynamorph.model.method != "STATIC":
             raise ExportError(
-                f"'{obj.name}': clips share their shape keys, and the Full solver makes others for each: choose Reduced"
+                f"'{obj.name}': clips share their shape keys, and Final quality makes others for each: set Quality to "
+                "Reduced"
             )
         self.key, self.path = key, path
         self.clips = actions.clips_of(obj)
