@@ -112,8 +112,9 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     modes: IntProperty(
         name="Detail (Modes)",
-        description="How many displacement modes Reduced quality simulates, and how many keys a bake of Final quality "
-        "has at most. With bone responses 120 suit a whole body; without them, 20 suit a limb and more than 40 are slow",
+        description="How many displacement modes Reduced quality simulates, and how many keys a bake of Final "
+        "quality has at most. With bone responses 120 suit a whole body. Without them 20 suit a limb, and more than "
+        "40 are slow",
         default=ModelSettings.modes, min=1, max=400, soft_min=5, soft_max=240,
         override=OVERRIDE,
     )  # fmt: skip
