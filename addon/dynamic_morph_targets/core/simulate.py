@@ -20,7 +20,7 @@ from .player import STEP, Frame, Player
 from .rig_samples import RigSamples
 from .settings import SimulationSettings
 
-LOST = 2e-3  # of the motion, by a bake with fewer modes than the model
+LOST = 1e-3  # of the motion, by a bake with fewer modes than the model
 NEGLIGIBLE = 1e-5  # of a motion, RMS: what an exact bake may lack
 CHECKED = 10  # frames that are checked for inverted tetrahedra: those with the largest coordinates
 
