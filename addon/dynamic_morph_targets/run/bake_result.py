@@ -188,7 +188,7 @@ class Writer:
             record.stale, record.built = "only the cage is built" if given.only_cage else "", given.built_from
         if given.reasons and not given.only_cage:
             obj.dynamorph.live.checks = ""
-            fit_modes(obj, model.summary["modes"])
+            fit_modes(obj, model.summary.get("tabulated", model.summary["modes"]))
             self._store_references(obj)
 
     def _store_materials(self, obj: bpy.types.Object) -> None:

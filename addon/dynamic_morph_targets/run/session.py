@@ -80,7 +80,7 @@ class Tissue:
     def _node_modes(self) -> np.ndarray:
         """The modes of the nodes (r, n, 3), bind space."""
         _, simulate = engine.engine()
-        return simulate.node_modes(self.model, self.model.basis.T)
+        return simulate.node_modes(self.model, self.model.modes.T)
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:

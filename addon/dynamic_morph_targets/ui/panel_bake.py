@@ -30,7 +30,7 @@ def draw_model(layout, obj):
     header.label(text="Model")
     if body:
         body.enabled = batch.running is None
-        for name in ("method", "law", "blending", "modes", "fit_to_shot"):
+        for name in ("method", "law", "blending", "basis", "modes", "fit_to_shot"):
             body.prop(model, name)
     draw_outdated(layout, staleness.model_age(obj))
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
