@@ -551,6 +551,17 @@ def test_quality_changes_while_it_plays(playing):
     assert session(playing).tissue.modes == 8
 
 
+def test_frames_that_take_too_much_memory_are_simulated_again(live_arm, monkeypatch):
+    monkeypatch.setattr(part("session"), "KEPT", 4)
+    monkeypatch.setattr(part("session"), "FRAME_BYTES", 0)
+    live_arm.dynamorph.model.solver = "FULL"
+    bpy.ops.dynamorph.live()
+    there = play(live_arm, range(1, 13))
+    assert np.array_equal(play(live_arm, [9, 10, 11, 12]), there[-4:])  # the latest frames are remembered
+    assert not np.array_equal(play(live_arm, [5])[0], there[4])  # it starts over where there is none
+    play(live_arm, range(6, 13))
+
+
 def test_a_single_mode_needs_reduced_quality(live_arm):
     live_arm.dynamorph.model.solver = "FULL"
     with pytest.raises(RuntimeError, match="set Quality to Reduced"):
