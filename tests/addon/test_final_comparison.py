@@ -16,7 +16,8 @@ pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 @pytest.fixture
 def coarse(soft_arm):
     """The soft arm with a coarse cage and few modes."""
-    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 4
+    model = soft_arm.dynamorph.model
+    model.cage_nodes, model.basis, model.modes = 200, "MODES", 4
     return soft_arm
 
 
