@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs \
-	convergence bakes farm-demo fuzz sanitize stubs format lint wheel extension clean
+	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel extension clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -85,6 +85,12 @@ sizes ?= 2000 4000 8000 16000
 convergence: build
 	@$(python) tests/benchmarks/convergence.py --sizes $(sizes)
 	@$(python) tests/benchmarks/believable.py --page
+
+# docs/accuracy.md with its plot, how far reduced motion is from unreduced over Detail; takes about 15 minutes.
+# only="Cow Husky" measures those again, keep=1 only what was never measured.
+keep ?=
+accuracy: build
+	@$(python) tests/benchmarks/accuracy.py --only "$(only)" $(if $(keep),--keep)
 
 # docs/believable.md from what was measured before.
 believable-docs: build

@@ -34,7 +34,7 @@ except ImportError as error:
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("table", "claims", "accuracy", "sheets")
 CELL = (264, 204)
-LAWS = {"linear": "LINEAR", "StVK": "STVK"}
+LAWS = {"linear": "LINEAR", "StVK": "STVK", "stable StVK": "STABLE_STVK"}
 MODES = (4, 8, 12, 16, 20, 30, 40, 60)
 FITTED_MODES = (8, 16, 20, 30)  # and the scene's own number
 FULL = "DMT full"
@@ -309,7 +309,11 @@ def main() -> int:
     parser.add_argument("--scenes", nargs="+", choices=SUBJECTS, default=list(SUBJECTS), help="default: all")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="parts of the page; default: all")
     parser.add_argument("--draft", action="store_true", help="render with Workbench: faster, plainer")
+    parser.add_argument("--page", action="store_true", help="write the page again from docs/results.json")
     args = parser.parse_args()
+    if args.page:
+        results_page.write_again(ROOT / "docs")
+        return 0
     complete = not args.draft and set(args.only) == set(PARTS) and set(args.scenes) == set(SUBJECTS)
     dynamic_morph_targets.register()
     make(args, ROOT / "docs" if complete else ROOT / "out" / "results")

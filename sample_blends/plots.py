@@ -52,12 +52,13 @@ def draw(axes, title: str, curves: Curves, x: str, y: str, **style) -> None:
     axes.legend(fontsize=8)
 
 
-def logarithmic(axes) -> None:
-    """A logarithmic y axis with ordinary numbers."""
-    axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_locator(NullLocator())
+def logarithmic(axes, *, x: bool = False) -> None:
+    """A logarithmic y axis with ordinary numbers, and with x that one too."""
+    for axis in (axes.yaxis, axes.xaxis) if x else (axes.yaxis,):
+        axes.set(**{f"{axis.axis_name}scale": "log"})
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())
 
 
 def bars(axes, title: str, groups: Sequence[str], heights: Mapping[str, Sequence[float]], y: str) -> None:

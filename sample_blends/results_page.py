@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -17,7 +18,10 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tools"))
 from measured import measured_at
 
 IMAGES = "images/results"
-TABLE_COLUMNS = {"linear full": "Lin.", "linear reduced": "Red. Lin.", "StVK full": "StVK", "StVK reduced": "Red. StVK"}
+TABLE_COLUMNS = {
+    "linear full": "Lin.", "linear reduced": "Red. Lin.", "StVK full": "StVK", "StVK reduced": "Red. StVK",
+    "stable StVK full": "Stable StVK (default)", "stable StVK reduced": "Red. stable StVK (default)",
+}  # fmt: skip
 CLOSE = 0.05  # RMS error, relative to the motion, up to which two motions are called alike
 
 OPENING = """# Results
@@ -43,6 +47,19 @@ the targets' shapes: the rest of the full motion's singular values.
 def write(folder: Path, machine: str, found: dict, pictures: dict[str, str]) -> None:
     """results.md and results.json in `folder`. found: scene -> part -> numbers; pictures: figure -> file name."""
     commit = measured_at("results.md")
+    write_page(folder, machine, found, pictures, commit)
+    stored = {"machine": machine, "commit": commit, "scenes": found, "pictures": pictures}
+    (folder / "results.json").write_text(as_json(stored), encoding="utf-8")
+
+
+def write_again(folder: Path) -> None:
+    """results.md from the results.json in `folder`: nothing is measured."""
+    stored = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    write_page(folder, stored["machine"], stored["scenes"], stored["pictures"], stored["commit"])
+
+
+def write_page(folder: Path, machine: str, found: dict, pictures: dict[str, str], commit: str) -> None:
+    """results.md; commit: the sentence that names it."""
     page = [OPENING.format(commit=commit)]
     page += section("Table 5.1", table(machine, tables)) if (tables := parts(found, "table")) else []
     if "5.1" in pictures:
@@ -56,9 +73,13 @@ def write(folder: Path, machine: str, found: dict, pictures: dict[str, str]) -> 
         page += section(subject.title, told) if told else []
     page += section("Reduced against full, linear against StVK", accuracy(a)) if (a := parts(found, "accuracy")) else []
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "results.md").write_text("\n".join(page).rstrip() + "\n", encoding="utf-8")
-    stored = {"machine": machine, "commit": commit, "scenes": found}
-    (folder / "results.json").write_text(as_json(stored), encoding="utf-8")
+    text = "\n\n".join(map(wrapped, "\n".join(page).rstrip().split("\n\n")))
+    (folder / "results.md").write_text(text + "\n", encoding="utf-8")
+
+
+def wrapped(block: str) -> str:
+    """A paragraph in lines of at most 120 characters; whatever else there is as it is."""
+    return block if block.startswith(("#", "|", "!", "-")) else textwrap.fill(block, 120, break_on_hyphens=False)
 
 
 def as_json(stored: dict) -> str:
@@ -97,24 +118,50 @@ def percent(fraction: float) -> str:
 
 
 def table(machine: str, tables: dict[str, dict]) -> list[str]:
-    head = ("", "bones", "DOF", "modes", "targets", *TABLE_COLUMNS.values(), "precompute")
+    columns = shown_columns(tables)
+    head = ("", "bones", "DOF", "modes", "targets", *columns.values(), "precompute")
     rows = []
     for name, measured in tables.items():
         variants, subject = measured, SUBJECTS[name]
         dmt = variants["DMT StVK reduced"]
-        speeds = [without_with(variants, kind) for kind in TABLE_COLUMNS]
+        speeds = [without_with(variants, kind) for kind in columns]
         counts = [subject.thesis["bones"], str(dmt["dofs"]), str(dmt["modes"]), str(dmt["targets"])]
         rows.append((f"**{subject.title}**", *counts, *speeds, f"{sum(dmt['precompute'].values()):.2f} s"))
         then = subject.thesis
         counts = [then[key] for key in ("bones", "dofs", "modes", "targets")]
-        rows.append(("thesis", *counts, *(then.get(kind, "") for kind in TABLE_COLUMNS), f"{then['precompute']} s"))
+        rows.append(("thesis", *counts, *(then.get(kind, "") for kind in columns), f"{then['precompute']} s"))
     note = f"""\
 Steps a second *without → with* dynamic morph targets: frames a second at one step a frame, nothing drawn. Without is
-the neutral target alone. Medians over the frames of a bake; {machine}. The thesis
-measured on a 2.4 GHz Core 2 Duo. Precompute: from mesh to polynomials, of the reduced StVK model; the row of
-[performance.md](performance.md) starts from the tetrahedra and uses all cores.
+the neutral target alone. Medians over the frames of a bake; {machine}. The thesis measured on a 2.4 GHz Core 2 Duo.
 """
-    return [grid(head, rows), note, *marginal(tables)]
+    return [grid(head, rows), note, *marginal(tables), *precompute(tables)]
+
+
+def shown_columns(tables: dict[str, dict]) -> dict[str, str]:
+    """The kinds of models that every scene was measured with, and their titles."""
+    return {
+        kind: title
+        for kind, title in TABLE_COLUMNS.items()
+        if all(f"{material} {kind}" in found for found in tables.values() for material in ("single", "DMT"))
+    }
+
+
+def precompute(tables: dict[str, dict]) -> list[str]:
+    """What the precompute of each scene consists of."""
+    seconds = {name: measured["DMT StVK reduced"]["precompute"] for name, measured in tables.items()}
+    stages = dict.fromkeys(stage for found in seconds.values() for stage in found)
+    rows = [
+        (SUBJECTS[name].title, *(f"{found[stage]:.2f} s" if stage in found else "" for stage in stages),
+         f"{sum(found.values()):.2f} s")
+        for name, found in seconds.items()
+    ]  # fmt: skip
+    note = """\
+Precompute is of the reduced StVK model with all targets, from the skin to the polynomials, on one core. The scenes fit
+their modes to the shot. *Rehearsal* is what that takes: an unreduced simulation of the shot, or, for the shoulder, the
+polynomials of 40 modes and a simulation in these. [performance.md](performance.md) prints a shorter time for a shoulder
+of this size, because that one begins with the tetrahedra, rehearses nothing and uses all cores.
+"""
+    return [grid(("precompute", *stages, "together"), rows), note]
 
 
 def without_with(variants: dict, kind: str) -> str:
@@ -123,11 +170,12 @@ def without_with(variants: dict, kind: str) -> str:
 
 def marginal(tables: dict[str, dict]) -> list[str]:
     """What the targets cost: time of a step with them over that without."""
-    head = ("time of a step, with targets / without", *TABLE_COLUMNS.values())
+    columns = shown_columns(tables)
+    head = ("time of a step, with targets / without", *columns.values())
     rows = []
     for name, measured in tables.items():
         speed = {n: v["steps_per_second"] for n, v in measured.items()}
-        rows.append((SUBJECTS[name].title, *(f"{speed[f'single {k}'] / speed[f'DMT {k}']:.2f}" for k in TABLE_COLUMNS)))
+        rows.append((SUBJECTS[name].title, *(f"{speed[f'single {k}'] / speed[f'DMT {k}']:.2f}" for k in columns)))
     return [grid(head, rows)]
 
 

@@ -25,6 +25,8 @@ PAGES = {
     "performance.md": (*ENGINE, *ADDON, "tests/benchmarks/engine.cpp", "tests/benchmarks/test_pipeline.py"),
     "robustness.md": (*ENGINE, *ADDON, "tests/benchmarks/robustness_page.py", "tests/addon/characters.py"),
     "bakes.md": (*ENGINE, *ADDON, "tests/benchmarks/bakes.py", "tests/benchmarks/walks.py"),
+    "accuracy.md": (*ENGINE, *ADDON, "tests/benchmarks/accuracy_shots.py", "tests/benchmarks/motion_error.py",
+                    "sample_blends/*.blend"),
     "believable.md": (*ENGINE, *ADDON, "tests/benchmarks/believable_bake.py", "tests/benchmarks/convergence.py"),
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "farm",
                 "tools/farm_demo.py"),

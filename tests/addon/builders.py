@@ -196,6 +196,13 @@ class StandIn:
         def to_arrays(self):
             return self.arrays, self.meta
 
+        @property
+        def settings(self):
+            return part("settings").ModelSettings()
+
+        def with_settings(self, _settings):
+            return self
+
     def dependencies(self, character):
         shapes = {f"shape of '{t.name}'": hashlib.sha256(t.shape.tobytes()).hexdigest() for t in character.targets}
         return {"mesh": hashlib.sha256(character.vertices.tobytes()).hexdigest(), **shapes}
@@ -247,7 +254,7 @@ class StandInShot:
         if not self.progress(frame / 10, f"Frame {frame}"):
             raise RuntimeError("cancelled")
 
-    def bake(self):
+    def bake(self, exact=False):
         character, settings = self.character, self.settings
         rng = np.random.default_rng(1)
         vertices, targets = len(character.vertices), character.targets

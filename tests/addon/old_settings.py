@@ -8,6 +8,8 @@ def with_pins(obj):
     """Give them to the soft skin `obj` through its properties alone, so that it works without the add-on's modules."""
     settings = obj.dynamorph
     settings.model.hold, settings.model.one_cage, settings.model.hold_head = "BONES", False, False
+    settings.model.property_unset("basis")
+    settings.model.property_unset("modes")
     for piece in settings.pieces:
         group = obj.vertex_groups.get(piece.group) if piece.group else None
         if group:

@@ -649,7 +649,7 @@ def test_values_that_are_not_numbers_are_refused_before_keys_are_made(shot, soft
     simulate, errors, batch, job = part("simulate"), part("errors"), part("batch"), part("job")
     whole = simulate.Shot.bake
 
-    def spoiled(self):
+    def spoiled(self, exact=False):
         bake, report = whole(self)
         bake.coordinates[3, 0] = np.nan
         return bake, report

@@ -222,8 +222,10 @@ def test_seams_stay_closed_in_an_unreduced_bake(figure):
     assert_closed(figure)
 
 
-def test_live_shows_all_meshes_as_the_bake_does(figure):
+@pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
+def test_live_shows_all_meshes_as_the_bake_does(figure, solver):
     body = figure["Body"]
+    body.dynamorph.model.solver, body.dynamorph.model.modes = solver, 20
     OPS.build()
     OPS.live()
     live = positions(figure, range(1, 15))

@@ -149,7 +149,7 @@ def test_a_sculpt_makes_both_old(baked):
     assert outdated(baked) == [] and not baked.dynamorph.model.stale
 
 
-@pytest.mark.parametrize("name, value", [("modes", 7), ("solver", "FULL"), ("cage_nodes", 900)])
+@pytest.mark.parametrize("name, value", [("modes", 7), ("law", "LINEAR"), ("cage_nodes", 900)])
 def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value):
     model = baked.dynamorph.model
     before = getattr(model, name)
@@ -160,6 +160,13 @@ def test_the_model_s_settings_are_named_until_they_are_reset(baked, name, value)
     model.blending = "FORCES"
     baked.dynamorph.targets[1].stiffness = 1e5
     assert model_changes(baked) == []
+
+
+def test_another_quality_makes_only_the_bake_old(baked):
+    baked.dynamorph.model.solver = "FULL"
+    assert model_changes(baked) == [] and outdated(baked) == ["Quality changed"]
+    baked.dynamorph.model.solver = "REDUCED"
+    assert outdated(baked) == []
 
 
 # Animation ---------------------------------------------------------------------------------------------------------

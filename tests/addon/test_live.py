@@ -528,11 +528,45 @@ def test_a_model_out_of_date_is_refused(live_arm):
     assert fingerprint(live_arm) == before
 
 
-def test_an_unreduced_model_is_refused(live_arm):
+# Final quality -----------------------------------------------------------------------------------------------------
+
+
+def test_final_quality_plays_what_it_bakes_without_another_build(live_arm):
+    settings, content_id = live_arm.dynamorph, live_arm.dynamorph.model.content_id
+    reduced = baked(live_arm)
+    settings.model.solver = "FULL"
+    bpy.ops.dynamorph.live()
+    shown = play(live_arm, range(1, 21))
+    assert settings.model.content_id == content_id
+    bpy.ops.dynamorph.live()
+    assert apart(shown, baked(live_arm)) < 1e-5 < 1e-3 < apart(shown, reduced)
+
+
+def test_quality_changes_while_it_plays(playing):
+    reduced = play(playing, range(1, 11))
+    playing.dynamorph.model.solver = "FULL"
+    assert play(playing, range(1, 11)).shape == reduced.shape and not session(playing).tissue.modes
+    playing.dynamorph.model.solver = "REDUCED"
+    assert np.array_equal(play(playing, range(1, 11)), reduced)
+    assert session(playing).tissue.modes == 8
+
+
+def test_frames_that_take_too_much_memory_are_simulated_again(live_arm, monkeypatch):
+    monkeypatch.setattr(part("session"), "KEPT", 4)
+    monkeypatch.setattr(part("session"), "FRAME_BYTES", 0)
     live_arm.dynamorph.model.solver = "FULL"
-    part("batch").run(part("job").Job(live_arm, goal="BUILD"))
-    with pytest.raises(RuntimeError, match="choose Solver Reduced"):
-        bpy.ops.dynamorph.live()
+    bpy.ops.dynamorph.live()
+    there = play(live_arm, range(1, 13))
+    assert np.array_equal(play(live_arm, [9, 10, 11, 12]), there[-4:])  # the latest frames are remembered
+    assert not np.array_equal(play(live_arm, [5])[0], there[4])  # it starts over where there is none
+    play(live_arm, range(6, 13))
+
+
+def test_a_single_mode_needs_reduced_quality(live_arm):
+    live_arm.dynamorph.model.solver = "FULL"
+    with pytest.raises(RuntimeError, match="set Quality to Reduced"):
+        bpy.ops.dynamorph.play_mode()
+    assert bpy.ops.dynamorph.shake_test(kind="HOP", seconds=0.5) == {"FINISHED"}
 
 
 def stopped(obj, words):

@@ -217,7 +217,7 @@ def test_an_error_in_the_engine_changes_nothing(soft_arm, stand_in):
 def test_a_result_that_is_not_a_number_is_refused(soft_arm, stand_in, monkeypatch):
     bake = StandInShot.bake
 
-    def broken(shot):
+    def broken(shot, exact=False):
         result, report = bake(shot)
         result.coordinates[3, 1] = float("nan")
         return result, report

@@ -123,8 +123,10 @@ def test_with_other_methods(soft_arm, change):
     assert np.abs(motion(twin) - motion(soft_arm)).max() < 1e-5
 
 
-def test_live_and_a_shake_test_show_the_sleeve_too(dressed):
+@pytest.mark.parametrize("solver", ["REDUCED", "FULL"])
+def test_live_and_a_shake_test_show_the_sleeve_too(dressed, solver):
     arm, sleeve = dressed
+    arm.dynamorph.model.solver, arm.dynamorph.model.modes = solver, 20
     OPS.build()
     OPS.shake_test(kind="TWIST")
     assert keys_of(sleeve) is None and sleeve.dynamorph.follows is None

@@ -18,7 +18,7 @@ from ..core import engine, errors, material_fit, oscillation
 from ..core.errors import InputError
 from ..core.settings import VARIANTS, Material, ModelSettings
 from ..io import cache_dir, model_file, paths, point_cache, report_page
-from ..run import batch, export_actions
+from ..run import batch, export_actions, final_comparison
 from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, skin, staleness
 from ..write import bake, exports, losses
@@ -82,6 +82,9 @@ def work_on(args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files
     tick = Progress(args.progress == "openjd")
     batch.run(job, tick)
     warnings = list(job.warnings)
+    if args.compare_final:
+        batch.run_all(final_comparison.FinalComparison(obj), tick)
+        job.report["off_final"] = obj.dynamorph.bake.off_final
     if format_of(args) in exports.FORMATS:
         first, last = job.result.frames[[0, -1]] if job.input.is_bake else (0, 0)
         warnings += export(args, obj, files[obj.name], (math.ceil(first), math.floor(last)))
@@ -102,6 +105,8 @@ def apply_settings(args: argparse.Namespace, obj: bpy.types.Object) -> None:
     """Apply the settings of the command line to the object. Raises InputError."""
     for change in args.changes:
         set_property(obj, change)
+    if args.compare_final and (args.clips == "actions" or args.solver == "full"):
+        raise InputError("--compare-final compares a reduced bake: leave --clips actions and --solver full out")
     for group, names in SETTINGS.items():
         for name in names:
             if (value := getattr(args, name, None)) is not None:

@@ -107,6 +107,8 @@ def print_table(job: Job, save_seconds: float) -> None:
             rows.append(("keys' error", f"{1000 * job.report['keys_error']:.3g} mm"))
         if "seam" in job.report:
             rows.append(("seam", f"{1000 * job.report['seam']:.3g} mm"))
+        if "off_final" in job.report:
+            rows.append(("off Final", f"{100 * job.report['off_final']:.1f} %"))
         if "compression_error" in job.report:
             rows.append(("compression error", f"{1000 * job.report['compression_error']:.3g} mm"))
     rows += [(stage, f"{seconds:.2f} s") for stage, seconds in (*job.seconds.items(), ("save", save_seconds))]

@@ -69,5 +69,5 @@ class Amounts:
         """For each set the (r, r) matrix that projects a motion onto the part of it that lies in its region, by least
         squares.
         """
-        back = np.linalg.pinv(self._model.basis)
-        return [(back @ (weights[:, None] * self._model.basis)).T for weights in self._region_weights]
+        back = np.linalg.pinv(self._model.modes)
+        return [(back @ (weights[:, None] * self._model.modes)).T for weights in self._region_weights]

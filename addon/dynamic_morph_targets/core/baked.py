@@ -50,6 +50,26 @@ def distance(bake: Bake, other: Bake, to_bind: np.ndarray) -> float:
     return reach(difference, to_bind)
 
 
+def motion_distance(bake: Bake, reference: Bake, to_bind: np.ndarray, areas: np.ndarray) -> float:
+    """How far two bakes of the same frames are apart, each about its own mean: RMS over frames and skin, as a fraction
+    of that of the reference; 0 if that does not move. areas (V,): of the skin about each vertex; to_bind as for
+    `reach`.
+    """
+    pair = bake, reference
+    shapes = np.concatenate([shapes for each in pair for shapes in (each.modes, each.residual_shapes)])
+    values = [np.hstack([each.coordinates, each.weights]) for each in pair]
+    first, second = (value - value.mean(axis=0) for value in values)
+    weighted = (np.sqrt(areas)[:, None] * (shapes @ to_bind.T)).reshape(len(shapes), -1)
+    products = weighted @ weighted.T
+
+    def square(moved: np.ndarray) -> float:
+        return float(np.einsum("fi,ij,fj->", moved, products, moved, optimize=True))
+
+    moves = square(np.hstack([np.zeros_like(first), second]))
+    apart = max(square(np.hstack([first, -second])), 0.0)  # rounding may leave less than nothing
+    return float(np.sqrt(apart / moves)) if moves > 0.0 else 0.0
+
+
 def at_rows(bake: Bake, rows: np.ndarray) -> Bake:
     """Some frames of a bake."""
     return replace(

@@ -19,7 +19,7 @@ from .cage import Progress, Report, Stages
 from .character import Character, Target
 from .errors import SceneError
 from .model import Model, array_hash, engine_hash, morph_targets
-from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS
+from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS, TABULATED, ModelSettings
 
 Rehearsal = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which a rehearsal for fitted modes is unreduced
@@ -68,18 +68,20 @@ def build(
             basis = _fitted_basis(model, body, full, character, rehearse, stages)
         else:
             with stages("Modes", 0.35) as report:
-                basis = dynamorph.make_basis(full, character.settings.modes, report).U
+                basis = _basis(full, len(targets), character.settings, report)
         with stages("Polynomials", 0.20) as report:
             model = _reduced(model, full, basis, report)
     fallbacks = _fallbacks(full, character.targets)
     model.summary.update(
         dofs=full.dofs,
-        modes=model.basis.shape[1],
+        modes=model.modes.shape[1],
         targets=len(targets),
         fallbacks=fallbacks,
         warnings=model.summary["warnings"] + _fallback_warnings(fallbacks, len(model.tets)),
         seconds=stages.seconds,
     )
+    if model.responses.size:
+        model.summary["tabulated"] = model.basis.shape[1]
     return model
 
 
@@ -106,10 +108,36 @@ def _reusable(previous: Model | None, authored: dict[str, str]) -> dynamorph.Tet
     return dynamorph.TetMesh(previous.nodes, previous.tets) if fits else None
 
 
-def _reduced(model: Model, full: dynamorph.FullModel, basis: np.ndarray, report: Report) -> Model:
-    """The model in the modes of `basis` (3 free, r)."""
+Basis = np.ndarray | dynamorph.ResponseBasis  # modes (3 free, r), or modes and responses
+
+
+def _basis(full: dynamorph.FullModel, targets: int, settings: ModelSettings, report: Report) -> Basis:
+    """The subspace that the settings ask for, in which all targets' shapes are among the tabulated modes."""
+    if settings.basis == "MODES":
+        return dynamorph.make_basis(full, settings.modes, report).U
+    sculpted = sum(bool(full.target(j).any()) for j in range(targets))
+    tabulated = max(settings.tabulated, sculpted + TABULATED[0])
+    return dynamorph.make_response_basis(full, tabulated, max(settings.modes - tabulated, 1), report)
+
+
+def _reduced(model: Model, full: dynamorph.FullModel, basis: Basis, report: Report) -> Model:
+    """The model in `basis`."""
     tables = dynamorph.reduce(full, basis, report)
-    return replace(model, basis=basis, table_lambda=np.array(tables.lame_lambda), table_mu=np.array(tables.lame_mu))
+    model = replace(
+        model,
+        basis=tables.basis,
+        table_lambda=np.array(tables.lame_lambda),
+        table_mu=np.array(tables.lame_mu),
+    )
+    if not tables.responses.size:
+        return model
+    return replace(
+        model,
+        responses=tables.responses,
+        response_lambda=np.array(tables.response_lambda),
+        response_mu=np.array(tables.response_mu),
+        reach=tables.reach,
+    )
 
 
 def _fitted_basis(
@@ -128,7 +156,7 @@ def _fitted_basis(
     """
     if rehearse is None:
         raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
-    wanted = character.settings.modes
+    wanted = character.settings.tabulated
     in_full = full.dofs <= REHEARSED_IN_FULL
     with stages("Modes", 0.05 if in_full else 0.15) as report:
         more = 0 if in_full else min(int(np.clip(2 * wanted, *REHEARSAL_MODES)), full.dofs // 3)
@@ -286,6 +314,8 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
     only_cage = set(then) <= set(CAGE_DEPENDENCIES)
     considered = CAGE_DEPENDENCIES if only_cage else {**now, **then}
     changed = [name for name in considered if now.get(name) != then.get(name)]
+    if model.settings.solver == "REDUCED" and "solver" in changed:  # it serves unreduced simulations too
+        changed.remove("solver")
     names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
     if "number of targets" in changed:
         changed = [name for name in changed if not name.startswith("shape ")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 
 import dynamorph
 import numpy as np
@@ -15,6 +15,7 @@ from .errors import ModelFileError, SceneError
 from .settings import ModelSettings
 
 # The names in model files of the fields that were renamed since.
+RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "reach")
 STORED_NAMES = {"residual_shapes": "details", "region_weights": "shares", "hold_strength": "held"}
 
 EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
@@ -31,7 +32,8 @@ class Model:
     node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), residual_shapes
     (J, V, 3) local space: what the cage cannot carry of the targets' shapes; to_bind (3, 3); parents (B,), rest
     (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
-    (dynamorph.ReducedTables), empty of a full one. Static morph targets have no nodes: their residual shapes are the
+    (dynamorph.ReducedTables), empty of a full one; responses (3 free, h), response_lambda and response_mu (J, ...) and
+    reach (r) of one with responses, else empty. Static morph targets have no nodes: their residual shapes are the
     shapes.
     """
 
@@ -55,6 +57,10 @@ class Model:
     basis: np.ndarray
     table_lambda: np.ndarray
     table_mu: np.ndarray
+    responses: np.ndarray
+    response_lambda: np.ndarray
+    response_mu: np.ndarray
+    reach: np.ndarray
     bone_names: tuple[str, ...]
     settings: ModelSettings
     dependencies: dict[str, str]
@@ -77,7 +83,9 @@ class Model:
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
         """The inverse of `to_arrays`. Raises ModelFileError when something is missing."""
-        arrays = dict.fromkeys(("held", "hold", "thickness"), np.zeros(0)) | arrays  # older models have none
+        none, no_table = np.zeros(0), np.zeros((0, 0))  # older models have none
+        later = dict.fromkeys(("held", "hold", "thickness"), none) | dict.fromkeys(RESPONSE_ARRAYS, no_table)
+        arrays = later | arrays
         try:
             return cls(
                 **{name: arrays[STORED_NAMES.get(name, name)] for name in cls.array_names()},
@@ -121,8 +129,22 @@ class Model:
         law = dynamorph.Law.__members__[self.settings.law]
         if self.settings.solver == "FULL":
             return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
-        tables = dynamorph.ReducedTables(law, self.basis, list(self.table_lambda), list(self.table_mu))
+        tables = dynamorph.ReducedTables(
+            law, self.basis, list(self.table_lambda), list(self.table_mu), self.responses, list(self.response_lambda),
+            list(self.response_mu), self.reach.reshape(-1),
+        )  # fmt: skip
         return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
+
+    def with_settings(self, settings: ModelSettings) -> Model:
+        """The same model, to be simulated with another `solver`. One that was built as FULL has no modes for a reduced
+        simulation.
+        """
+        return replace(self, settings=settings)
+
+    @property
+    def modes(self) -> np.ndarray:
+        """Displacement (3 free, dofs) of the free nodes by each coordinate of a reduced model."""
+        return np.hstack([self.basis, self.responses]) if self.responses.size else self.basis
 
     @property
     def stepper(self) -> Callable[..., EngineSimulation]:

@@ -54,7 +54,11 @@ LATER_SETTINGS = {
     "hold": "BONES",
     "one_cage": False,
     "hold_head": False,
+    "basis": "MODES",
 }
+
+
+TABULATED = 8, 30  # fewest and most modes with energy tables beside responses
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,17 @@ class ModelSettings:
     hold: str = "BONES"  # what holds the body: pins near the bones, or its THICKNESS, by a continuous energy
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
     hold_head: bool = False  # the skin of the head is held as if it were rigid; with one_cage
+    basis: str = "MODES"  # of a reduced model: tabulated MODES, or few of them and many linear RESPONSES
+
+    @property
+    def tabulated(self) -> int:
+        """How many of `modes` have energy tables. Their cost grows with the fourth power of their number, that of
+        responses linearly.
+        """
+        if self.basis == "MODES":
+            return self.modes
+        least, most = TABULATED
+        return min(max(self.modes // 6, least), most, self.modes)
 
 
 @dataclass(frozen=True)

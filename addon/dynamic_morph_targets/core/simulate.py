@@ -20,6 +20,8 @@ from .player import STEP, Frame, Player
 from .rig_samples import RigSamples
 from .settings import SimulationSettings
 
+LOST = 1e-3  # of the motion, by a bake with fewer modes than the model
+NEGLIGIBLE = 1e-5  # of a motion, RMS: what an exact bake may lack
 CHECKED = 10  # frames that are checked for inverted tetrahedra: those with the largest coordinates
 
 
@@ -137,8 +139,10 @@ class Shot:
         self.done = len(kept["coordinates"])
         self.player.resume(first, (list(kept["past"]), list(kept["bones"])))
 
-    def bake(self) -> tuple[Bake, dict]:
-        """The bake and its report, when all is played."""
+    def bake(self, exact: bool = False) -> tuple[Bake, dict]:
+        """The bake and its report, when all is played. exact: an unreduced one has as many modes as it takes for all of
+        the motion, else as many as the model's settings say.
+        """
         began, player = time.perf_counter(), self.player
         model, character, settings = player.model, player.character, player.settings
         kept = slice(settings.run_up * settings.samples, None)
@@ -147,9 +151,11 @@ class Shot:
         report = _report(settings.times, np.concatenate(self._steps)) | self._loop
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, static))
-        coordinates, free = player.amounts.shown(coordinates, weights), model.basis.T
+        coordinates, free = player.amounts.shown(coordinates, weights), model.modes.T
         if model.settings.solver == "FULL" and player.engine is not None:
-            coordinates, static, free, report["compression_error"] = _compress(model, coordinates, static)
+            coordinates, static, free, report["compression_error"] = _compress(model, coordinates, static, exact)
+        elif model.responses.size and not exact:
+            coordinates, static, free = _fewer(model, coordinates, static)
         modes = node_modes(model, free)
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
@@ -249,16 +255,36 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
     return modes
 
 
+def _fewer(model: Model, coordinates: np.ndarray, static: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As few modes as this shot needs of a model with responses, most of which hardly move in one shot.
+
+    They keep the targets' shapes, and all but LOST of the root mean square of the motion. coordinates, static (F,
+    dofs): with and without motion. Returns both in the modes, and the modes (r, 3 free).
+    """
+    _, s, shapes = np.linalg.svd(static, full_matrices=False)
+    shapes = shapes[s > 1e-9 * max(s.max(initial=0.0), 1e-300)]
+    _, s, others = np.linalg.svd(coordinates - coordinates @ shapes.T @ shapes, full_matrices=False)
+    without = np.sqrt(np.cumsum(s[::-1] ** 2)[::-1])  # what is lost without a mode and all later ones
+    turn = np.concatenate([shapes, others[: max(1, int((without > LOST * np.linalg.norm(s)).sum()))]])
+    return coordinates @ turn.T, static @ turn.T, turn @ model.modes.T
+
+
 def _compress(
-    model: Model, dynamic: np.ndarray, static: np.ndarray
+    model: Model, dynamic: np.ndarray, static: np.ndarray, exact: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """The best `settings.modes` modes of an unreduced shot, and what they lack of the targets' shapes.
+    """The best modes of an unreduced shot, `settings.modes` or those for all of it, and what they lack of the targets'
+    shapes.
 
     dynamic, static (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3
     free), and the largest error of `dynamic` in meters.
     """
     _, s, modes = np.linalg.svd(dynamic, full_matrices=False)
-    modes = modes[: min(model.settings.modes, len(s))]
+    left = np.sqrt(np.cumsum(s[::-1] ** 2)[::-1])  # of the motion, without the modes before each
+    enough = max(1, int((left > NEGLIGIBLE * left[0]).sum()))
+    most = model.settings.modes
+    if model.settings.basis == "RESPONSES":  # as `_fewer`
+        most = min(most, max(1, int((left > LOST * left[0]).sum())))
+    modes = modes[: enough if exact else most]
     _, s, others = np.linalg.svd(static - static @ modes.T @ modes, full_matrices=False)
     modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(static)]])
     coordinates = dynamic @ modes.T

@@ -87,7 +87,7 @@ def _hash(what: object) -> str:
 
 def _modes_hash(model: Model) -> str:
     """A hash of the meaning of a bake's coordinates: modes computed on another machine may have other signs."""
-    return hashlib.sha256(model.nodes.tobytes() + model.basis.tobytes()).hexdigest()
+    return hashlib.sha256(model.nodes.tobytes() + model.modes.tobytes()).hexdigest()
 
 
 def _file_hash(path: Path) -> str:

@@ -111,10 +111,11 @@ def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bo
     with suppress(errors.ModelFileError):  # then one of the reasons
         given.previous = load_model(obj)
     given.reasons = _reasons(given, obj, request.rebuild)
-    if not given.reasons:
-        given.model = given.previous
-    given.built_from = records.text(staleness.model_inputs(obj))
-    chosen = given.character.settings
+    chosen, built_from = given.character.settings, staleness.model_inputs(obj)
+    if not given.reasons and given.previous is not None:
+        given.model = given.previous.with_settings(chosen)
+        built_from["model"]["solver"] = given.previous.settings.solver
+    given.built_from = records.text(built_from)
     fits = bool(given.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
     given.cache_dir = request.cache_dir
     given.caches_model = bool(given.cache_dir) and not fits  # a fitted one depends on the shot

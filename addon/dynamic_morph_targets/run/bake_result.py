@@ -188,7 +188,7 @@ class Writer:
             record.stale, record.built = "only the cage is built" if given.only_cage else "", given.built_from
         if given.reasons and not given.only_cage:
             obj.dynamorph.live.checks = ""
-            fit_modes(obj, model.summary["modes"])
+            fit_modes(obj, model.summary.get("tabulated", model.summary["modes"]))
             self._store_references(obj)
 
     def _store_materials(self, obj: bpy.types.Object) -> None:
@@ -242,6 +242,8 @@ def summary(given: BakeInput, outcome: Outcome, seconds: dict[str, float]) -> st
     took = sum(value for stage, value in seconds.items() if stage != "build")
     gap = f", loop gap {1000 * report['gap']:.3g} mm" if "gap" in report else ""
     off = report.get("keys_error", 0.0)
+    if given.output and given.output.sink == "MODES":  # others hold all of an unreduced motion
+        off += report.get("compression_error", 0.0)
     error = f", {report['keys']} keys off by at most {1000 * off:.2g} mm" if off else ""
     seam = f", {1000 * report['seam']:.3g} mm from the other frames" if "seam" in report else ""
     return f"{frames} frames in {took:.1f}\u00a0s, {outcome.size / 2**20:.1f}\u00a0MB{error}{gap}{seam}"

@@ -184,9 +184,9 @@ class Computation:
         return shot
 
     def _judge(self, shot: Shot) -> None:
-        outcome = self.outcome
+        outcome, output = self.outcome, self.given.output
         with self.progress.stage("simulate"):
-            outcome.bake, outcome.report = shot.bake()
+            outcome.bake, outcome.report = shot.bake(exact=output is None or output.sink != "MODES")
         with self.progress.stage("judge"):
             outcome.verdict = judge.judge(outcome.model, outcome.character, outcome.bake)
         outcome.report["inverted_volume"] = outcome.verdict.inverted
@@ -247,7 +247,8 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     outcome.warnings += outcome.report["warnings"]
     settings = given.settings
     first, last = outcome.model.summary.get("fitted", (settings.start, settings.end))
-    if settings.start < first or settings.end > last:
+    uses_modes = outcome.model.settings.solver == "REDUCED"
+    if uses_modes and (settings.start < first or settings.end > last):
         outcome.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
     found = outcome.verdict.as_dict(given.limits)
     if not found["ok"]:

@@ -48,15 +48,21 @@ class ClipJob(Job):
 
 
 def joined(bakes: Sequence[Bake]) -> Bake:
-    """Bakes of one mesh with the same modes, joined one after the other in time. Raises SceneError."""
-    first = bakes[0]
-    if not all(np.array_equal(bake.modes, first.modes) for bake in bakes):
-        raise SceneError("Each clip has modes of its own, which the Full solver makes: choose the Reduced one")
-    together = {
-        name: np.concatenate([getattr(bake, name) for bake in bakes])
-        for name in ("frames", "coordinates", "weights", "static")
-    }
-    return replace(first, **together)
+    """Bakes of one mesh, joined one after the other in time."""
+    first, moved = bakes[0], ("coordinates", "static")
+    together = {name: np.concatenate([getattr(bake, name) for bake in bakes]) for name in ("frames", "weights")}
+    if all(np.array_equal(bake.modes, first.modes) for bake in bakes):
+        together |= {name: np.concatenate([getattr(bake, name) for bake in bakes]) for name in moved}
+        return replace(first, **together)
+    # Each has modes of its own, and does not move in those of the others.
+    ends = np.cumsum([len(bake.modes) for bake in bakes])
+    for name in moved:
+        rows = [np.zeros((len(bake.frames), ends[-1])) for bake in bakes]
+        for bake, row, end in zip(bakes, rows, ends, strict=True):
+            row[:, end - len(bake.modes) : end] = getattr(bake, name)
+        together[name] = np.concatenate(rows)
+    modes = np.concatenate([bake.modes for bake in bakes])
+    return keys.with_fewer_keys(replace(first, **together, modes=modes, node_modes=None))
 
 
 def export(
@@ -99,7 +105,8 @@ class ActionsExport(batch.Batch):
             )
         if obj.dynamorph.model.solver == "FULL" and obj.dynamorph.model.method != "STATIC":
             raise ExportError(
-                f"'{obj.name}': clips share their shape keys, and the Full solver makes others for each: choose Reduced"
+                f"'{obj.name}': clips share their shape keys, and Final quality makes others for each: set Quality to "
+                "Reduced"
             )
         self.key, self.path = key, path
         self.clips = actions.clips_of(obj)

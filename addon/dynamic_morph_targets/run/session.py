@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import bpy
@@ -19,6 +20,7 @@ from ..core.settings import Material, SimulationSettings
 from ..scene import extract, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
 from ..write import live_key
 from ..write.reconcile import reconcile
+from .live_surface import Move, Surface, by_modes, by_nodes
 
 if TYPE_CHECKING:  # it needs the engine
     from ..core.player import Frame, State
@@ -29,7 +31,8 @@ BLOCK = 16
 CATCH_UP = 8  # frames that playback may drop; they are simulated nevertheless
 RIG_BYTES = 2**28  # bytes of the rig's matrices that are kept, because reading them again takes a while
 KEPT = 250  # latest frames from which it can resume after a change of settings
-STATE_BYTES = 2**28  # bytes that those may take if each has the transforms of nodes
+STATE_BYTES = 2**28  # bytes that those may take, if they have the transforms or the displacements of nodes
+FRAME_BYTES = 2**28  # bytes of the coordinates of the latest frames, which show again without a simulation
 
 
 class Tissue:
@@ -38,29 +41,46 @@ class Tissue:
     def __init__(self, obj: bpy.types.Object, scene: bpy.types.Scene):
         reconcile(obj)
         self.model, self.character = model_store.current_model(obj)
-        if self.model.settings.solver == "FULL":
-            raise SceneError(f"'{obj.name}' has an unreduced model, too slow to play: choose Solver Reduced and build")
         _, simulate = engine.engine()
         from ..core import followers as carrying  # which needs it
 
         self.player = simulate.Player(self.model, self.character, simulation_settings(obj, scene))
         self.probe = probe.Probe(obj, self.model, self.character) if self.player.probed else None
-        nodes = simulate.node_modes(self.model, self.model.basis.T)
-        modes = self.model.surface(nodes) if nodes.size else np.zeros((0, *self.character.vertices.shape))
-        self.modes = len(modes)
+        self.dofs = len(self.player.amounts.gains)
+        self.modes = self.dofs if self.model.settings.solver == "REDUCED" else 0  # that can be shown one by one
         self.target_names = [target.name for target in self.character.by_method().targets]
-        own, residual_shapes = self.character.own, self.model.residual_shapes
-        self.skin = Surface(
-            skin.ObjectHandle.of(obj), self.character.vertices[own], modes[:, own], residual_shapes[:, own]
-        )
+        model, own = self.model, self.character.own
+        move = self._move(len(self.character.vertices[own]), model.embedding_nodes[own], model.embedding_weights[own])
+        handle, residual_shapes = skin.ObjectHandle.of(obj), model.residual_shapes[:, own]
+        self.skin = Surface(handle, self.character.vertices[own], move, residual_shapes)
         self.followers: list[Surface] = []
         for follower in extract.followers(obj, self.character):
-            if follower.members:
-                moved, kept = (shape[:, follower.members] @ follower.from_body.T for shape in (modes, residual_shapes))
-            else:
-                moved, kept = carrying.carried(self.model, nodes, follower)
+            nodes, weights = model.embedding_nodes, model.embedding_weights
+            if len(model.tets):
+                nodes, weights = carrying.embedded(model, follower)
+            move = self._move(len(follower.points), nodes, weights, follower.from_body)
             handle = skin.ObjectHandle(follower.session_uid, follower.name)
-            self.followers.append(Surface(handle, follower.points, moved, kept))
+            residual_shapes = carrying.residual_shapes_of(model, follower)
+            self.followers.append(Surface(handle, follower.points, move, residual_shapes))
+
+    def _move(self, count: int, nodes: np.ndarray, weights: np.ndarray, from_body: np.ndarray | None = None) -> Move:
+        """What displaces `count` points that the nodes (V, 4) carry by these weights (V, 4); from_body (3, 3): from
+        the body's local space to theirs.
+        """
+        model = self.model
+        if not len(model.tets):  # static morph targets
+            return by_modes(np.zeros((0, count, 3)))
+        from_bind = np.linalg.inv(model.to_bind)
+        turn = from_bind if from_body is None else from_body @ from_bind
+        if model.settings.solver == "FULL":
+            return by_nodes(model.free, nodes, weights, turn)
+        return by_modes(np.einsum("va,rvac->rvc", weights, self._node_modes[:, nodes]) @ turn.T)
+
+    @cached_property
+    def _node_modes(self) -> np.ndarray:
+        """The modes of the nodes (r, n, 3), bind space."""
+        _, simulate = engine.engine()
+        return simulate.node_modes(self.model, self.model.modes.T)
 
     @property
     def vertices(self) -> dict[skin.ObjectHandle, int]:
@@ -69,7 +89,7 @@ class Tissue:
         return {self.skin.object: self.character.own.stop} | parts
 
     def values(self, frame: Frame) -> np.ndarray:
-        """What `points` asks for: (r + J,) coordinates as shown, and target weights."""
+        """What `points` asks for: (dofs + J,) coordinates as shown, and target weights."""
         return np.concatenate([self.player.shown(frame), frame.weights])
 
     def points(self, values: np.ndarray) -> np.ndarray:
@@ -99,43 +119,7 @@ class Tissue:
 
     def motion(self, values: np.ndarray, surface: Surface) -> np.ndarray:
         """How far the points (V, 3) of the skin, or of what follows it, are from there: local space."""
-        motion = values[: self.modes] - self.player.static(values[self.modes :])
-        return _blended(motion, surface.shapes[: self.modes]).reshape(-1, 3)
-
-
-class Surface:
-    """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
-
-    vertices (V, 3), modes (r, V, 3), residual_shapes (J, V, 3): local space. shapes (r + J, 3 V); written (3 V,): the
-    points of the key.
-    """
-
-    def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, modes: np.ndarray, residual_shapes: np.ndarray):
-        self.object = handle
-        self.written: np.ndarray | None = None
-        self._rest = vertices.astype(np.float32).ravel()
-        shapes = np.concatenate([modes, residual_shapes])
-        self.shapes = shapes.reshape(len(shapes), -1).astype(np.float32)
-
-    def points(self, values: np.ndarray) -> np.ndarray:
-        """Points (3 V,), float32, local space."""
-        return self._rest + _blended(values, self.shapes)
-
-    def show(self, values: np.ndarray) -> bool:
-        """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
-        block = live_key.find(self.object.find(), self.written)
-        if block is None or 3 * len(block.points) != len(self._rest):
-            return False
-        self.written = self.points(values)
-        live_key.write(block, self.written)
-        return True
-
-
-def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """(k,) times (k, 3 V), float32. Not with @, which wakes threads: if they must wait, it takes a hundred times as
-    long.
-    """
-    return np.einsum("k,kv->v", values.astype(np.float32), shapes)
+        return surface.move(values[: self.dofs] - self.player.static(values[self.dofs :])).reshape(-1, 3)
 
 
 class Rig:
@@ -178,13 +162,15 @@ class Session:
         self._sampled = _sampling(obj)
         settings = self.tissue.player.settings
         moving = len(self.tissue.probe.rest) if self.tissue.probe else 1
-        self._kept = min(KEPT, max(1, STATE_BYTES // (4 * 96 * moving)))
+        self._kept = min(KEPT, max(1, STATE_BYTES // (4 * (96 * moving + 8 * self.tissue.dofs))))
+        self._shown = max(KEPT, FRAME_BYTES // (8 * max(self.tissue.dofs, 1)))  # latest frames
         self.rig = Rig(settings.start, settings.substeps, self.tissue.character.skeleton, self.tissue.probe)
 
     def fits(self, obj: bpy.types.Object, settings: SimulationSettings) -> bool:
         """Whether this is still a session of the object's model, with the same time step."""
         mine = self.tissue.player.settings
         same = (mine.fps, mine.substeps) == (settings.fps, settings.substeps)
+        same &= self.tissue.model.settings.solver == obj.dynamorph.model.solver
         if self.tissue.probe and _placing(obj) != self._placing:
             return False  # the nodes were posed as the targets were captured
         return same and self.content_id == obj.dynamorph.model.content_id
@@ -260,7 +246,8 @@ class Session:
             self._sampled = sampled
             self.rig_changed()
         player.settings, player.amounts.amount = settings, settings.amount
-        player.amounts.gains = _gains(obj, self.tissue.modes)
+        if self.tissue.modes:
+            player.amounts.gains = _gains(obj, self.tissue.modes)
         player.amounts.motion_amounts = _motion_amounts(obj, player.character)
         self.tissue.player = player
 
@@ -306,6 +293,9 @@ class Session:
 
     def _keep(self, number: int, frame: Frame) -> None:
         self._frames[number], self.last = frame, number
+        if len(self._frames) > self._shown:
+            del self._frames[self.first]
+            self.first += 1
         self._states[number % self._kept] = number, self.tissue.player.state
 
     def _rewind(self) -> None:

@@ -209,6 +209,12 @@ class DynamorphBake(PropertyGroup):
     warnings: StringProperty(name="Warnings", description="Warnings of the last bake, one per line")
     inputs: StringProperty(name="Inputs", description="What the bake was made from, as JSON")
     animation: StringProperty(name="Animation", description="Hashes of the rig's animation as last seen, as JSON")
+    off_final: FloatProperty(
+        name="Off Final",
+        description="How far the reduced motion is from that of Final quality, as a fraction of it; negative before "
+        "they were compared",
+        default=-1.0,
+    )  # fmt: skip
     verdict: StringProperty(name="Verdict", description="How believable the last bake looks, as JSON")
     was_rendered: BoolProperty(
         name="Was Rendered", description="Whether renders showed the point cache before plain skinning was shown",

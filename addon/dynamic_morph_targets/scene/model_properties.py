@@ -89,14 +89,17 @@ class DynamorphModel(PropertyGroup):
         override=OVERRIDE,
     )  # fmt: skip
     solver: EnumProperty(
-        name="Solver",
-        description="How many degrees of freedom are simulated",
+        name="Quality",
+        description="How accurately the motion is simulated, in bakes and in Live",
         items=(
             ("REDUCED", "Reduced", "Simulates a few characteristic modes, which is fast", 0),
-            ("FULL", "Full", "Simulates every node of the cage, which is slow. Use it as a reference", 1),
+            (
+                "FULL", "Final",
+                "Simulates every node of the cage, with all ripples. It takes much longer and needs no other build",
+                1,
+            ),
         ),
-        default=ModelSettings.solver,
-        override=OVERRIDE,
+        default=ModelSettings.solver, override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     blending: EnumProperty(
         name="Blending",
@@ -109,10 +112,29 @@ class DynamorphModel(PropertyGroup):
     )  # fmt: skip
     modes: IntProperty(
         name="Detail (Modes)",
-        description="How many displacement modes the reduced solver uses. More modes show finer ripples and cost more "
-        "time",
-        default=ModelSettings.modes, min=1, max=200, soft_min=5, soft_max=40,
+        description="How many displacement modes Reduced quality simulates, and how many keys a bake of Final "
+        "quality has at most. With bone responses 120 suit a whole body. Without them 20 suit a limb, and more than "
+        "40 are slow",
+        default=ModelSettings.modes, min=1, max=400, soft_min=5, soft_max=240,
         override=OVERRIDE,
+    )  # fmt: skip
+    basis: EnumProperty(
+        name="Modes From",
+        description="Which modes the reduced solver uses",
+        items=(
+            (
+                "MODES", "Vibration",
+                "Vibration modes and how they bend, all in full detail. Best for a limb, with few modes",
+                0,
+            ),
+            (
+                "RESPONSES", "Bones",
+                "What each bone does to the soft tissue, of which the largest part in full detail and the rest "
+                "linearly. Best for whole bodies, with many modes",
+                1,
+            ),
+        ),
+        default=ModelSettings.basis, override=OVERRIDE,
     )  # fmt: skip
     fit_to_shot: BoolProperty(
         name="Fit Modes to Shot",

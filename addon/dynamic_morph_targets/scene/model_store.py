@@ -82,12 +82,12 @@ def stale_reasons(obj, character) -> list[str]:
 
 
 def current_model(obj):
-    """(model, character) of an object whose model is up to date. Raises SceneError."""
+    """(model, character) of an object whose model is up to date, to be simulated as Quality says. Raises SceneError."""
     character = extract.character(obj)
     reasons = stale_reasons(obj, character)
     if reasons:
         raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
-    return load_model(obj), character
+    return load_model(obj).with_settings(character.settings), character
 
 
 def fit_input(obj, target):

@@ -39,10 +39,15 @@ def look_at_animation(obj):
 def model_changes(obj) -> list[str]:
     """The settings that have changed since the model of `obj` was built. Reads no mesh: fit for drawing."""
     built = obj.dynamorph.model.built
+    if not built:
+        return []
     try:
-        return _changes(obj, records.build_inputs(built), model_inputs(obj)) if built else []
+        then, now = records.build_inputs(built), model_inputs(obj)
     except RecordError as error:
         return [str(error)]
+    if then.get("model", {}).get("solver") == "REDUCED":  # such a model serves unreduced simulations too
+        del now["model"]["solver"]
+    return _changes(obj, then, now)
 
 
 def model_age(obj) -> list[str]:

@@ -9,10 +9,10 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
-from ..run import batch
+from ..run import batch, final_comparison
 from ..run.batch import run_all
 from ..run.job import Job
-from ..scene import events
+from ..scene import events, staleness
 from ..scene.registration import of_classes
 from ..scene.skin import is_shown_on, mesh_in, soft_skins
 from ..write import bake, live_key
@@ -187,6 +187,31 @@ def _own_skins(scene) -> list:
     ]
 
 
+class DYNAMORPH_OT_compare_final(JobOperator, Operator):
+    """Simulate the shot of the bake in Final quality too, and say how far the reduced motion is from that"""
+
+    bl_idname = "dynamorph.compare_final"
+    bl_label = "Compare with Final"
+    goal = "COMPARE_FINAL"
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if disabled_reason:
+            return disabled_reason
+        obj = mesh_in(context)
+        outdated = "The bake is out of date: bake again first" if staleness.outdated(obj) else ""
+        return final_comparison.disabled_reason(obj) or outdated
+
+    def _batch(self, obj):
+        return final_comparison.FinalComparison(obj)
+
+    def _done(self, batch):
+        obj = batch.jobs[0].target()
+        self.report({"INFO"}, f"{obj.name}: {final_comparison.told(obj)}")
+        return {"FINISHED"}
+
+
 class DYNAMORPH_OT_cancel(Operator):
     """Stop the running build or bake. The previous model and bake stay"""
 
@@ -203,6 +228,7 @@ CLASSES = (
     DYNAMORPH_OT_build,
     DYNAMORPH_OT_bake,
     DYNAMORPH_OT_bake_all,
+    DYNAMORPH_OT_compare_final,
     DYNAMORPH_OT_free_bake,
     DYNAMORPH_OT_cancel,
 )

@@ -235,6 +235,8 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
 
     def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, None]]:
         """One swing per second; in the background, a single swing."""
+        if tissue.dofs and not tissue.modes:
+            raise SceneError(f"'{obj.name}' is simulated without modes: set Quality to Reduced")
         if not tissue.modes:
             raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
         weights = tissue.player.begin(rig_motion.sample_present(obj, tissue.probe)).weights

@@ -8,7 +8,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import UIList
 
 from ..core import verdict
-from ..run import batch, live, preview
+from ..run import batch, final_comparison, live, preview
 from ..scene import skin, staleness
 from ..write import bake_influence, comparison
 from .widgets import draw_job, draw_message, draw_outdated, draw_warnings
@@ -30,7 +30,7 @@ def draw_model(layout, obj):
     header.label(text="Model")
     if body:
         body.enabled = batch.running is None
-        for name in ("method", "law", "solver", "blending", "modes", "fit_to_shot"):
+        for name in ("method", "law", "blending", "basis", "modes", "fit_to_shot"):
             body.prop(model, name)
     draw_outdated(layout, staleness.model_age(obj))
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
@@ -122,6 +122,14 @@ def draw_verdict(layout, context, obj):
         layout.operator(operator, icon=icon)
 
 
+def draw_off_final(layout, obj):
+    """How far the bake's reduced motion, which Live shows too, is from Final quality, and the button that finds out."""
+    if final_comparison.told(obj):
+        draw_message(layout, final_comparison.told(obj), icon="INFO")
+    if not final_comparison.disabled_reason(obj):
+        draw_job(layout, "dynamorph.compare_final", "NONE")
+
+
 def draw_bake(layout, context, obj):
     settings = obj.dynamorph
     simulation = settings.simulation
@@ -137,7 +145,7 @@ def draw_bake(layout, context, obj):
         column.prop(simulation, "keep_outside")
         for name in ("substeps", "samples", "scheme", "gravity", "fields", "begin", "preroll", "preroll_pose", "loop"):
             body.prop(simulation, name)
-    draw_output(layout, settings.output)
+    draw_output(layout, settings)
     draw_job(layout, "dynamorph.bake", "REC", "Bake")
     draw_job(layout, "dynamorph.bake_all", "NONE", "Bake All")
     if settings.bake.exists:
@@ -152,6 +160,7 @@ def draw_bake(layout, context, obj):
             found = verdict.parsed(settings.bake.verdict)
             draw_warnings(layout, settings.bake.warnings, said=found.text if found else "")
         draw_verdict(layout, context, obj)
+        draw_off_final(layout, obj)
         layout.operator("dynamorph.free_bake", icon="X")
     draw_export(layout, obj)
 
@@ -167,9 +176,11 @@ def draw_export(layout, obj):
     row.operator_menu_enum("dynamorph.export_check", "format", text="", icon="VIEWZOOM")
 
 
-def draw_output(layout, output):
+def draw_output(layout, settings):
+    output = settings.output
     column = layout.column()
     column.enabled = batch.running is None
+    column.prop(settings.model, "solver")
     column.prop(output, "sink")
     if output.sink == "MODES":
         column.prop(output, "keys")

@@ -18,6 +18,8 @@ from . import feel_operators
 from .base import SoftSkinOperator
 from .job_operators import JobOperator, StartsJob
 
+DETAIL = 120  # modes of a new soft skin
+
 
 class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
     """Make the active mesh a soft skin, build it and show it in Live while the armature hops. Esc stops it"""
@@ -51,7 +53,8 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         target = obj.dynamorph.targets.add()
         target.name = target_properties.NEUTRAL
         target.set_pose(skeleton, np.tile(np.eye(4), (len(skeleton.names), 1, 1)), rig_world)
-        obj.dynamorph.model.hold = "THICKNESS"  # unlike in files from before
+        obj.dynamorph.model.hold, obj.dynamorph.model.basis = "THICKNESS", "RESPONSES"  # unlike in files from before
+        obj.dynamorph.model.modes = DETAIL
         feel_operators.give_feel(obj, FEELS["NATURAL"])
         in_the_way += [text for text in _find_attachments(obj) if text not in in_the_way]
         drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]

@@ -199,6 +199,7 @@ class NewBake:
         record.had_animation_data = self._had_animation_data
         record.active_index = self._obj.active_shape_key_index
         record.summary = record.warnings = record.verdict = ""
+        record.off_final = -1.0
 
     def remove_old(self):
         """Remove the bake that it has replaced, and take its names."""
@@ -274,6 +275,7 @@ def _free(obj, names):
     record.cache = record.summary = record.warnings = record.verdict = ""
     record.keys.clear()
     record.action = None
+    record.off_final = -1.0
 
 
 def _remove_keys(obj, names, action, active_index: int):

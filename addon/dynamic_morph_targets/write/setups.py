@@ -23,7 +23,7 @@ import numpy as np
 
 from ..core.errors import SetupError
 from ..core.geometry import determinant, turned
-from ..core.settings import ModelSettings
+from ..core.settings import LATER_SETTINGS, ModelSettings
 from ..io import model_file
 from ..scene import checks, rig_motion
 from ..scene.bake_properties import DynamorphOutput, DynamorphSimulation
@@ -105,7 +105,10 @@ def apply(obj, setup: dict) -> dict[str, list[str]]:
     settings, lacking = obj.dynamorph, _Lacking(obj)
     _apply_targets(obj, rig, setup["targets"], lacking)
     assign(settings, lacking.without_lost_groups(setup.get("skin", {}), GROUPS))
-    assign(settings.model, setup.get("model", {}))
+    model = setup.get("model", {})
+    if "modes" in model:  # a setup from before there was a choice has the number of the only ones
+        model = {"basis": LATER_SETTINGS["basis"], **model}
+    assign(settings.model, model)
     assign(settings.simulation, setup.get("simulation", {}))
     assign(settings.output, setup.get("output", {}))
     modes = setup.get("modes", [])

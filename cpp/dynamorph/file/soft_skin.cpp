@@ -105,6 +105,20 @@ MatrixXd surface_modes(const Content& content, const SoftBody& body, const Matri
   return modes;
 }
 
+/// The responses (ReducedTables), which older models lack.
+void add_responses(const Content& content, ReducedTables& tables, Eigen::Index targets) {
+  const Array* responses = content.find("responses");
+  if (!responses || responses->bytes.empty()) return;
+  tables.responses = table<double>(content, "responses", {tables.basis.rows(), -1});
+  tables.reach = table<double>(content, "reach", {tables.basis.cols()});
+  const auto lambda = table<double>(content, "response_lambda", {targets, -1});
+  const auto mu = table<double>(content, "response_mu", {targets, lambda.cols()});
+  for (Eigen::Index j = 0; j < targets; ++j) {
+    tables.response_lambda.push_back(lambda.row(j));
+    tables.response_mu.push_back(mu.row(j));
+  }
+}
+
 }  // namespace
 
 SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets, Blending blending) {
@@ -129,8 +143,10 @@ SoftSkin load_soft_skin(const Content& content, std::vector<MorphTarget> targets
     tables.lambda.push_back(lambda.row(j));
     tables.mu.push_back(mu.row(j));
   }
+  add_responses(content, tables, J);
   auto model = std::make_shared<ReducedModel>(body, std::move(targets), tables, blending);
-  return {std::move(model), how.bone_names, surface_modes(content, *body, tables.basis),
+  MatrixXd modes = surface_modes(content, *body, model->basis());
+  return {std::move(model), how.bone_names, std::move(modes),
           table<double>(content, "details", {J, V, 3}).transpose()};
 }
 

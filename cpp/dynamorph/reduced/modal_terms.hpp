@@ -12,6 +12,8 @@ namespace dynamorph::terms {
 
 static_assert(kMoments == InertialTarget::kMoments && kPoses == InertialTarget::kPoses, "see modal_arithmetic.hpp");
 
+using Bones = std::pair<int, int>;  ///< (b, b) for one bone, (b, c) for a pair
+
 /// Calls visit(node, bones, volume) for the bones (b, b) of every node, and for the pairs (b, c), b < c, that share it.
 template <class Visit>
 void for_each_term(const SoftBody& body, int set, const Visit& visit) {

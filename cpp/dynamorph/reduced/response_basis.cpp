@@ -4,6 +4,7 @@
 #include <Eigen/Eigenvalues>
 #include <Eigen/QR>
 #include <algorithm>
+#include <cmath>
 
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/parallel.hpp"
@@ -20,6 +21,8 @@ namespace {
 
 /// Of the motion's size. It decides which derivatives are among the responses; 0.03 and 0.3 do nearly as well.
 constexpr double kBending = 0.1;
+/// Of a block of answers in the modes, relative to the one before: only where there are few bones they take part.
+constexpr double kLater = 0.1;
 /// Radius, relative to the body, at which rotation and stretch of a bone accelerate tissue as much as its translation.
 constexpr double kRadius = 0.1;
 
@@ -47,17 +50,18 @@ RowMajor bone_loads(const SoftBody& body, Index most) {
   return strongest(loads, most);
 }
 
-/// M^1/2 times static answers at one target: to the bones' loads, and of those to slowly changing loads.
-struct Answers {
-  RowMajor first, second;
-};
-
-Answers answers(const StaticSolver& solver, const VectorXd& root, const RowMajor& loads, Index most) {
-  Answers out;
-  out.first = root.asDiagonal() * solver.solve_all(root.asDiagonal() * loads);
-  out.first = strongest(out.first, most);
-  out.second = root.asDiagonal() * solver.solve_all(root.asDiagonal() * out.first);
-  out.second *= out.first.norm() / out.second.norm();
+/// M^1/2 times static answers at one target, block after block: to the bones' loads, then K^-1 M times the block
+/// before, which answers loads that change. Two blocks do for a body of many bones; few bones need more.
+std::vector<RowMajor> answers(const StaticSolver& solver, const VectorXd& root, const RowMajor& loads, Index most) {
+  constexpr int kBlocks = 8;
+  std::vector<RowMajor> out;
+  Index columns = 0;
+  for (RowMajor block = loads; int(out.size()) < kBlocks && columns < 2 * most; columns += block.cols()) {
+    block = root.asDiagonal() * solver.solve_all(root.asDiagonal() * block);
+    block = strongest(block, most);
+    if (!out.empty()) block *= out[0].norm() / block.norm();
+    out.push_back(block);
+  }
   return out;
 }
 
@@ -122,42 +126,50 @@ ResponseBasis make_response_basis(const FullModel& model, int r, int h, const Pr
   const RowMajor loads = bone_loads(model.body(), 2 * most);
   const std::vector<int> distinct = distinct_targets(model.targets());
   std::vector<std::unique_ptr<StaticSolver>> solvers(distinct.size());
-  std::vector<RowMajor> firsts(distinct.size()), blocks(3 * distinct.size());
+  std::vector<std::vector<RowMajor>> found(distinct.size());
   run_tasks(int(distinct.size()), part_of(progress, 0, 0.5), [&](int i, const ProgressFn& done) {
     double solves = 0;
-    const double expected = double(loads.cols() + most);
+    const double expected = double(loads.cols() + 2 * most);
     solvers[i] =
         std::make_unique<StaticSolver>(model, distinct[i], [&] { report(done, std::min(1.0, solves++ / expected)); });
-    Answers found = answers(*solvers[i], root, loads, most);
-    firsts[i] = blocks[3 * i] = std::move(found.first);
-    blocks[3 * i + 1] = std::move(found.second);
+    found[i] = answers(*solvers[i], root, loads, most);
     solvers[i]->tick = nullptr;
   });
+  std::vector<RowMajor> blocks;
+  std::vector<double> of_modes, scales;  // of the blocks
+  for (const auto& those : found)
+    for (size_t k = 0; k < those.size(); ++k) {
+      blocks.push_back(those[k]);
+      of_modes.push_back(std::pow(kLater, double(k)));
+      scales.push_back(1);
+    }
 
   // Stiff targets answer less and count less.
   ResponseBasis basis;
-  RowMajor all = side_by_side(firsts, std::vector<double>(firsts.size(), 1.0));
+  RowMajor all = side_by_side(blocks, of_modes);
+  const VectorXd along_shapes = (shapes.transpose() * all).rowwise().norm();
   remove_span(shapes, all);
   MatrixXd low = strongest(all, motions);
   if (low.cols() < motions)
     throw Error(std::to_string(r) + " modes are more than this cage can move in. Ask for fewer.");
   const VectorXd sizes = low.colwise().norm();
-  basis.amplitudes = VectorXd::Constant(r, sizes.maxCoeff());
-  basis.amplitudes.tail(motions) = sizes;
+  basis.amplitudes.resize(r);
+  basis.amplitudes << along_shapes, sizes;
   MatrixXd Y(model.dofs(), r);
   Y << shapes, low * sizes.cwiseInverse().asDiagonal();
   Y = orthonormalized(Y);
   basis.U = root.cwiseInverse().asDiagonal() * Y;
 
-  std::vector<double> scales(blocks.size(), 1.0);
   if (model.law() != Law::linear) {
     const MatrixXd moved = root.cwiseInverse().asDiagonal() * low;
+    std::vector<RowMajor> bent(distinct.size());
     run_tasks(int(distinct.size()), part_of(progress, 0.5, 0.8), [&](int i, const ProgressFn&) {
-      blocks[3 * i + 2] = strongest(bending(model, distinct[i], *solvers[i], root, moved), most);
-      scales[3 * i + 2] = kBending * firsts[i].norm() / blocks[3 * i + 2].norm();
+      bent[i] = strongest(bending(model, distinct[i], *solvers[i], root, moved), most);
     });
-  } else {
-    for (size_t i = 0; i < distinct.size(); ++i) blocks[3 * i + 2].resize(model.dofs(), 0);
+    for (size_t i = 0; i < bent.size(); ++i) {
+      scales.push_back(kBending * found[i][0].norm() / bent[i].norm());
+      blocks.push_back(std::move(bent[i]));
+    }
   }
   all = side_by_side(blocks, scales);
   remove_span(Y, all);

@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/response_inertia.hpp"
 
+#include <cmath>
+#include <map>
+
+#include "dynamorph/reduced/modal_terms.hpp"
 #include "dynamorph/reduced/table_layout.hpp"
 
 namespace dynamorph {
@@ -8,6 +12,9 @@ namespace dynamorph {
 using Eigen::Index;
 
 namespace {
+
+/// Pairs of bones that share less of the body are left out, and those with less of the largest load in a pose.
+constexpr double kNegligible = 1e-5, kInsignificant = 1e-4;
 
 using Affine = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
 
@@ -24,52 +31,85 @@ Affine inertial_target(const InertialTarget& inertial, Index b, const Vector3d& 
 
 ResponseInertia::ResponseInertia(std::shared_ptr<const SoftBody> body, const MatrixXd& U, const MatrixXd& W)
     : body_(std::move(body)), count_(W.cols()), rows_(whole_chunks(W.cols())) {
+  if (count_ == 0) return;
   const SoftBody& b = *body_;
-  const Index nodes = b.volumes.rows();
+  std::vector<int> place(b.skin.cols(), -1);
   for (Index bone = 0; !b.own_transforms && bone < b.skin.cols(); ++bone)
     if (b.moments[bone](3, 3) > 0) {
+      place[bone] = int(bones_.size());
       bones_.push_back(int(bone));
       volumes_.push_back(b.moments[bone](3, 3) / b.volume);
+      terms_.push_back({place[bone], place[bone], 0});
     }
-  std::vector<Index> place(b.skin.cols(), -1);
-  for (size_t k = 0; k < bones_.size(); ++k) place[bones_[k]] = Index(k);
-  const VectorXd unit = b.volumes.rowwise().sum().replicate(1, 3).transpose().reshaped();
-  modal_ = W.transpose() * (unit.asDiagonal() * U);
-  const MatrixXd rest = W - U * modal_.transpose();
+  if (!b.own_transforms) {
+    std::map<terms::Bones, double> shared;  // volumes, relative to all
+    for (int s = 0; s < b.sets(); ++s)
+      terms::for_each_term(b, s, [&](Index, const terms::Bones& bones, double part) {
+        if (bones.first != bones.second) shared[bones] += part / b.volume;
+      });
+    for (const auto& [bones, volume] : shared)
+      if (volume > kNegligible) terms_.push_back({place[bones.first], place[bones.second], 0});
+  }
+  const VectorXd mass = b.volumes.rowwise().sum().replicate(1, 3).transpose().reshaped();
+  modal_ = W.transpose() * (mass.asDiagonal() * U);
+  const MatrixXd own = W - U * modal_.transpose();
   for (int s = 0; s < b.sets(); ++s) {
     Set& set = sets_.emplace_back();
-    const VectorXd mass = b.volumes.col(s).replicate(1, 3).transpose().reshaped();
-    set.mass = (mass.asDiagonal() * W.cwiseAbs2()).colwise().sum();
-    set.border = rest.transpose() * (mass.asDiagonal() * U);
-    MatrixXd loads = MatrixXd::Zero(rows_, b.own_transforms ? 3 * nodes : 12 * Index(bones_.size()));
-    for (Index i = 0; i < nodes; ++i) {
-      const auto moved = rest.middleRows<3>(3 * i).transpose();  // (h, 3)
-      if (b.own_transforms) {
-        loads.block(0, 3 * i, count_, 3) = b.volumes(i, s) * moved;
-        continue;
-      }
-      Eigen::Vector4d X;
-      X << b.rest.segment<3>(3 * i) - b.centre, 1;
-      for (SkinWeights::InnerIterator it(b.skin, i); it; ++it)
-        for (int axis = 0; axis < 3 && place[it.col()] >= 0; ++axis)
-          for (int j = 0; j < 4; ++j)
-            loads.col(12 * place[it.col()] + 4 * axis + j).head(count_) +=
-                b.volumes(i, s) * it.value() * X(j) * moved.col(axis);
-    }
-    set.loads.resize(loads.size());
-    for (Index k = 0; k < loads.size(); ++k) set.loads[k] = float(loads.data()[k]);
+    const VectorXd part = b.volumes.col(s).replicate(1, 3).transpose().reshaped();
+    set.mass = (part.asDiagonal() * W.cwiseAbs2()).colwise().sum();
+    set.border = own.transpose() * (part.asDiagonal() * U);
+    tabulate(own, s, set);
   }
 }
 
-double ResponseInertia::take_loads(const InertialTarget& inertial, VectorXd& loads) const {
-  loads.resize(12 * Index(bones_.size()));
-  double scale = 0, all = 0;
-  for (size_t k = 0; k < bones_.size(); ++k) {
-    const Eigen::Map<const Affine> pose(inertial.bones[0]->data() + 12 * bones_[k]);
-    Eigen::Map<Affine> load(loads.data() + 12 * k);
-    load.noalias() = pose.leftCols<3>().transpose() * inertial_target(inertial, bones_[k], body_->centre);
-    scale += volumes_[k] * pose.leftCols<3>().squaredNorm() / 3;
-    all += volumes_[k];
+void ResponseInertia::tabulate(const MatrixXd& own, int s, Set& set) {
+  const SoftBody& b = *body_;
+  const Index nodes = b.volumes.rows();
+  MatrixXd loads = MatrixXd::Zero(rows_, b.own_transforms ? 3 * nodes : 12 * Index(terms_.size()));
+  if (b.own_transforms) {
+    for (Index i = 0; i < nodes; ++i)
+      loads.block(0, 3 * i, count_, 3) = b.volumes(i, s) * own.middleRows<3>(3 * i).transpose();
+  } else {
+    std::map<terms::Bones, Index> column;
+    for (size_t t = 0; t < terms_.size(); ++t)
+      column.emplace(std::pair(bones_[terms_[t].first], bones_[terms_[t].second]), 12 * Index(t));
+    terms::for_each_term(b, s, [&](Index i, const terms::Bones& bones, double part) {
+      const auto found = column.find(bones);
+      if (found == column.end()) return;
+      Eigen::Vector4d X;
+      X << b.rest.segment<3>(3 * i) - b.centre, 1;
+      for (int axis = 0; axis < 3; ++axis)
+        for (int j = 0; j < 4; ++j)
+          loads.col(found->second + 4 * axis + j).head(count_) += part * X(j) * own.row(3 * i + axis).transpose();
+    });
+    for (size_t t = 0; t < terms_.size(); ++t)
+      terms_[t].size = std::max(terms_[t].size, loads.middleCols(12 * Index(t), 12).norm());
+  }
+  set.loads.assign(loads.data(), loads.data() + loads.size());
+}
+
+double ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scratch) const {
+  scratch.loads.resize(12 * Index(terms_.size()));
+  scratch.targets.resize(bones_.size());
+  scratch.active.clear();
+  double scale = 0, all = 0, largest = 0;
+  const auto pose = [&](int bone) {
+    return Eigen::Map<const Affine>(inertial.bones[0]->data() + 12 * bones_[bone]).leftCols<3>();
+  };
+  for (size_t t = 0; t < terms_.size(); ++t) {
+    const auto [first, second, size] = terms_[t];
+    Eigen::Map<Affine> load(scratch.loads.data() + 12 * t);
+    if (first == second) {
+      scratch.targets[first] = inertial_target(inertial, bones_[first], body_->centre);
+      load.noalias() = pose(first).transpose() * scratch.targets[first];
+      scale += volumes_[first] * pose(first).squaredNorm() / 3;
+      all += volumes_[first];
+      largest = std::max(largest, load.norm() * size);
+    } else {
+      load.noalias() = (pose(second) - pose(first)).transpose() * (scratch.targets[first] - scratch.targets[second]);
+      if (load.norm() * size < kInsignificant * largest) continue;
+    }
+    scratch.active.push_back(int(t));
   }
   return scale / all;
 }
@@ -93,7 +133,7 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
   if (count_ == 0) return;
   const Index r = mass.corner_size();
   const double scale =
-      body_->own_transforms ? take_nodal_loads(inertial, scratch.loads) : take_loads(inertial, scratch.loads);
+      body_->own_transforms ? take_nodal_loads(inertial, scratch.loads) : take_loads(inertial, scratch);
   scratch.past.setZero(r + count_);
   for (int m = 0; m < InertialTarget::kMoments; ++m)
     scratch.past += inertial.coefficients.row(m).sum() * *inertial.q[m];
@@ -106,7 +146,11 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
     const Set& set = sets_[s];
     const double density = densities.density(Index(s)), damping = densities.damped(Index(s));
     scratch.force.setZero(rows_);
-    add_single_product(set.loads.data(), rows_, scratch.loads.data(), scratch.loads.size(), scratch.force.data());
+    if (body_->own_transforms)
+      add_single_product(set.loads.data(), rows_, scratch.loads.data(), scratch.loads.size(), scratch.force.data());
+    for (int t : scratch.active)
+      add_single_product(set.loads.data() + 12 * t * rows_, rows_, scratch.loads.data() + 12 * t, 12,
+                         scratch.force.data());
     force.tail(count_) += density * scratch.force.head(count_);
     mass.rest() += density * scale * set.mass;
     damped.rest() += damping * scale * set.mass;

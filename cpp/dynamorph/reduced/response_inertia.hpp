@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Inertia of the responses (responses.hpp). W = U C^T + W' with W'^T M U = 0 for unit density. What moves in the modes,
-// U C^T, has their exact inertia. The displacement in W' is small, so that of its inertia only the mass at rest is kept,
-// which is diagonal among the responses; the moving rig acts on it through twelve loads of each bone,
+// U C^T, has their exact inertia. The displacement in W' is small, so that of its inertia only the mass at rest is
+// kept, which is diagonal among the responses. The moving rig acts on it through twelve loads of each bone, and of each
+// pair of bones that share much tissue (modal_inertia.hpp),
 //
-//   force = sum_b (R_b^T [R^ | t^]_b) : sum_i m_i w_ib W'_i (X_i, 1),
+//   force = sum_b (R_b^T [R^ | t^]_b) : sum_i m_i w_ib W'_i (X_i, 1) - ...,
 //
-// where [R^ | t^] is the bone's inertial target. On unseen clips of whole bodies this is nearly as accurate as the exact
-// inertia (docs/accuracy.md).
+// where [R^ | t^] is the bone's inertial target. On unseen clips of whole bodies this is nearly as accurate as the
+// exact inertia (docs/accuracy.md).
 #pragma once
 
 #include <memory>
@@ -27,6 +28,8 @@ class ResponseInertia {
 
   struct Scratch {
     VectorXd loads, force, past;
+    std::vector<int> active;  ///< terms
+    std::vector<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>> targets;
   };
 
   /// Adds the responses' part of mass, damped mass and force (r + h), whose corner and head are the modes'.
@@ -34,21 +37,28 @@ class ResponseInertia {
                 ArrowMatrix& damped, VectorXd& force) const;
 
  private:
+  /// A bone, or a pair of bones that share tissue, by their places in bones_.
+  struct Term {
+    int first, second;  ///< the same for a bone
+    double size;        ///< of its loads, the largest of the sets
+  };
   /// Of one target set, for unit density.
   struct Set {
-    LaneVector<float> loads;  ///< (rows, 12 bones); or with transforms of their own, (rows, 3 nodes)
+    LaneVector<float> loads;  ///< (rows, 12 terms); or with transforms of their own, (rows, 3 nodes)
     VectorXd mass;            ///< (h)
     MatrixXd border;          ///< W'^T M U (h, r), whose sum over the sets is zero
   };
-  /// Writes the inertial target of each bone (12), or of each node (3), in its own frame. Returns the mean square
-  /// scale of the bones.
-  double take_loads(const InertialTarget& inertial, VectorXd& loads) const;
+  void tabulate(const MatrixXd& own, int s, Set& set);
+  /// Writes the inertial target of each term (12), or of each node (3), in its own frame, and which terms matter.
+  /// Returns the mean square scale of the bones.
+  double take_loads(const InertialTarget& inertial, Scratch& scratch) const;
   double take_nodal_loads(const InertialTarget& inertial, VectorXd& loads) const;
 
   std::shared_ptr<const SoftBody> body_;
   Eigen::Index count_, rows_;
   std::vector<int> bones_;       ///< those that carry soft tissue
   std::vector<double> volumes_;  ///< of their tissue, relative to all
+  std::vector<Term> terms_;      ///< bones, then pairs
   MatrixXd modal_;               ///< C (h, r)
   std::vector<Set> sets_;
 };

@@ -57,9 +57,10 @@ Ray along(const ReducedTables& tables, size_t j, Lame lame, const VectorXd& v) {
   return out;
 }
 
-/// The smallest t > 0, at most `most`, at which the coupling takes half the energy of the modes.
-double where_half(const Ray& ray, double most) {
-  const double a = ray.square / 2, b = ray.cube / 2, c = ray.fourth / 2 - ray.coupling;
+/// The smallest t > 0, at most `most`, at which the condensed energy is only kLeft of its linear part.
+double where_soft(const Ray& ray, double most) {
+  constexpr double kLeft = 0.1;
+  const double a = (1 - kLeft) * ray.square, b = ray.cube, c = ray.fourth - ray.coupling;
   for (double sign : {1.0, -1.0}) {  // a + sign b t + c t^2 = 0
     const double root = b * b - 4 * a * c;
     if (root < 0) continue;
@@ -69,21 +70,23 @@ double where_half(const Ray& ray, double most) {
   return most;
 }
 
-/// How far the coupling may act in each mode (r). Beyond, the condensed energy would be much too small. It is tried in
-/// directions drawn at random from the motion that the modes' amplitudes describe.
+/// How far the coupling may act in each mode (r): to where it makes the energy much too small, in directions drawn at
+/// random from the motion that the modes' amplitudes describe, and never much farther than a body moves.
 VectorXd reach(const FullModel& model, const ReducedTables& tables, const VectorXd& amplitudes) {
   constexpr int kDirections = 128;
-  constexpr double kLeast = 0.05, kMost = 1e6;  // of the largest amplitude; of an amplitude
+  constexpr double kLeast = 0.05, kFar = 0.5;  // of the largest amplitude; of the body's size
   const Index r = tables.basis.cols();
   const VectorXd scales = amplitudes.cwiseMax(kLeast * amplitudes.maxCoeff());
-  double least = kMost / scales.maxCoeff();
+  // Coordinates of a body that moves by kFar of its size in the root mean square.
+  const double farthest = kFar * model.body().size * std::sqrt(model.body().volume);
+  double least = farthest / scales.norm();
   for (size_t j = 0; j < tables.lambda.size(); ++j) {
     std::mt19937 random(1);  // the same directions on every machine: no distribution of the library
     for (int d = 0; d < kDirections; ++d) {
       VectorXd v(r);
       for (double& x : v) x = double(random()) / double(std::mt19937::max()) - 0.5;
       v = v.normalized().cwiseProduct(scales);
-      least = where_half(along(tables, j, model.targets()[j].lame, v), least);
+      least = where_soft(along(tables, j, model.targets()[j].lame, v), least);
     }
   }
   return least * scales;

@@ -8,7 +8,7 @@
 // their locking. D and S of a target j are those at its own shape; the parts of its K that are neither in the modes'
 // table nor in D are left out. d_j is in the span of U, where c and y vanish, so targets stay exact.
 //
-// Far from the shape, 1/2 S(v, v) grows beyond the true force and would make E negative: there the coupling fades,
+// Far from the shape, 1/2 S(v, v) grows beyond the true force and could make E negative: there the coupling fades,
 // fade = 1 / (1 + s^2) with s = sum_k (v_k / reach_k)^2, and the modes' own table remains.
 #pragma once
 

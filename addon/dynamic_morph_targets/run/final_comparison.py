@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far the reduced motion of a bake, which Live shows too, is from the same shot in Final quality."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..core import baked, records
+from ..core.errors import SceneError
+from ..core.rigid import vertex_areas
+from .batch import Batch
+from .computation import Computation
+from .job import Job
+
+REDUCED = 0.05  # of the time, for the reduced simulation
+
+
+class ShotJob(Job):
+    """Simulates a shot in one quality with the model as it is built, and writes nothing: the motion is in `result`.
+
+    solver: REDUCED or FULL; frames: first and last.
+    """
+
+    def __init__(self, obj: bpy.types.Object, solver: str, frames: tuple[int, int]):
+        # As simulated: what is shown of the motion is not its error.
+        super().__init__(obj, "BAKE", frames, whole=True, stored=False, changes={"gains": (), "amount": 1.0})
+        self._solver = solver
+
+    def read(self) -> None:
+        super().read()
+        given = self.input
+        if given.model is None:
+            raise SceneError(f"The model of '{self.name}' is out of date ({'; '.join(self.reasons)}): bake again first")
+        given.character = given.character.with_settings(solver=self._solver)
+        given.model = given.model.with_settings(given.character.settings)
+        self.computation = Computation(given, self)
+
+
+class FinalComparison(Batch):
+    """Simulates the shot of an object's bake in both qualities, and notes with the bake how far they are apart, as
+    `baked.motion_distance`. Raises SceneError, as `disabled_reason` says.
+    """
+
+    def __init__(self, obj: bpy.types.Object):
+        why = disabled_reason(obj)
+        if why:
+            raise SceneError(f"'{obj.name}': {why}")
+        simulated = records.bake_inputs(obj.dynamorph.bake.inputs)["simulation"]
+        frames = simulated["start"], simulated["end"]
+        super().__init__([ShotJob(obj, solver, frames) for solver in ("REDUCED", "FULL")], "COMPARE_FINAL")
+
+    @property
+    def fraction(self) -> float:
+        reduced, final = self.jobs
+        return REDUCED * reduced.fraction + (1.0 - REDUCED) * final.fraction
+
+    def write(self) -> Iterator[None]:
+        yield from super().write()
+        reduced, final = self.jobs
+        character = reduced.character
+        areas = vertex_areas(character.vertices @ character.to_bind.T, character.triangles)
+        distance = baked.motion_distance(reduced.result, final.result, character.to_bind, areas)
+        reduced.target().dynamorph.bake.off_final = distance
+
+
+def disabled_reason(obj: bpy.types.Object) -> str:
+    """Why the bake of an object cannot be compared, or ''."""
+    settings = obj.dynamorph
+    if not settings.bake.exists:
+        return "Bake first: there is no motion to compare"
+    if settings.model.method == "STATIC":
+        return "With the Method Static nothing moves by itself: there is no motion to compare"
+    if settings.model.solver == "FULL":
+        return "This is Final quality: set Quality to Reduced and bake to compare"
+    return ""
+
+
+def told(obj: bpy.types.Object) -> str:
+    """What was found, as a sentence; '' before the bake was compared."""
+    distance = obj.dynamorph.bake.off_final
+    return iface_("Reduced motion: {percent:.1f} % off Final").format(percent=100 * distance) if distance >= 0 else ""

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The meshes that Live shows in motion: what displaces their points, and the live key that they are written to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..scene import skin
+from ..write import live_key
+
+# What displaces the points of a surface: coordinates (dofs,) -> (3 V,), float32, local space.
+Move = Callable[[np.ndarray], np.ndarray]
+
+
+class Surface:
+    """A mesh whose live key shows the motion: the soft skin's own, or one that follows it.
+
+    vertices (V, 3), residual_shapes (J, V, 3): local space. move: see Move. written (3 V,): the points of the key.
+    """
+
+    def __init__(self, handle: skin.ObjectHandle, vertices: np.ndarray, move: Move, residual_shapes: np.ndarray):
+        self.object = handle
+        self.move = move
+        self.written: np.ndarray | None = None
+        self._rest = vertices.astype(np.float32).ravel()
+        self._residual_shapes = residual_shapes.reshape(len(residual_shapes), -1).astype(np.float32)
+
+    def points(self, values: np.ndarray) -> np.ndarray:
+        """Points (3 V,), float32, local space."""
+        coordinates, weights = np.split(values, [len(values) - len(self._residual_shapes)])
+        return self._rest + self.move(coordinates) + _blended(weights, self._residual_shapes)
+
+    def show(self, values: np.ndarray) -> bool:
+        """Write the key; False when it is gone, or the mesh has other vertices now. Raises SceneError."""
+        block = live_key.find(self.object.find(), self.written)
+        if block is None or 3 * len(block.points) != len(self._rest):
+            return False
+        self.written = self.points(values)
+        live_key.write(block, self.written)
+        return True
+
+
+def by_modes(modes: np.ndarray) -> Move:
+    """Of a reduced simulation, whose modes displace the points by (r, V, 3)."""
+    shapes = modes.reshape(len(modes), modes.shape[1] * 3).astype(np.float32)
+    return lambda coordinates: _blended(coordinates, shapes)
+
+
+def by_nodes(free: np.ndarray, nodes: np.ndarray, weights: np.ndarray, turn: np.ndarray) -> Move:
+    """Of an unreduced simulation, whose coordinates are displacements of the `free` nodes (n,) of the cage.
+
+    nodes, weights (V, 4): which carry each point; turn (3, 3): from bind space to that of the points.
+    """
+    weights = weights.astype(np.float32)
+
+    def move(coordinates: np.ndarray) -> np.ndarray:
+        moved = np.zeros((len(free), 3), np.float32)
+        moved[free] = np.einsum("nc,dc->nd", coordinates.reshape(-1, 3), turn)
+        return np.einsum("va,vac->vc", weights, moved[nodes]).ravel()
+
+    return move
+
+
+def _blended(values: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """(k,) times (k, 3 V), float32. Not with @, which wakes threads: if they must wait, it takes a hundred times as
+    long.
+    """
+    return np.einsum("k,kv->v", values.astype(np.float32), shapes)
