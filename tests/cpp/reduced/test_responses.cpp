@@ -241,8 +241,7 @@ TEST_CASE("response basis: reports its progress, can be stopped, and refuses wha
   CHECK_THROWS_AS(make_response_basis(full, 9, 72), Error);  // half of all that there are
   CHECK_THROWS_AS(make_response_basis(full, -3, 12), Error);
   const FullModel neutral(body, {targets(*body)[0]}, Law::stvk, Blending::even);
-  CHECK(make_response_basis(neutral, 24, 12).U.cols() == 24);
-  CHECK_THROWS_AS(make_response_basis(neutral, 25, 12), Error);  // two bones put 24 loads on the tissue
+  CHECK(make_response_basis(neutral, 30, 12).U.cols() == 30);  // more than two bones' loads
 }
 
 TEST_CASE("response basis: of a body that nothing but a hold keeps in place") {
