@@ -20,6 +20,7 @@ class ArrowMatrix {
 
   Index rows() const { return r_ + h_; }
   Index corner_size() const { return r_; }
+  bool fits(Index r, Index rows) const { return r_ == r && this->rows() == rows; }
   Eigen::Map<MatrixXd> corner() { return {entries_.data(), r_, r_}; }
   Eigen::Map<const MatrixXd> corner() const { return {entries_.data(), r_, r_}; }
   Eigen::Map<MatrixXd> border() { return {entries_.data() + r_ * r_, h_, r_}; }

@@ -130,7 +130,7 @@ ReducedModel::ReducedModel(std::shared_ptr<const SoftBody> body, std::vector<Mor
       basis_(side_by_side(tables.basis, checked_responses(tables))),
       coordinates_(checked_coordinates(*body_, targets_, tables.basis)),
       layout_(tables.layout()),
-      responses_(tables, targets_, blending, coordinates_),
+      responses_(tables, targets_, coordinates_),
       padded_pairs_(whole_chunks(layout_.pairs())),
       inertia_(inertia_of(body_, tables.basis)),
       response_inertia_(body_, tables.basis, checked_responses(tables)) {
@@ -186,7 +186,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
     }
   }
   responses_.blend(w, out.responses);
-  if (out.damping.rows() != dofs()) out.damping = zero();
+  if (!out.damping.fits(layout_.r, dofs())) out.damping = zero();
   unpack(out.packed_damping, out.damping.corner());
   if (responses_.count() > 0) out.damping.rest() = out.responses.damping;
   if (!layout_.nonlinear || out.only >= 0) return;
@@ -221,12 +221,11 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
   expand(blend, z);
   const Eigen::Index r = layout_.r;
   force.resize(dofs());
-  if (stiffness.rows() != dofs()) stiffness = zero();
+  if (!stiffness.fits(layout_.r, dofs())) stiffness = zero();
   const double energy = contract_orders(blend.stiffness.data(), blend.linear.data(), blend.quadratic.data(),
                                         blend.v.data(), r, force.data(), stiffness.corner().data());
   force.head(r) += blend.force;
-  return blend.energy + blend.force.dot(blend.v) + energy +
-         responses_.add(blend.responses, z, blend.v, force, stiffness);
+  return blend.energy + blend.force.dot(blend.v) + energy + responses_.add(blend.responses, z, force, stiffness);
 }
 
 void ReducedModel::blend(EightBlend& out) const {
@@ -284,7 +283,7 @@ void ReducedModel::inertia(const InertialTarget& inertial, const SetDensities& d
     nodal->evaluate(inertial, densities, out.nodes, modes.mass, modes.damped, modes.force);
   else
     std::get<ModalInertia>(inertia_).evaluate(inertial, densities, modes);
-  if (out.mass.rows() != dofs()) out.mass = out.damped = zero();
+  if (!out.mass.fits(layout_.r, dofs())) out.mass = out.damped = zero();
   out.mass.corner() = modes.mass;
   out.damped.corner() = modes.damped;
   out.force.resize(dofs());

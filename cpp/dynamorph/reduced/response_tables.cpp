@@ -6,6 +6,7 @@
 
 #include "dynamorph/core/parallel.hpp"
 #include "dynamorph/reduced/basis.hpp"
+#include "dynamorph/reduced/static_solver.hpp"
 
 namespace dynamorph {
 
@@ -37,10 +38,27 @@ struct Ray {
   double square, cube, fourth, coupling;
 };
 
-Ray along(const ReducedTables& tables, size_t j, Lame lame, const VectorXd& v) {
+/// Tables with their materials about a target, with those of the other sets' neutral targets.
+struct Summed {
+  TableLayout layout;
+  VectorXd modes, responses;
+};
+
+Summed summed(const FullModel& model, const ReducedTables& tables, int target) {
   const TableLayout layout = tables.layout();
-  const VectorXd table = unfolded(lame.lambda * tables.lambda[j] + lame.mu * tables.mu[j], layout);
-  const Index pairs = layout.pairs(), h = tables.responses.cols();
+  VectorXd modes = VectorXd::Zero(layout.distinct()), responses = VectorXd::Zero(tables.response_mu[target].size());
+  for (int j : summed_at(model.targets(), target)) {
+    const Lame lame = model.targets()[j].lame;
+    modes += lame.lambda * tables.lambda[j] + lame.mu * tables.mu[j];
+    responses += lame.lambda * tables.response_lambda[j] + lame.mu * tables.response_mu[j];
+  }
+  return {layout, unfolded(modes, layout), std::move(responses)};
+}
+
+Ray along(const Summed& tables, const VectorXd& v) {
+  const TableLayout& layout = tables.layout;
+  const VectorXd &table = tables.modes, &responses = tables.responses;
+  const Index pairs = layout.pairs(), h = responses.size() / (1 + pairs);
   VectorXd vv(pairs);
   Index at = 0;
   for_pairs(layout.r, [&](Index k, Index l) { vv(at++) = (k == l ? 1 : 2) * v(k) * v(l); });
@@ -51,7 +69,6 @@ Ray along(const ReducedTables& tables, size_t j, Lame lame, const VectorXd& v) {
     for (Index p = q; p < pairs; ++p) row += (p == q ? 1 : 2) * vv(p) * table(layout.quadratic(p, q));
     out.fourth += vv(q) * row / 12;
   }
-  const VectorXd responses = lame.lambda * tables.response_lambda[j] + lame.mu * tables.response_mu[j];
   const VectorXd curved = 0.5 * (Eigen::Map<const MatrixXd>(responses.data() + h, h, pairs) * vv);
   out.coupling = 0.5 * curved.cwiseAbs2().cwiseQuotient(responses.head(h)).sum();
   return out;
@@ -80,13 +97,14 @@ VectorXd reach(const FullModel& model, const ReducedTables& tables, const Vector
   // Coordinates of a body that moves by kFar of its size in the root mean square.
   const double farthest = kFar * model.body().size * std::sqrt(model.body().volume);
   double least = farthest / scales.norm();
-  for (size_t j = 0; j < tables.lambda.size(); ++j) {
+  for (int j = 0; j < int(tables.lambda.size()); ++j) {
+    const Summed about = summed(model, tables, j);
     std::mt19937 random(1);  // the same directions on every machine: no distribution of the library
     for (int d = 0; d < kDirections; ++d) {
       VectorXd v(r);
       for (double& x : v) x = double(random()) / double(std::mt19937::max()) - 0.5;
       v = v.normalized().cwiseProduct(scales);
-      least = where_soft(along(tables, j, model.targets()[j].lame, v), least);
+      least = where_soft(along(about, v), least);
     }
   }
   return least * scales;

@@ -7,12 +7,11 @@ namespace dynamorph {
 
 using Eigen::Index;
 
-Responses::Responses(const ReducedTables& tables, const std::vector<MorphTarget>& targets, Blending blending,
+Responses::Responses(const ReducedTables& tables, const std::vector<MorphTarget>& targets,
                      const std::vector<VectorXd>& coordinates)
     : r_(tables.basis.cols()),
       count_(tables.responses.cols()),
       rows_(whole_chunks(count_)),
-      blending_(blending),
       coordinates_(coordinates),
       reach_(tables.reach) {
   if (count_ == 0) return;
@@ -33,14 +32,6 @@ Responses::Responses(const ReducedTables& tables, const std::vector<MorphTarget>
     const Eigen::Map<const MatrixXd> S(table.data() + count_, count_, pairs);
     for (Index p = 0; p < pairs; ++p)
       for (Index i = 0; i < count_; ++i) coupling[p * rows_ + i] = float(S(i, p));
-    MatrixXd& linear = linear_.emplace_back(MatrixXd::Zero(count_, r_));
-    Index p = 0;
-    for_pairs(pairs ? r_ : 0, [&](Index k, Index l) {
-      linear.col(k) -= coordinates[j](l) * S.col(p);
-      if (k != l) linear.col(l) -= coordinates[j](k) * S.col(p);
-      ++p;
-    });
-    constant_.push_back(-0.5 * linear * coordinates[j]);
   }
 }
 
@@ -49,8 +40,6 @@ void Responses::blend(const VectorXd& w, Blend& out) const {
   out.stiffness.setZero(count_);
   out.damping.setZero(count_);
   out.shape.setZero(r_);
-  out.constant.setZero(count_);
-  out.linear.setZero(count_, r_);
   out.only = -1;
   out.active.clear();
   out.active_weights.clear();
@@ -62,9 +51,6 @@ void Responses::blend(const VectorXd& w, Blend& out) const {
     out.stiffness += w(j) * stiffness_[j];
     out.damping += w(j) * stiffness_damping_[j] * stiffness_[j];
     out.shape += w(j) * coordinates_[j];
-    if (blending_ == Blending::even) continue;
-    out.constant += w(j) * constant_[j];
-    out.linear += w(j) * linear_[j];
   }
   if (out.only >= 0) return;
   out.coupling.resize(coupling_[0].size());
@@ -72,8 +58,7 @@ void Responses::blend(const VectorXd& w, Blend& out) const {
                out.coupling.data());
 }
 
-double Responses::add(const Blend& blend, const VectorXd& q, const VectorXd& v, VectorXd& force,
-                      ArrowMatrix& stiffness) const {
+double Responses::add(const Blend& blend, const VectorXd& q, VectorXd& force, ArrowMatrix& stiffness) const {
   if (count_ == 0) return 0;
   const auto y = q.tail(count_);
   const VectorXd& D = blend.stiffness;
@@ -83,6 +68,8 @@ double Responses::add(const Blend& blend, const VectorXd& q, const VectorXd& v, 
   const LaneVector<float>& S = blend.only >= 0 ? coupling_[blend.only] : blend.coupling;
   if (S.empty()) return energy;
 
+  VectorXd& v = blend.from_shape;
+  v = q.head(r_) - blend.shape;
   // p = 1/2 S(v, v), J = dp/dv (h, r), and bend = d2(y.p)/dv2 (r, r).
   blend.slopes.setZero(rows_, r_);
   blend.products.resize(r_ * (r_ + 1) / 2);
@@ -94,16 +81,10 @@ double Responses::add(const Blend& blend, const VectorXd& q, const VectorXd& v, 
   for_pairs(r_, [&](Index k, Index l) { blend.bend(k, l) = blend.bend(l, k) = *product++; });
   auto J = blend.slopes.topRows(count_);
   blend.curved.noalias() = 0.5 * (J * v);
-  if (blending_ == Blending::forces) {
-    blend.curved.noalias() += blend.linear * v;
-    blend.curved += blend.constant;
-    J += blend.linear;
-  }
 
   // The fade with its derivatives by s, and ds/dz.
-  blend.offset = q.head(r_) - blend.shape;
-  blend.away = 2 * blend.offset.cwiseQuotient(reach_.cwiseAbs2());
-  const double s = 0.5 * blend.away.dot(blend.offset), fade = 1 / (1 + s * s);
+  blend.away = 2 * v.cwiseQuotient(reach_.cwiseAbs2());
+  const double s = 0.5 * blend.away.dot(v), fade = 1 / (1 + s * s);
   const double first = -2 * s * fade * fade, second = (8 * s * s * fade - 2) * fade * fade;
 
   const double work = y.dot(blend.curved);
