@@ -69,7 +69,7 @@ def test_model_settings_by_the_names_of_the_panel(shot, run, stand_in):
     assert (arm.method, arm.law, arm.solver, arm.modes, arm.pin_radius) == ("SHAPE", "STABLE_STVK", "FULL", 7, 0.25)
     assert (leg.method, leg.solver, leg.modes) == ("DYNAMIC", "REDUCED", 20)
     code, _, errors = run("build", shot, "--object", "Arm", "--modes", 0, "-o", output)
-    assert code == 2 and "--modes: 0 is not between 1 and 200" in errors
+    assert code == 2 and "--modes: 0 is not between 1 and 400" in errors
 
 
 def test_loops_and_what_is_out_of_date(shot, run, stand_in):
