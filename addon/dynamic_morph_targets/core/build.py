@@ -63,6 +63,7 @@ def build(
     targets = morph_targets(character, model.displacements)
     law = dynamorph.Law.__members__[character.settings.law]
     full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
+    basis: Basis
     if character.settings.solver == "REDUCED":
         if character.settings.fit_to_shot:
             basis = _fitted_basis(model, body, full, character, rehearse, stages)

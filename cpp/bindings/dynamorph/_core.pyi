@@ -8,7 +8,7 @@ import numpy.typing
 import scipy.sparse
 import typing
 import typing_extensions
-__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
+__all__: list[str] = ['Basis', 'Blending', 'Cancelled', 'Crowd', 'Embedding', 'Error', 'FullModel', 'FullSimulation', 'Kernel', 'Law', 'MeshCut', 'MorphTarget', 'PoseSpace', 'ReducedModel', 'ReducedSimulation', 'ReducedTables', 'ResponseBasis', 'Scheme', 'SoftBody', 'TargetSet', 'TetMesh', 'Thickness', 'closed_surface', 'embed', 'extend_to_nodes', 'fill_fractions', 'instruction_set', 'make_basis', 'make_cage', 'make_response_basis', 'pinned', 'points_on_bones', 'reduce', 'set_threads', 'tetrahedralize', 'unpack_model']
 class Error(RuntimeError):
     pass
 class Cancelled(RuntimeError):
@@ -369,11 +369,30 @@ class Basis:
         """
         Fraction of the candidates' variance that the basis spans.
         """
+class ResponseBasis:
+    """
+    The subspace of a whole body: few modes and many responses.
+    """
+    @property
+    def U(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        The modes (3 free, r), orthonormal in the mass for unit density.
+        """
+    @property
+    def W(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        The responses (3 free, h), in which the energy stays quadratic.
+        """
+    @property
+    def amplitudes(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        How much each mode moves (r), relative to the others.
+        """
 class ReducedTables:
     """
     The tables that a built reduced model stores. They hold geometry only, no material.
     """
-    def __init__(self, law: Law, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]]) -> None:
+    def __init__(self, law: Law, basis: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], lame_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], lame_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]], responses: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ..., response_lambda: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], response_mu: collections.abc.Sequence[typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"]] = [], reach: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ...) -> None:
         ...
     @property
     def basis(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
@@ -391,6 +410,26 @@ class ReducedTables:
     @property
     def law(self) -> Law:
         ...
+    @property
+    def reach(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        How far in each mode the responses' coupling acts (r).
+        """
+    @property
+    def response_lambda(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
+        """
+        Per target, stiffness and coupling of the responses for lambda = 1 Pa.
+        """
+    @property
+    def response_mu(self) -> list[typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]]:
+        """
+        Per target, for mu = 1 Pa.
+        """
+    @property
+    def responses(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        The responses (3 free, h), or (0, 0).
+        """
 class ReducedModel:
     """
     The soft skin in r modes.
@@ -640,6 +679,10 @@ def make_cage(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64],
     progress: called with 0..1, returns False to cancel. Returns vertices (C, 3) and outward triangles (D, 3). Raises Error
     when the input is empty, flat, not finite, or not between 1e-6 and 1e6 m across.
     """
+def make_response_basis(model: FullModel, r: typing.SupportsInt | typing.SupportsIndex, h: typing.SupportsInt | typing.SupportsIndex, progress: typing.Any = None) -> ResponseBasis:
+    """
+    Makes r modes and h responses from the static answers to what the bones can do. The modes span the targets' shapes exactly. progress(fraction) -> bool: returning False raises Cancelled.
+    """
 def pinned(mesh: TetMesh, vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], triangles: typing.Annotated[numpy.typing.ArrayLike, numpy.int32], heads: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], tails: typing.Annotated[numpy.typing.ArrayLike, numpy.float64], ratio: typing.SupportsFloat | typing.SupportsIndex) -> numpy.typing.NDArray[numpy.bool]:
     """
     Whether the bones pin each node, bool (n,).
@@ -657,9 +700,15 @@ def points_on_bones(vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.flo
     vertices (C, 3), triangles (D, 3): the cage. skin (V, 3), skin_triangles (T, 3): the body in it. heads, tails (B, 3):
     the bones at rest. All are in meters and in one space.
     """
+@typing.overload
 def reduce(model: FullModel, U: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"], progress: typing.Any = None) -> ReducedTables:
     """
     Computes the energy polynomials of every target in the basis U (3 free, r).
+    """
+@typing.overload
+def reduce(model: FullModel, basis: ResponseBasis, progress: typing.Any = None) -> ReducedTables:
+    """
+    The same in a basis with responses, whose stiffness and coupling are computed too.
     """
 def set_threads(most: typing.SupportsInt | typing.SupportsIndex) -> None:
     """
