@@ -48,14 +48,14 @@ def other_keys():
     """A key a frame, then a budget of keys, show the same motion."""
     whole, output = shown_at(limb.FLEXED + 1), settings().output
     yield from sidebar.choose_other("output.sink")
-    for sink, name, value in (("FRAMES", "output.every", "1"), ("MODES", "output.keys", "8")):
+    for sink, name, value in (("FRAMES", "output.every", "1"), ("MODES", "output.keys", "16")):
         output.sink = sink
         yield from driver.drawn()
         yield from sidebar.enter(name, value)
         yield from sidebar.press("dynamorph.bake")
         yield from job_done()
         assert np.abs(shown_at(limb.FLEXED + 1) - whole).max() < 1e-3
-    assert len(settings().bake.keys) == 8
+    assert len(settings().bake.keys) == 16
     yield from sidebar.enter("output.keys", "0")
     yield from bake_again()
 
