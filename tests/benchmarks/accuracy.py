@@ -125,8 +125,8 @@ up to {frames} frames of clips that no basis has seen, simulated from the same s
 with each reduced model. The sample scenes have settings of their own and play the frames that [Results](results.md)
 compares; only their *fitted modes* have seen them.
 
-*Vibration modes*: modes and their derivatives, all with tables of the energy. *Bone responses*: a few of these, and
-what each bone does to the soft tissue, linearly. *Detail* is the number of all together.
+*Vibration modes*: modes and their derivatives, all with tables of the energy. *Bone responses*: what each bone does to
+the soft tissue, a sixth with such tables and the rest linearly. *Detail* is the number of all together.
 
 *Error*: RMS of the difference, divided by the RMS of the unreduced dynamic motion, which is the displacement without
 the targets' shapes; both about their mean over time, by mass, over all nodes and frames of a clip. Of a part of the
