@@ -38,7 +38,7 @@ def bounce():
 def model():
     yield from sidebar.fold("dynamorph.new_from_pose")  # there is more in the sections below than fits under the list
     yield from sidebar.unfold("model.method", above="dynamorph.build")
-    for name in ("method", "law", "solver", "blending"):
+    for name in ("method", "law", "solver", "blending", "basis"):
         yield from sidebar.choose_other(f"model.{name}")
     assert not addon("scene.staleness").model_age(skin())
     yield from sidebar.fold("model.method")
