@@ -18,7 +18,7 @@ from ..core import engine, errors, material_fit, oscillation
 from ..core.errors import InputError
 from ..core.settings import VARIANTS, Material, ModelSettings
 from ..io import cache_dir, model_file, paths, point_cache, report_page
-from ..run import batch, export_actions, final_comparison
+from ..run import batch, expected_error, export_actions, final_comparison
 from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, skin, staleness
 from ..write import bake, exports, losses
@@ -286,6 +286,9 @@ def run_info(args: argparse.Namespace) -> None:
         settings = obj.dynamorph
         print(f"{obj.name}: {', '.join(target.name for target in settings.targets)}")
         print(f"  model: {settings.model.summary or 'none'}")
+        expected = expected_error.known(obj)
+        if expected is not None:
+            print(f"  expected error: {100 * expected:.0f} % of the motion")
         try:
             reasons = "; ".join(model_store.stale_reasons(obj, extract.character(obj))) or "up to date"
         except engine.expected_errors() as error:

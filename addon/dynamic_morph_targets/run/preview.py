@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
@@ -16,6 +17,9 @@ from ..core.rig_samples import RigSamples
 from ..scene import references, rig_motion, skin
 from ..write import live_key, muting
 from . import live, session
+
+if TYPE_CHECKING:  # it needs the engine
+    from ..core.player import Player
 
 SECONDS = 2.5  # a shake test
 REST = 0.1  # seconds of it before it moves
@@ -181,14 +185,19 @@ def shaken(
     """The rig in its present pose, shaken: samples at substeps, and the transforms (S, 4, 4) that move it in Blender's
     world, Blender units."""
     still = rig_motion.sample_present(obj, tissue.probe)
-    rig_world = still.rig_world[0]
-    settings = tissue.player.settings
-    count = 1 + round(seconds * settings.fps) * settings.substeps
-    heights, angles = shake(kind, np.arange(count) * settings.step)
-    transforms = np.array([Matrix.Rotation(angle, 4, "Z") for angle in angles])
-    origin = rig_world[:3, 3]
-    transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
-    transforms[:, 2, 3] += heights * tissue.player.size
+    transforms = shake_transforms(kind, still, tissue.player, seconds)
     samples = still.moved(transforms)
     transforms[:, :3, 3] /= skin.unit_scale()
     return samples, transforms
+
+
+def shake_transforms(kind: str, still: RigSamples, player: Player, seconds: float = SECONDS) -> np.ndarray:
+    """What moves the rig that stands still, at the player's substeps: (S, 4, 4), world space, meters."""
+    settings = player.settings
+    count = 1 + round(seconds * settings.fps) * settings.substeps
+    heights, angles = shake(kind, np.arange(count) * settings.step)
+    transforms = np.array([Matrix.Rotation(angle, 4, "Z") for angle in angles])
+    origin = still.rig_world[0, :3, 3]
+    transforms[:, :3, 3] = origin - transforms[:, :3, :3] @ origin
+    transforms[:, 2, 3] += heights * player.size
+    return transforms

@@ -11,7 +11,7 @@ from ..scene.references import rig_of
 from ..scene.skin import soft_skins
 from ..write import bake_influence, storage, targets
 from ..write.reconcile import reconcile
-from . import batch, heat, live
+from . import batch, expected_error, heat, live
 
 PATIENCE = 1.0  # seconds without an edit before the check
 OWNER = object()  # owner of the subscriptions
@@ -20,10 +20,17 @@ OWNER = object()  # owner of the subscriptions
 @persistent
 def _before_load(*_args: object) -> None:
     """load_pre: the job's results would have no place to go, and what is kept in memory belongs to nothing any more."""
+    expected_error.cancel()
     batch.stop()
     model_store.forget()
     references.forget()
     heat.forget()
+
+
+@persistent
+def _before_save(*_args: object) -> None:
+    """save_pre."""
+    expected_error.store()
 
 
 @persistent
@@ -116,6 +123,7 @@ HANDLERS = {
     "load_post": _watch_influence,
     "undo_post": _after_undo,
     "redo_post": _after_undo,
+    "save_pre": _before_save,
     "depsgraph_update_post": _changed,
     "frame_change_post": _leave_pose,
 }

@@ -208,6 +208,11 @@ class DynamorphModel(PropertyGroup):
     content_id: StringProperty(name="Model Id", description="Hash of the model, which is also the name of its file")
     summary: StringProperty(name="Result", description="What the last build made")
     warnings: StringProperty(name="Warnings", description="Warnings of the last build, one per line")
+    expected_error: FloatProperty(
+        name="Expected Error",
+        description="How far the reduced motion of a hop is from that of Final quality, as a fraction of it",
+    )  # fmt: skip
+    expected_from: StringProperty(name="Error Of", description="Hash of what the expected error was measured with")
     stale: StringProperty(name="Out of Date", description="Why a change of the mesh requires another build")
 
     def settings(self) -> ModelSettings:

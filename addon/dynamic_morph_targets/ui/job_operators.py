@@ -9,7 +9,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
-from ..run import batch, final_comparison
+from ..run import batch, expected_error, final_comparison
 from ..run.batch import run_all
 from ..run.job import Job
 from ..scene import events, staleness
@@ -86,6 +86,7 @@ class JobOperator(SoftSkinOperator):
         batch.stop()
 
     def _begin(self, context):
+        expected_error.cancel()  # the job needs the computer, and outdates what is measured
         self.batch = batch.running = self._batch(mesh_in(context))
         self.steps = self.batch.steps(SLICE, 0.0)
         self.shown = 0.0  # when
@@ -98,6 +99,7 @@ class JobOperator(SoftSkinOperator):
         try:
             next(self.steps)
         except StopIteration:
+            expected_error.begin(batch.jobs)
             return self._done(batch)
         if time.monotonic() - self.shown > SHOWN:
             self.shown = time.monotonic()

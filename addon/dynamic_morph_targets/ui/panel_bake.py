@@ -8,7 +8,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import UIList
 
 from ..core import verdict
-from ..run import batch, final_comparison, live, preview
+from ..run import batch, expected_error, final_comparison, live, preview
 from ..scene import skin, staleness
 from ..write import bake_influence, comparison
 from .widgets import draw_job, draw_message, draw_outdated, draw_warnings
@@ -36,7 +36,15 @@ def draw_model(layout, obj):
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
         draw_message(layout, model.summary, icon="CHECKMARK")
+    draw_expected_error(layout, obj)
     draw_warnings(layout, model.warnings)
+
+
+def draw_expected_error(layout, obj):
+    """How far the reduced motion of the model is from Final quality, which is measured after a build."""
+    text = expected_error.told(obj)
+    if text:
+        draw_message(layout, text, icon="INFO")
 
 
 def draw_modes(layout, obj):
