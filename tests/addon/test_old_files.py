@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from builders import evaluated_points, part
+from builders import activate, evaluated_points, part
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 FOLDER = Path(__file__).parents[1] / "golden"
@@ -123,6 +123,16 @@ def test_an_old_setup_and_old_presets_load(version, tmp_path):
         bpy.ops.dynamorph.load_preset(filepath=preset, menu_idname=f"DYNAMORPH_PT_{kind}_presets")
     assert target.density == pytest.approx(before["targets"][1]["density"])
     assert obj.dynamorph.simulation.substeps == before["simulation"]["substeps"]
+
+
+def test_old_presets_give_a_new_soft_skin_the_modes_that_they_meant(version, arm):
+    activate(arm)
+    bpy.ops.dynamorph.add_soft_skin()
+    model = arm.dynamorph.model
+    for kind, expected in (("material", ("RESPONSES", 120)), ("setup", ("MODES", 8))):
+        preset = str(FOLDER / f"{kind}_{version}.py")
+        bpy.ops.dynamorph.load_preset(filepath=preset, menu_idname=f"DYNAMORPH_PT_{kind}_presets")
+        assert (model.basis, model.modes) == expected
 
 
 def test_an_old_file_bakes_as_it_was_baked(old_arm):

@@ -335,6 +335,17 @@ def test_a_preset_is_undone_and_does_not_make_the_model_out_of_date(rich, stand_
     assert "UNDO" in part("presets").DYNAMORPH_OT_load_preset.bl_options
 
 
+@pytest.mark.parametrize("basis", ["MODES", "RESPONSES"])
+def test_a_preset_has_the_modes_that_it_was_saved_with(rich, basis):
+    model = rich.dynamorph.model
+    model.basis, model.modes = basis, 33
+    OPS.setup_preset(name="Modes")
+    model.basis, model.modes = "RESPONSES" if basis == "MODES" else "MODES", 7
+    assert use("setup", "Modes") == {"FINISHED"}
+    assert (model.basis, model.modes) == (basis, 33)
+    OPS.setup_preset(name="Modes", remove_name=True)
+
+
 def test_presets_need_a_target(scene, arm):
     for operator in (OPS.material_preset, OPS.setup_preset, OPS.load_preset):
         assert not operator.poll()
