@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from builders import hand_made_bake, part
 from layout import drawn
+from robustness import bake
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -19,12 +20,6 @@ def coarse(soft_arm):
     model = soft_arm.dynamorph.model
     model.cage_nodes, model.basis, model.modes = 200, "MODES", 4
     return soft_arm
-
-
-def bake(obj):
-    job = part("job").Job(obj, goal="BAKE")
-    part("batch").run(job)
-    return job
 
 
 def about_mean(bake):
@@ -83,8 +78,8 @@ def test_distance_is_of_the_motion_about_its_mean(soft_arm):
     still = replace(reference, coordinates=0 * reference.coordinates, weights=0 * reference.weights)
     shifted = replace(reference, coordinates=reference.coordinates + 5.0)
     half = replace(reference, coordinates=reference.coordinates / 2, weights=reference.weights / 2)
-    for bake, expected in ((reference, 0.0), (shifted, 0.0), (half, 0.5), (still, 1.0)):
-        assert motion_distance(bake, reference, np.eye(3), areas) == pytest.approx(expected, abs=1e-7)
+    for other, expected in ((reference, 0.0), (shifted, 0.0), (half, 0.5), (still, 1.0)):
+        assert motion_distance(other, reference, np.eye(3), areas) == pytest.approx(expected, abs=1e-7)
     assert motion_distance(reference, still, np.eye(3), areas) == 0.0
 
 

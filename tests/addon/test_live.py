@@ -944,6 +944,13 @@ def key_mutes(obj) -> dict:
     return {key.name: key.mute for key in obj.data.shape_keys.key_blocks[1:]}
 
 
+def assert_turns_off(obj):
+    """Turning Live off leaves the keys as they were before."""
+    activate(obj)
+    bpy.ops.dynamorph.live()
+    assert key_mutes(obj) == {"flexed": False, "smile": False}
+
+
 LIVE = {"flexed": True, "smile": False, "Dynamorph Live": False}
 ASLEEP = {"flexed": False, "smile": False, "Dynamorph Live": True}
 
@@ -967,9 +974,7 @@ def test_a_saved_file_has_no_frozen_skin(playing, tmp_path):
     obj = bpy.data.objects["Arm"]
     assert key_mutes(obj) == LIVE and part("live").is_on(obj)
     assert apart(play(obj, range(1, 10)), whole) < 1e-6
-    activate(obj)
-    bpy.ops.dynamorph.live()
-    assert key_mutes(obj) == {"flexed": False, "smile": False}
+    assert_turns_off(obj)
 
 
 def test_a_copy_is_saved_like_a_file(playing, tmp_path):
@@ -1000,9 +1005,7 @@ def test_an_autosave_is_recovered_with_live_on(playing, tmp_path):
     obj = bpy.data.objects["Arm"]
     assert key_mutes(obj) == LIVE and part("live").is_on(obj) and apart(evaluated_points(obj), shown) < 1e-6
     assert apart(play(obj, range(1, 10)), whole) < 1e-6
-    activate(obj)
-    bpy.ops.dynamorph.live()
-    assert key_mutes(obj) == {"flexed": False, "smile": False}
+    assert_turns_off(obj)
 
 
 def test_an_autosave_after_the_live_key_was_renamed(playing, tmp_path):
@@ -1012,9 +1015,7 @@ def test_an_autosave_after_the_live_key_was_renamed(playing, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "autosave.blend"))
     obj = bpy.data.objects["Arm"]
     assert part("live").is_on(obj)
-    activate(obj)
-    bpy.ops.dynamorph.live()
-    assert key_mutes(obj) == {"flexed": False, "smile": False}
+    assert_turns_off(obj)
 
 
 @pytest.mark.parametrize("was_live", [False, True])

@@ -12,7 +12,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from builders import activate, evaluated_points, part
+from builders import activate, evaluated_points
+from robustness import bake
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 FOLDER = Path(__file__).parents[1] / "golden"
@@ -36,12 +37,6 @@ def played(obj) -> np.ndarray:
         scene.frame_set(frame)
         points.append(evaluated_points(obj))
     return np.array(points)
-
-
-def run(obj):
-    job = part("job").Job(obj, goal="BAKE")
-    part("batch").run(job)
-    return job
 
 
 def test_there_are_old_files():
@@ -84,7 +79,7 @@ def test_what_was_keyed_and_driven_still_is(version):
     bpy.context.scene.frame_set(1)
     before = played(obj)
     bpy.context.scene.frame_set(1)
-    assert not run(obj).reasons
+    assert not bake(obj).reasons
     assert np.abs(played(obj) - before).max() < 1e-6 * np.linalg.norm(np.ptp(before[0], axis=0))
 
 
@@ -140,7 +135,7 @@ def test_an_old_file_bakes_as_it_was_baked(old_arm):
     before = played(old_arm)
     size = np.linalg.norm(np.ptp(before[0], axis=0))
     assert np.abs(before - before[0]).max() > 0.05 * size
-    job = run(old_arm)
+    job = bake(old_arm)
     assert not job.reasons
     assert np.abs(played(old_arm) - before).max() < 1e-6 * size
 
@@ -152,6 +147,6 @@ def test_an_old_bake_goes_on(old_arm):
     simulation = old_arm.dynamorph.simulation
     simulation.use_scene_range, simulation.keep_outside = False, True
     simulation.start, simulation.end = 12, 20
-    job = run(old_arm)
+    job = bake(old_arm)
     assert not job.reasons
     assert np.abs(played(old_arm) - before).max() < 1e-6 * size

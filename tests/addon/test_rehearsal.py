@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from builders import activate, part, rig_of
+from robustness import bake
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -23,12 +24,6 @@ def new_arm(arm):
         rig.location.z = 0.25 * (frame // 3 % 2)
         rig.keyframe_insert("location", frame=frame)
     return arm
-
-
-def bake(obj, **options):
-    job = part("job").Job(obj, goal="BAKE", **options)
-    part("batch").run(job)
-    return job
 
 
 def limit(obj, displacement, thickness=0.0):

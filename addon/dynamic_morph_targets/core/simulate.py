@@ -18,9 +18,9 @@ from .loops import cycle, loop_warnings
 from .model import Model
 from .player import STEP, Frame, Player
 from .rig_samples import RigSamples
-from .settings import SimulationSettings
+from .settings import ModelSettings, SimulationSettings
 
-LOST = 1e-3  # of the motion, by a bake with fewer modes than the model
+LOST = 1e-3  # of a motion, RMS: what a bake may lack beside the targets' shapes where most modes hardly move
 NEGLIGIBLE = 1e-5  # of a motion, RMS: what an exact bake may lack
 CHECKED = 10  # frames that are checked for inverted tetrahedra: those with the largest coordinates
 
@@ -152,10 +152,12 @@ class Shot:
         report["warnings"] += self._warnings
         report.update(_worst_elements(player, coordinates, static))
         coordinates, free = player.amounts.shown(coordinates, weights), model.modes.T
-        if model.settings.solver == "FULL" and player.engine is not None:
-            coordinates, static, free, report["compression_error"] = _compress(model, coordinates, static, exact)
-        elif model.responses.size and not exact:
-            coordinates, static, free = _fewer(model, coordinates, static)
+        full = model.settings.solver == "FULL" and player.engine is not None
+        if full or (model.responses.size and not exact):  # most of them hardly move in one shot
+            few = _few_modes(model.settings, coordinates, static, exact)
+            if full:
+                report["compression_error"] = float(np.abs(coordinates - coordinates @ few.T @ few).max())  # meters
+            coordinates, static, free = coordinates @ few.T, static @ few.T, few if full else few @ free
         modes = node_modes(model, free)
         surface = model.surface(modes) if modes.size else np.zeros((0, *character.vertices.shape))
         report["seconds"] = self._seconds + time.perf_counter() - began
@@ -255,38 +257,18 @@ def node_modes(model: Model, free: np.ndarray) -> np.ndarray:
     return modes
 
 
-def _fewer(model: Model, coordinates: np.ndarray, static: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As few modes as this shot needs of a model with responses, most of which hardly move in one shot.
+def _few_modes(settings: ModelSettings, coordinates: np.ndarray, static: np.ndarray, exact: bool) -> np.ndarray:
+    """As few orthonormal modes (r, dofs) as a shot needs: those of the targets' shapes, and for the rest of the motion
+    as many as `settings` say, of which those that hardly move in it are left out; exact: those for all of it.
 
-    They keep the targets' shapes, and all but LOST of the root mean square of the motion. coordinates, static (F,
-    dofs): with and without motion. Returns both in the modes, and the modes (r, 3 free).
+    coordinates, static (F, dofs): with and without motion.
     """
     _, s, shapes = np.linalg.svd(static, full_matrices=False)
     shapes = shapes[s > 1e-9 * max(s.max(initial=0.0), 1e-300)]
     _, s, others = np.linalg.svd(coordinates - coordinates @ shapes.T @ shapes, full_matrices=False)
     without = np.sqrt(np.cumsum(s[::-1] ** 2)[::-1])  # what is lost without a mode and all later ones
-    turn = np.concatenate([shapes, others[: max(1, int((without > LOST * np.linalg.norm(s)).sum()))]])
-    return coordinates @ turn.T, static @ turn.T, turn @ model.modes.T
-
-
-def _compress(
-    model: Model, dynamic: np.ndarray, static: np.ndarray, exact: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """The best modes of an unreduced shot, `settings.modes` or those for all of it, and what they lack of the targets'
-    shapes.
-
-    dynamic, static (F, 3 free): displacements with and without motion. Returns the coordinates of both, modes (r, 3
-    free), and the largest error of `dynamic` in meters.
-    """
-    _, s, modes = np.linalg.svd(dynamic, full_matrices=False)
-    left = np.sqrt(np.cumsum(s[::-1] ** 2)[::-1])  # of the motion, without the modes before each
-    enough = max(1, int((left > NEGLIGIBLE * left[0]).sum()))
-    most = model.settings.modes
-    if model.settings.basis == "RESPONSES":  # as `_fewer`
-        most = min(most, max(1, int((left > LOST * left[0]).sum())))
-    modes = modes[: enough if exact else most]
-    _, s, others = np.linalg.svd(static - static @ modes.T @ modes, full_matrices=False)
-    modes = np.concatenate([modes, others[s > 1e-6 * np.linalg.norm(static)]])
-    coordinates = dynamic @ modes.T
-    error = float(np.abs(dynamic - coordinates @ modes).max())
-    return coordinates, static @ modes.T, modes, error
+    lost = NEGLIGIBLE if exact else LOST if settings.basis == "RESPONSES" else 0.0
+    rounding = 1e-9 * np.linalg.norm(coordinates)  # the directions of less than this may be those of the shapes
+    enough = int((without > max(lost * without[0], rounding)).sum())
+    most = enough if exact else min(enough, settings.modes)
+    return np.concatenate([shapes, others[: max(most, 1 - len(shapes))]])

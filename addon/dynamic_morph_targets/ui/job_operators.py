@@ -32,11 +32,10 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
 
     @classmethod
     def disabled_reason(cls, context):
-        disabled_reason = super().disabled_reason(context)
-        if disabled_reason:
-            return disabled_reason
         obj = mesh_in(context)
-        return "" if obj.dynamorph.targets or is_shown_on(obj) else "Press Add Soft Skin first"
+        return super().disabled_reason(context) or (
+            "" if obj.dynamorph.targets or is_shown_on(obj) else "Press Add Soft Skin first"
+        )
 
     def apply(self, obj):
         if not obj.dynamorph.targets:  # a piece, which may show Live
@@ -198,12 +197,9 @@ class DYNAMORPH_OT_compare_final(JobOperator, Operator):
 
     @classmethod
     def disabled_reason(cls, context):
-        disabled_reason = super().disabled_reason(context)
-        if disabled_reason:
-            return disabled_reason
         obj = mesh_in(context)
-        outdated = "The bake is out of date: bake again first" if staleness.outdated(obj) else ""
-        return final_comparison.disabled_reason(obj) or outdated
+        reason = super().disabled_reason(context) or final_comparison.disabled_reason(obj)
+        return reason or ("The bake is out of date: bake again first" if staleness.outdated(obj) else "")
 
     def _batch(self, obj):
         return final_comparison.FinalComparison(obj)
