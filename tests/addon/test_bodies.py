@@ -223,11 +223,11 @@ def test_seams_stay_closed_in_an_unreduced_bake(figure):
 
 
 @pytest.mark.parametrize(
-    ("solver", "basis", "apart"), [("REDUCED", "MODES", 1e-5), ("FULL", "MODES", 1e-5), ("REDUCED", "RESPONSES", 5e-4)]
+    ("solver", "basis", "apart"), [("REDUCED", "MODES", 2e-5), ("FULL", "MODES", 2e-5), ("REDUCED", "RESPONSES", 2e-3)]
 )
 def test_live_shows_all_meshes_as_the_bake_does(figure, solver, basis, apart):
-    """With bone responses, to a thousandth of the motion: the bake has fewer keys than modes."""
-    body = figure["Body"]
+    """As a part of how far the body moves. With bone responses the bake has fewer keys than modes."""
+    body, plain = figure["Body"], positions(figure, range(1, 15))
     body.dynamorph.model.solver, body.dynamorph.model.basis, body.dynamorph.model.modes = solver, basis, 20
     OPS.build()
     OPS.live()
@@ -237,8 +237,9 @@ def test_live_shows_all_meshes_as_the_bake_does(figure, solver, basis, apart):
     OPS.live()
     assert keys_of(figure["Top"]) is None and keys_of(figure["Cap"]) is None
     bake(body)
+    moved = max(np.abs(points - live[name]).max() for name, points in plain.items())
     for name, points in positions(figure, range(1, 15)).items():
-        assert np.abs(points - live[name]).max() < apart, name
+        assert np.abs(points - live[name]).max() < apart * moved, name
 
 
 def test_live_says_when_another_mesh_of_the_body_was_edited(figure):

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Models with bone responses, as new soft skins have them: build, Live's player, bake, setups and files from before."""
 
+import itertools
 from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
-from builders import activate, evaluated_points, part
+from builders import activate, assert_shows, evaluated_points, part, rig_of
+from robustness import bake
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
 
@@ -22,9 +24,7 @@ def skin(soft_arm):
 @pytest.fixture
 def baked(skin):
     """The job of its bake."""
-    job = part("job").Job(skin, goal="BAKE")
-    part("batch").run(job)
-    return job
+    return bake(skin)
 
 
 def displacement(bake) -> np.ndarray:
@@ -52,14 +52,27 @@ def test_new_soft_skins_have_them_and_files_from_before_keep_theirs(arm, soft_ar
     assert (fresh.dynamorph.model.basis, fresh.dynamorph.model.modes) == ("RESPONSES", 120)
 
 
-def test_a_sixth_is_tabulated_and_the_targets_fit_in(baked):
+def test_a_sixth_is_tabulated(baked):
     model = baked.model
-    assert model.basis.shape[1] == 10 and model.modes.shape[1] == 60
-    assert model.summary["modes"] == 60 and model.summary["tabulated"] == 10
+    assert (model.basis.shape[1], model.responses.shape[1]) == (10, 50)
+    assert (model.summary["modes"], model.summary["tabulated"]) == (60, 10)
     assert len(baked.request.target.find().dynamorph.modes) == 10  # gains are of those
-    few = baked.character.with_settings(modes=4)
-    built = part("build").build(few)
-    assert built.basis.shape[1] >= 2 and built.responses.shape[1] >= 1
+
+
+def test_few_modes_are_enough_tabulated_ones_for_the_targets(baked):
+    """As many as there are sculpts beside the fewest that there may be, and one response."""
+    model = part("build").build(baked.character.with_settings(modes=4), previous=baked.model)
+    assert (model.basis.shape[1], model.responses.shape[1]) == (9, 1)
+    shape = model.displacements[1][model.free].ravel()
+    left = shape - model.basis @ np.linalg.lstsq(model.basis, shape, rcond=None)[0]
+    assert np.linalg.norm(left) < 1e-9 * np.linalg.norm(shape)
+
+
+@pytest.mark.parametrize("modes, tabulated", [(4, 4), (40, 8), (120, 20), (400, 30)])
+def test_how_many_are_tabulated(modes, tabulated):
+    settings = part("settings").ModelSettings
+    assert settings(modes=modes, basis="RESPONSES").tabulated == tabulated
+    assert settings(modes=modes, basis="MODES").tabulated == modes
 
 
 def test_playback_frame_by_frame_is_the_simulation(baked):
@@ -73,19 +86,29 @@ def test_playback_frame_by_frame_is_the_simulation(baked):
 
 
 def test_a_bake_has_fewer_keys_and_shows_the_same_to_a_thousandth(skin, baked):
-    """As Blender evaluates it."""
-    simulate = part("simulate")
-    exact, _ = simulate.Shot.bake(played(baked), exact=True)
+    exact, _ = played(baked).bake(exact=True)
     assert len(exact.modes) == 60 and len(baked.result.modes) < 25
     assert off(displacement(baked.result), displacement(exact)) < 1.5e-3
     assert np.allclose(baked.result.static @ baked.result.modes.reshape(len(baked.result.modes), -1),
                        exact.static @ exact.modes.reshape(60, -1), atol=1e-9)  # fmt: skip
-    scene, key = bpy.context.scene, skin.data.shape_keys
-    assert len(key.key_blocks) < 30
-    scene.frame_set(10)
-    moved = evaluated_points(skin)
-    player = part("player").Player(baked.model, baked.character, baked.settings)
-    assert np.isfinite(moved).all() and player.size > 0
+    assert len(skin.data.shape_keys.key_blocks) < 30
+    assert_shows(skin, baked.result)
+
+
+@pytest.mark.parametrize("changes", [{}, {"solver": "FULL"}], ids=["reduced", "full"])
+def test_a_bake_of_what_hardly_moves_has_the_targets_shapes(baked, changes):
+    """In the target's pose, where nothing is left of the motion but rounding."""
+    character = baked.character.with_settings(**changes)
+    model = baked.model.with_settings(character.settings)
+    held = baked.computation.rig[-1:].moved(np.tile(np.eye(4), (1 + 5 * baked.settings.substeps, 1, 1)))
+    settings = replace(baked.settings, end=6)
+    engine = model.engine(character)
+    frames = list(part("simulate").simulate(model, character, held, settings))
+    whole = np.array([model.surface(engine.displacement(frame.coordinates)) for frame in frames])
+    whole += np.tensordot([frame.weights for frame in frames], model.residual_shapes, 1)
+    assert np.abs(whole).max() > 0.05
+    bake, _ = part("simulate").bake(model, character, held, settings)
+    assert displacement(bake) == pytest.approx(whole, abs=1e-6 * np.abs(whole).max())
 
 
 def played(job):
@@ -94,8 +117,34 @@ def played(job):
     return shot
 
 
-def test_it_is_closer_to_unreduced_than_the_modes_of_before(baked):
+def as_it_is(_skin):
+    pass
+
+
+def with_a_region(skin):
+    """A second set of targets, of the forearm, and more modes for it."""
+    bpy.context.scene.frame_set(20)
+    bpy.ops.dynamorph.add_target(key="smile")
+    bpy.context.scene.frame_set(1)
+    skin.dynamorph.active_target.region = "lower"
+    skin.dynamorph.model.modes = 150
+
+
+def with_preserve_volume(skin):
+    """Blender poses the nodes, by dual quaternions."""
+    skin.modifiers["Armature"].use_deform_preserve_volume = True
+
+
+KINDS = pytest.mark.parametrize("change", [as_it_is, with_a_region, with_preserve_volume])
+
+
+@KINDS
+def test_it_is_closer_to_unreduced_than_the_modes_of_before(skin, change):
     """The same shot, in the same cage."""
+    change(skin)
+    baked = bake(skin)
+    assert len(baked.character.target_sets) == 1 + (change == with_a_region)
+    assert baked.character.probed == (change == with_preserve_volume)
     simulate, build = part("simulate"), part("build")
 
     def motion(**changes):
@@ -109,15 +158,67 @@ def test_it_is_closer_to_unreduced_than_the_modes_of_before(baked):
     assert off(responses, full) < 0.5 * off(modes, full) and off(responses, full) < 0.12
 
 
-def test_targets_are_exact(baked):
-    """At rest in its pose the skin has the sculpted shape."""
-    engine = baked.model.engine(baked.character)
+@KINDS
+def test_live_shows_what_the_bake_does(skin, change):
+    change(skin)
+    bpy.ops.dynamorph.build()
+    bpy.ops.dynamorph.live()
+    live = shown(skin)
+    bpy.ops.dynamorph.live()
+    bake(skin)
+    assert off(shown(skin), live) < 1.5e-3
+
+
+def shown(skin) -> np.ndarray:
+    """The points of the skin (F, V, 3) that Blender shows, frame after frame."""
+    points = []
+    for frame in range(1, 21):
+        bpy.context.scene.frame_set(frame)
+        points.append(evaluated_points(skin))
+    return np.array(points)
+
+
+@pytest.mark.parametrize("change", [as_it_is, with_a_region])
+def test_targets_are_exact(skin, change):
+    """At rest in its pose the skin has the sculpted shape, whatever the other set shows."""
+    change(skin)
+    baked = bake(skin)
+    engine, sets = baked.model.engine(baked.character), baked.character.target_sets
     shapes = baked.model.target_coordinates(engine)
-    for j in range(len(shapes)):
-        weights = np.eye(len(shapes))[j]
-        _, force, stiffness = engine.linearize(weights, shapes[j])
+    for chosen in itertools.product(*(np.eye(len(target_set.targets)) for target_set in sets)):
+        weights = np.concatenate(chosen)
+        shape = weights @ shapes
+        _, force, stiffness = engine.linearize(weights, shape)
         assert np.linalg.norm(np.linalg.solve(stiffness, force)) < 1e-6 * np.linalg.norm(shapes[1])
-        assert engine.displacement(shapes[j]) == pytest.approx(baked.model.displacements[j], abs=1e-7)
+        expected = np.tensordot(weights, baked.model.displacements, 1)
+        assert engine.displacement(shape) == pytest.approx(expected, abs=1e-7)
+
+
+def test_a_loop_closes(skin):
+    bone = rig_of(skin).pose.bones["lower"]
+    for frame, angle in ((1, 0.0), (10, 1.5), (20, 0.0)):
+        bone.rotation_euler.x = angle
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    skin.dynamorph.simulation.loop = True
+    looped = bake(skin)
+    moving = displacement(looped.result)
+    exact, _ = played(looped).bake(exact=True)
+    whole = displacement(exact)
+    assert looped.report["gap"] < 1e-6 * np.linalg.norm(skin.dimensions) and not looped.report["warnings"]
+    assert np.abs(whole[-1] - whole[0]).max() <= 1.000001 * looped.report["gap"]
+    moves = np.abs(whole - whole.mean(axis=0)).max()
+    assert np.abs(moving[-1] - moving[0]).max() < 2e-3 * moves  # with fewer keys
+    skin.dynamorph.simulation.loop = False
+    once = displacement(bake(skin).result)
+    assert np.abs(once[-1] - once[0]).max() > 0.02 * moves
+
+
+def test_a_shot_in_chunks_is_the_whole_shot(skin, baked, monkeypatch):
+    monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 6)
+    again = bake(skin)
+    assert len(again.computation.rig) < len(baked.computation.rig)
+    for name in ("coordinates", "modes", "static"):
+        assert np.array_equal(getattr(again.result, name), getattr(baked.result, name)), name
 
 
 def test_materials_change_without_a_build(baked):

@@ -46,7 +46,9 @@ def stopped(obj, folder, monkeypatch, stretches):
             batch.run(job.Job(obj, "BAKE", cache_dir=cache_dir.CacheDir(folder)))
 
 
-def test_a_stopped_bake_is_resumed(coarse, folder, monkeypatch):
+@pytest.mark.parametrize("basis", ["MODES", "RESPONSES"])
+def test_a_stopped_bake_is_resumed(coarse, folder, monkeypatch, basis):
+    coarse.dynamorph.model.basis = basis
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=2)
     assert len(list(folder.glob("*.unfinished"))) == 1

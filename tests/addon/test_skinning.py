@@ -492,8 +492,10 @@ def test_a_body_in_two_cages(small_arm):
     )
 
 
-def test_a_shot_in_chunks_is_the_whole_shot(small_arm, monkeypatch):
+@pytest.mark.parametrize("basis", ["MODES", "RESPONSES"])
+def test_a_shot_in_chunks_is_the_whole_shot(small_arm, monkeypatch, basis):
     twisting(small_arm)
+    small_arm.dynamorph.model.basis = basis
     whole = run(small_arm).result
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 6)
     job = run(small_arm)
