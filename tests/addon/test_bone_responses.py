@@ -213,6 +213,15 @@ def test_a_loop_closes(skin):
     assert np.abs(once[-1] - once[0]).max() > 0.02 * moves
 
 
+def test_they_are_not_fitted_to_a_shot(skin, baked):
+    skin.dynamorph.model.fit_to_shot = True
+    job = bake(skin)
+    assert "fitted" not in job.model.summary and np.array_equal(job.model.responses, baked.model.responses)
+    skin.dynamorph.model.basis = "MODES"
+    skin.dynamorph.model.modes = 12
+    assert bake(skin).model.summary["fitted"] == [1, 20]
+
+
 def test_a_shot_in_chunks_is_the_whole_shot(skin, baked, monkeypatch):
     monkeypatch.setattr(part("bake_input"), "CHUNK_FRAMES", 6)
     again = bake(skin)

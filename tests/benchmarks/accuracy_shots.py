@@ -191,7 +191,7 @@ def measure(subject: Subject, shots: Sequence[Shot], rows: Sequence[tuple[str, i
     """All figures of a character; `accuracy` says what they are."""
     character = shots[0].character
     own = character.settings
-    basis = FITTED if own.fit_to_shot else getattr(own, "basis", MODES)
+    basis = FITTED if own.fits_shot else getattr(own, "basis", MODES)
     rows = sorted({*rows, (basis, own.modes)}, key=lambda row: (row[0] == FITTED, row[0], row[1]))
     unreduced = simulate.build_for(character.with_settings(solver="FULL"), shots[0].rig, shots[0].settings)
     body, mass, regions = parts(subject, unreduced, character)

@@ -65,7 +65,7 @@ def build(
     full = dynamorph.FullModel(body, targets, law, dynamorph.Blending.EVEN)
     basis: Basis
     if character.settings.solver == "REDUCED":
-        if character.settings.fit_to_shot:
+        if character.settings.fits_shot:
             basis = _fitted_basis(model, body, full, character, rehearse, stages)
         else:
             with stages("Modes", 0.35) as report:
@@ -157,7 +157,7 @@ def _fitted_basis(
     """
     if rehearse is None:
         raise ValueError(f"'{character.name}': its modes are to be fitted to a shot, but there is none")
-    wanted = character.settings.tabulated
+    wanted = character.settings.modes
     in_full = full.dofs <= REHEARSED_IN_FULL
     with stages("Modes", 0.05 if in_full else 0.15) as report:
         more = 0 if in_full else min(int(np.clip(2 * wanted, *REHEARSAL_MODES)), full.dofs // 3)

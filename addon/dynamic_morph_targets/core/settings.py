@@ -70,7 +70,7 @@ class ModelSettings:
     solver: str = "REDUCED"
     blending: str = "EVEN"
     modes: int = 20
-    fit_to_shot: bool = False  # choose the modes from the motion of the shot
+    fit_to_shot: bool = False  # choose the MODES of `basis` from the motion of the shot
     cage_nodes: int = 2000
     cage_thickness: float = 0.0  # smallest distance from the skin to the cage, meters
     cage_grading: float = 0.0  # 0 for tets of one size .. 1 for much finer tets where targets move the skin
@@ -80,6 +80,13 @@ class ModelSettings:
     one_cage: bool = False  # the meshes that are With Body share one cage with it, instead of being carried by its own
     hold_head: bool = False  # the skin of the head is held as if it were rigid; with one_cage
     basis: str = "MODES"  # of a reduced model: tabulated MODES, or few of them and many linear RESPONSES
+
+    @property
+    def fits_shot(self) -> bool:
+        """Whether the modes are chosen from the motion of a shot. Responses are not: they are so many that few modes
+        fitted to a shot, which are all tabulated, are not as accurate.
+        """
+        return self.fit_to_shot and self.basis == "MODES" and self.solver == "REDUCED" and self.method != "STATIC"
 
     @property
     def tabulated(self) -> int:

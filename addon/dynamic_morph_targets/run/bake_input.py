@@ -116,7 +116,7 @@ def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bo
         given.model = given.previous.with_settings(chosen)
         built_from["model"]["solver"] = given.previous.settings.solver
     given.built_from = records.text(built_from)
-    fits = bool(given.reasons) and chosen.fit_to_shot and chosen.solver == "REDUCED" and chosen.method != "STATIC"
+    fits = bool(given.reasons) and chosen.fits_shot
     given.cache_dir = request.cache_dir
     given.caches_model = bool(given.cache_dir) and not fits  # a fitted one depends on the shot
     if given.reasons and given.cache_dir and given.caches_model:

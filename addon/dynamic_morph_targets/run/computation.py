@@ -128,7 +128,7 @@ class Computation:
 
     def _build(self, simulate: ModuleType) -> None:
         given, outcome = self.given, self.outcome
-        built = 0.95 if given.character.settings.fit_to_shot else 0.7
+        built = 0.95 if given.character.settings.fits_shot else 0.7
         with self.progress.stage("build"):
             model = given.cached_model
             if not model:

@@ -30,8 +30,11 @@ def draw_model(layout, obj):
     header.label(text="Model")
     if body:
         body.enabled = batch.running is None
-        for name in ("method", "law", "blending", "basis", "modes", "fit_to_shot"):
+        for name in ("method", "law", "blending", "basis", "modes"):
             body.prop(model, name)
+        fitting = body.row()
+        fitting.active = model.basis == "MODES"
+        fitting.prop(model, "fit_to_shot")
     draw_outdated(layout, staleness.model_age(obj))
     draw_job(layout, "dynamorph.build", "MOD_LATTICE")
     if model.summary:
