@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from builders import activate, part, rig_of
+from layout import drawn
 from robustness import bake
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -95,6 +96,40 @@ def test_a_rehearsal_that_does_not_get_there_says_so(new_arm, monkeypatch):
     assert new_arm.dynamorph.targets[0].frequency > 3.5
     assert job.outcome.rehearsed.endswith("and the skin still moves too far")
     assert not json.loads(new_arm.dynamorph.bake.verdict)["ok"]
+
+
+def verdict(obj) -> dict:
+    return json.loads(obj.dynamorph.bake.verdict)
+
+
+def test_final_quality_takes_over_what_a_rehearsal_found(new_arm):
+    """It is not rehearsed itself, and the panel says what to do."""
+    limit(new_arm, 0.01)
+    new_arm.dynamorph.model.solver, new_arm.dynamorph.model.cage_nodes = "FULL", 150
+    said = "bake in Reduced first to keep"
+    assert said in " ".join(drawn(new_arm))
+    job = bake(new_arm)
+    assert not job.outcome.rehearsed and new_arm.dynamorph.targets[0].frequency == 3.5
+    assert job.verdict.excess(job.input.limits) > 1.5 and verdict(new_arm)["remedy"] == "STIFFEN"
+    new_arm.dynamorph.model.solver = "REDUCED"
+    assert said not in " ".join(drawn(new_arm))
+    reduced = bake(new_arm)
+    assert reduced.outcome.rehearsed and reduced.input.can_rehearse
+    new_arm.dynamorph.model.solver = "FULL"
+    assert said not in " ".join(drawn(new_arm))
+    final = bake(new_arm)
+    assert final.character.targets[0].frequency == reduced.character.targets[0].frequency > 3.5
+    assert final.verdict.displacement < 0.7 * job.verdict.displacement
+
+
+@pytest.mark.parametrize("by_hand, remedy", [(False, "REHEARSE"), (True, "STIFFEN")])
+def test_the_remedy_is_one_that_helps(new_arm, monkeypatch, by_hand, remedy):
+    """A rehearsal changes nothing that was set by hand."""
+    monkeypatch.setattr(part("rehearsal"), "TRIES", 1)
+    limit(new_arm, 1e-3)
+    new_arm.dynamorph.targets[0].by_hand = by_hand
+    bake(new_arm)
+    assert verdict(new_arm)["remedy"] == remedy
 
 
 def test_the_best_of_a_rehearsal_is_kept(new_arm, monkeypatch):
@@ -235,4 +270,4 @@ def test_a_body_turned_inside_out_is_measured_by_volume():
     limits = judge.Limits(0.05, 0.6)
     assert found.is_wreckage and found.excess(limits) > judge.SLACK
     assert "20.0% of the volume" in found.text(limits)
-    assert judge.Verdict().excess(judge.Limits()) == 0.0 and judge.Verdict().as_dict(limits)["ok"]
+    assert judge.Verdict().excess(judge.Limits()) == 0.0 and judge.Verdict().as_dict(limits, False)["ok"]

@@ -96,11 +96,11 @@ class Verdict:
             faults.append("more than Max Displacement allows")
         return f"{moved} (frame {self.frame:g}){': ' if faults else ''}{', '.join(faults)}"
 
-    def as_dict(self, limits: Limits) -> dict:
-        """As JSON data, with the texts for the panel."""
+    def as_dict(self, limits: Limits, can_rehearse: bool) -> dict:
+        """As JSON data, with the texts for the panel. can_rehearse: whether another bake may find the frequency."""
         excess = self.excess(limits)
         ok = not self.is_wreckage and excess <= SHOWS
-        remedy = "" if ok else ("REHEARSE" if limits.displacement or limits.thickness else "STIFFEN")
+        remedy = "" if ok else ("REHEARSE" if can_rehearse else "STIFFEN")
         factor = max(1.15, excess**0.75) if not ok else 1.0
         return asdict(self) | {"ok": ok, "text": self.text(limits), "remedy": remedy, "factor": factor}
 

@@ -159,14 +159,15 @@ def _read_limits(given: BakeInput, chosen: bpy.types.PropertyGroup, request: Req
     """How far the skin may move, and whether this bake rehearses the shot; chosen: the settings.
 
     There is no rehearsal where others must agree with the result: for a part of a shot, a worker of a farm, or values
-    that the artist has set by hand.
+    that the artist has set by hand; nor in Final quality, in which each try would take as long as the bake.
     """
     given.limits = judge.Limits(chosen.max_displacement, chosen.max_thickness)
     model, neutral = given.character.settings, given.character.targets[0]
-    limited = given.limits != judge.Limits() and model.solver == "REDUCED" and model.method != "STATIC"
-    whole = given.is_bake and not (request.frames or request.cache_dir or chosen.is_patch)
+    reduced = model.solver == "REDUCED" and model.method != "STATIC"
     adjustable = neutral.frequency > 0.0 and not neutral.by_hand
-    if limited and whole and adjustable and (request.rehearse or not chosen.rehearsed):
+    given.can_rehearse = given.limits != judge.Limits() and reduced and adjustable and not chosen.is_patch
+    alone = given.is_bake and not (request.frames or request.cache_dir)
+    if given.can_rehearse and alone and (request.rehearse or not chosen.rehearsed):
         given.rehearsed_from = neutral.frequency
 
 

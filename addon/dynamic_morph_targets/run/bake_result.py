@@ -218,7 +218,7 @@ class Writer:
         record.summary = summary(given, outcome, self.progress.seconds)
         record.warnings = "\n".join(text for text in outcome.warnings if text not in outcome.model.summary["warnings"])
         record.inputs = records.text(outcome.inputs | {"content_id": obj.dynamorph.model.content_id})
-        found = outcome.verdict.as_dict(given.limits)
+        found = outcome.verdict.as_dict(given.limits, given.can_rehearse)
         own = given.character.own
         record.verdict = records.text(found | {"vertices": [v for v in found["vertices"] if v < own.stop]})
         if outcome.rehearsed:

@@ -250,7 +250,7 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     uses_modes = outcome.model.settings.solver == "REDUCED"
     if uses_modes and (settings.start < first or settings.end > last):
         outcome.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
-    found = outcome.verdict.as_dict(given.limits)
+    found = outcome.verdict.as_dict(given.limits, given.can_rehearse)
     if not found["ok"]:
         outcome.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint the Softness Map")
 

@@ -75,6 +75,7 @@ class BakeInput:
     inputs: dict = field(default_factory=dict)
     whole: bool = True  # it is read as one chunk
     limits: Limits = Limits()  # noqa: RUF009
+    can_rehearse: bool = False  # whether a bake of the whole shot could
     rehearsed_from: float = 0.0  # the frequency in Hz that a rehearsal begins with; 0: there is none
     before: list[Bake] = field(default_factory=list)
     kept: Path | None = None  # the file that keeps it for other processes while it is unfinished

@@ -192,6 +192,7 @@ def draw_output(layout, settings):
     column = layout.column()
     column.enabled = batch.running is None
     column.prop(settings.model, "solver")
+    draw_unrehearsed(column, settings)
     column.prop(output, "sink")
     if output.sink == "MODES":
         column.prop(output, "keys")
@@ -200,6 +201,15 @@ def draw_output(layout, settings):
         row = column.row()
         row.active = output.tolerance == 0.0
         row.prop(output, "every")
+
+
+def draw_unrehearsed(layout, settings):
+    """Final quality keeps no limits by itself."""
+    simulation, neutral = settings.simulation, settings.targets[0]
+    limited = simulation.max_displacement or simulation.max_thickness
+    adjustable = neutral.frequency > 0.0 and not neutral.by_hand
+    if settings.model.solver == "FULL" and limited and adjustable and not simulation.rehearsed:
+        draw_message(layout, "Final quality is not rehearsed: bake in Reduced first to keep Max Displacement", "INFO")
 
 
 def draw_setup(layout):
