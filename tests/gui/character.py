@@ -74,6 +74,10 @@ def build():
     yield from sidebar.press("dynamorph.build")
     yield from job_done()
     measure("Its model", settings().model.summary)
+    expected = addon("run.expected_error")
+    begin = time.monotonic()
+    yield from until(lambda: expected.known(skin()) is not None, "the expected error", 60.0)
+    measure("Its expected error", f"{100 * expected.known(skin()):.0f} %, found in {time.monotonic() - begin:.1f} s")
     yield from measured("plain")
 
 
