@@ -226,6 +226,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "build_cage": (target_selected, {}),
     "capture_pose": (posed, {}),
     "check_targets": (built, {}),
+    "compare_beside": (baked, {}),
     "compare_final": (baked, {}),
     "copy_slot": (target_selected, {}),
     "copy_to_selected": (other_mesh_selected, {}),

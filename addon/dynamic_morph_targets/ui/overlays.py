@@ -16,12 +16,14 @@ import gpu
 import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
-from mathutils import Matrix
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+from mathutils import Matrix, Vector
 
 from ..core import engine, errors, logger
 from ..core.rig_samples import RigSamples
-from ..run import heat
+from ..run import heat, live
 from ..scene import checks, events, model_store, references, rig_motion, skin
+from ..write import beside, comparison
 from .gpu_drawing import (
     MARGIN,
     PADDING,
@@ -286,6 +288,45 @@ def _draw_scale(right: float, top: float, title: str, low: str, high: str):
     draw_text(high, right - text_width(high), top - 2.8 * line, box.text)
 
 
+# Side by side ------------------------------------------------------------------------------------------------------
+
+
+def names_beside(obj, empty) -> tuple[str, str]:
+    """What the soft skin `obj` shows, and what the copy beside it does."""
+    if comparison.is_plain(obj) or not comparison.can_show(obj):
+        own = iface_("Bones Only")
+    elif live.is_on(obj):
+        own = iface_("Live {slot}").format(slot=obj.dynamorph.live.slot)
+    else:
+        own = iface_("Bake {slot}").format(slot=obj.dynamorph.bake.slot)
+    slot = empty.dynamorph.live.beside_slot
+    return own, iface_("Bake {slot}").format(slot=slot) if slot else iface_("Bones Only")
+
+
+def _draw_names_beside():
+    """POST_PIXEL. Above each of two bodies that are compared, what it shows."""
+    context = bpy.context
+    obj = skin.mesh_in(context)
+    empty = beside.find(obj) if is_shown(context, obj) else None
+    if empty is None:
+        return
+    evaluated = obj.evaluated_get(context.view_layer.depsgraph)
+    corners = [evaluated.matrix_world @ Vector(corner) for corner in evaluated.bound_box]
+    low, high = (Vector(map(extreme, zip(*corners, strict=True))) for extreme in (min, max))
+    above = Vector((0.5 * (low.x + high.x), 0.5 * (low.y + high.y), high.z))
+    box = context.preferences.themes[0].user_interface.wcol_box
+    for name, point in zip(names_beside(obj, empty), (above, above + empty.location), strict=True):
+        place = location_3d_to_region_2d(context.region, context.region_data, point)
+        if place is None:  # behind the view
+            continue
+        pad, width = pixels(PADDING), text_width(name)
+        left, bottom = place.x - 0.5 * width, place.y + 2.0 * pad
+        draw_rectangle(
+            left - pad, bottom - pad, left + width + pad, bottom + pixels(TEXT) + pad, (*box.inner[:3], 0.85)
+        )
+        draw_text(name, left, bottom, box.text)
+
+
 def _quietly(draw):
     """A callback that draws nothing where `draw` fails, and logs a bug once: it would come back at every redraw.
 
@@ -320,7 +361,7 @@ HANDLERS = {"load_pre": _before_load}
 def register():
     events.add(HANDLERS)
     if not bpy.app.background:
-        in_view, on_top = (_draw_surface, _draw_cage), (draw_graph, _draw_surface_legend)
+        in_view, on_top = (_draw_surface, _draw_cage), (draw_graph, _draw_names_beside, _draw_surface_legend)
         for draw, moment in [(draw, "POST_VIEW") for draw in in_view] + [(draw, "POST_PIXEL") for draw in on_top]:
             _handles.append(bpy.types.SpaceView3D.draw_handler_add(_quietly(draw), (), "WINDOW", moment))
 

@@ -12,6 +12,7 @@ from ..run import batch, preview
 from ..scene import checks, skin
 from ..scene.registration import of_classes
 from . import paint_operators
+from .compare_operators import draw_compare_beside
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces
 from .panel_bake import DYNAMORPH_UL_modes, draw_bake, draw_live, draw_model, draw_modes, draw_plain, draw_setup
 from .panel_targets import DYNAMORPH_MT_targets, DYNAMORPH_UL_targets, draw_target_weights, draw_targets
@@ -43,6 +44,7 @@ def draw_soft_skin(layout, context, obj):
     draw_live(layout, obj)
     draw_bake(layout, context, obj)
     draw_plain(layout, obj)
+    draw_compare_beside(layout, obj)
     draw_setup(layout)
 
 
