@@ -194,7 +194,8 @@ def test_a_turned_view_puts_it_to_its_right(baked, viewport, monkeypatch):
     eye.view_rotation = (0.5, 0.5, 0.5, 0.5)  # from the right: its right is +Y
     with bpy.context.temp_override(window=window, area=area):
         OPS.compare_beside()
-    assert np.abs(beside(baked).location[::2]).max() < 1e-5 < beside(baked).location[1]
+    along = np.array(beside(baked).location)
+    assert np.abs(along[[0, 2]]).max() < 1e-5 < along[1]
     texts = []
     monkeypatch.setattr(part("overlays"), "draw_rectangle", lambda *_args: None)
     monkeypatch.setattr(part("overlays"), "draw_text", lambda text, *_args: texts.append(text))
