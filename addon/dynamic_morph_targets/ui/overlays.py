@@ -160,17 +160,21 @@ def _draw_cage():
 # The surface -------------------------------------------------------------------------------------------------------
 
 
-def painted(context, obj) -> tuple[dict[int, np.ndarray], str, str, str] | None:
-    """What surfaces are colored by, if they are: values (V,) by session_uid; the legend's title, words for 0 and 1.
+def painted(context, obj) -> tuple[dict[int, np.ndarray], str, list[str]] | None:
+    """What surfaces are colored by, if they are: values (V,) by session_uid; the legend's title, and what it says of
+    the values 0, 0.5 and 1.
 
     Raises what is in the way.
     """
     display = context.window_manager.dynamorph
     if display.heat:
-        limit = f"{heat.limit_of(obj):.1%}"
-        return heat.displacements(obj), iface_("Displacement"), "0", iface_("{limit} of size").format(limit=limit)
+        limit = heat.limit_of(obj)
+        return heat.displacements(obj), iface_("Displacement, of Size"), ["0", f"{limit / 2:.2%}", f"{limit:.2%}"]
     if display.hold:
-        return heat.holds(obj), iface_("Hold"), iface_("soft"), iface_("held")
+        return heat.holds(obj), iface_("Hold"), [iface_("0 soft"), "0.5", iface_("1 held")]
+    if display.stiffness:
+        factor = obj.dynamorph.stiffness_factor
+        return heat.stiffness(obj), iface_("Stiffness"), [f"x {factor**part:.3g}" for part in (0.0, 0.5, 1.0)]
     return None
 
 
@@ -273,7 +277,7 @@ def _draw_surface_legend():
         _draw_scale(right, top, *shown[1:])
 
 
-def _draw_scale(right: float, top: float, title: str, low: str, high: str):
+def _draw_scale(right: float, top: float, title: str, texts: list[str]):
     """What the colors of the surface mean."""
     box = bpy.context.preferences.themes[0].user_interface.wcol_box
     pad, line, width = pixels(PADDING), pixels(TEXT + 4.0), pixels(LEGEND)
@@ -284,8 +288,9 @@ def _draw_scale(right: float, top: float, title: str, low: str, high: str):
     for k, color in enumerate(heat.colors(np.linspace(0.0, 1.0, SHADES)).tolist()):
         begin, end = (left + (right - left) * at / SHADES for at in (k, k + 1))
         draw_rectangle(begin, top - 1.9 * line, end, top - 1.2 * line, (*color, 1.0))
-    draw_text(low, left, top - 2.8 * line, box.text)
-    draw_text(high, right - text_width(high), top - 2.8 * line, box.text)
+    for part, text in enumerate(texts):  # at the left, in the middle, at the right
+        at = part / (len(texts) - 1)
+        draw_text(text, left + at * (right - left - text_width(text)), top - 2.8 * line, box.text)
 
 
 # Side by side ------------------------------------------------------------------------------------------------------
@@ -355,7 +360,25 @@ def _before_load(*_args):
     forget()
 
 
-HANDLERS = {"load_pre": _before_load}
+@persistent
+def _edited(_scene, depsgraph):
+    """depsgraph_update_post."""
+    if depsgraph.id_type_updated("MESH"):
+        heat.edited()
+
+
+@persistent
+def _undone(*_args):
+    """undo_post, redo_post."""
+    heat.edited()
+
+
+HANDLERS = {
+    "load_pre": _before_load,
+    "depsgraph_update_post": _edited,
+    "undo_post": _undone,
+    "redo_post": _undone,
+}
 
 
 def register():

@@ -112,6 +112,7 @@ def draw_cage(layout, context, obj):
     draw_painted_group(column, obj, "STIFFNESS")
     if settings.stiffness_group:
         column.prop(settings, "stiffness_factor")
+        column.prop(context.window_manager.dynamorph, "stiffness", icon="OVERLAY", toggle=True)
     draw_job(body, "dynamorph.build_cage", "MESH_ICOSPHERE")
     if settings.model.cage:
         draw_message(body, settings.model.cage, icon="CHECKMARK")
@@ -125,10 +126,7 @@ def draw_painted_group(layout, obj, which: str):
     button = row.row(align=True)
     button.ui_units_x = 2.5  # the name of the group needs the rest
     button.operator("dynamorph.paint_group", text=text).which = which
-    if text == "Done":
-        fill = layout.row()
-        fill.operator_context = "EXEC_DEFAULT"
-        fill.operator("paint.weight_set", text="Fill with Brush Weight", icon="BRUSH_DATA")
+    paint_operators.draw_tools(layout, obj, which)
 
 
 def draw_status(header, _context):
