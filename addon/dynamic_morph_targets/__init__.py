@@ -17,6 +17,7 @@ def _modules():
     from .scene import properties
     from .ui import (
         attachment_operators,
+        compare_operators,
         export_operators,
         feel_operators,
         job_operators,
@@ -48,6 +49,7 @@ def _modules():
         transfer_operators,
         weight_operators,
         live_operators,
+        compare_operators,
         feel_operators,
         export_operators,
         presets,

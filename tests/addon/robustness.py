@@ -97,6 +97,13 @@ def target_selected(obj):
     obj.dynamorph.active_target_index = 1
 
 
+def painting(obj):
+    """One side of the stiffness map."""
+    activate(obj)
+    bpy.ops.dynamorph.paint_group(which="STIFFNESS")
+    obj.vertex_groups.active.add([vertex.index for vertex in obj.data.vertices if vertex.co.x < 0.0], 1.0, "REPLACE")
+
+
 def posed(obj):
     target_selected(obj)
     rig_of(obj).pose.bones["upper"].rotation_euler.y = 0.7
@@ -226,6 +233,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "build_cage": (target_selected, {}),
     "capture_pose": (posed, {}),
     "check_targets": (built, {}),
+    "compare_beside": (baked, {}),
     "compare_final": (baked, {}),
     "copy_slot": (target_selected, {}),
     "copy_to_selected": (other_mesh_selected, {}),
@@ -237,10 +245,12 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "first_look": (target_selected, {}),
     "free_bake": (baked, {}),
     "go_to_pose": (target_selected, {}),
+    "hold_bones": (bones_selected, {}),
     "hold_to_group": (held, {}),
     "live": (built, {}),
     "load_preset": (preset_saved, {"filepath": str(PRESET), "menu_idname": "DYNAMORPH_PT_material_presets"}),
     "load_setup": (setup_saved, {"filepath": SETUP}),
+    "mirror_map": (painting, {"to": "LEFT"}),
     "mirror_target": (two_sides, {}),
     "move_target": (two_targets, {"direction": "DOWN"}),
     "new_from_pose": (posed, {"key": "Bent"}),

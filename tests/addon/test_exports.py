@@ -304,6 +304,19 @@ def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
     assert not bpy.ops.dynamorph.export_check.poll()
 
 
+def file_menu() -> list[str]:
+    """What the add-on adds to File > Export."""
+    out = []
+    part("export_operators").draw_in_file_menu(types.SimpleNamespace(layout=Layout(out)), bpy.context)
+    return out
+
+
+def test_the_file_menu_exports_a_soft_skin(scene, arm):
+    assert file_menu() == ["dynamorph.export", "Soft Skin Clip"] and not bpy.ops.dynamorph.export.poll()
+    make_soft(arm)
+    assert bpy.ops.dynamorph.export.poll()
+
+
 def test_a_name_keeps_what_only_looks_like_a_suffix():
     exports = part("exports")
     assert exports.named(Path("hero.v002"), "GLTF") == Path("hero.v002.glb")

@@ -19,7 +19,7 @@ def fail(*_args):
 
 def classes():
     """The classes of the add-on that Blender knows."""
-    kinds = ("Operator", "Panel", "Menu", "UIList", "PropertyGroup", "AddonPreferences")
+    kinds = ("Operator", "Panel", "Menu", "UIList", "PropertyGroup", "AddonPreferences", "FileHandler")
     found, pending = [], [getattr(bpy.types, kind) for kind in kinds]
     while pending:
         for kind in pending.pop().__subclasses__():
@@ -37,9 +37,10 @@ def left():
     part("events").emit(part("events").Event.CAGE_CHANGED)  # who listens starts a timer
     timers = [look for look in asked if bpy.app.timers.is_registered(look)]
     owners = [owner for owner in (bpy.types.Object, bpy.types.WindowManager) if hasattr(owner, "dynamorph")]
-    # Blender has no public name for what was appended to a header.
-    in_header = [f for f in bpy.types.STATUSBAR_HT_header._dyn_ui_initialize() if f.__module__.startswith(MODULE)]
-    return [*classes(), *handlers(), *timers, *owners, *in_header]
+    # Blender has no public name for what was appended to a header or a menu.
+    extended = (bpy.types.STATUSBAR_HT_header, bpy.types.TOPBAR_MT_file_export)
+    appended = [f for kind in extended for f in kind._dyn_ui_initialize() if f.__module__.startswith(MODULE)]
+    return [*classes(), *handlers(), *timers, *owners, *appended]
 
 
 @pytest.fixture

@@ -165,6 +165,51 @@ def test_loading_is_undone(rich, file):
     assert setup_of(bpy.data.objects["Arm"]) == before
 
 
+def drop(path, editor="VIEW_3D"):
+    """What Blender calls when a file is dropped onto an editor of its window."""
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == editor)
+    with bpy.context.temp_override(window=window, area=area):
+        return bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=str(path.parent), files=[{"name": path.name}])
+
+
+@pytest.mark.parametrize("editor", ["VIEW_3D", "PROPERTIES"])
+def test_a_setup_is_dropped_onto_an_editor(rich, file, editor, capfd):
+    before = setup_of(rich)
+    clear(rich)
+    drop(file, editor)
+    assert setup_of(rich) == before and "Setup 'arm.json' applied to 'Arm'" in capfd.readouterr().out
+
+
+def test_another_json_that_is_dropped_is_refused(rich, tmp_path, capfd):
+    before, other = setup_of(rich), tmp_path / "other.json"
+    other.write_text('{"format": "scene"}')
+    drop(other)
+    assert setup_of(rich) == before
+    printed = capfd.readouterr()
+    assert "'other.json': This is not a Dynamorph setup" in printed.out + printed.err
+
+
+def test_a_setup_is_dropped_only_where_a_mesh_can_take_it(rich, file):
+    before = setup_of(rich)
+    rich.dynamorph.model.modes = 3
+    drop(file, "OUTLINER")
+    activate(None)
+    drop(file)
+    assert rich.dynamorph.model.modes == 3
+    activate(rig_of(rich))
+    drop(file)
+    assert setup_of(rich) == before
+
+
+def test_a_setup_from_the_file_browser(rich, file):
+    """Without a file it asks for one, also after another one was loaded."""
+    drop(file)
+    asked = []
+    invoked(rich, "DYNAMORPH_OT_load_setup", fileselect_add=asked.append)
+    assert len(asked) == 1
+
+
 def changed(*path, to):
     """A change of a setup: the value at `path`, which may be new."""
 

@@ -87,11 +87,48 @@ def paint():
     assert weights.min() < 0.5 < 0.9 < weights.max(), "the stroke painted nothing"
 
 
+@step("Hold Selected Bones, and blur the border")
+def hold_bones():
+    weights = lambda: addon("scene.mesh_data").group_weights(skin(), ["Soft"])[:, 0]  # noqa: E731
+    painted, forearm = weights(), addon("scene.mesh_data").group_weights(skin(), [limb.BONES[1]])[:, 0]
+    for bone in rig().pose.bones:
+        bone.select = bone.name == limb.BONES[1]  # not by hand
+    yield from sidebar.press("dynamorph.hold_bones")
+    yield from until(lambda: (weights()[forearm > 0.5] == 0.0).all(), "the forearm to be held")
+    held = weights()
+    yield from sidebar.press("object.vertex_group_smooth")
+    yield from until(lambda: not np.array_equal(weights(), held), "the blur")
+    assert np.abs(weights() - held).max() < 0.5
+    for _ in range(2):
+        yield from viewport.key("Z", ctrl=True)
+    yield from until(lambda: np.array_equal(weights(), painted), "both to be undone")
+
+
 @step("Done")
 def stop_painting():
     yield from sidebar.press("dynamorph.paint_group(which='SOFT')")
     yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
     assert settings().soft_group == "Soft"
+
+
+@step("Paint a stiffer wrist, and show it")
+def stiffness():
+    paint_stiffness = "dynamorph.paint_group(which='STIFFNESS')"
+    yield from sidebar.press(paint_stiffness)
+    yield from until(lambda: skin().mode == "WEIGHT_PAINT", "Weight Paint")
+    wrist = np.linspace((0.5, -0.03, 0.03), (0.5, -0.03, -0.03), 6)
+    yield from driver.drag([on_screen(point) for point in wrist])
+    yield from sidebar.press(paint_stiffness)
+    yield from until(lambda: skin().mode == "OBJECT", "Object Mode")
+    before = driver.pixels(viewport.box)
+    yield from sidebar.press("dynamorph.stiffness")
+    yield from driver.drawn()
+    assert differing(before) > 0.01, "the viewport shows no stiffness"
+    yield from driver.keep("stiffness", viewport)
+    yield from sidebar.press("dynamorph.stiffness")
+    settings().stiffness_group = ""  # the next steps are about an arm without one
+    skin().vertex_groups.remove(skin().vertex_groups["Stiffness"])
+    yield from driver.drawn()
     yield from sidebar.fold("dynamorph.build_cage")
 
 

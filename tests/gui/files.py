@@ -80,6 +80,26 @@ def choose_options():
         yield from driver.choose_other((x + width * 0.75, y + height - below), asked, name)
 
 
+@step("File > Export > Soft Skin Clip")
+def export_from_file_menu():
+    """The entry is the last of the menu."""
+    clip = WORK / "clip.glb"
+    clip.unlink(missing_ok=True)
+    yield from choose_file(file_menu(), "dynamorph.export", clip)
+    yield from until(clip.exists, "the file")
+    yield from driver.tap("ESC", viewport.middle)
+
+
+def file_menu():
+    yield from driver.move(viewport.middle)
+    with viewport.context():
+        bpy.ops.wm.call_menu("INVOKE_DEFAULT", name="TOPBAR_MT_file_export")
+    yield from driver.drawn()
+    driver.photograph("opened_TOPBAR_MT_file_export")
+    yield from arrows(viewport.middle, "UP_ARROW", 1)
+    yield from driver.tap("RET", viewport.middle)
+
+
 @step("Export Check")
 def export_check():
     loses = skin().modifiers.new("Smooth", "SMOOTH")  # not by hand
@@ -115,6 +135,33 @@ def load_setup():
     yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup of the file")
     yield from sidebar.fold("dynamorph.save_setup")
     yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
+
+
+@step("Drop a setup, and another JSON file")
+def drop_setup():
+    target = settings().targets[1]
+    stiffness = target.stiffness
+    target.stiffness = 4 * stiffness
+    bpy.ops.ed.undo_push(message="Another stiffness")
+    other = WORK / "other.json"
+    other.write_text('{"format": "scene"}')
+    yield from drop(other)
+    assert settings().targets[1].stiffness == 4 * stiffness, "a file that is no setup was applied"
+    yield from drop(SETUP)
+    yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup that was dropped")
+    yield from viewport.key("Z", ctrl=True)
+    yield from until(lambda: settings().targets[1].stiffness == 4 * stiffness, "the drop to be undone")
+    yield from drop(SETUP)
+    yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup again")
+
+
+def drop(path):
+    """Events cannot drop files: this calls what Blender calls then."""
+    yield from driver.move(viewport.middle)
+    driver.actions += 1
+    with viewport.context():
+        bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=str(path.parent), files=[{"name": path.name}])
+    yield from driver.drawn()
 
 
 def choose_file(opening, operator: str, path, within=()):

@@ -10,10 +10,25 @@ import driver
 import limb
 import numpy as np
 from driver import measure, step, until
-from editors import addon, baked, differing, job_done, keys, moved, settings, shown, sidebar, skin, view, viewport
+from editors import (
+    addon,
+    baked,
+    differing,
+    job_done,
+    keys,
+    moved,
+    on_screen,
+    settings,
+    shown,
+    sidebar,
+    skin,
+    view,
+    viewport,
+)
 
 HEAT = "dynamorph.heat"
 PLAIN = "dynamorph.show_plain"
+BESIDE = "dynamorph.compare_beside"
 
 
 def wobble() -> float:
@@ -56,6 +71,43 @@ def plain():
     yield from driver.drawn()
     assert np.array_equal(shown(), soft)
     assert differing(pictured) < 0.1 * changed, f"the viewport shows something else: {differing(pictured)} of {changed}"
+
+
+@step("Compare Side by Side")
+def side_by_side():
+    """With plain skinning, and with the bake of the other settings."""
+    beside = addon("write.beside")
+    names = lambda: addon("ui.overlays").names_beside(skin(), beside.find(skin()))  # noqa: E731
+    yield from driver.drawn()
+    pictured = driver.pixels(viewport.box)
+    yield from sidebar.press(BESIDE)
+    yield from until(lambda: beside.find(skin()), "the copy")
+    yield from driver.drawn()
+    assert differing(pictured) > 0.01 and names() == ("Bake A", "Bones Only")
+    yield from driver.click(on_screen(skin().location + beside.find(skin()).location))
+    assert bpy.context.selected_objects in ([], [skin()]), "the copy can be selected"
+    bpy.context.view_layer.objects.active = skin()
+    yield from viewport.key("Z", ctrl=True)
+    yield from viewport.key("Z", ctrl=True)
+    yield from until(lambda: not beside.find(skin()), "the copy to be undone")
+    yield from viewport.key("Z", ctrl=True, shift=True)
+    yield from until(lambda: beside.find(skin()), "the copy to be redone")
+    bpy.ops.wm.save_as_mainfile(filepath=str(driver.WORK / "beside.blend"), copy=True)
+    assert beside.find(skin()), "it goes on after saving"
+    with bpy.data.libraries.load(str(driver.WORK / "beside.blend")) as (there, _):
+        assert len(there.meshes) == len(bpy.data.meshes) - 1
+
+
+@step("Two bakes side by side")
+def two_bakes():
+    beside = addon("write.beside")
+    bpy.ops.dynamorph.swap_slot()  # its section is closed
+    yield from bake()
+    assert addon("ui.overlays").names_beside(skin(), beside.find(skin())) == ("Bake B", "Bake A")
+    bpy.ops.dynamorph.swap_slot()
+    yield from bake()
+    yield from sidebar.press(BESIDE)
+    yield from until(lambda: not beside.find(skin()), "the copy to go")
 
 
 # The verdict ---------------------------------------------------------------------------------------------------------

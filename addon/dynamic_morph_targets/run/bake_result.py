@@ -15,7 +15,7 @@ from ..core.errors import SceneError
 from ..io import model_file
 from ..scene import skin, staleness, target_properties
 from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
-from ..write import comparison, live_key
+from ..write import beside, comparison, live_key
 from ..write.bake import NewBake, check, check_free, check_local, check_not_edited, free
 from ..write.before import Before
 from ..write.storage import fit_modes, keep_model, model_path
@@ -109,6 +109,9 @@ class Writer:
         others = (*self._pieces(), *skin.followers(obj)) if self.given.is_bake else ()
         for each in dict.fromkeys((obj, *others)):
             undo.callback(Before(each).restore)
+        if self.given.is_bake:
+            with self.request.scene.as_context():
+                beside.keep_bake(obj)
 
     def add_keys(self, undo: ExitStack) -> None:
         """Write the bakes of all meshes beside the existing ones. Raises SinkError."""

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the viewport colors the skin by: how far it moves away from the animation, and how firmly it is held.
+"""What the viewport colors the skin by: how far it moves away from the animation, how firmly it is held, and where it
+is stiffer.
 
 There is one value from 0 to 1 for each vertex of a mesh; `overlays` draws them.
 """
@@ -13,7 +14,7 @@ import numpy as np
 
 from ..core import engine, errors
 from ..core.errors import SceneError
-from ..scene import extract, model_store, references, skin
+from ..scene import extract, mesh_data, model_store, references, skin
 from ..write import bake_reading
 from . import live
 
@@ -126,7 +127,27 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
     return {session_uid: on_skin[character.own]} | {part.session_uid: on_skin[part.members] for part in character.parts}
 
 
+def stiffness(obj: bpy.types.Object) -> dict[int, np.ndarray]:
+    """The stiffness map (V,) of the soft skin `obj` as it is painted, by session_uid. Raises SceneError without one."""
+    name = obj.dynamorph.stiffness_group
+    if name not in obj.vertex_groups:
+        raise SceneError(f"'{obj.name}' has no stiffness map: press Paint beside Stiffness Map")
+    return {obj.session_uid: _weights(obj.session_uid, name)}
+
+
+@lru_cache(maxsize=4)
+def _weights(session_uid: int, name: str) -> np.ndarray:
+    """It is asked whenever a viewport draws, and Blender hands weights out vertex by vertex."""
+    return mesh_data.group_weights(skin.find(session_uid), [name])[:, 0]
+
+
+def edited() -> None:
+    """Free what an edit of a mesh may have changed."""
+    _weights.cache_clear()
+
+
 def forget() -> None:
     """Free the cached data of bakes and models."""
+    edited()
     _points.cache_clear()
     _holds.cache_clear()

@@ -24,6 +24,8 @@ from .events import shown_changed
 from .references import OVERRIDE
 from .target_properties import DynamorphKey
 
+SLOTS = (("A", "A", "The first set of settings", 0), ("B", "B", "The second set of settings", 1))
+
 
 class DynamorphLive(PropertyGroup):
     """Simulation during playback, shown by one shape key that is rewritten at each frame."""
@@ -37,10 +39,14 @@ class DynamorphLive(PropertyGroup):
     was_on: BoolProperty(name="Was Live", description="Whether Live was on before the preview")
     moved: BoolProperty(name="Moved", description="Whether a preview moves this object by its delta transform")
     deltas: FloatVectorProperty(name="Deltas", description="The delta transform of this object before that", size=10)
-    slot: EnumProperty(
-        name="Slot", description="Which of two sets of settings is in use",
-        items=(("A", "A", "The first set of settings", 0), ("B", "B", "The second set of settings", 1)), default="A",
+    slot: EnumProperty(name="Slot", description="Which of two sets of settings is in use", items=SLOTS, default="A")
+    beside: PointerProperty(
+        name="Beside", description="The soft skin that this empty shows a copy of, to compare the two",
+        type=bpy.types.Object,
     )  # fmt: skip
+    beside_slot: StringProperty(
+        name="Slot Beside", description="The slot of the bake that the copy shows, empty for plain skinning"
+    )
     other: StringProperty(name="Other Slot", description="The settings of the slot that is not in use, as JSON")
     checks: StringProperty(
         name="Targets", description="How far the skin at rest is from each target's shape, one target per line"
@@ -220,6 +226,7 @@ class DynamorphBake(PropertyGroup):
         name="Was Rendered", description="Whether renders showed the point cache before plain skinning was shown",
         default=True,
     )  # fmt: skip
+    slot: EnumProperty(name="Slot", description="Which set of settings the bake was made with", items=SLOTS)
     content_id: StringProperty(name="Bake Id", description="Hash of everything that the bake was made from")
     digest: StringProperty(name="Result Id", description="Hash of the simulated motion")
 

@@ -95,12 +95,16 @@ class DynamorphSettings(PropertyGroup):
         return self.pieces[self.active_piece_index] if self.active_piece_index < len(self.pieces) else None
 
 
-def _paint_surface(which: str, other: str):
-    """The update of a toggle that colors the surface: turning one on turns the other off and redraws the viewports."""
+COLORINGS = ("heat", "hold", "stiffness")  # of the surface: one at a time
+
+
+def _color_surface(which: str):
+    """The update of a toggle that colors the surface: turning one on turns the others off and redraws the viewports."""
 
     def update(display, _context):
-        if getattr(display, which) and getattr(display, other):
-            setattr(display, other, False)
+        for other in COLORINGS if getattr(display, which) else ():
+            if other != which and getattr(display, other):
+                setattr(display, other, False)
         events.redraw(events.VIEWS)
 
     return update
@@ -123,11 +127,15 @@ class DynamorphDisplay(PropertyGroup):
     heat: BoolProperty(
         name="Heat Map",
         description="Color the skin by how far it moves away from the animation, as a fraction of Max Displacement",
-        update=_paint_surface("heat", "hold"),
+        update=_color_surface("heat"),
     )  # fmt: skip
     hold: BoolProperty(
         name="Show Hold", description="Color the skin by how firmly the skeleton holds it in the built model",
-        update=_paint_surface("hold", "heat"),
+        update=_color_surface("hold"),
+    )  # fmt: skip
+    stiffness: BoolProperty(
+        name="Show Stiffness", description="Color the skin by how many times stiffer the stiffness map makes it",
+        update=_color_surface("stiffness"),
     )  # fmt: skip
     posed: StringProperty(name="Posed", description="The armature that was in Pose Mode when painting began")
 

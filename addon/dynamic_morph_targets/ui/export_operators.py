@@ -197,14 +197,21 @@ def report_export(operator, obj, path: Path, clips=()):
     operator.report({"INFO"}, text.format(name=obj.name, file=path.name, clips=listed(clips)))
 
 
+def draw_in_file_menu(menu, _context):
+    """In File > Export, below Blender's own formats."""
+    menu.layout.operator("dynamorph.export", text="Soft Skin Clip")
+
+
 _register, _unregister = of_classes((DYNAMORPH_OT_export_check, DYNAMORPH_OT_export, DYNAMORPH_OT_export_actions))
 
 
 def register():
     _register()
+    bpy.types.TOPBAR_MT_file_export.append(draw_in_file_menu)
     events.add(HANDLERS)
 
 
 def unregister():
     events.remove(HANDLERS)
+    bpy.types.TOPBAR_MT_file_export.remove(draw_in_file_menu)
     _unregister()

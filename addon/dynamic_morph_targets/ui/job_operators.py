@@ -15,7 +15,7 @@ from ..run.job import Job
 from ..scene import events, staleness
 from ..scene.registration import of_classes
 from ..scene.skin import is_shown_on, mesh_in, soft_skins
-from ..write import bake, live_key
+from ..write import bake, beside, live_key
 from .base import SoftSkinOperator, at_work, report_errors
 
 TICK = 0.05  # seconds from one turn of a job to the next
@@ -40,6 +40,8 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
     def apply(self, obj):
         if not obj.dynamorph.targets:  # a piece, which may show Live
             live_key.remove(obj)
+        bake.check_free(obj)
+        beside.keep_bake(obj)
         bake.free(obj)
 
 

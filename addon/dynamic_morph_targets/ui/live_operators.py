@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Buttons that show the motion without a bake (Live, shake tests, single modes), and those that compare settings."""
+"""Buttons that show the motion without a bake (Live, shake tests, single modes)."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from itertools import islice
 
 import bpy
@@ -17,15 +16,12 @@ from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
 from mathutils import Matrix
 
-from ..core import records
 from ..core.character import target_labels
-from ..core.errors import SceneError, SinkError
+from ..core.errors import SceneError
 from ..run import live, preview
 from ..run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ..scene import events, model_store, rig_motion, skin
 from ..scene.registration import of_classes
-from ..write import comparison
-from ..write.slots import put_slot, slot_settings
 from .base import SoftSkinOperator, report_errors
 from .job_operators import JobOperator, press
 
@@ -259,27 +255,6 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
             k += 1
 
 
-# Comparing ---------------------------------------------------------------------------------------------------------
-
-
-class DYNAMORPH_OT_show_plain(SoftSkinOperator, Operator):
-    """Show the mesh as the rig alone moves it, for comparison. Pressing again or saving the file shows the soft skin"""
-
-    bl_idname = "dynamorph.show_plain"
-    bl_label = "Show Plain Skinning"
-
-    @classmethod
-    def disabled_reason(cls, context):
-        disabled_reason = super().disabled_reason(context)
-        if not disabled_reason and not comparison.can_show(skin.mesh_in(context)):
-            return "Turn Live on or bake first: only plain skinning exists so far"
-        return disabled_reason
-
-    def apply(self, obj):
-        end_preview()
-        comparison.show(obj, not comparison.is_plain(obj))
-
-
 class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
     """Set the gain of all modes to 1, and turn solo off"""
 
@@ -308,45 +283,10 @@ class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
         self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
 
 
-class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):
-    """Switch to the other of two sets of settings to compare them: materials, simulation and gains of modes"""
-
-    bl_idname = "dynamorph.swap_slot"
-    bl_label = "Compare A and B"
-
-    def apply(self, obj):
-        record = obj.dynamorph.live
-        left = slot_settings(obj)
-        put_slot(obj, records.slot(record.other) if record.other else left)
-        record.other = records.text(left)
-        record.slot = "B" if record.slot == "A" else "A"
-        live.refresh(obj)
-
-
-class DYNAMORPH_OT_copy_slot(SoftSkinOperator, Operator):
-    """Copy this set of settings to the other one"""
-
-    bl_idname = "dynamorph.copy_slot"
-    bl_label = "Copy to Other Slot"
-
-    def apply(self, obj):
-        obj.dynamorph.live.other = records.text(slot_settings(obj))
-
-
 @persistent
 def _before_change(*_args):
     """What a preview moves must neither be saved nor end up in an undo step."""
     end_preview()
-
-
-@persistent
-def _before_save(*_args):
-    """save_pre: a saved file shows the soft skin wherever it is opened or rendered."""
-    _before_change()
-    for obj in skin.soft_skins(bpy.data.objects):
-        if obj.library is None and comparison.is_plain(obj):
-            with suppress(SinkError):  # in Edit Mode the panel keeps saying that plain skinning is shown
-                comparison.show(obj, False)
 
 
 @persistent
@@ -360,18 +300,15 @@ HANDLERS = {
     "redo_pre": _before_change,
     "load_pre": _before_change,
     "load_post": _loaded,
-    "save_pre": _before_save,
+    "save_pre": _before_change,
 }
 CLASSES = (
     DYNAMORPH_OT_live,
     DYNAMORPH_OT_first_look,
     DYNAMORPH_OT_shake_test,
     DYNAMORPH_OT_play_mode,
-    DYNAMORPH_OT_show_plain,
     DYNAMORPH_OT_reset_gains,
     DYNAMORPH_OT_check_targets,
-    DYNAMORPH_OT_swap_slot,
-    DYNAMORPH_OT_copy_slot,
 )
 _register_classes, _unregister_classes = of_classes(CLASSES)
 

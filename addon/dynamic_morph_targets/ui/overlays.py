@@ -16,12 +16,14 @@ import gpu
 import numpy as np
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
-from mathutils import Matrix
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+from mathutils import Matrix, Vector
 
 from ..core import engine, errors, logger
 from ..core.rig_samples import RigSamples
-from ..run import heat
+from ..run import heat, live
 from ..scene import checks, events, model_store, references, rig_motion, skin
+from ..write import beside, comparison
 from .gpu_drawing import (
     MARGIN,
     PADDING,
@@ -158,17 +160,21 @@ def _draw_cage():
 # The surface -------------------------------------------------------------------------------------------------------
 
 
-def painted(context, obj) -> tuple[dict[int, np.ndarray], str, str, str] | None:
-    """What surfaces are colored by, if they are: values (V,) by session_uid; the legend's title, words for 0 and 1.
+def painted(context, obj) -> tuple[dict[int, np.ndarray], str, list[str]] | None:
+    """What surfaces are colored by, if they are: values (V,) by session_uid; the legend's title, and what it says of
+    the values 0, 0.5 and 1.
 
     Raises what is in the way.
     """
     display = context.window_manager.dynamorph
     if display.heat:
-        limit = f"{heat.limit_of(obj):.1%}"
-        return heat.displacements(obj), iface_("Displacement"), "0", iface_("{limit} of size").format(limit=limit)
+        limit = heat.limit_of(obj)
+        return heat.displacements(obj), iface_("Displacement, of Size"), ["0", f"{limit / 2:.2%}", f"{limit:.2%}"]
     if display.hold:
-        return heat.holds(obj), iface_("Hold"), iface_("soft"), iface_("held")
+        return heat.holds(obj), iface_("Hold"), [iface_("0 soft"), "0.5", iface_("1 held")]
+    if display.stiffness:
+        factor = obj.dynamorph.stiffness_factor
+        return heat.stiffness(obj), iface_("Stiffness"), [f"x {factor**part:.3g}" for part in (0.0, 0.5, 1.0)]
     return None
 
 
@@ -271,7 +277,7 @@ def _draw_surface_legend():
         _draw_scale(right, top, *shown[1:])
 
 
-def _draw_scale(right: float, top: float, title: str, low: str, high: str):
+def _draw_scale(right: float, top: float, title: str, texts: list[str]):
     """What the colors of the surface mean."""
     box = bpy.context.preferences.themes[0].user_interface.wcol_box
     pad, line, width = pixels(PADDING), pixels(TEXT + 4.0), pixels(LEGEND)
@@ -282,8 +288,48 @@ def _draw_scale(right: float, top: float, title: str, low: str, high: str):
     for k, color in enumerate(heat.colors(np.linspace(0.0, 1.0, SHADES)).tolist()):
         begin, end = (left + (right - left) * at / SHADES for at in (k, k + 1))
         draw_rectangle(begin, top - 1.9 * line, end, top - 1.2 * line, (*color, 1.0))
-    draw_text(low, left, top - 2.8 * line, box.text)
-    draw_text(high, right - text_width(high), top - 2.8 * line, box.text)
+    for part, text in enumerate(texts):  # at the left, in the middle, at the right
+        at = part / (len(texts) - 1)
+        draw_text(text, left + at * (right - left - text_width(text)), top - 2.8 * line, box.text)
+
+
+# Side by side ------------------------------------------------------------------------------------------------------
+
+
+def names_beside(obj, empty) -> tuple[str, str]:
+    """What the soft skin `obj` shows, and what the copy beside it does."""
+    if comparison.is_plain(obj) or not comparison.can_show(obj):
+        own = iface_("Bones Only")
+    elif live.is_on(obj):
+        own = iface_("Live {slot}").format(slot=obj.dynamorph.live.slot)
+    else:
+        own = iface_("Bake {slot}").format(slot=obj.dynamorph.bake.slot)
+    slot = empty.dynamorph.live.beside_slot
+    return own, iface_("Bake {slot}").format(slot=slot) if slot else iface_("Bones Only")
+
+
+def _draw_names_beside():
+    """POST_PIXEL. Above each of two bodies that are compared, what it shows."""
+    context = bpy.context
+    obj = skin.mesh_in(context)
+    empty = beside.find(obj) if is_shown(context, obj) else None
+    if empty is None:
+        return
+    evaluated = obj.evaluated_get(context.view_layer.depsgraph)
+    corners = [evaluated.matrix_world @ Vector(corner) for corner in evaluated.bound_box]
+    low, high = (Vector(map(extreme, zip(*corners, strict=True))) for extreme in (min, max))
+    above = Vector((0.5 * (low.x + high.x), 0.5 * (low.y + high.y), high.z))
+    box = context.preferences.themes[0].user_interface.wcol_box
+    for name, point in zip(names_beside(obj, empty), (above, above + empty.location), strict=True):
+        place = location_3d_to_region_2d(context.region, context.region_data, point)
+        if place is None:  # behind the view
+            continue
+        pad, width = pixels(PADDING), text_width(name)
+        left, bottom = place.x - 0.5 * width, place.y + 2.0 * pad
+        draw_rectangle(
+            left - pad, bottom - pad, left + width + pad, bottom + pixels(TEXT) + pad, (*box.inner[:3], 0.85)
+        )
+        draw_text(name, left, bottom, box.text)
 
 
 def _quietly(draw):
@@ -314,13 +360,31 @@ def _before_load(*_args):
     forget()
 
 
-HANDLERS = {"load_pre": _before_load}
+@persistent
+def _edited(_scene, depsgraph):
+    """depsgraph_update_post."""
+    if depsgraph.id_type_updated("MESH"):
+        heat.edited()
+
+
+@persistent
+def _undone(*_args):
+    """undo_post, redo_post."""
+    heat.edited()
+
+
+HANDLERS = {
+    "load_pre": _before_load,
+    "depsgraph_update_post": _edited,
+    "undo_post": _undone,
+    "redo_post": _undone,
+}
 
 
 def register():
     events.add(HANDLERS)
     if not bpy.app.background:
-        in_view, on_top = (_draw_surface, _draw_cage), (draw_graph, _draw_surface_legend)
+        in_view, on_top = (_draw_surface, _draw_cage), (draw_graph, _draw_names_beside, _draw_surface_legend)
         for draw, moment in [(draw, "POST_VIEW") for draw in in_view] + [(draw, "POST_PIXEL") for draw in on_top]:
             _handles.append(bpy.types.SpaceView3D.draw_handler_add(_quietly(draw), (), "WINDOW", moment))
 

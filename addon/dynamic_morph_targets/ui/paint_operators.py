@@ -8,19 +8,21 @@ from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
 from ..core import engine
 from ..core.errors import SceneError
 from ..run import heat
-from ..scene import mesh_data, skin
+from ..scene import checks, mesh_data, references, skin
 from ..scene.registration import of_classes
-from ..write import bake, storage
+from ..write import bake, storage, targets
 from ..write.fixes import owned
 from .base import SoftSkinOperator
 
 STEPS = 1000  # levels of softness that a vertex group distinguishes
+BORDER = 4  # edges, over which held skin becomes soft
 
 
 @dataclass(frozen=True)
@@ -85,22 +87,13 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
         name = getattr(settings, field) or PAINTED[self.which].name
         known = name in obj.vertex_groups
         if not known:
-            _write_groups(name, self._start(obj))
+            _write_groups(name, _start(obj, self.which))
         weights, group = mesh_data.group_weights(obj, [name])[:, 0], obj.vertex_groups[name]
         if getattr(settings, field) != group.name:
             setattr(settings, field, group.name)
         obj.vertex_groups.active_index = group.index
         if len(weights) and (not known or np.ptp(weights) < 1e-3):
             _set_brush(weights)
-
-    def _start(self, obj) -> dict[int, np.ndarray]:
-        """Weights (V,) of a new group, by session_uid of each mesh that gets one. A new softness map starts from the
-        hold by thickness: 1 everywhere would make thin parts soft.
-        """
-        with suppress(*engine.expected_errors()):
-            if self.which == "SOFT" and obj.dynamorph.model.hold == "THICKNESS":
-                return _softness_of_hold(obj)
-        return {obj.session_uid: np.full(len(obj.data.vertices), PAINTED[self.which].start)}
 
     def _leave(self, obj):
         display, objects = bpy.context.window_manager.dynamorph, bpy.context.view_layer.objects
@@ -111,6 +104,16 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
             bpy.ops.object.mode_set(mode="POSE")
         if obj.dynamorph.model.content_id:
             storage.show_stale(obj)
+
+
+def _start(obj, which: str) -> dict[int, np.ndarray]:
+    """Weights (V,) of a new group, by session_uid of each mesh that gets one. A new softness map starts from the hold
+    by thickness: 1 everywhere would make thin parts soft.
+    """
+    with suppress(*engine.expected_errors()):
+        if which == "SOFT" and obj.dynamorph.model.hold == "THICKNESS":
+            return _softness_of_hold(obj)
+    return {obj.session_uid: np.full(len(obj.data.vertices), PAINTED[which].start)}
 
 
 def _softness_of_hold(obj) -> dict[int, np.ndarray]:
@@ -165,8 +168,107 @@ class DYNAMORPH_OT_hold_to_group(SoftSkinOperator, Operator):
         storage.show_stale(obj)
 
 
+class DYNAMORPH_OT_hold_bones(SoftSkinOperator, Operator):
+    """Set the softness map to 0 where the selected pose bones move the skin, with a soft border"""
+
+    bl_idname = "dynamorph.hold_bones"
+    bl_label = "Hold Selected Bones"
+
+    def apply(self, obj):
+        bake.check_not_edited(obj)
+        owned(obj.data)
+        held = _held_by_bones(obj)
+        name = obj.dynamorph.soft_group or PAINTED["SOFT"].name
+        known = {obj.session_uid: mesh_data.group_weights(obj, [name])[:, 0]}
+        weights = known if name in obj.vertex_groups else _start(obj, "SOFT")
+        weights[obj.session_uid] = np.minimum(weights[obj.session_uid], 1.0 - held)
+        _write_groups(name, weights)
+        obj.dynamorph.soft_group = name
+        obj.vertex_groups.active_index = obj.vertex_groups[name].index
+        if obj.dynamorph.model.content_id:
+            storage.show_stale(obj)
+
+
+def _held_by_bones(obj) -> np.ndarray:
+    """How firmly the selected pose bones hold each vertex (V,): 1 where half of its skin weight is theirs, from there
+    less and less over BORDER edges. Raises SceneError.
+    """
+    rig = checks.armature_modifier(obj).object
+    chosen = targets.selected_bones(rig)
+    if not chosen:
+        raise SceneError(f"Select in Pose Mode the bones of '{rig.name}' that hold the skin of '{obj.name}'")
+    names = references.rest_skeleton(rig.data).names
+    theirs = mesh_data.skin_weights(obj)[:, [names.index(bone) for bone in chosen]].sum(axis=1)
+    if not theirs.any():
+        raise SceneError(f"The selected bones of '{rig.name}' move no skin of '{obj.name}': select others")
+    edges = np.empty((len(obj.data.edges), 2), np.int32)
+    obj.data.edges.foreach_get("vertices", edges.ravel())
+    ends, others = np.concatenate([edges, edges[:, ::-1]]).T
+    neighbors = np.maximum(np.bincount(ends, minlength=len(theirs)), 1)
+    held = np.clip(2.0 * theirs, 0.0, 1.0)
+    for _ in range(BORDER):
+        held = np.maximum(held, np.bincount(ends, held[others], len(theirs)) / neighbors)
+    return held
+
+
+class DYNAMORPH_OT_mirror_map(SoftSkinOperator, Operator):
+    """Copy the map that is being painted to the other side of the mesh, about its local X axis"""
+
+    bl_idname = "dynamorph.mirror_map"
+    bl_label = "Mirror Map"
+
+    to: EnumProperty(
+        name="To",
+        description="The side to which the map is copied",
+        items=(
+            ("RIGHT", "Left to Right", "From the character's left, +X, to its right", 0),
+            ("LEFT", "Right to Left", "From the character's right, -X, to its left", 1),
+        ),
+    )
+
+    @classmethod
+    def disabled_reason(cls, context):
+        disabled_reason = super().disabled_reason(context)
+        if not disabled_reason and not any(is_painting(skin.mesh_in(context), which) for which in PAINTED):
+            return "Press Paint beside a map first"
+        return disabled_reason
+
+    def apply(self, obj):
+        points = mesh_data.rest_points(obj)
+        partners = targets.mirror_partners(points)
+        overwritten = (points[:, 0] < 0.0 if self.to == "RIGHT" else points[:, 0] > 0.0) & (partners >= 0)
+        if not overwritten.any():
+            raise SceneError(f"'{obj.name}' is not symmetric about its X axis: paint the other side yourself")
+        name = obj.vertex_groups.active.name
+        weights = mesh_data.group_weights(obj, [name])[:, 0]
+        _write_group(obj, name, np.where(overwritten, weights[partners], weights))
+        alone = int(np.count_nonzero(partners < 0))
+        if alone:
+            text = rpt_("{count} vertices have no mirror image and stay as they are")
+            self.report({"WARNING"}, text.format(count=alone))
+
+
+def draw_tools(layout, obj, which: str):
+    """What helps to paint a map; Blender's own buttons where it has some."""
+    column = layout.column(align=True)
+    column.use_property_split = False
+    if is_painting(obj, which):
+        row = column.row(align=True)
+        row.operator_context = "EXEC_DEFAULT"
+        row.operator("paint.weight_set", text="Fill with Brush Weight", icon="BRUSH_DATA")
+        blur = row.operator("object.vertex_group_smooth", text="Blur")
+        blur.group_select_mode, blur.factor, blur.repeat = "ACTIVE", 0.5, 2
+        row = column.row(align=True)
+        for to, text in (("RIGHT", "Left to Right"), ("LEFT", "Right to Left")):
+            row.operator("dynamorph.mirror_map", text=text, icon="MOD_MIRROR").to = to
+    if which == "SOFT":
+        column.operator("dynamorph.hold_bones", icon="BONE_DATA")
+
+
 CLASSES = (
     DYNAMORPH_OT_paint_group,
     DYNAMORPH_OT_hold_to_group,
+    DYNAMORPH_OT_hold_bones,
+    DYNAMORPH_OT_mirror_map,
 )
 register, unregister = of_classes(CLASSES)

@@ -12,6 +12,7 @@ from ..run import batch, preview
 from ..scene import checks, skin
 from ..scene.registration import of_classes
 from . import paint_operators
+from .compare_operators import draw_compare_beside
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces
 from .panel_bake import DYNAMORPH_UL_modes, draw_bake, draw_live, draw_model, draw_modes, draw_plain, draw_setup
 from .panel_targets import DYNAMORPH_MT_targets, DYNAMORPH_UL_targets, draw_target_weights, draw_targets
@@ -43,6 +44,7 @@ def draw_soft_skin(layout, context, obj):
     draw_live(layout, obj)
     draw_bake(layout, context, obj)
     draw_plain(layout, obj)
+    draw_compare_beside(layout, obj)
     draw_setup(layout)
 
 
@@ -110,6 +112,7 @@ def draw_cage(layout, context, obj):
     draw_painted_group(column, obj, "STIFFNESS")
     if settings.stiffness_group:
         column.prop(settings, "stiffness_factor")
+        column.prop(context.window_manager.dynamorph, "stiffness", icon="OVERLAY", toggle=True)
     draw_job(body, "dynamorph.build_cage", "MESH_ICOSPHERE")
     if settings.model.cage:
         draw_message(body, settings.model.cage, icon="CHECKMARK")
@@ -123,10 +126,7 @@ def draw_painted_group(layout, obj, which: str):
     button = row.row(align=True)
     button.ui_units_x = 2.5  # the name of the group needs the rest
     button.operator("dynamorph.paint_group", text=text).which = which
-    if text == "Done":
-        fill = layout.row()
-        fill.operator_context = "EXEC_DEFAULT"
-        fill.operator("paint.weight_set", text="Fill with Brush Weight", icon="BRUSH_DATA")
+    paint_operators.draw_tools(layout, obj, which)
 
 
 def draw_status(header, _context):

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import BoolProperty, StringProperty
-from bpy.types import Operator
+from bpy.types import FileHandler, Operator
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..run.live import remove_soft_skin
@@ -49,13 +49,37 @@ class DYNAMORPH_OT_load_setup(SoftSkinOperator, ImportHelper, Operator):
     bl_label = "Load Setup"
     needs_soft_skin = False
 
+    filepath: StringProperty(
+        name="File Path", description="The setup to load", subtype="FILE_PATH", options={"HIDDEN", "SKIP_SAVE"}
+    )
     filter_glob: StringProperty(name="Filter", description="Files that are shown", default="*.json", options={"HIDDEN"})
+
+    def invoke(self, context, event):
+        if self.filepath:  # it was dropped
+            return self.execute(context)
+        return super().invoke(context, event)
 
     def apply(self, obj):
         lacking = setups.apply(obj, setups.read(Path(bpy.path.abspath(self.filepath))))
         if obj.dynamorph.model.content_id:
             storage.show_stale(obj)
-        report_lacking(self, obj, lacking)
+        file = Path(self.filepath).name
+        self.report({"INFO"}, rpt_("Setup '{file}' applied to '{name}'").format(name=obj.name, file=file))
+        report_lacking(self, obj, lacking)  # last: the status bar shows the last alone
+
+
+class DYNAMORPH_FH_setup(FileHandler):
+    """Applies a setup that is dropped onto a 3D viewport or the properties."""
+
+    bl_idname = "DYNAMORPH_FH_setup"
+    bl_label = "Dynamorph Setup"
+    bl_import_operator = "dynamorph.load_setup"
+    bl_file_extensions = ".json"
+
+    @classmethod
+    def poll_drop(cls, context):
+        shown = context.area is not None and context.area.type in ("VIEW_3D", "PROPERTIES")
+        return shown and DYNAMORPH_OT_load_setup.poll(context)
 
 
 class DYNAMORPH_OT_copy_to_selected(SoftSkinOperator, Operator):
@@ -134,5 +158,5 @@ def length(metres: float) -> str:
     return bpy.utils.units.to_string(system, "LENGTH", metres, precision=3).strip()
 
 
-CLASSES = (DYNAMORPH_OT_save_setup, DYNAMORPH_OT_load_setup, DYNAMORPH_OT_copy_to_selected)
+CLASSES = (DYNAMORPH_OT_save_setup, DYNAMORPH_OT_load_setup, DYNAMORPH_FH_setup, DYNAMORPH_OT_copy_to_selected)
 register, unregister = of_classes(CLASSES)

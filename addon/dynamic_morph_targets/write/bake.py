@@ -196,6 +196,7 @@ class NewBake:
             key.reach = key_reach(blocks[index])
         record.basis = basis_hash(blocks)
         record.action = self._action
+        record.slot = (self._skin or self._obj).dynamorph.live.slot
         record.had_animation_data = self._had_animation_data
         record.active_index = self._obj.active_shape_key_index
         record.summary = record.warnings = record.verdict = ""

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What helps to paint a map: holding selected bones, blurring, mirroring, and the colors of the stiffness map."""
+
+import bpy
+import numpy as np
+import pytest
+from builders import activate, make_mesh, part, refused, rig_of
+from layout import drawn
+
+OPS = bpy.ops.dynamorph
+
+
+def weights(obj, name) -> np.ndarray:
+    return part("mesh_data").group_weights(obj, [name])[:, 0]
+
+
+def paint(obj, name, values):
+    group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+    for vertex, value in enumerate(values):
+        group.add([vertex], float(value), "REPLACE")
+
+
+def points(obj) -> np.ndarray:
+    return np.array([vertex.co for vertex in obj.data.vertices])
+
+
+def select_bones(obj, *names):
+    for bone in rig_of(obj).pose.bones:
+        (bone if hasattr(bone, "select") else bone.bone).select = bone.name in names
+
+
+@pytest.fixture
+def painted_arm(soft_arm):
+    """The arm in Weight Paint on a softness map that is 1."""
+    OPS.paint_group(which="SOFT")
+    return soft_arm
+
+
+# Hold Selected Bones -------------------------------------------------------------------------------------------------
+
+
+def test_selected_bones_hold_their_skin(soft_arm):
+    """With a border of a few edges, over which softness rises."""
+    select_bones(soft_arm, "lower")
+    assert OPS.hold_bones() == {"FINISHED"}
+    assert soft_arm.dynamorph.soft_group == "Soft"
+    soft, lower, height = weights(soft_arm, "Soft"), weights(soft_arm, "lower"), points(soft_arm)[:, 2]
+    assert (soft[lower >= 0.5] == 0.0).all() and (soft[height < 0.3] == 1.0).all()
+    rings = np.array([soft[height == z].mean() for z in np.unique(height)])
+    assert (np.diff(rings) <= 0.0).all() and np.ptp(soft[height == height[0]]) == 0.0
+    border = (rings > 0.01) & (rings < 0.99)
+    assert 2 <= border.sum() <= 8 and np.abs(np.diff(rings)).max() < 0.55
+
+
+def test_what_is_held_already_stays_so(soft_arm):
+    paint(soft_arm, "Mine", 0.25 + 0.0 * points(soft_arm)[:, 2])
+    soft_arm.dynamorph.soft_group = "Mine"
+    select_bones(soft_arm, "lower")
+    OPS.hold_bones()
+    soft, lower = weights(soft_arm, "Mine"), weights(soft_arm, "lower")
+    assert "Soft" not in soft_arm.vertex_groups and soft.max() == pytest.approx(0.25)
+    assert (soft[lower >= 0.5] == 0.0).all()
+
+
+def test_bones_are_held_while_painting(painted_arm):
+    select_bones(painted_arm, "upper")
+    bpy.ops.ed.undo_push(message="painting")
+    OPS.hold_bones()
+    assert painted_arm.mode == "WEIGHT_PAINT" and weights(painted_arm, "Soft").min() == 0.0
+    bpy.ops.ed.undo_push(message="held")
+    bpy.ops.ed.undo()
+    assert weights(bpy.data.objects["Arm"], "Soft").min() == 1.0
+
+
+def test_held_bones_make_the_model_old(soft_arm):
+    soft_arm.dynamorph.model.cage_nodes, soft_arm.dynamorph.model.modes = 200, 8
+    OPS.build()
+    select_bones(soft_arm, "lower")
+    OPS.hold_bones()
+    assert part("staleness").model_age(soft_arm)
+
+
+def test_bones_that_hold_nothing(soft_arm):
+    refused(OPS.hold_bones, "Select in Pose Mode the bones of 'Arm Rig' that hold the skin of 'Arm'")
+    select_bones(soft_arm, "lower")
+    rig_of(soft_arm).data.bones["lower"].use_deform = False
+    refused(OPS.hold_bones, "move no skin of 'Arm'")
+    assert "Soft" not in soft_arm.vertex_groups
+
+
+# Blur and Mirror -----------------------------------------------------------------------------------------------------
+
+
+def test_blender_blurs_the_map(painted_arm):
+    """As the button calls it; other groups stay."""
+    height, lower = points(painted_arm)[:, 2], weights(painted_arm, "lower")
+    paint(painted_arm, "Soft", height > 1.0)
+    assert "object.vertex_group_smooth" in drawn(painted_arm)
+    bpy.ops.object.vertex_group_smooth(group_select_mode="ACTIVE", factor=0.5, repeat=2)
+    soft = weights(painted_arm, "Soft")
+    near = np.abs(height - 1.0) < 0.2
+    assert soft[near].min() > 0.01 and soft[near].max() < 0.99 and set(soft[np.abs(height - 1.0) > 0.5]) == {0.0, 1.0}
+    np.testing.assert_array_equal(weights(painted_arm, "lower"), lower)
+
+
+@pytest.mark.parametrize("to, kept", [("RIGHT", 1.0), ("LEFT", -1.0)])
+def test_a_side_is_copied_to_the_other(painted_arm, to, kept):
+    at, lower = points(painted_arm), weights(painted_arm, "lower")
+    values = np.round(0.4 + at[:, 0] + 0.1 * at[:, 2], 3)
+    paint(painted_arm, "Soft", values)
+    OPS.mirror_map(to=to)
+    expected = np.round(0.4 + kept * np.abs(at[:, 0]) + 0.1 * at[:, 2], 3)
+    np.testing.assert_allclose(weights(painted_arm, "Soft"), expected, atol=1e-3)
+    np.testing.assert_array_equal(weights(painted_arm, "lower"), lower)
+
+
+def test_the_stiffness_map_is_mirrored_too(soft_arm):
+    assert not OPS.mirror_map.poll()
+    OPS.paint_group(which="STIFFNESS")
+    paint(soft_arm, "Stiffness", points(soft_arm)[:, 0] > 0.1)
+    bpy.ops.ed.undo_push(message="painted")
+    OPS.mirror_map(to="RIGHT")
+    assert (weights(soft_arm, "Stiffness") == (np.abs(points(soft_arm)[:, 0]) > 0.1)).all()
+    bpy.ops.ed.undo_push(message="mirrored")
+    bpy.ops.ed.undo()
+    arm = bpy.data.objects["Arm"]
+    assert (weights(arm, "Stiffness") == (points(arm)[:, 0] > 0.1)).all()
+
+
+def test_a_vertex_without_a_mirror_image_keeps_its_weight(painted_arm, capfd):
+    painted_arm.data.shape_keys.reference_key.points[5].co.x -= 0.05
+    values = (points(painted_arm)[:, 0] > 0.0).astype(float)
+    paint(painted_arm, "Soft", values)
+    OPS.mirror_map(to="RIGHT")
+    assert weights(painted_arm, "Soft")[5] == values[5]
+    assert "2 vertices have no mirror image" in capfd.readouterr().out
+
+
+def test_a_mesh_without_two_sides(scene, painted_arm):
+    for point in painted_arm.data.shape_keys.reference_key.points:
+        point.co.x += 3.0
+    refused(OPS.mirror_map, "'Arm' is not symmetric about its X axis")
+
+
+def test_the_tools_of_a_map(soft_arm):
+    assert "dynamorph.hold_bones" in drawn(soft_arm) and "dynamorph.mirror_map" not in drawn(soft_arm)
+    OPS.paint_group(which="STIFFNESS")
+    assert {"paint.weight_set", "object.vertex_group_smooth", "dynamorph.mirror_map"} <= set(drawn(soft_arm))
+
+
+# Stiffness in the viewport -------------------------------------------------------------------------------------------
+
+
+def test_the_stiffness_map_colors_the_skin(soft_arm):
+    display, overlays, context = bpy.context.window_manager.dynamorph, part("overlays"), bpy.context
+    display.hold = True
+    display.stiffness = True
+    assert not display.hold and not display.heat
+    with pytest.raises(part("errors").SceneError, match="no stiffness map: press Paint"):
+        overlays.painted(context, soft_arm)
+    OPS.paint_group(which="STIFFNESS")
+    soft_arm.dynamorph.stiffness_factor = 9.0
+    values, title, texts = overlays.painted(context, soft_arm)
+    assert (title, texts) == ("Stiffness", ["x 1", "x 3", "x 9"]) and not values[soft_arm.session_uid].any()
+    paint(soft_arm, "Stiffness", points(soft_arm)[:, 2] > 1.0)
+    context.view_layer.update()
+    shown = overlays.painted(context, soft_arm)[0][soft_arm.session_uid]
+    np.testing.assert_array_equal(shown, points(soft_arm)[:, 2] > 1.0)
+    display.heat = True
+    assert not display.stiffness
+    display.heat = False
+
+
+def test_legends_have_values(soft_arm, monkeypatch):
+    display, overlays, heat = bpy.context.window_manager.dynamorph, part("overlays"), part("heat")
+    monkeypatch.setattr(heat, "displacements", lambda _obj: {})
+    monkeypatch.setattr(heat, "holds", lambda _obj: {})
+    soft_arm.dynamorph.simulation.max_displacement = 0.05
+    display.heat = True
+    assert overlays.painted(bpy.context, soft_arm)[1:] == ("Displacement, of Size", ["0", "2.50%", "5.00%"])
+    display.hold = True
+    assert overlays.painted(bpy.context, soft_arm)[1:] == ("Hold", ["0 soft", "0.5", "1 held"])
+    display.hold = False
+    assert overlays.painted(bpy.context, soft_arm) is None
+
+
+def test_another_mesh_is_refused(scene, painted_arm):
+    bpy.ops.object.mode_set(mode="OBJECT")
+    activate(make_mesh(scene, "Plane", [(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]))
+    assert not OPS.hold_bones.poll() and not OPS.mirror_map.poll()
