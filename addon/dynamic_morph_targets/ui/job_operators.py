@@ -36,7 +36,9 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
         if disabled_reason:
             return disabled_reason
         obj = mesh_in(context)
-        return "" if obj.dynamorph.targets or is_shown_on(obj) else "Press Add Soft Skin first"
+        if obj.dynamorph.targets:
+            return "" if obj.dynamorph.bake.exists else "There is no bake yet"
+        return "" if is_shown_on(obj) else "Press Add Soft Skin first"
 
     def apply(self, obj):
         if not obj.dynamorph.targets:  # a piece, which may show Live
