@@ -223,6 +223,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "bake": (target_selected, {}),
     "bake_all": (target_selected, {}),
     "build": (target_selected, {}),
+    "build_live": (target_selected, {}),
     "build_cage": (target_selected, {}),
     "capture_pose": (posed, {}),
     "check_targets": (built, {}),

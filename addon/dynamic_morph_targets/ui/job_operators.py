@@ -9,7 +9,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
-from ..run import batch, final_comparison
+from ..run import batch, final_comparison, live
 from ..run.batch import run_all
 from ..run.job import Job
 from ..scene import events, staleness
@@ -155,6 +155,11 @@ class DYNAMORPH_OT_build(JobOperator, Operator):
 
     bl_idname = "dynamorph.build"
     bl_label = "Build Model"
+
+    def _done(self, batch):
+        for job in batch.jobs:
+            live.refresh(job.target())
+        return super()._done(batch)
 
 
 class DYNAMORPH_OT_bake(JobOperator, Operator):
