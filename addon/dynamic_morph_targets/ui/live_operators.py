@@ -45,7 +45,7 @@ class TissueOperator(SoftSkinOperator):
 
 
 class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
-    """Simulate while Blender plays, over a bake if there is one. An outdated model is built first. Press again to stop"""
+    """Simulate while Blender plays, over a bake if there is one. Builds an outdated model first. Press again to stop"""
 
     bl_idname = "dynamorph.live"
     bl_label = "Live Soft Skin"
