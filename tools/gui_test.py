@@ -31,7 +31,7 @@ BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"  # in the page
 PICTURES = ROOT / "docs/images/guide"
 CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part runs without it, and says so
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
-SCREEN = (1600, 1100)
+SCREEN = (1920, 1080)
 MIRROR = "http://deb.debian.org/debian"
 PACKAGES = (
     "blender xvfb xauth imagemagick libgl1-mesa-dri "

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a panel draws, as texts: Blender has no layouts without a window."""
 
+import copy
 import types
 
 import bpy
+from builders import part
 
 
 def region(width) -> dict:
@@ -25,12 +27,14 @@ def registered(name, kind):
 class Layout:
     """Stands in for bpy.types.UILayout: remembers what is drawn and refuses unknown properties and operators."""
 
-    def __init__(self, drawn, place=SIDEBAR, unfolded=True):
-        self.drawn, self.unfolded = drawn, unfolded
+    def __init__(self, drawn, place=SIDEBAR, controls=None):
+        self.drawn = drawn
+        self.controls = [] if controls is None else controls  # what can be clicked or set, a list as one
         self.context = types.SimpleNamespace(**place)
 
     def prop(self, data, name, **_options):
         assert name in data.bl_rna.properties, name
+        self.controls.append(f"{data.bl_rna.identifier}.{name}")
         self.drawn.append(data.name if name == "name" else name)
 
     def prop_search(self, data, name, _owner, _collection, **_options):
@@ -39,6 +43,7 @@ class Layout:
     def operator(self, name, text="", **_options):
         module, function = name.split(".")
         assert getattr(bpy.ops, module).__getattr__(function).get_rna_type()
+        self.controls.append(name)
         self.drawn += [name, text] if text else [name]
         if _options.get("depress"):
             self.drawn.append(f"pressed: {text}")
@@ -55,19 +60,21 @@ class Layout:
 
     def template_list(self, kind, _id, data, name, active_data, active_name, **_options):
         assert name in data.bl_rna.properties and active_name in active_data.bl_rna.properties
+        self.controls.append(kind)
+        row = copy.copy(self)
+        row.controls = []
         for index, item in enumerate(getattr(data, name)):
             draw = registered(kind, bpy.types.UIList).draw_item
-            draw(None, self.context, self, data, item, 0, active_data, active_name, index)
-
-    def panel(self, _name, default_closed=False):
-        return self, self if self.unfolded or not default_closed else None
+            draw(None, self.context, row, data, item, 0, active_data, active_name, index)
 
     def menu(self, name, **_options):
         assert registered(name, bpy.types.Menu)
+        self.controls.append(name)
         self.drawn.append(name)
 
     def popover(self, panel, **_options):
         assert registered(panel, bpy.types.Panel)
+        self.controls.append(panel)
         self.drawn.append(panel)
 
     def row(self, **_options):
@@ -83,8 +90,17 @@ class Layout:
 
 
 def drawn(obj, panel="DYNAMORPH_PT_sidebar", place=SIDEBAR, unfolded=True):
-    """place: see `region`. unfolded: also the sections that are closed at first."""
-    out = []
+    """The texts of a panel and those inside it. place: see `region`. unfolded: also those that are closed at first."""
+    return layout_of(obj, panel, place, unfolded).drawn
+
+
+def controls(obj, panel="DYNAMORPH_PT_sidebar", unfolded=True):
+    """What can be clicked or set there."""
+    return layout_of(obj, panel, SIDEBAR, unfolded).controls
+
+
+def layout_of(obj, panel, place, unfolded):
+    layout = Layout([], place)
     panel_class = registered(panel, bpy.types.Panel)
     context = types.SimpleNamespace(
         object=obj,
@@ -93,6 +109,32 @@ def drawn(obj, panel="DYNAMORPH_PT_sidebar", place=SIDEBAR, unfolded=True):
         window_manager=bpy.context.window_manager,
         **place,
     )
-    assert panel_class.poll(context)
-    panel_class.draw(types.SimpleNamespace(layout=Layout(out, place, unfolded)), context)
-    return out
+    assert is_there(panel_class, context)
+    draw_tree(panel_class, context, layout, unfolded)
+    return layout
+
+
+def is_there(panel_class, context):
+    """Whether Blender draws the panel."""
+    return not hasattr(panel_class, "poll") or panel_class.poll(context)
+
+
+def draw_tree(panel_class, context, layout, unfolded):
+    drawing = types.SimpleNamespace(layout=layout, section=getattr(panel_class, "section", None))
+    for header in ("draw_header", "draw_header_preset"):
+        if hasattr(panel_class, header):
+            getattr(panel_class, header)(drawing, context)
+    options = getattr(panel_class, "bl_options", set())
+    if "DEFAULT_CLOSED" in options and getattr(panel_class, "section", None) and not unfolded:
+        return
+    panel_class.draw(drawing, context)
+    for child in inside(panel_class):
+        if is_there(child, context):
+            draw_tree(child, context, layout, unfolded)
+
+
+def inside(panel_class):
+    """The panels whose parent is this one, in their order."""
+    name = panel_class.__name__
+    children = [kind.__name__ for kind in part("panels").CLASSES if getattr(kind, "bl_parent_id", "") == name]
+    return [registered(child, bpy.types.Panel) for child in children]

@@ -93,7 +93,7 @@ def test_add_soft_skin_finds_what_belongs_to_the_body(figure):
         "Bone 'hand' alone moves it, and it shares points with soft skin",
         "Bone 'hand' alone moves it",
     ]
-    text = " ".join(drawn(body))
+    text = " ".join(drawn(body, "DYNAMORPH_PT_physics"))
     assert "Attachments (3)" in text and "It is skinned by the same" in text and "hold_head" in text
 
 
@@ -522,14 +522,14 @@ def test_a_head_is_told_by_shape_or_name(scene, names, found):
     assert (character.rigidity[z > 2.2] == 1.0).all() and not character.rigidity[z < 1.8].any()
     between = character.rigidity[(z > 1.9) & (z < 2.1)]
     assert (between > 0.0).any() and (between < 1.0).any()
-    assert f"Held as the head: {found}" in " ".join(drawn(obj))
+    assert f"Held as the head: {found}" in " ".join(drawn(obj, "DYNAMORPH_PT_physics"))
     obj.dynamorph.model.hold_head = False
     assert not part("extract").character(obj, without_targets=True).rigidity.any()
 
 
 def test_a_plain_tube_has_no_head(scene):
     obj = chain_figure(scene, head=0.15)
-    assert obj.dynamorph.model.head == "" and "No head was found" in drawn(obj)
+    assert obj.dynamorph.model.head == "" and "No head was found" in drawn(obj, "DYNAMORPH_PT_physics")
 
 
 def test_painted_softness_counts_on_a_head(scene):

@@ -33,10 +33,10 @@ def with_modes(obj):
 SETTINGS = [
     ("targets[1].stiffness", 5e5, 'stiffness of "flexed" changed'),
     ("targets[0].mass_damping", 3.0, 'mass damping of "Neutral" changed'),
-    ("targets[1].radius", 0.5, 'radius of "flexed" changed'),
+    ("targets[1].radius", 0.5, 'fade-out angle of "flexed" changed'),
     ("targets[1].region", "lower", 'region of "flexed" changed'),
     ("model.modes", 7, "Detail (Modes) changed"),
-    ("model.blending", "FORCES", "Blending changed"),
+    ("model.blending", "FORCES", "Between Targets changed"),
     ("soft_group", "lower", "Softness Map changed"),
     ("simulation.substeps", 9, "Substeps Per Frame changed"),
     ("simulation.scheme", "EULER", "Integrator changed"),

@@ -507,17 +507,132 @@ def test_a_bake_replaces_live(playing):
     assert bpy.ops.dynamorph.bake() == {"FINISHED"}
     keys = playing.data.shape_keys.key_blocks
     assert "Dynamorph Live" not in keys and keys["flexed"].mute and not part("live").is_on(playing)
-    assert not bpy.ops.dynamorph.live.poll() and not bpy.ops.dynamorph.shake_test.poll()
     bpy.ops.dynamorph.free_bake()
     assert not keys["flexed"].mute
     assert bpy.ops.dynamorph.live() == {"FINISHED"}
 
 
+# Over a bake -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["MODES", "PC2"])
+def over_a_bake(live_arm, tmp_path, request):
+    """The arm, baked, and what Blender shows of the bake at frame 9."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
+    live_arm.dynamorph.output.sink = request.param
+    bpy.ops.dynamorph.bake()
+    bpy.context.scene.frame_set(9)
+    return live_arm, evaluated_points(live_arm)
+
+
+def at_nine(obj):
+    bpy.context.scene.frame_set(9)
+    return evaluated_points(obj)
+
+
+def test_live_plays_over_a_bake_which_stays(over_a_bake):
+    arm, shown = over_a_bake
+    before = fingerprint(arm)
+    bpy.context.scene.frame_set(1)
+    assert bpy.ops.dynamorph.live() == {"FINISHED"} and arm.dynamorph.bake.exists
+    arm.dynamorph.simulation.amount = 0.0
+    play(arm, range(2, 10))
+    still = evaluated_points(arm)
+    assert apart(still, shown) > 1e-3, "the bake shows, or both do"
+    arm.dynamorph.simulation.amount = 1.0
+    assert apart(at_nine(arm), shown) < 1e-4, "Live shows something else than the bake"
+    bpy.ops.dynamorph.live()
+    assert fingerprint(arm) == before and apart(at_nine(arm), shown) < 1e-6
+
+
+def test_a_file_saved_with_live_over_a_bake_plays_the_bake(over_a_bake, tmp_path):
+    arm, shown = over_a_bake
+    muted = {block.name: block.mute for block in arm.data.shape_keys.key_blocks}
+    bpy.ops.dynamorph.live()
+    seen = []
+    look = lambda *_: seen.append({b.name: b.mute for b in arm.data.shape_keys.key_blocks})  # noqa: E731
+    bpy.app.handlers.save_post.insert(0, look)
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "live.blend"))
+    finally:
+        bpy.app.handlers.save_post.remove(look)
+    assert seen == [muted | {"Dynamorph Live": True}] and part("live").is_on(arm)
+    bpy.ops.dynamorph.live()
+    assert apart(at_nine(arm), shown) < 1e-6
+
+
+def test_a_bake_that_is_deleted_under_live(over_a_bake):
+    arm, _ = over_a_bake
+    bpy.ops.dynamorph.live()
+    play(arm, range(2, 5))
+    assert bpy.ops.dynamorph.free_bake() == {"FINISHED"}
+    keys = arm.data.shape_keys.key_blocks
+    assert part("live").is_on(arm) and keys["flexed"].mute and not keys["Dynamorph Live"].mute
+    bpy.ops.dynamorph.live()
+    assert not keys["flexed"].mute and keys.keys() == ["Basis", "flexed", "smile"]
+
+
+def test_another_bake_under_live(over_a_bake):
+    arm, shown = over_a_bake
+    bpy.ops.dynamorph.live()
+    bpy.ops.dynamorph.bake()
+    assert not part("live").is_on(arm) and apart(at_nine(arm), shown) < 1e-4
+    bpy.ops.dynamorph.free_bake()
+    assert not arm.data.shape_keys.key_blocks["flexed"].mute
+
+
+def test_plain_skinning_with_live_over_a_bake(over_a_bake):
+    arm, shown = over_a_bake
+    bpy.ops.dynamorph.live()
+    live = evaluated_points(arm)
+    for plain in (True, False):
+        bpy.ops.dynamorph.show_plain()
+        assert part("comparison").is_plain(arm) == plain
+    assert apart(evaluated_points(arm), live) < 1e-6
+    bpy.ops.dynamorph.show_plain()
+    bpy.ops.dynamorph.live()
+    assert not part("comparison").is_plain(arm) and apart(at_nine(arm), shown) < 1e-6
+    bpy.ops.dynamorph.show_plain()
+    bpy.ops.dynamorph.live()
+    assert not part("comparison").is_plain(arm)
+    play(arm, range(1, 10))
+    assert apart(evaluated_points(arm), shown) < 1e-4
+
+
+def test_a_shake_test_over_a_bake(over_a_bake):
+    arm, shown = over_a_bake
+    before = fingerprint(arm)
+    assert bpy.ops.dynamorph.shake_test(kind="HOP", seconds=0.2) == {"FINISHED"}
+    assert fingerprint(arm) == before and apart(at_nine(arm), shown) < 1e-6
+
+
 # What is in the way ------------------------------------------------------------------------------------------------
 
 
-def test_needs_a_model(soft_arm):
-    assert not bpy.ops.dynamorph.live.poll()
+def test_needs_a_model(soft_arm, monkeypatch):
+    """In a window the button builds it first."""
+    refused(bpy.ops.dynamorph.live, "Press Build Model first: not built yet")
+    live_operators, pressed = part("live_operators"), []
+    monkeypatch.setattr(live_operators, "press", lambda _by, name: pressed.append(name))
+    monkeypatch.setattr(live_operators.bpy, "app", types.SimpleNamespace(background=False))
+    operator = types.SimpleNamespace(execute=lambda _context: {"FINISHED"})
+    assert live_operators.DYNAMORPH_OT_live.invoke(operator, bpy.context, None) == {"CANCELLED"}
+    assert pressed == ["dynamorph.build_live"]
+
+
+def test_a_build_for_live_ends_live_without_a_hop(live_arm, monkeypatch):
+    live_arm.dynamorph.model.modes = 5
+    seen = FirstLook(live_arm, monkeypatch, operator="DYNAMORPH_OT_build_live")
+    assert seen.result == {"FINISHED"} and part("live").is_on(live_arm) and seen.pressed == []
+
+
+def test_live_goes_on_after_a_build(playing):
+    play(playing, range(1, 6))
+    playing.dynamorph.model.modes = 4
+    bpy.context.scene.frame_set(6)
+    assert part("live").problem(playing)
+    bpy.ops.dynamorph.build()
+    assert part("live").problem(playing) == "" and session(playing).tissue.modes == 4
 
 
 def test_a_model_out_of_date_is_refused(live_arm):
@@ -643,11 +758,11 @@ def test_rendering_in_the_background_simulates(playing):
 class FirstLook(Pressed):
     """`first_look` pressed in a window; pressed: the buttons that it calls next."""
 
-    def __init__(self, obj, monkeypatch, events=()):
+    def __init__(self, obj, monkeypatch, events=(), operator="DYNAMORPH_OT_first_look"):
         self.pressed = []
         live_operators = part("live_operators")
         monkeypatch.setattr(live_operators, "press", lambda _by, name, **given: self.pressed.append((name, given)))
-        super().__init__(obj, events, operator="DYNAMORPH_OT_first_look")
+        super().__init__(obj, events, operator=operator)
 
 
 @pytest.fixture

@@ -1,39 +1,145 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panels draw without error, and only what exists. Their look is tested in a window."""
+"""The panels draw without error, where it belongs and only what exists. Their look is tested in a window."""
 
 import types
 
 import bpy
 import pytest
 from builders import activate, hand_made_bake, part, rig_of
-from layout import Layout, drawn, region
+from layout import Layout, controls, drawn, region
+
+SIDEBAR, PHYSICS, DATA = "DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_physics", "DYNAMORPH_PT_object_data"
+BUTTONS = ["dynamorph.live", "Live", "dynamorph.build", "dynamorph.bake", "Bake", "dynamorph.free_bake"]
 
 
-@pytest.mark.parametrize("panel", ["DYNAMORPH_PT_sidebar", "DYNAMORPH_PT_object_data"])
-def test_through_the_workflow(arm, stand_in, panel):
-    assert "dynamorph.add_soft_skin" in drawn(arm, panel) and "dynamorph.bake" not in drawn(arm, panel)
+def test_through_the_workflow(arm, stand_in):
+    assert "dynamorph.add_soft_skin" in drawn(arm) and "dynamorph.bake" not in drawn(arm)
     bpy.ops.dynamorph.add_soft_skin()
     bpy.context.scene.frame_set(20)
     bpy.ops.dynamorph.add_target(key="flexed")
-    assert {"Neutral", "flexed", "lower", "stiffness", "dynamorph.build", "dynamorph.bake"} <= set(drawn(arm, panel))
-    assert "dynamorph.free_bake" not in drawn(arm, panel)
+    assert {"Neutral", "flexed", "lower", "stiffness"} <= set(drawn(arm))
+    assert not bpy.ops.dynamorph.free_bake.poll() and "Bake Influence" not in drawn(arm)
     bpy.ops.dynamorph.bake()
-    texts = drawn(arm, panel)
-    assert "dynamorph.free_bake" in texts and arm.dynamorph.model.summary[:40] in " ".join(texts)
+    assert bpy.ops.dynamorph.free_bake.poll() and "dynamorph.export" in drawn(arm)
+    assert arm.dynamorph.model.summary[:40] in " ".join(drawn(arm, PHYSICS))
     arm.dynamorph.model.modes = 5
-    assert "Out of date: Detail (Modes) changed" in " ".join(drawn(arm, panel))
+    for panel in (SIDEBAR, PHYSICS):
+        texts = drawn(arm, panel)
+        assert "The bake is out of date" in texts and "Out of date: Detail (Modes) changed" in " ".join(texts)
 
 
-def test_progress_replaces_the_button(soft_arm, stand_in):
+@pytest.mark.parametrize("panel", [SIDEBAR, PHYSICS])
+def test_no_button_at_the_top_ever_moves(soft_arm, stand_in, panel):
+    """One row says what happens, whatever that is; all messages are below everything else."""
+
+    def top():
+        texts = drawn(soft_arm, panel)
+        assert len(texts[0]) <= 26, "it does not fit into a sidebar of 250 pixels"
+        return texts[0], texts[1:7]
+
+    seen = [top()]
+    soft_arm.modifiers["Armature"].use_bone_envelopes = True
+    seen.append(top())
+    soft_arm.modifiers["Armature"].use_bone_envelopes = False
+    bpy.ops.dynamorph.build()
+    seen.append(top())
+    soft_arm.dynamorph.model.modes = 5
+    seen.append(top())
+    bpy.ops.dynamorph.bake()
+    seen.append(top())
+    soft_arm.dynamorph.simulation.substeps = 9
+    seen.append(top())
+    bpy.ops.dynamorph.show_plain()
+    seen.append(top())
+    assert [text for text, _ in seen] == [
+        "Not built yet",
+        "A problem: see Messages",
+        "Ready: press Live or Bake",
+        "The model is out of date",
+        "Baked",
+        "The bake is out of date",
+        "Plain skinning is shown",
+    ]
+    assert all(buttons == BUTTONS for _, buttons in seen)
+
+
+def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):
     batch, job = part("batch"), part("job").Job(soft_arm, goal="BAKE")
     batch.running, job.message = batch.Batch([job], "BAKE"), "Frame 7"
     try:
-        texts = drawn(soft_arm)
-        assert "0%  Frame 7" in texts and "dynamorph.cancel" in texts
-        assert "dynamorph.bake" not in texts and "dynamorph.build" in texts
-        assert not bpy.ops.dynamorph.build.poll()
+        for panel in (SIDEBAR, PHYSICS):
+            assert drawn(soft_arm, panel)[:8] == ["0%  Frame 7", "dynamorph.cancel", *BUTTONS]
+        assert not bpy.ops.dynamorph.build.poll() and not bpy.ops.dynamorph.bake.poll()
     finally:
         batch.running = None
+
+
+# Where things are ----------------------------------------------------------------------------------------------------
+
+
+TOP = ["dynamorph.live", "dynamorph.build", "dynamorph.bake", "dynamorph.free_bake"]
+
+
+def test_a_new_soft_skin_shows_twelve_controls_at_most(arm, stand_in):
+    assert controls(arm, unfolded=False) == ["dynamorph.add_soft_skin"]
+    bpy.ops.dynamorph.add_soft_skin()
+    bpy.ops.dynamorph.build()
+    shown = controls(arm, unfolded=False)
+    assert shown[:4] == TOP and shown[4:7] == ["dynamorph.apply_feel"] * 3
+    names = [name.rpartition(".")[2] for name in shown[7:]]
+    assert names == ["amount", "bounce", "settle_time", "weight", "DYNAMORPH_PT_material_presets"]
+    assert len(shown) <= 12
+    assert controls(arm, PHYSICS, unfolded=False) == [*TOP, "DYNAMORPH_PT_setup_presets"]
+
+
+def test_nothing_but_state_live_and_bake_is_in_both_places(soft_arm, stand_in):
+    bpy.ops.dynamorph.bake()
+    both = set(controls(soft_arm)) & set(controls(soft_arm, PHYSICS))
+    assert both == {*TOP, "dynamorph.export"}  # glTF has a button of its own beside what the bake came to
+
+
+def test_the_order_of_the_sections(soft_arm):
+    panels = part("panels")
+    titles = [section.label for section in panels.SIDEBAR_SECTIONS if section.parent == "sidebar"]
+    assert titles[:3] == ["Feel", "Softness", "Targets"] and titles[-1] == "Messages"
+    parents = {section.label: section.parent for section in panels.PHYSICS_SECTIONS}
+    assert {parents[label] for label in ("Cage", "Detail", "Solver")} == {"advanced"}
+
+
+def test_the_shape_keys_panel_is_about_the_active_key(soft_arm, stand_in):
+    settings, keys = soft_arm.dynamorph, soft_arm.data.shape_keys.key_blocks
+    settings.active_target_index = 0
+    soft_arm.active_shape_key_index = keys.find("flexed")
+    assert drawn(soft_arm, DATA) == ["dynamorph.select_target"]
+    bpy.ops.dynamorph.select_target()
+    assert settings.active_target_index == 1
+    shown = drawn(soft_arm, DATA)
+    assert {"dynamorph.capture_pose", "region", "radius", "stiffness", "flexed"} <= set(shown)
+    assert not {"dynamorph.live", "dynamorph.bake", "dynamorph.apply_feel", "Neutral"} & set(shown)
+    soft_arm.active_shape_key_index = keys.find("smile")
+    assert drawn(soft_arm, DATA) == ["dynamorph.add_target"]
+    soft_arm.active_shape_key_index = 0
+    bpy.ops.dynamorph.select_target()
+    assert "Neutral" in drawn(soft_arm, DATA) and "region" not in drawn(soft_arm, DATA)
+
+
+def test_a_button_among_those_of_blenders_physics(arm):
+    panel = types.SimpleNamespace(layout=Layout([]))
+    part("panels").draw_add(panel, bpy.context)
+    assert panel.layout.drawn == ["dynamorph.add_soft_skin", "Soft Skin"]
+    physics = bpy.types.DYNAMORPH_PT_physics
+    assert not physics.poll(bpy.context)
+    bpy.ops.dynamorph.add_soft_skin()
+    assert physics.poll(bpy.context)
+    panel = types.SimpleNamespace(layout=Layout([]))
+    part("panels").draw_add(panel, bpy.context)
+    assert panel.layout.drawn == ["dynamorph.remove_soft_skin", "Soft Skin"]
+    bpy.ops.dynamorph.remove_soft_skin()
+    assert not arm.dynamorph.targets and not physics.poll(bpy.context)
+    bpy.context.view_layer.objects.active = None
+    panel = types.SimpleNamespace(layout=Layout([]))
+    part("panels").draw_add(panel, bpy.context)
+    assert panel.layout.drawn == []
 
 
 def status() -> list[str]:
@@ -60,11 +166,9 @@ def test_a_narrow_list_has_room_for_names_only(soft_arm):
 
 def test_many_bones_are_folded_away(soft_arm):
     target = soft_arm.dynamorph.targets[1]
-    assert "lower" in drawn(soft_arm, unfolded=False)
     target.set_bones([f"bone {i}" for i in range(12)])
-    folded = drawn(soft_arm, unfolded=False)
-    assert "12 Bones" in folded and "bone 3" not in folded
-    assert "bone 3" in drawn(soft_arm)
+    assert "Bones (12)" in drawn(soft_arm) and "bone 3" in drawn(soft_arm)
+    assert "bone 3" not in drawn(soft_arm, unfolded=False)
 
 
 def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
@@ -72,10 +176,13 @@ def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
     assert "The engine cannot be loaded (no wheel)." in " ".join(drawn(soft_arm))
 
 
-def test_only_for_meshes(soft_arm):
-    panel = bpy.types.DYNAMORPH_PT_sidebar
-    assert not panel.poll(types.SimpleNamespace(object=None))
-    assert not panel.poll(types.SimpleNamespace(object=bpy.data.objects.new("Empty", None)))
+@pytest.mark.parametrize("kind", [None, "CAMERA"])
+def test_the_tab_says_what_to_select(soft_arm, kind):
+    other = bpy.data.objects.new("Eye", bpy.data.cameras.new("Eye") if kind else None)
+    assert drawn(other) == ["Select 'Arm' or its armature"]
+    assert not bpy.types.DYNAMORPH_PT_physics.poll(types.SimpleNamespace(object=other))
+    soft_arm.dynamorph.targets.clear()
+    assert " ".join(drawn(other)) == "Select a character's mesh or its armature" == " ".join(drawn(None))
 
 
 @pytest.mark.parametrize("mode", ["OBJECT", "POSE"])
@@ -83,7 +190,7 @@ def test_on_the_rig_for_its_skin(soft_arm, mode):
     rig = rig_of(soft_arm)
     activate(rig)
     bpy.ops.object.mode_set(mode=mode)
-    assert {"Arm", "Neutral", "flexed"} <= set(drawn(rig))
+    assert {"Arm: Not built yet", "Neutral", "flexed"} <= set(drawn(rig))
     soft_arm.dynamorph.targets.clear()
     assert not bpy.ops.dynamorph.capture_pose.poll()
 
@@ -93,4 +200,4 @@ def test_a_target_without_its_key_is_marked(soft_arm):
     soft_arm.shape_key_clear()
     assert "flexed" in drawn(soft_arm)
     part("bake").free(soft_arm)
-    assert "dynamorph.free_bake" not in drawn(soft_arm)
+    assert not bpy.ops.dynamorph.free_bake.poll() and "A problem: see Messages" in drawn(soft_arm)

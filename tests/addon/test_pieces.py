@@ -289,7 +289,7 @@ def test_a_deleted_piece_is_named_and_left_out(dressed):
     arm, sleeve = dressed
     with bpy.context.temp_override(selected_objects=[sleeve]):
         bpy.ops.object.delete()
-    assert "'Sleeve' is gone: remove the attachment" in " ".join(drawn(arm))
+    assert "'Sleeve' is gone: remove the attachment" in " ".join(drawn(arm, "DYNAMORPH_PT_physics"))
     OPS.bake()
     assert arm.dynamorph.bake.keys
 
@@ -330,7 +330,7 @@ def test_pieces_survive_saving(dressed, tmp_path):
     arm, sleeve = bpy.data.objects["Arm"], bpy.data.objects["Sleeve"]
     assert arm.dynamorph.pieces[0].object == sleeve and sleeve.dynamorph.follows == arm
     sleeve.name = "Renamed"
-    assert "Renamed" in drawn(arm) and part("staleness").outdated(arm) == []
+    assert "Renamed" in drawn(arm, "DYNAMORPH_PT_physics") and part("staleness").outdated(arm) == []
     assert "'Renamed' moves with 'Arm'" in " ".join(drawn(sleeve))
 
 
@@ -460,7 +460,7 @@ def test_the_choice_of_parts_goes_into_the_character(scene):
     part("reconcile").reconcile(arm)
     assert arm.dynamorph.pieces[0].group == "Buckle"
     arm.vertex_groups.remove(arm.vertex_groups["Buckle"])
-    assert "The vertex group 'Buckle' is gone" in " ".join(drawn(arm))
+    assert "The vertex group 'Buckle' is gone" in " ".join(drawn(arm, "DYNAMORPH_PT_physics"))
     refused(OPS.build_cage, "the vertex group 'Buckle' of an attachment is gone")
 
 
@@ -484,10 +484,10 @@ def test_what_is_left_alone_is_said(soft_arm):
         "'Hat' is parented to 'Arm Rig': it moves with it as a whole and is left alone",
         "'Sword' is parented to bone 'lower': it moves with the bone and is left alone",
     ]
-    assert "'Sword' is parented to bone" in " ".join(drawn(soft_arm))
+    assert "'Sword' is parented to bone" in " ".join(drawn(soft_arm, "DYNAMORPH_PT_physics"))
     for k in range(4):
         make_mesh(bpy.context.scene, f"Badge {k}", np.eye(3), [(0, 1, 2)]).parent = rig
-    assert "And 3 more like them" in drawn(soft_arm)
+    assert "And 3 more like them" in drawn(soft_arm, "DYNAMORPH_PT_physics")
 
 
 # Setups ------------------------------------------------------------------------------------------------------------

@@ -10,15 +10,18 @@ import driver
 import frames
 import limb
 import numpy as np
-from driver import measure, step, until
+from driver import Task, measure, step, until
 from editors import (
     addon,
+    close,
     differing,
     from_menu,
     job_done,
     key_points,
     keys,
     on_screen,
+    physics,
+    properties,
     rig,
     settings,
     shown,
@@ -29,9 +32,8 @@ from editors import (
 )
 
 BRUSH = 40  # pixels, the radius
-ROW = 20  # pixels
-PROBLEM = 107  # pixels: the height of its five lines
 MODE = (-60, -35)  # pixels from the mouse to the drop-down in the dialog that a click opens
+task: Task  # begun with New from Pose, done when it shows
 
 
 @step("A problem, with its Fix")
@@ -40,9 +42,8 @@ def problem():
     modifier.use_bone_envelopes = True  # not by hand
     yield from driver.drawn()
     fix = "dynamorph.fix(problem='ENVELOPES')"
-    left, y, width, height = sidebar.box
-    bottom = (yield from sidebar.top_of(fix)) - PROBLEM
-    yield from driver.keep("problem", sidebar, (left, bottom, width, y + height - bottom))
+    yield from sidebar.find(fix)
+    yield from driver.keep("problem", sidebar)
     yield from sidebar.press(fix)
     yield from until(lambda: not modifier.use_bone_envelopes, "the problem to be fixed")
     assert not list(addon("scene.checks").problems(skin()))
@@ -53,12 +54,11 @@ def problem():
 
 @step("Build Cage")
 def build_cage():
-    yield from sidebar.unfold("dynamorph.build_cage", above="dynamorph.new_from_pose")
-    yield from sidebar.choose_other("model.hold")
-    for name in ("model.cage_object", "dynamorph.soft_group", "dynamorph.stiffness_group"):
-        yield from sidebar.look_into(name)
-    yield from sidebar.enter("model.cage_nodes", "800")
-    yield from sidebar.press("dynamorph.build_cage")
+    yield from physics("advanced", "cage")
+    yield from properties.choose_other("model.hold")
+    yield from properties.look_into("model.cage_object")
+    yield from properties.enter("model.cage_nodes", "800")
+    yield from properties.press("dynamorph.build_cage")
     yield from job_done()
     assert settings().model.cage and not settings().model.summary
 
@@ -66,14 +66,19 @@ def build_cage():
 @step("Show it", picture=view)
 def cage():
     before = driver.pixels(viewport.box)
-    yield from sidebar.press("dynamorph.cage")
+    yield from properties.press("dynamorph.cage")
     yield from driver.drawn()
     assert differing(before) > 0.005, "the viewport shows no cage"
 
 
 @step("Paint where it is soft", picture=view)
 def paint():
-    yield from sidebar.press("dynamorph.cage")
+    yield from properties.press("dynamorph.cage")
+    yield from close("cage", "advanced")
+    yield from sidebar.fold("DYNAMORPH_PT_targets")
+    yield from sidebar.unfold("DYNAMORPH_PT_softness")
+    for name in ("dynamorph.soft_group", "dynamorph.stiffness_group"):
+        yield from sidebar.look_into(name)
     bpy.context.scene.frame_set(1)
     paint_soft = "dynamorph.paint_group(which='SOFT')"
     yield from sidebar.press(paint_soft)
@@ -129,30 +134,28 @@ def stiffness():
     settings().stiffness_group = ""  # the next steps are about an arm without one
     skin().vertex_groups.remove(skin().vertex_groups["Stiffness"])
     yield from driver.drawn()
-    yield from sidebar.fold("dynamorph.build_cage")
+    yield from sidebar.fold("DYNAMORPH_PT_softness")
 
 
 @step("Attachments: find another mesh, and remove it from the list")
 def attachments():
     cuff = add_a_cuff()  # not by hand
-    yield from sidebar.unfold("dynamorph.find_pieces", above="dynamorph.new_from_pose")
-    yield from sidebar.press("dynamorph.find_pieces")
+    yield from physics("pieces")
+    yield from properties.press("dynamorph.find_pieces")
     listed = lambda: [piece.object for piece in settings().pieces]  # noqa: E731
     yield from until(lambda: cuff in listed(), "the cuff in the list")
     settings().active_piece_index = listed().index(cuff)
-    left, y, width, height = sidebar.box
-    bottom = (yield from sidebar.top_of("dynamorph.find_pieces")) - ROW
-    yield from driver.keep("attachments", sidebar, (left, bottom, width, y + height - bottom))
-    yield from sidebar.choose_other("pieces[0].choice")
-    yield from sidebar.look_into("pieces[0].object")
-    yield from sidebar.press("dynamorph.remove_piece")
+    yield from driver.keep("attachments", properties)
+    yield from properties.choose_other("pieces[0].choice")
+    yield from properties.look_into("pieces[0].object")
+    yield from properties.press("dynamorph.remove_piece")
     yield from until(lambda: cuff not in listed(), "the cuff to be out of the list")
-    yield from sidebar.press("dynamorph.add_piece")
+    yield from properties.press("dynamorph.add_piece")
     yield from until(lambda: listed() == [None], "an attachment without an object")
-    yield from sidebar.look_into("pieces[0].group")
-    yield from sidebar.press("dynamorph.remove_piece")
+    yield from properties.look_into("pieces[0].group")
+    yield from properties.press("dynamorph.remove_piece")
     yield from until(lambda: not listed(), "an empty list")
-    yield from sidebar.fold("dynamorph.find_pieces")
+    yield from close("pieces")
     bpy.data.objects.remove(cuff)
 
 
@@ -173,7 +176,7 @@ def add_a_cuff():
 
 @step("Target Weights: bars and graph", picture=view)
 def target_weights():
-    yield from sidebar.unfold("dynamorph.suggest_pose", above="dynamorph.build")
+    yield from sidebar.unfold("DYNAMORPH_PT_target_weights")
     yield from sidebar.press("dynamorph.target_weights")
     yield from until(lambda: addon("run.weight_curves").drawn(skin()), "the graph")
     known, graph = addon("run.weight_curves").drawn(skin())
@@ -188,15 +191,27 @@ def suggest_pose():
     yield from sidebar.press("dynamorph.suggest_pose")
     yield from until(lambda: bpy.context.scene.frame_current == limb.TURNED, "the frame that is furthest from targets")
     yield from sidebar.press("dynamorph.target_weights")
-    yield from sidebar.fold("dynamorph.suggest_pose")
+    yield from sidebar.fold("DYNAMORPH_PT_target_weights")
 
 
-@step("New from Pose", picture=view)
-def new_from_pose():
+@step("What New from Pose asks")
+def ask():
+    yield from sidebar.unfold("DYNAMORPH_PT_targets")
     x, y = yield from sidebar.pop_up("dynamorph.new_from_pose")
     mode = (x + MODE[0], y + MODE[1])
     yield from driver.drop_down(mode, "DYNAMORPH_OT_new_from_pose.mode")
     yield from driver.tap("ESC", mode)
+    yield from driver.tap("ESC", mode)
+    yield from sidebar.fold("DYNAMORPH_PT_targets")
+
+
+@step("New from Pose", picture=view)
+def new_from_pose():
+    global task
+    task = Task("a target from a pose and two strokes, seen in Live", 8)
+    yield from frames.click(limb.TURNED)
+    yield from sidebar.unfold("DYNAMORPH_PT_targets")
+    yield from sidebar.press("dynamorph.new_from_pose")
     yield from sidebar.key("RET")
     yield from until(lambda: skin().mode == "SCULPT", "Sculpt Mode")
     assert keys()[-1] == "Pose 1" == skin().active_shape_key.name
@@ -212,6 +227,7 @@ def sculpt():
     posed, bind = shown(), key_points()
     stroke = [on_screen(point) for point in front_of_elbow(posed).tolist()]
     yield from driver.drag(stroke)
+    yield from driver.drag(stroke[::-1])
     yield from until(lambda: np.abs(key_points() - bind).max() > 1e-3, "the stroke to land in the shape key")
     yield from driver.drawn()
     moved, sculpted = shown() - posed, key_points() - bind
@@ -260,6 +276,14 @@ def finish_sculpting():
     assert not skin().show_only_shape_key and np.abs(key_points()).max() > 0
     sculpt = skin().active_shape_key
     assert sculpt.value == 1.0, "the sculpt does not show in its pose"
+    yield from sidebar.press("dynamorph.live")  # which builds first
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on", 60.0)
+    task.done()
+    assert not addon("scene.staleness").model_age(skin()) and sculpt.value == 0.0 and sculpt.mute
+    yield from sidebar.press("dynamorph.live")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
+    yield from sidebar.press("dynamorph.go_to_pose")
+    yield from until(lambda: sculpt.value == 1.0, "the sculpt in its pose")
     yield from frames.click(limb.FLEXED)
     assert sculpt.value == 0.0, "the sculpt shows in another pose"
     yield from frames.click(limb.TURNED)
@@ -318,8 +342,8 @@ def add_target():
     assert target.name in ("first", "second")
     target.set_bones([f"bone {i}" for i in range(12)])
     yield from driver.drawn()
-    yield from sidebar.unfold("dynamorph.remove_bone", above=f"targets[{before}].region")
-    yield from sidebar.fold("dynamorph.remove_bone")
+    yield from sidebar.unfold("DYNAMORPH_PT_bones")
+    yield from sidebar.fold("DYNAMORPH_PT_bones")
     target.set_bones(["forearm"])
     yield from sidebar.press("dynamorph.remove_target")
     yield from until(lambda: len(settings().targets) == before, "the target to be removed")

@@ -9,8 +9,24 @@ import bpy
 import driver
 import limb
 import numpy as np
-from driver import measure, step, until
-from editors import addon, baked, job, job_done, keys, moved, select_target, settings, shown_at, sidebar, skin, viewport
+from driver import Task, measure, step, until
+from editors import (
+    addon,
+    baked,
+    close,
+    job,
+    job_done,
+    keys,
+    moved,
+    physics,
+    properties,
+    select_target,
+    settings,
+    shown_at,
+    sidebar,
+    skin,
+    viewport,
+)
 
 SOON = 1.0  # seconds: what Esc may take on a busy machine; a fifth of that, on one that does nothing else
 
@@ -47,37 +63,73 @@ def influence():
 def other_keys():
     """A key a frame, then a budget of keys, show the same motion."""
     whole, output = shown_at(limb.FLEXED + 1), settings().output
-    yield from sidebar.choose_other("output.sink")
+    yield from physics("bake")
+    for name in ("output.sink", "model.solver"):
+        yield from properties.choose_other(name)
     for sink, name, value in (("FRAMES", "output.every", "1"), ("MODES", "output.keys", "16")):
         output.sink = sink
         yield from driver.drawn()
-        yield from sidebar.enter(name, value)
+        yield from properties.enter(name, value)
         yield from sidebar.press("dynamorph.bake")
         yield from job_done()
         assert np.abs(shown_at(limb.FLEXED + 1) - whole).max() < 1e-3
     assert len(settings().bake.keys) == 16
-    yield from sidebar.enter("output.keys", "0")
+    yield from properties.enter("output.keys", "0")
     yield from bake_again()
 
 
 @step("Out of date", picture=sidebar)
 def out_of_date():
     yield from select_target(1)
-    yield from sidebar.unfold("targets[1].stiffness", above="dynamorph.build")
+    yield from sidebar.fold("DYNAMORPH_PT_targets")
+    yield from sidebar.unfold("DYNAMORPH_PT_material")
     yield from sidebar.enter("targets[1].stiffness", str(round(2.0 * settings().targets[1].stiffness)))
     assert addon("scene.staleness").outdated(skin()) == ['stiffness of "flexed" changed']
-    yield from sidebar.fold("targets[1].stiffness")
-    yield from sidebar.scroll("WHEELDOWNMOUSE", 40)  # to what the panel says of it
+    yield from sidebar.fold("DYNAMORPH_PT_material")
 
 
 @step("Bake All")
 def bake_all():
     before, model = wobble(), settings().model.content_id
-    yield from sidebar.press("dynamorph.bake_all")
+    yield from properties.press("dynamorph.bake_all")
     yield from job_done()
+    yield from close("bake")
     assert settings().model.content_id == model, "a new stiffness rebuilt the model"
     assert not addon("scene.staleness").outdated(skin())
     assert abs(wobble() - before) > 0.1 * before
+
+
+@step("Bake, render, delete, and bake again")
+def bake_and_render():
+    render = bpy.context.scene.render
+    render.engine, render.resolution_x, render.resolution_y = "BLENDER_WORKBENCH", 160, 120  # no graphics card
+    bpy.context.preferences.view.render_display_type = "NONE"
+    rendered = []
+    bpy.app.handlers.render_complete.append(lambda *_: rendered.append(True))
+    task = Task("bake, render, delete the bake, bake again", 4)
+    yield from sidebar.press("dynamorph.bake")
+    yield from job_done()
+    yield from viewport.key("F12")
+    yield from until(lambda: rendered, "the rendered frame", 60.0)
+    bpy.app.handlers.render_complete.pop()
+    yield from sidebar.press("dynamorph.free_bake")
+    yield from until(lambda: not baked(), "the bake to be deleted")
+    yield from sidebar.press("dynamorph.bake")
+    yield from job_done()
+    task.done()
+    assert baked()
+
+
+@step("Live over the bake")
+def live_over_the_bake():
+    bpy.context.scene.frame_set(limb.FLEXED + 1)
+    before, shown = keys(), shown_at(limb.FLEXED + 1)
+    yield from sidebar.press("dynamorph.live")
+    yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
+    assert baked() and np.abs(shown_at(limb.FLEXED + 1) - shown).max() > 1e-5
+    yield from sidebar.press("dynamorph.live")
+    yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
+    assert keys() == before and np.array_equal(shown_at(limb.FLEXED + 1), shown)
 
 
 # Esc -----------------------------------------------------------------------------------------------------------------
@@ -129,11 +181,11 @@ def at(*fractions: float):
 
 @step("Esc while it reads the rig")
 def cancel_reading():
-    yield from sidebar.fold("dynamorph.new_from_pose")  # the section below the list is long
-    yield from sidebar.unfold("simulation.substeps", above="output.sink")
+    yield from physics("advanced", "solver")
     for name in ("scheme", "begin", "preroll_pose"):
-        yield from sidebar.choose_other(f"simulation.{name}")
-    yield from sidebar.enter("simulation.substeps", "20")
+        yield from properties.choose_other(f"simulation.{name}")
+    yield from properties.enter("simulation.substeps", "20")
+    yield from close("solver", "advanced")
     assert settings().simulation.substeps == 20
     bpy.context.scene.frame_end = 2000
     moments = [lambda job, share=share: reading(job) and job.fraction > share for share in (0.0, 0.01, 0.02, 0.03)]
@@ -162,7 +214,6 @@ def cancel_simulating():
 def cancel_full():
     bpy.context.scene.frame_end = limb.LAST
     settings().simulation.substeps = 0
-    yield from sidebar.fold("simulation.substeps")
     settings().model.solver, settings().model.modes = "FULL", 20
     yield from driver.drawn()
     yield from sidebar.press("dynamorph.build")

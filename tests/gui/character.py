@@ -66,7 +66,7 @@ def mirror():
     assert target.name == "biceps_bulge_R" and target.bone_names() == ("lowerarm_r",)
     assert np.abs(target.local(skeleton) - captured).max() < 1e-3
     target.stiffness = real_character.STIFF
-    yield from sidebar.fold("dynamorph.new_from_pose")
+    yield from sidebar.fold("DYNAMORPH_PT_targets")
 
 
 @step("Build it")
@@ -83,7 +83,6 @@ def build():
 
 @step("Play it live")
 def live():
-    yield from sidebar.unfold("dynamorph.live", above="output.sink")
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
     with frames.timed(addon("run.live"), "follow") as follow:
@@ -94,7 +93,6 @@ def live():
     measure("Stiffness to the next picture", f"{seconds:.2f} s")
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: not addon("run.live").is_on(skin()), "Live to be off")
-    yield from sidebar.fold("dynamorph.live")
 
 
 @step("Bake it")

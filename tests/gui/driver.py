@@ -27,16 +27,17 @@ import numpy as np
 
 WORK = Path(sys.argv[sys.argv.index("--") + 1])
 ROW = 16  # less than a button's height: none is missed
-HEADER = 21  # pixels from one closed section's header to the next
+HEADER = 24  # pixels, nearly: from one closed section's header to the next
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
 END = 500  # no buttons for so many pixels: there are none below
-NEAR = 400  # pixels: no section is higher
 AROUND = 350  # pixels: where of a button that which it opens is looked for
 OPENS = 1500  # pixels that change outside of a button when something opens
 COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
 
 result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
 actions = 0  # clicks, keys and entries so far, as an artist counts them
+scrolls = 0  # how often a button was out of sight
+shown: set[str] = set()  # the panels of the extension that have drawn since it was emptied
 opened: set[str] = set()  # menus and the like, by their names in openings.py
 
 
@@ -47,6 +48,19 @@ def window():
 def measure(name: str, value: str):
     """A line of the table that the test prints."""
     result["measured"][name] = value
+
+
+class Task:
+    """What an artist wants, in so many actions at most and without scrolling: from here on until it is `done`."""
+
+    def __init__(self, name: str, most: int):
+        self.name, self.most = name, most
+        self.actions, self.scrolls = actions, scrolls
+
+    def done(self):
+        taken = actions - self.actions
+        measure(f"Actions: {self.name}", f"{taken} of at most {self.most}")
+        assert taken <= self.most and scrolls == self.scrolls, f"{self.name}: {taken} actions, {scrolls} out of sight"
 
 
 def until(condition, what: str, limit=20.0):
@@ -186,6 +200,7 @@ class Region:
     def __init__(self, editor: str, kind: str | None = None):
         self.editor, self.kind = editor, kind
         self.known: dict[str, tuple[float, float]] = {}  # where buttons were seen
+        self.headers: dict[str, tuple[float, float]] = {}  # where sections were last opened or closed
         self.shift = 0  # pixels that a button had moved when it was last looked for
 
     @property
@@ -258,16 +273,18 @@ class Region:
 
     def find(self, wanted: str):
         """The position of a button, scrolled into view if need be."""
+        global scrolls
         if self.seen(wanted) and (yield from self.near(wanted)):
             return self.seen(wanted)
         self.known.clear()
         for columns in (COLUMNS[:1], COLUMNS[1:]):  # the first meets nearly all
             yield from self.scroll("WHEELUPMOUSE", 40)
-            further = True
+            down, further = False, True
             while further:
                 if (yield from self.scan(wanted, columns)):
+                    scrolls += down
                     return self.seen(wanted)
-                further = yield from self.scroll("WHEELDOWNMOUSE", 6)
+                down = further = yield from self.scroll("WHEELDOWNMOUSE", 6)
         raise AssertionError(f"no button {wanted} in {self.editor}, only {', '.join(self.known) or 'nothing'}")
 
     def beside(self, wanted: str, neighbor: str):
@@ -365,69 +382,53 @@ class Region:
         yield from self.look((x, row - ROW // 2))  # where it is sure to be found
         return row
 
-    def unfold(self, wanted: str, above: str):
-        """Open the section that holds a button. Its header is one of those next above the button `above`."""
-        global actions
-        actions += 1
-        yield from self.scroll("WHEELUPMOUSE", 40)  # from below, all would move when another section is closed
-        top = yield from self.top_of(above)
-        left, height = self.box[0] + ASIDE, top
-        while height < min(top + 14 * ROW, self.ceiling):
-            height += ROW // 2
-            if (yield from self.look((left, height))):
-                continue
-            yield from self._toggle((left, height))
-            if is_button((yield from self.look(self.seen(above))), above):
-                continue  # a label
-            if (yield from self.scan_down(wanted, height)):
-                return
-            yield from self._toggle((left, height))  # another section
-            height += HEADER - ROW // 2
-        raise AssertionError(f"no section with {wanted} above {above}")
+    def panels(self):
+        """The names of the panels that are open, as openings.py notes them while they draw."""
+        shown.clear()
+        yield from drawn()
+        return frozenset(shown)
 
-    def unfold_last(self, wanted: str, below: str):
-        """Open the last section, whose header is the lowest thing below a button."""
-        global actions
-        actions += 1
-        _, row = yield from self.find(below)
-        lowest = int(max(row - 14 * ROW, self.box[1] + ROW))
-        for height in range(lowest, int(row) - ROW, ROW // 2):  # from below: there are menus above it
-            header = (self.box[0] + ASIDE, height)
-            if (yield from self.look(header)):
-                continue
-            yield from self._toggle(header)
-            if (yield from self.scan_down(wanted, height)):
-                return
-        raise AssertionError(f"no section with {wanted} below {below}")
+    def unfold(self, panel: str):
+        """Open a section by a click on its header, unless it is open; returns where the header is."""
+        yield from self._toggle(panel, True)
+        return self.headers.get(panel)
 
-    def fold(self, wanted: str):
-        """Close the section that holds a button: its header is the first above it."""
-        global actions
-        actions += 1
-        yield from self.scroll("WHEELUPMOUSE", 40)
-        top = yield from self.top_of(wanted)
-        button = self.seen(wanted)
-        for height in range(top + ROW // 2, min(top + NEAR, self.ceiling), ROW // 2):
-            header = (self.box[0] + ASIDE, height)
-            if (yield from self.look(header)):
-                continue
-            yield from self._toggle(header)
-            if not is_button((yield from self.look(button)), wanted):
-                return
-        raise AssertionError(f"the section of {wanted} is still open")
+    def fold(self, panel: str):
+        """Close it."""
+        yield from self._toggle(panel, False)
 
-    def _toggle(self, header):
+    def _toggle(self, panel: str, wanted: bool):
+        """A header has no name: it is found by what draws after a click, below the buttons that stay in place."""
+        global actions, scrolls
+        before = yield from self.panels()
+        if (panel in before) == wanted:
+            return
+        actions += 1
+        _, top = yield from self.find("dynamorph.free_bake")
+        height = top - ROW
+        while True:
+            while height > self.box[1] + ROW // 2:
+                header = (self.box[0] + ASIDE, height)
+                height -= ROW // 2
+                if (yield from self.look(header)):
+                    continue
+                yield from self._click_header(header)
+                now = yield from self.panels()
+                if (panel in now) == wanted:
+                    self.headers[panel] = header
+                    return
+                if now != before:  # another section
+                    yield from self._click_header(header)
+                    height -= HEADER - ROW // 2
+            if not (yield from self.scroll("WHEELDOWNMOUSE", 6)):
+                raise AssertionError(f"no section {panel} in {self.editor}")
+            scrolls += 1
+            height = self.ceiling - ROW // 2
+
+    def _click_header(self, header):
         yield from move(header)
         yield from tap("LEFTMOUSE", header)
         yield 0.1
-
-    def scan_down(self, wanted: str, start: float):
-        """Look for a button from a height downwards; False when it is not near."""
-        x, y, width, _ = self.box
-        for row in range(int(start) - ROW, max(int(start) - NEAR, y), -ROW):
-            if is_button((yield from self.look((x + int(width * COLUMNS[0]), row))), wanted):
-                return True
-        return False
 
     def enter(self, wanted: str, text: str):
         """Type a number into a field."""

@@ -18,6 +18,7 @@ view = Region("VIEW_3D")
 viewport = Region("VIEW_3D", "WINDOW")
 sidebar = Region("VIEW_3D", "UI")
 properties = Region("PROPERTIES", "WINDOW")
+tabs = Region("PROPERTIES", "NAVIGATION_BAR")
 timeline = Region("DOPESHEET_EDITOR", "WINDOW")
 
 
@@ -100,8 +101,25 @@ def on_screen(point) -> tuple[float, float]:
     return x + place.x, y + place.y
 
 
+def physics(*sections: str):
+    """Click the Physics tab, and open sections in it."""
+    space = properties.area.spaces.active
+    if space.context != "PHYSICS":
+        x, _, width, _ = tabs.box
+        yield from tabs.pick(x + width // 2, lambda: space.context == "PHYSICS", "the Physics tab")
+    for section in sections:
+        yield from properties.unfold(f"DYNAMORPH_PT_{section}")
+
+
+def close(*sections: str):
+    """Close sections of the Physics tab again."""
+    for section in sections:
+        yield from properties.fold(f"DYNAMORPH_PT_{section}")
+
+
 def select_target(index: int):
     """Click a row of the list of targets."""
+    yield from sidebar.unfold("DYNAMORPH_PT_targets")
     yield from sidebar.scroll("WHEELUPMOUSE", 40)
     wanted = "dynamorph.active_target_index"  # all rows are this button
     top = yield from sidebar.top_of(wanted)

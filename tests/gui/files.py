@@ -9,20 +9,21 @@ import struct
 import bpy
 import driver
 import frames
-from driver import WORK, Region, measure, step, until
-from editors import addon, baked, select_target, settings, sidebar, skin, viewport
+from driver import WORK, Region, Task, measure, step, until
+from editors import addon, baked, close, physics, properties, select_target, settings, sidebar, skin, viewport
 
 browser = Region("FILE_BROWSER", "WINDOW")
 options = Region("FILE_BROWSER", "TOOL_PROPS")
 SETUP, GLB = WORK / "arm.json", WORK / "arm.glb"
-EXPORT = 38  # pixels: the middle of its menu, from the top of the button above
+EXPORT = 28  # pixels: the middle of its menu, from the header
+PRESETS = 30  # pixels: the button of presets in a header, from the right
 OPTIONS = {"format": 15, "clips": 41}  # pixels: the middles of the export's drop-downs, from the top of their region
 
 
 @step("A measured material")
 def material():
-    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
     yield from select_target(1)
+    yield from sidebar.fold("DYNAMORPH_PT_targets")
     yield from driver.drawn()  # its properties have come
     button = yield from open_materials()
     yield from arrows(button, "DOWN_ARROW", 2)  # the second of the list
@@ -34,11 +35,17 @@ def material():
 
 
 def open_materials():
-    """The pop-up, whose button has no name that could be looked for; returns where that is."""
-    x, _, width, _ = sidebar.box
-    _, row = yield from sidebar.find("dynamorph.fit_material")
-    button = (x + width * 0.3, row)
-    yield from driver.pop_up(button, "DYNAMORPH_PT_material_presets")
+    """The pop-up; returns where its button is."""
+    return (yield from open_presets(sidebar, "DYNAMORPH_PT_material"))
+
+
+def open_presets(region, panel: str):
+    """The pop-up at the right end of a section's header, whose button has no name that could be looked for."""
+    yield from region.fold(panel)
+    _, row = yield from region.unfold(panel)
+    x, _, width, _ = region.box
+    button = (x + width - PRESETS, row - 4)  # a header is met near its top
+    yield from driver.pop_up(button, f"{panel}_presets")
     return button
 
 
@@ -52,7 +59,9 @@ def arrows(position, key: str, count: int):
 @step("Export the bake as glTF")
 def export():
     GLB.unlink(missing_ok=True)
-    yield from choose_file(export_menu(), "dynamorph.export", GLB, choose_options())
+    task = Task("the bake as glTF", 2)
+    yield from choose_file(sidebar.press("dynamorph.export"), "dynamorph.export", GLB)
+    task.done()
     yield from until(GLB.exists, "the file")
     data = GLB.read_bytes()
     (length,) = struct.unpack_from("<I", data, 12)  # of the JSON in it, after two headers
@@ -63,11 +72,18 @@ def export():
     yield from driver.tap("ESC", viewport.middle)  # close what the export says, which lies over the sidebar
 
 
+@step("Export of other formats")
+def export_others():
+    yield from choose_file(export_menu(), "dynamorph.export", GLB, choose_options())
+
+
 def export_menu(operator="dynamorph.export", across=0.45):
-    """Choose glTF by its letter in a menu below Delete Bake, which has no name that could be looked for."""
-    top = yield from sidebar.top_of("dynamorph.free_bake")
-    x, _, width, _ = sidebar.box
-    menu = (x + width * across, top - EXPORT)
+    """Choose glTF by its letter in a menu below the header of Export, which has no name that could be looked for."""
+    yield from physics()
+    yield from close("export")
+    _, row = yield from properties.unfold("DYNAMORPH_PT_export")
+    x, _, width, _ = properties.box
+    menu = (x + width * across, row - EXPORT)
     yield from driver.drop_down(menu, f"{operator}.format")
     yield from driver.tap("G", menu)
 
@@ -112,16 +128,16 @@ def export_check():
     driver.photograph("opened_dynamorph.export_check")
     yield from driver.tap("ESC", sidebar.middle)
     skin().modifiers.remove(loses)
+    yield from close("export")
 
 
 @step("Save Setup")
 def save_setup():
     yield from sidebar.press("dynamorph.free_bake")
     yield from until(lambda: not baked(), "the bake to be freed")
-    yield from sidebar.fold("dynamorph.new_from_pose")
-    yield from sidebar.unfold_last("dynamorph.save_setup", below="dynamorph.bake_all")
+    yield from physics("setup")
     SETUP.unlink(missing_ok=True)
-    yield from choose_file(sidebar.press("dynamorph.save_setup"), "dynamorph.save_setup", SETUP)
+    yield from choose_file(properties.press("dynamorph.save_setup"), "dynamorph.save_setup", SETUP)
     yield from until(SETUP.exists, "the file")
     assert len(json.loads(SETUP.read_text())["targets"]) == len(settings().targets)
 
@@ -131,10 +147,8 @@ def load_setup():
     target = settings().targets[1]
     stiffness = target.stiffness
     target.stiffness = 4 * stiffness
-    yield from choose_file(sidebar.press("dynamorph.load_setup"), "dynamorph.load_setup", SETUP)
+    yield from choose_file(properties.press("dynamorph.load_setup"), "dynamorph.load_setup", SETUP)
     yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup of the file")
-    yield from sidebar.fold("dynamorph.save_setup")
-    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
 
 
 @step("Drop a setup, and another JSON file")

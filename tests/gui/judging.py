@@ -13,11 +13,14 @@ from driver import measure, step, until
 from editors import (
     addon,
     baked,
+    close,
     differing,
     job_done,
     keys,
     moved,
     on_screen,
+    physics,
+    properties,
     settings,
     shown,
     sidebar,
@@ -57,6 +60,7 @@ def displacement() -> float:
 @step("Show Plain Skinning, and the soft skin again")
 def plain():
     bpy.context.scene.frame_set(limb.FLEXED + 1)
+    yield from sidebar.unfold("DYNAMORPH_PT_trying")
     yield from driver.drawn()
     pictured, soft = driver.pixels(viewport.box), shown()
     yield from sidebar.press(PLAIN)
@@ -64,11 +68,11 @@ def plain():
     yield from driver.drawn()
     changed = differing(pictured)
     assert changed > 0.002 and np.abs(shown() - soft).max() > 1e-3, f"the viewport shows no difference: {changed}"
-    yield from sidebar.scroll("WHEELDOWNMOUSE", 40)  # to what the panel says of it
     yield from driver.keep("plain", view)
     yield from sidebar.press(PLAIN)
     yield from until(lambda: not addon("write.comparison").is_plain(skin()), "the soft skin")
     yield from driver.drawn()
+    yield from sidebar.fold("DYNAMORPH_PT_trying")
     assert np.array_equal(shown(), soft)
     assert differing(pictured) < 0.1 * changed, f"the viewport shows something else: {differing(pictured)} of {changed}"
 
@@ -141,7 +145,9 @@ def heat_toggle():
 @step("A bake that goes too far, and the button that repairs it")
 def remedy():
     far, before = displacement(), settings().targets[0].frequency
-    yield from sidebar.enter("simulation.max_displacement", f"{0.6 * far:.3f}")
+    yield from physics("bake")
+    yield from properties.enter("simulation.max_displacement", f"{0.6 * far:.3f}")
+    yield from close("bake")
     yield from bake()
     assert not found().ok and found().remedy == "REHEARSE"
     yield from sidebar.press("dynamorph.rehearse")

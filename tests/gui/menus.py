@@ -8,10 +8,8 @@ from pathlib import Path
 import bpy
 import driver
 from driver import ASIDE, step, until
-from editors import ADDON, job_done, properties, select_target, settings, sidebar, skin, view
-from files import arrows, open_materials
-
-PRESETS = 16  # pixels: the middle of its button, from the top of the button below
+from editors import ADDON, close, job_done, physics, properties, select_target, settings, sidebar, skin, view
+from files import arrows, open_materials, open_presets
 
 
 @step("Fit Bounce, and what a region can be")
@@ -20,6 +18,8 @@ def fit():
     yield from sidebar.press("dynamorph.build")
     yield from job_done()
     yield from sidebar.look_into("targets[1].region")
+    yield from sidebar.fold("DYNAMORPH_PT_targets")
+    yield from sidebar.unfold("DYNAMORPH_PT_material")
     yield from sidebar.pop_up("dynamorph.fit_material")
     yield from sidebar.key("RET")
 
@@ -68,8 +68,7 @@ def material_preset():
 
 @step("A setup saved as a preset")
 def setup_preset():
-    yield from sidebar.fold("dynamorph.new_from_pose")
-    yield from sidebar.unfold_last("dynamorph.save_setup", below="dynamorph.bake_all")
+    yield from physics()
     model = settings().model
     modes = model.modes
 
@@ -80,13 +79,8 @@ def setup_preset():
 
 
 def open_setups():
-    """The pop-up, whose button has no name that could be looked for; returns where that is."""
-    below = "dynamorph.copy_to_selected"
-    top = yield from sidebar.top_of(below)
-    x, _ = sidebar.seen(below)
-    button = (x, top + PRESETS)
-    yield from driver.pop_up(button, "DYNAMORPH_PT_setup_presets")
-    return button
+    """The pop-up; returns where its button is."""
+    return (yield from open_presets(properties, "DYNAMORPH_PT_setup"))
 
 
 # Copies, and other places --------------------------------------------------------------------------------------------
@@ -97,13 +91,12 @@ def copy_to_selected():
     body = skin()
     other = add_a_copy()  # not by hand
     yield from driver.drawn()
-    yield from sidebar.pop_up("dynamorph.copy_to_selected")
+    yield from properties.pop_up("dynamorph.copy_to_selected")
     yield from sidebar.key("RET")
     names = [target.name for target in body.dynamorph.targets]
     yield from until(lambda: [target.name for target in other.dynamorph.targets] == names, "the copy")
     bpy.data.objects.remove(other)
-    yield from sidebar.fold("dynamorph.save_setup")
-    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
+    yield from close("setup")
 
 
 def add_a_copy():
@@ -119,6 +112,7 @@ def add_a_copy():
 
 @step("The panel below Shape Keys")
 def object_data():
+    properties.area.spaces.active.context = "DATA"
     skin().active_shape_key_index = 1
     yield from driver.drawn()
     _, row = yield from properties.find("relative_key")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What of the extension opens: panels, their sections, lists, menus, pop-ups, drop-downs, dialogs and file browsers.
+"""What of the extension opens: panels, lists, menus, pop-ups, drop-downs, dialogs and file browsers.
 
 The classes are those that the extension has registered, the rest is noted as Blender draws it. All of it must have been
 opened when the test ends, so that what is new fails the test until a step opens it.
@@ -10,16 +10,14 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
 import bpy
 import driver
 from bpy.types import AddonPreferences, Header, Menu, Operator, Panel, UILayout, UIList
 from bpy_extras.io_utils import ExportHelper, ImportHelper
-from editors import ADDON, addon
+from editors import ADDON
 
 DIALOG = re.compile(r"\b(invoke_(props|search|confirm)\w*|invoke_popup|popup_(menu|menu_pie|popover)|fileselect_add)\(")
-SECTION = re.compile(r"""\.panel\(\s*["'](\w+)""")
 
 there: set[str] = set()  # names: of a class, an operator, a section, or a property with its type
 
@@ -40,8 +38,6 @@ def watch():
             there.update(_asked(operator))
             if any("invoke" in vars(each) for each in operator.__mro__):
                 _watch_invoke(operator)
-    for source in Path(addon("ui").__file__).parent.glob("*.py"):
-        there.update(SECTION.findall(source.read_text(encoding="utf-8")))
 
 
 def _asked(operator: type) -> Iterator[str]:
@@ -84,6 +80,7 @@ def _watch(kind: type, shown=True):
     def draw(self, context):
         if shown:
             driver.opened.add(kind.__name__)
+            driver.shown.add(kind.__name__)
         original(_Drawn(self), context)
 
     kind.draw = draw
@@ -130,7 +127,7 @@ class _Layout:
         def call(*args, **options):
             args = [getattr(arg, "_original", arg) for arg in args]
             made = value(*args, **options)
-            _note(name, args, made)
+            _note(name, args)
             return _layouts(made)
 
         return call
@@ -142,12 +139,8 @@ def _layouts(made):
     return _Layout(made) if isinstance(made, UILayout) else made
 
 
-def _note(name: str, args: list, made):
-    if name == "panel":
-        there.add(args[0])
-        if made[1]:
-            driver.opened.add(args[0])
-    elif name == "operator_menu_enum":
+def _note(name: str, args: list):
+    if name == "operator_menu_enum":
         there.add(".".join(args[:2]))
     elif name in ("prop", "prop_search"):
         owner, field = args[:2]

@@ -10,7 +10,22 @@ import frames
 import limb
 import numpy as np
 from driver import measure, step, until
-from editors import addon, job_done, keys, moved, rig, settings, shown, sidebar, skin, view, viewport
+from editors import (
+    addon,
+    close,
+    job_done,
+    keys,
+    moved,
+    physics,
+    properties,
+    rig,
+    settings,
+    shown,
+    sidebar,
+    skin,
+    view,
+    viewport,
+)
 
 # The model -----------------------------------------------------------------------------------------------------------
 
@@ -36,28 +51,28 @@ def bounce():
 
 @step("The model's settings")
 def model():
-    yield from sidebar.fold("dynamorph.new_from_pose")  # there is more in the sections below than fits under the list
-    yield from sidebar.unfold("model.method", above="dynamorph.build")
-    for name in ("method", "law", "solver", "blending", "basis"):
-        yield from sidebar.choose_other(f"model.{name}")
+    yield from sidebar.fold("DYNAMORPH_PT_targets")
+    yield from physics("advanced", "detail")
+    for name in ("method", "law", "blending", "basis"):
+        yield from properties.choose_other(f"model.{name}")
     assert not addon("scene.staleness").model_age(skin())
-    yield from sidebar.fold("model.method")
 
 
 @step("Modes and Check Targets")
 def modes():
-    yield from sidebar.unfold("dynamorph.check_targets", above="output.sink")
-    yield from sidebar.press("dynamorph.check_targets")
+    yield from properties.press("dynamorph.check_targets")
     yield from until(lambda: settings().live.checks, "what the targets miss")
     measure("Check Targets", ", ".join(settings().live.checks.split("\n")))
     before, still = keys(), shown()
-    yield from sidebar.press("dynamorph.play_mode")
+    yield from close("detail")
+    yield from physics("modes")
+    yield from properties.press("dynamorph.play_mode")
     yield from until(lambda: addon("run.preview").is_running("dynamorph.play_mode"), "the mode to play")
     yield from until(lambda: np.abs(shown() - still).max() > 5e-3, "the mode to swing")
     yield from viewport.key("ESC")
     yield from until(lambda: keys() == before, "the preview to end")
     assert np.array_equal(shown(), still)
-    yield from sidebar.fold("dynamorph.check_targets")
+    yield from close("modes", "advanced")
 
 
 # Live ----------------------------------------------------------------------------------------------------------------
@@ -67,7 +82,6 @@ def modes():
 def live():
     bpy.context.scene.frame_set(limb.FIRST)
     yield from frames.click(limb.FIRST)
-    yield from sidebar.unfold("dynamorph.live", above="output.sink")
     begin = time.perf_counter()
     yield from sidebar.press("dynamorph.live")
     yield from until(lambda: addon("run.live").is_on(skin()), "Live to be on")
@@ -114,6 +128,7 @@ def shown_by_click(frame: int):
 
 @step("Shake Test", picture=view)
 def shake():
+    yield from sidebar.unfold("DYNAMORPH_PT_trying")
     rested, stood = shown(), rig().matrix_world.copy()
     running = lambda: addon("run.preview").is_running("dynamorph.shake_test")  # noqa: E731
     hop = "dynamorph.shake_test(kind='HOP')"
@@ -152,5 +167,4 @@ def live_off():
     assert keys() == ["Basis", "flexed", "Pose 1"]
     assert not any(block.mute for block in skin().data.shape_keys.key_blocks)
     assert moved(limb.FLEXED + 1, limb.FLEXED + 4) == 0.0
-    yield from sidebar.fold("dynamorph.live")
-    yield from sidebar.unfold("dynamorph.new_from_pose", above="dynamorph.build")
+    yield from sidebar.fold("DYNAMORPH_PT_trying")

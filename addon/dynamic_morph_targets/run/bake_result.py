@@ -272,8 +272,6 @@ def cage_summary(model: Model) -> str:
     made = model.summary
     if not made["tets"]:
         return ""
-    quality = made.get("quality")  # models of older versions do not say
-    angles = f", angles {quality['min_dihedral']:.0f}° to {quality['max_dihedral']:.0f}°" if quality else ""
     held = made.get("held", made["pinned"] / made["nodes"])  # models of older versions have pins alone
     by = " by bones" if made["pinned"] else ""
-    return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held:.0%} held{by}{angles}"
+    return f"{made['nodes']} nodes, {made['tets']} tetrahedra, {held:.0%} held{by}"

@@ -85,7 +85,8 @@ def export(
         return batch.warnings
     check_place(obj, key, path)
     check_bake(obj, key)
-    write_file(obj, key, path, frames)
+    with live_key.left_out(obj):
+        write_file(obj, key, path, frames)
     return []
 
 

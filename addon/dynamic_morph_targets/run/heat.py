@@ -42,10 +42,10 @@ def displacements(obj: bpy.types.Object) -> dict[int, np.ndarray]:
 
     Raises SceneError when nothing moves them, or a point cache does.
     """
-    if skin.cache_modifier(obj):
-        raise SceneError("The heat map shows bakes to shape keys and Live, not point caches")
     if live.is_on(obj):
         motions = _live_motions(obj)
+    elif skin.cache_modifier(obj):
+        raise SceneError("The heat map shows bakes to shape keys and Live, not point caches")
     elif obj.dynamorph.bake.exists:
         motions = {each.session_uid: _baked_motion(each) for each in (obj, *skin.followers(obj))}
     else:

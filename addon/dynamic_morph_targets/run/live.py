@@ -38,8 +38,6 @@ def disabled_reason(obj: bpy.types.Object) -> str:
     """Why the soft skin of an object cannot be shown, or ''. Reasons that take longer to find are raised by
     `turn_on`.
     """
-    if obj.dynamorph.bake.exists:
-        return "The bake shows the motion already: press Delete Bake first"
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
     return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
 

@@ -18,7 +18,7 @@ from ..core.errors import SceneError
 from ..core.rig_samples import RigSamples
 from ..core.settings import Material, SimulationSettings
 from ..scene import extract, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
-from ..write import live_key
+from ..write import comparison, live_key
 from ..write.reconcile import reconcile
 from .live_surface import Move, Surface, by_modes, by_nodes
 
@@ -98,6 +98,8 @@ class Tissue:
 
     def add_keys(self, obj: bpy.types.Object) -> None:
         """The live keys of the soft skin `obj` and of what follows it. Raises SinkError."""
+        if comparison.is_plain(obj):  # which muted nothing that Live may count on
+            comparison.show(obj, False)
         live_key.add(obj, self.target_names, [surface.object.find() for surface in self.followers])
 
     def show(self, values: np.ndarray) -> bool:

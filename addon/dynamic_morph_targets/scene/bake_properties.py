@@ -177,9 +177,9 @@ class DynamorphOutput(PropertyGroup):
         default=OutputSettings.sink, override=OVERRIDE,
     )  # fmt: skip
     keys: IntProperty(
-        name="Keys",
-        description="How many shape keys the motion may take. The bake finds the best ones for this shot. 0 makes one "
-        "per mode",
+        name="Key Limit",
+        description="How many shape keys the motion may take. The bake finds the best ones for this shot. 0 is no "
+        "limit: it makes one per mode",
         default=OutputSettings.keys, min=0, soft_max=32, override=OVERRIDE,
     )  # fmt: skip
     every: IntProperty(

@@ -83,7 +83,7 @@ class DynamorphModel(PropertyGroup):
                 "St. Venant-Kirchhoff. Right under large rotations, but may stay inverted after a hard stop",
                 1,
             ),
-            ("STABLE_STVK", "Stable StVK", "The same as StVK, but it recovers from any compression", 2),
+            ("STABLE_STVK", "Stable", "Right under large rotations, and it recovers from any compression", 2),
         ),
         default=ModelSettings.law,
         override=OVERRIDE,
@@ -102,11 +102,11 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.solver, override=OVERRIDE, update=shown_changed,
     )  # fmt: skip
     blending: EnumProperty(
-        name="Blending",
+        name="Between Targets",
         description="How the skin looks halfway between two targets",
         items=(
-            ("FORCES", "Forces", "The forces are blended, so the stiffer target's shape dominates", 0),
-            ("EVEN", "Even", "Halfway in pose is halfway in shape, whatever the stiffness", 1),
+            ("FORCES", "Stiffer Wins", "The forces are blended, so the stiffer target's shape dominates", 0),
+            ("EVEN", "Halfway Shape", "Halfway in pose is halfway in shape, whatever the stiffness", 1),
         ),
         default=ModelSettings.blending, override=OVERRIDE,
     )  # fmt: skip

@@ -83,6 +83,15 @@ def named_targets(obj) -> list[tuple]:
     return [(target.name if i else "", target) for i, target in enumerate(obj.dynamorph.targets)]
 
 
+def target_of_active_key(obj) -> int | None:
+    """Index of the target whose shape the active shape key is; the Basis is that of the neutral one. None: of none."""
+    key = obj.active_shape_key
+    if key is None or key == obj.data.shape_keys.reference_key:
+        return 0
+    names = [name for name, _ in named_targets(obj)]
+    return names.index(key.name) if key.name in names else None
+
+
 def soft_skins(objects):
     """Those of `objects` that carry a soft skin."""
     return [obj for obj in objects if obj.type == "MESH" and obj.dynamorph.targets]

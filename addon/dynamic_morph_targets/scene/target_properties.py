@@ -159,9 +159,9 @@ class DynamorphTarget(KeyReference, PropertyGroup):
         default=Material.stiffness_damping, min=0.0, max=10.0, soft_max=0.1, step=0.1, precision=4, override=OVERRIDE,
     )  # fmt: skip
     radius: FloatProperty(
-        name="Radius",
-        description="Distance from its pose, over all its bones, at which the target has faded out. 0 reaches until "
-        "another target is nearer",
+        name="Fade-Out Angle",
+        description="Distance from its pose, over all its bones, at which the target has faded out. 0 is no limit: it "
+        "reaches until another target is nearer",
         default=0.0, min=0.0, soft_max=np.pi, subtype="ANGLE", override=OVERRIDE,
     )  # fmt: skip
     influence: FloatProperty(  # its name in files; elsewhere `motion_amount`

@@ -9,7 +9,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
-from ..run import batch, expected_error, final_comparison
+from ..run import batch, expected_error, final_comparison, live
 from ..run.batch import run_all
 from ..run.job import Job
 from ..scene import events, staleness
@@ -33,9 +33,9 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
     @classmethod
     def disabled_reason(cls, context):
         obj = mesh_in(context)
-        return super().disabled_reason(context) or (
-            "" if obj.dynamorph.targets or is_shown_on(obj) else "Press Add Soft Skin first"
-        )
+        if obj.dynamorph.targets:
+            return "" if obj.dynamorph.bake.exists else "There is no bake yet"
+        return "" if is_shown_on(obj) else "Press Add Soft Skin first"
 
     def apply(self, obj):
         if not obj.dynamorph.targets:  # a piece, which may show Live
@@ -156,6 +156,11 @@ class DYNAMORPH_OT_build(JobOperator, Operator):
 
     bl_idname = "dynamorph.build"
     bl_label = "Build Model"
+
+    def _done(self, batch):
+        for job in batch.jobs:
+            live.refresh(job.target())
+        return super()._done(batch)
 
 
 class DYNAMORPH_OT_bake(JobOperator, Operator):

@@ -40,28 +40,33 @@ class TissueOperator(SoftSkinOperator):
         return super().disabled_reason(context) or live.disabled_reason(skin.mesh_in(context))
 
 
-class DYNAMORPH_OT_live(TissueOperator, Operator):
-    """Simulate while Blender plays, without a bake. Press again to stop"""
+class DYNAMORPH_OT_live(SoftSkinOperator, Operator):
+    """Simulate while Blender plays, over a bake if there is one. Builds an outdated model first. Press again to stop"""
 
     bl_idname = "dynamorph.live"
     bl_label = "Live Soft Skin"
 
-    @classmethod
-    def disabled_reason(cls, context):
+    def invoke(self, context, _event):
         obj = skin.mesh_in(context)
-        playing = obj is not None and live.is_on(obj)
-        return super(TissueOperator, cls).disabled_reason(context) if playing else super().disabled_reason(context)
+        if live.is_on(obj) or not live.disabled_reason(obj) or bpy.app.background:
+            return self.execute(context)
+        press(self, "dynamorph.build_live")
+        return {"CANCELLED"}  # the undo step is that of the build
 
     def apply(self, obj):
         end_preview()
         if live.is_on(obj):
             live.turn_off(obj)
+        elif live.disabled_reason(obj):
+            raise SceneError(live.disabled_reason(obj))
         else:
             live.turn_on(obj, bpy.context.scene)
 
 
 class EndsLive(JobOperator):
-    """Mixin: builds a model. In a window it then turns Live on and lets the armature hop."""
+    """Mixin: builds a model. In a window it then turns Live on."""
+
+    hops = False  # whether the armature hops then
 
     def modal(self, context, event):
         result = super().modal(context, event)
@@ -78,7 +83,7 @@ class EndsLive(JobOperator):
         if disabled_reason:
             raise SceneError(disabled_reason)
         live.turn_on(obj, context.scene)
-        if skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
+        if self.hops and skin.mesh_in(context) == obj and not context.screen.is_animation_playing:
             press(self, "dynamorph.shake_test", kind="HOP", seconds=FIRST_LOOK)
 
 
@@ -87,6 +92,15 @@ class DYNAMORPH_OT_first_look(EndsLive, Operator):
 
     bl_idname = "dynamorph.first_look"
     bl_label = "Build Soft Skin"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+    hops = True
+
+
+class DYNAMORPH_OT_build_live(EndsLive, Operator):
+    """Build the model of the soft skin, which is out of date, and turn Live on"""
+
+    bl_idname = "dynamorph.build_live"
+    bl_label = "Build for Live"
     bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
 
@@ -305,6 +319,7 @@ HANDLERS = {
 CLASSES = (
     DYNAMORPH_OT_live,
     DYNAMORPH_OT_first_look,
+    DYNAMORPH_OT_build_live,
     DYNAMORPH_OT_shake_test,
     DYNAMORPH_OT_play_mode,
     DYNAMORPH_OT_reset_gains,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel's section about attachments."""
+"""The section about attachments."""
 
 from __future__ import annotations
 
@@ -31,30 +31,29 @@ class DYNAMORPH_UL_pieces(UIList):
         row.prop(item, "choice", text="")
 
 
-def draw_pieces(layout, obj):
+def pieces_title(obj) -> str:
+    count = len(obj.dynamorph.pieces)
+    return iface_("Attachments ({count})").format(count=count) if count else iface_("Attachments")
+
+
+def draw_pieces(layout, _context, obj):
     settings = obj.dynamorph
-    header, body = layout.panel("dynamorph_pieces", default_closed=True)
-    count = len(settings.pieces)
-    title = iface_("Attachments ({count})").format(count=count) if count else iface_("Attachments")
-    header.label(text=title, translate=False)
-    if not body:
-        return
-    row = body.row()
+    row = layout.row()
     row.template_list("DYNAMORPH_UL_pieces", "", settings, "pieces", settings, "active_piece_index", rows=3)
     column = row.column(align=True)
     column.operator("dynamorph.add_piece", text="", icon="ADD")
     column.operator("dynamorph.remove_piece", text="", icon="REMOVE")
     column.operator("dynamorph.select_piece", text="", icon="RESTRICT_SELECT_OFF")
-    if settings.active_piece:
-        draw_piece(body, obj, settings.active_piece)
+    layout.operator("dynamorph.find_pieces", icon="VIEWZOOM")
     if settings.model.one_cage:
-        draw_head(body, settings.model)
-    body.operator("dynamorph.find_pieces", icon="VIEWZOOM")
+        draw_head(layout, settings.model)
+    if settings.active_piece:
+        draw_piece(layout, obj, settings.active_piece)
     alone = list(attachments.left_alone(obj))
     for text in alone[:FEW_NOTES]:
-        draw_message(body, text, icon="INFO")
+        draw_message(layout, text, icon="INFO")
     if len(alone) > FEW_NOTES:
-        draw_message(body, iface_("And {count} more like them").format(count=len(alone) - FEW_NOTES), icon="BLANK1")
+        draw_message(layout, iface_("And {count} more like them").format(count=len(alone) - FEW_NOTES), icon="BLANK1")
 
 
 def draw_piece(layout, obj, piece):

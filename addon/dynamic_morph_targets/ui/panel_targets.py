@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel's section about targets."""
+"""The sections about targets."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from bpy.types import Menu, UIList
 from ..core import engine, errors
 from ..core.character import region_label
 from ..run import batch, weight_curves
-from ..scene import checks
+from ..scene import checks, skin
+from .panel_feel import draw_material, draw_swing
 from .widgets import draw_message
 
-FEW_BONES = 8  # more bones of a target than these are folded away
 WIDE = 340  # pixels at a resolution scale of 1; a list this wide has room for more than names
 
 
@@ -59,16 +59,14 @@ class DYNAMORPH_MT_targets(Menu):
         layout.operator("dynamorph.select_key", icon="SHAPEKEY_DATA")
 
 
-def draw_targets(layout, obj):
+def draw_targets(layout, _context, obj):
     settings = obj.dynamorph
-    header, body = layout.panel("dynamorph_targets")
-    header.label(text="Targets")
-    if body:
-        draw_target_list(body, settings)
-        for hint in checks.hints(obj):
-            draw_message(body, hint, icon="INFO")
-        if settings.active_target:
-            draw_target(body, obj, settings.active_target)
+    draw_target_list(layout, settings)
+    if settings.active_target:
+        draw_pose(layout, settings)
+        draw_reach(layout, obj, settings.active_target)
+    for hint in checks.hints(obj):
+        draw_message(layout, hint, icon="INFO")
 
 
 def draw_target_list(layout, settings):
@@ -79,90 +77,83 @@ def draw_target_list(layout, settings):
     column.operator("dynamorph.remove_target", text="", icon="REMOVE")
     column.separator()
     column.menu("DYNAMORPH_MT_targets", text="", icon="DOWNARROW_HLT")
-    if len(settings.targets) > 2:
-        column.separator()
-        column.operator("dynamorph.move_target", text="", icon="TRIA_UP").direction = "UP"
-        column.operator("dynamorph.move_target", text="", icon="TRIA_DOWN").direction = "DOWN"
-    if len(settings.targets) == 1:
-        layout.operator("dynamorph.add_target", icon="ADD")
+    column.separator()
+    column.operator("dynamorph.move_target", text="", icon="TRIA_UP").direction = "UP"
+    column.operator("dynamorph.move_target", text="", icon="TRIA_DOWN").direction = "DOWN"
     if settings.sculpt.active:
         layout.operator("dynamorph.finish_sculpt", icon="CHECKMARK")
     else:
         layout.operator("dynamorph.new_from_pose", icon="SCULPTMODE_HLT")
 
 
-def draw_target(layout, obj, target):
-    neutral = target == obj.dynamorph.targets[0]
+def draw_pose(layout, settings):
+    """The pose of the selected target."""
     row = layout.row(align=True)
     row.operator("dynamorph.capture_pose", icon="ARMATURE_DATA")
     row.operator("dynamorph.go_to_pose", icon="POSE_HLT")
-    if not neutral:
+    if settings.active_target_index > 0:
         row.operator("dynamorph.sculpt_target", text="", icon="SCULPTMODE_HLT")
-        draw_bones(layout, target)
+
+
+def draw_reach(layout, obj, target):
+    """Where a target counts, on the body and around its pose, and how much moves there."""
     column = layout.column(align=True)
     column.enabled = batch.running is None
-    if not neutral:
+    if target != obj.dynamorph.targets[0]:
         row = column.row(align=True)
         row.prop_search(target, "region", obj, "vertex_groups")
         row.operator("dynamorph.region_from_sculpt", text="", icon="AUTO", depress=target.auto_region)
         column.prop(target, "radius")
     column.prop(target, "influence")
-    draw_material(layout, target)
 
 
-def draw_bones(layout, target):
-    """The bones that place a target; clicking one removes it."""
-    bones = target.bone_names()
-    if len(bones) > FEW_BONES:
-        header, layout = layout.panel("dynamorph_bones", default_closed=True)
-        header.label(text=iface_("{count} Bones").format(count=len(bones)), translate=False)
-        if not layout:
-            return
-    flow = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
-    for bone in bones:
-        flow.operator("dynamorph.remove_bone", text=bone, icon="X", translate=False).bone = bone
-    flow.operator("dynamorph.use_selected_bones", text="Selected Bones", icon="ADD")
+def bones_title(obj) -> str:
+    target = obj.dynamorph.active_target
+    return iface_("Bones ({count})").format(count=len(target.bones))
 
 
-def draw_material(layout, target):
+def has_bones(obj) -> bool:
+    """Whether bones place the selected target, as all but the neutral one."""
+    return obj.dynamorph.active_target_index > 0 and obj.dynamorph.active_target is not None
+
+
+def draw_bones(layout, _context, obj):
+    """The bones that place the selected target; clicking one removes it."""
     column = layout.column(align=True)
-    column.enabled = batch.running is None
-    row = column.row(align=True)
-    row.popover("DYNAMORPH_PT_material_presets", text="Material", icon="PRESET")
-    row.operator("dynamorph.fit_material", text="Fit Bounce")
-    units = column.column(align=True)
-    units.enabled = target.is_measured
-    for name in ("bounce", "settle_time", "weight"):
-        units.prop(target, name)
-    if not target.is_measured:
-        column.label(text="Build Model first", icon="INFO")
-    header, body = layout.panel("dynamorph_material", default_closed=True)
-    header.label(text="Advanced")
-    if body:
-        body = body.column(align=True)
-        body.enabled = batch.running is None
-        for name in ("stiffness", "poisson", "density"):
-            body.prop(target, name)
-        body.prop(target, "mass_damping")
-        body.prop(target, "stiffness_damping", text="Stiff. Damping")  # that much fits
+    column.operator("dynamorph.use_selected_bones", text="Selected Bones", icon="ADD")
+    for bone in obj.dynamorph.active_target.bone_names():
+        column.operator("dynamorph.remove_bone", text=bone, icon="X", translate=False).bone = bone
+
+
+def draw_key(layout, context, obj):
+    """What belongs to the active shape key: its target, or how it becomes one."""
+    settings, index = obj.dynamorph, skin.target_of_active_key(obj)
+    if index is None:
+        layout.operator("dynamorph.add_target", icon="ADD").key = obj.active_shape_key.name
+    elif index != settings.active_target_index:
+        layout.operator("dynamorph.select_target", icon="RESTRICT_SELECT_OFF")
+    else:
+        target = settings.targets[index]
+        draw_pose(layout, settings)
+        draw_reach(layout, obj, target)
+        draw_swing(layout, target)
+        draw_material(layout, context, obj)
+
+
+def has_weights(obj) -> bool:
+    return len(obj.dynamorph.targets) > 1 and not engine.engine_problem()
 
 
 def draw_target_weights(layout, context, obj):
     """How much each target counts in the current pose and over the frames."""
-    if engine.engine_problem() or len(obj.dynamorph.targets) < 2:
-        return
-    header, body = layout.panel("dynamorph_influence", default_closed=True)
-    header.label(text="Target Weights")
-    if not body:
-        return
-    draw_bars(body, context, obj)
-    row = body.row(align=True)
+    row = layout.row(align=True)
     row.use_property_split = False
     row.prop(context.window_manager.dynamorph, "target_weights", text="Graph", icon="FCURVE", toggle=True)
     row.operator("dynamorph.update_influence", text="", icon="FILE_REFRESH")
+    layout.operator("dynamorph.suggest_pose", icon="VIEWZOOM")
+    draw_bars(layout, context, obj)
     if context.window_manager.dynamorph.target_weights and weight_curves.problem(obj):
-        draw_message(body, weight_curves.problem(obj))
-    body.operator("dynamorph.suggest_pose", icon="VIEWZOOM")
+        draw_message(layout, weight_curves.problem(obj))
 
 
 def draw_bars(layout, context, obj):

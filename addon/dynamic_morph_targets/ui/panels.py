@@ -1,132 +1,167 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drawing only: one function draws the settings in the sidebar and below the Shape Keys panel."""
+"""Where everything is drawn: the tab in the sidebar, the Physics tab and below Shape Keys, as a table of sections."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Panel
 
-from ..core import engine, feel
 from ..run import batch, preview
-from ..scene import checks, skin
+from ..scene import skin
 from ..scene.registration import of_classes
-from . import paint_operators
-from .compare_operators import draw_compare_beside
-from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces
-from .panel_bake import DYNAMORPH_UL_modes, draw_bake, draw_live, draw_model, draw_modes, draw_plain, draw_setup
-from .panel_targets import DYNAMORPH_MT_targets, DYNAMORPH_UL_targets, draw_target_weights, draw_targets
-from .widgets import draw_job, draw_message, draw_problem
+from .panel_advanced import DYNAMORPH_UL_modes, draw_cage, draw_detail, draw_modes, draw_solver, has_modes
+from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces, pieces_title
+from .panel_bake import draw_bake, draw_export, draw_result, draw_setup, draw_trying, is_baked
+from .panel_feel import draw_feel, draw_material, draw_softness
+from .panel_status import draw_messages, draw_top
+from .panel_targets import (
+    DYNAMORPH_MT_targets,
+    DYNAMORPH_UL_targets,
+    bones_title,
+    draw_bones,
+    draw_key,
+    draw_target_weights,
+    draw_targets,
+    has_bones,
+    has_weights,
+)
+from .presets import DYNAMORPH_PT_material_presets, DYNAMORPH_PT_setup_presets, PresetList
+from .widgets import draw_message
+
+SIDEBAR = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "Dynamorph"}
+PHYSICS = {"bl_space_type": "PROPERTIES", "bl_region_type": "WINDOW", "bl_context": "physics"}
 
 
-def draw_soft_skin(layout, context, obj):
-    """The whole interface for one object, in the order of work."""
-    layout.use_property_split = True
-    layout.use_property_decorate = False
-    if engine.engine_problem():
-        draw_message(layout, engine.engine_problem())
-    draw_problems(layout, obj)
-    if not obj.dynamorph.targets:
-        if obj.dynamorph.follows:
-            text = iface_("'{name}' moves with '{body}'").format(name=obj.name, body=obj.dynamorph.follows.name)
-            draw_message(layout, text, icon="LINKED")
-        if skin.is_shown_on(obj):
-            layout.operator("dynamorph.free_bake", icon="X")
-        layout.operator("dynamorph.add_soft_skin", icon="ADD")
+class SoftSkinPanel:
+    """Mixin: draws one section for the mesh of the context."""
+
+    @classmethod
+    def poll(cls, context):
+        obj = skin.mesh_in(context)
+        is_soft = obj is not None and len(obj.dynamorph.targets) > 0
+        return cls.section.needed(obj) if is_soft else obj is not None and cls.section.before
+
+    def draw_header(self, context):
+        if self.section.title:
+            self.layout.label(text=self.section.title(skin.mesh_in(context)), translate=False)
+
+    def draw_header_preset(self, _context):
+        if self.section.presets:
+            self.section.presets.draw_panel_header(self.layout)
+
+    def draw(self, context):
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        self.section.draw(self.layout, context, skin.mesh_in(context))
+
+
+@dataclass(frozen=True)
+class Section:
+    """A panel inside another one. Those of one parent stand in the order of the table."""
+
+    name: str  # of the class, after DYNAMORPH_PT_
+    label: str  # "" where a title says more
+    parent: str
+    draw: Callable  # (layout, context, object)
+    closed: bool = True  # at first
+    needed: Callable = lambda _obj: True  # (soft skin): whether it is there at all
+    before: bool = False  # whether a mesh has it before it is a soft skin
+    title: Callable | None = None  # (object)
+    presets: type[PresetList] | None = None  # in its header
+
+    def panel(self, place: dict) -> type[Panel]:
+        described = {
+            "bl_label": self.label,
+            "bl_parent_id": f"DYNAMORPH_PT_{self.parent}",
+            "bl_options": {"DEFAULT_CLOSED"} if self.closed else set(),
+            "section": self,
+        }
+        return type(f"DYNAMORPH_PT_{self.name}", (SoftSkinPanel, Panel), place | described)
+
+
+def draw_nothing(_layout, _context, _obj):
+    """Of a section that only holds others."""
+
+
+# While posing and sculpting.
+SIDEBAR_SECTIONS = (
+    Section("feel", "Feel", "sidebar", draw_feel, closed=False),
+    Section("material", "Material", "feel", draw_material, presets=DYNAMORPH_PT_material_presets),
+    Section("softness", "Softness", "sidebar", draw_softness),
+    Section("targets", "Targets", "sidebar", draw_targets),
+    Section("bones", "", "targets", draw_bones, needed=has_bones, title=bones_title),
+    Section("target_weights", "Target Weights", "sidebar", draw_target_weights, needed=has_weights),
+    Section("trying", "Test and Compare", "sidebar", draw_trying),
+    Section("result", "Result", "sidebar", draw_result, closed=False, needed=is_baked),
+    Section("messages", "Messages", "sidebar", draw_messages, closed=False, before=True),
+)
+# Once.
+PHYSICS_SECTIONS = (
+    Section("pieces", "", "physics", draw_pieces, title=pieces_title),
+    Section("bake", "Bake Settings", "physics", draw_bake),
+    Section("export", "Export", "physics", draw_export),
+    Section("setup", "Setup", "physics", draw_setup, presets=DYNAMORPH_PT_setup_presets),
+    Section("advanced", "Advanced", "physics", draw_nothing),
+    Section("cage", "Cage", "advanced", draw_cage),
+    Section("detail", "Detail", "advanced", draw_detail),
+    Section("modes", "Modes", "advanced", draw_modes, needed=has_modes),
+    Section("solver", "Solver", "advanced", draw_solver),
+    Section("physics_messages", "Messages", "physics", draw_messages, closed=False),
+)
+
+
+class DYNAMORPH_PT_sidebar(Panel):
+    """The tab. It is there for every object, because it says what to select."""
+
+    bl_label = "Dynamorph"
+    bl_space_type, bl_region_type, bl_category = SIDEBAR.values()
+
+    def draw(self, context):
+        obj = skin.mesh_in(context)
+        if obj:
+            draw_top(self.layout, context, obj)
+            return
+        names = [each.name for each in skin.soft_skins(context.view_layer.objects)]
+        text = "Select a character's mesh or its armature"
+        if names:
+            text = iface_("Select '{name}' or its armature").format(name=names[0])
+        draw_message(self.layout, text, icon="INFO")
+
+
+class DYNAMORPH_PT_physics(Panel):
+    bl_label = "Soft Skin"
+    bl_space_type, bl_region_type, bl_context = PHYSICS.values()
+
+    @classmethod
+    def poll(cls, context):
+        obj = skin.mesh_in(context)
+        return obj is not None and len(obj.dynamorph.targets) > 0
+
+    def draw(self, context):
+        draw_top(self.layout, context, skin.mesh_in(context))
+
+
+class DYNAMORPH_PT_object_data(SoftSkinPanel, Panel):
+    bl_label = "Dynamic Morph Target"
+    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "data"
+    bl_parent_id = "DATA_PT_shape_keys"
+    bl_options = {"DEFAULT_CLOSED"}
+    section = Section("object_data", bl_label, "", draw_key)
+
+
+def draw_add(panel, context):
+    """Soft Skin among Blender's own buttons that add and remove physics."""
+    obj = skin.mesh_in(context)
+    if obj is None:
         return
-    draw_feel(layout, obj)
-    draw_cage(layout, context, obj)
-    draw_pieces(layout, obj)
-    draw_targets(layout, obj)
-    draw_target_weights(layout, context, obj)
-    draw_model(layout, obj)
-    draw_modes(layout, obj)
-    draw_live(layout, obj)
-    draw_bake(layout, context, obj)
-    draw_plain(layout, obj)
-    draw_compare_beside(layout, obj)
-    draw_setup(layout)
-
-
-# Checks and cage ---------------------------------------------------------------------------------------------------
-
-
-def draw_problems(layout, obj):
-    """What keeps this mesh from being a soft skin, each with its Fix."""
-    for problem in checks.problems(obj):
-        draw_problem(layout, problem, "ERROR")
-    if not obj.dynamorph.targets:
-        return
-    for problem in (*checks.next_steps(obj), *checks.notes(obj)):
-        draw_problem(layout, problem, "INFO")
-    outgrown = checks.outgrown(obj)
-    if outgrown:
-        draw_message(layout, outgrown)
-        draw_job(layout, "dynamorph.build", "MOD_LATTICE")
-
-
-def draw_feel(layout, obj):
-    """How soft the skin feels: the presets, how much of the motion shows, and its limits."""
-    simulation = obj.dynamorph.simulation
-    sliders = layout.column()
-    sliders.enabled = batch.running is None
-    sliders.use_property_split = False  # there is no room for the names beside them
-    column = sliders.column(align=True)
-    row = column.row(align=True)
-    chosen = feel.active(obj.dynamorph.targets[0], simulation)
-    for key, preset in feel.FEELS.items():
-        row.operator("dynamorph.apply_feel", text=preset.label, depress=key == chosen).feel = key
-    column.prop(simulation, "amount", slider=True)
-    column = sliders.column(align=True)
-    column.prop(simulation, "max_displacement")
-    column.prop(simulation, "max_thickness")
-    if simulation.rehearsed:
-        draw_message(layout, simulation.rehearsed, icon="INFO")
-
-
-def draw_cage(layout, context, obj):
-    settings = obj.dynamorph
-    header, body = layout.panel("dynamorph_cage", default_closed=True)
-    header.label(text="Cage")
-    if not body:
-        return
-    column = body.column()
-    column.enabled = batch.running is None
-    column.prop(settings.model, "cage_nodes")
-    column.prop(settings.model, "cage_object")
-    thickness = column.row()
-    thickness.active = settings.model.cage_object is None
-    thickness.prop(settings.model, "cage_thickness")
-    column.prop(settings.model, "cage_grading")
-    column.prop(settings.model, "hold")
-    pinning = column.row()
-    pinning.active = settings.model.hold == "BONES"
-    pinning.prop(settings.model, "pin_radius")
-    column.prop(settings.model, "separate")
-    column.prop(settings.model, "one_cage")
-    draw_painted_group(column, obj, "SOFT")
-    pair = column.column(align=True)  # side by side, their names would be cut off
-    pair.use_property_split = False
-    pair.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
-    pair.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
-    draw_painted_group(column, obj, "STIFFNESS")
-    if settings.stiffness_group:
-        column.prop(settings, "stiffness_factor")
-        column.prop(context.window_manager.dynamorph, "stiffness", icon="OVERLAY", toggle=True)
-    draw_job(body, "dynamorph.build_cage", "MESH_ICOSPHERE")
-    if settings.model.cage:
-        draw_message(body, settings.model.cage, icon="CHECKMARK")
-        body.prop(context.window_manager.dynamorph, "cage", text="Show Cage")
-
-
-def draw_painted_group(layout, obj, which: str):
-    row = layout.row(align=True)
-    row.prop_search(obj.dynamorph, paint_operators.PAINTED[which].field, obj, "vertex_groups")
-    text = "Done" if paint_operators.is_painting(obj, which) else "Paint"
-    button = row.row(align=True)
-    button.ui_units_x = 2.5  # the name of the group needs the rest
-    button.operator("dynamorph.paint_group", text=text).which = which
-    paint_operators.draw_tools(layout, obj, which)
+    if obj.dynamorph.targets:
+        panel.layout.operator("dynamorph.remove_soft_skin", text="Soft Skin", icon="X")
+    else:
+        panel.layout.operator("dynamorph.add_soft_skin", text="Soft Skin", icon="MOD_SOFT")
 
 
 def draw_status(header, _context):
@@ -142,40 +177,15 @@ def draw_status(header, _context):
     header.layout.label(text=text, translate=False)
 
 
-class SoftSkinPanel:
-    bl_label = "Dynamorph"
-
-    @classmethod
-    def poll(cls, context):
-        return skin.mesh_in(context) is not None
-
-    def draw(self, context):
-        obj = skin.mesh_in(context)
-        if obj != context.object:  # the armature is active
-            self.layout.label(text=obj.name, icon="MESH_DATA", translate=False)
-        draw_soft_skin(self.layout, context, obj)
-
-
-class DYNAMORPH_PT_sidebar(SoftSkinPanel, Panel):
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "Dynamorph"
-
-
-class DYNAMORPH_PT_object_data(SoftSkinPanel, Panel):
-    bl_space_type = "PROPERTIES"
-    bl_region_type = "WINDOW"
-    bl_context = "data"
-    bl_parent_id = "DATA_PT_shape_keys"
-    bl_options = {"DEFAULT_CLOSED"}
-
-
 CLASSES = (
     DYNAMORPH_UL_targets,
     DYNAMORPH_UL_pieces,
     DYNAMORPH_UL_modes,
     DYNAMORPH_MT_targets,
     DYNAMORPH_PT_sidebar,
+    *(section.panel(SIDEBAR) for section in SIDEBAR_SECTIONS),
+    DYNAMORPH_PT_physics,
+    *(section.panel(PHYSICS) for section in PHYSICS_SECTIONS),
     DYNAMORPH_PT_object_data,
 )
 _register, _unregister = of_classes(CLASSES)
@@ -184,8 +194,10 @@ _register, _unregister = of_classes(CLASSES)
 def register():
     _register()
     bpy.types.STATUSBAR_HT_header.prepend(draw_status)
+    bpy.types.PHYSICS_PT_add.append(draw_add)
 
 
 def unregister():
+    bpy.types.PHYSICS_PT_add.remove(draw_add)
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
     _unregister()

@@ -10,6 +10,7 @@ from bpy.types import Operator
 
 from ..core.errors import SceneError
 from ..core.feel import FEELS
+from ..run.live import remove_soft_skin
 from ..scene import checks, extract, references, rig_motion, skin, skinning, target_properties
 from ..scene.registration import of_classes
 from ..write import attachments, bake
@@ -61,6 +62,16 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
             self.report({"WARNING"}, text)
+
+
+class DYNAMORPH_OT_remove_soft_skin(SoftSkinOperator, Operator):
+    """Remove the soft skin with its targets, its model and its bake. Shape keys stay"""
+
+    bl_idname = "dynamorph.remove_soft_skin"
+    bl_label = "Remove Soft Skin"
+
+    def apply(self, obj):
+        remove_soft_skin(obj)
 
 
 def _body_meant(obj):
@@ -130,6 +141,7 @@ class DYNAMORPH_OT_build_cage(JobOperator, Operator):
 
 CLASSES = (
     DYNAMORPH_OT_add_soft_skin,
+    DYNAMORPH_OT_remove_soft_skin,
     DYNAMORPH_OT_fix,
     DYNAMORPH_OT_build_cage,
 )

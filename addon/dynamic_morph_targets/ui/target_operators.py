@@ -248,6 +248,20 @@ class DYNAMORPH_OT_select_key(TargetOperator, Operator):
         obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(block.name)
 
 
+class DYNAMORPH_OT_select_target(SoftSkinOperator, Operator):
+    """Select the target of the active shape key in the list of targets"""
+
+    bl_idname = "dynamorph.select_target"
+    bl_label = "Select Target"
+
+    def apply(self, obj):
+        index = skin.target_of_active_key(obj)
+        if index is None:
+            name = obj.active_shape_key.name
+            raise SceneError(f"'{name}' is not a target: press Add Target, or select another shape key")
+        obj.dynamorph.active_target_index = index
+
+
 class DYNAMORPH_OT_region_from_sculpt(TargetOperator, Operator):
     """Make the region of the selected target from the sculpt, together with the targets that share its bones"""
 
@@ -274,6 +288,7 @@ CLASSES = (
     DYNAMORPH_OT_duplicate_target,
     DYNAMORPH_OT_mirror_target,
     DYNAMORPH_OT_select_key,
+    DYNAMORPH_OT_select_target,
     DYNAMORPH_OT_region_from_sculpt,
 )
 register, unregister = of_classes(CLASSES)

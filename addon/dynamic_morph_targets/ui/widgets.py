@@ -1,54 +1,36 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rows that several sections of the panel share."""
+"""Rows that several sections of the panels share."""
 
 from __future__ import annotations
 
 import textwrap
 
+import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..run import batch
-
 LINE = 34  # characters that fit into the sidebar at its default width
+LETTER, BORDERS = 6.5, 58  # pixels at a resolution scale of 1: of a character, and of icon and margins
+
+
+def characters() -> int:
+    """How many fit into a line of the region that is drawn."""
+    region = bpy.context.region
+    if region is None:
+        return LINE
+    return max(16, int((region.width / bpy.context.preferences.system.ui_scale - BORDERS) / LETTER))
 
 
 def draw_problem(layout, problem, icon: str):
     row = layout.row()
-    draw_message(row, problem.text, icon=icon, width=LINE - 10 if problem.fix else LINE)
+    draw_message(row, problem.text, icon=icon, width=characters() - 10 * bool(problem.fix))
     if problem.fix:
         button = row.column()
         button.alignment = "RIGHT"
         button.operator("dynamorph.fix").problem = problem.fix
 
 
-def draw_job(layout, operator: str, icon: str, text: str | None = None):
-    """The button with its operator's label or `text`, or, while its job runs, the progress."""
-    job = batch.running
-    if job is None or operator != f"dynamorph.{job.goal.lower()}":
-        layout.operator(operator, text=text, icon=icon)
-        return
-    row = layout.row(align=True)
-    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {iface_(job.message)}")
-    row.operator("dynamorph.cancel", text="", icon="X")
-
-
-def draw_outdated(layout, reasons: list[str]):
-    """Up to three reasons. While a job runs they are outdated, so none is shown."""
-    if reasons and not batch.running:
-        more = len(reasons) - 3
-        text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
-        draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))
-
-
-def draw_warnings(layout, warnings: str, said=""):
-    """said: text that the panel shows elsewhere; warnings that begin with it are left out."""
-    for warning in filter(None, warnings.split("\n")):
-        if not (said and warning.startswith(said)):
-            draw_message(layout, warning)
-
-
-def draw_message(layout, text: str, icon="ERROR", width=LINE):
+def draw_message(layout, text: str, icon="ERROR", width: int | None = None):
     """Text, translated unless it was formatted, and broken into lines, because labels do not wrap."""
     column = layout.column(align=True)
-    for i, line in enumerate(textwrap.wrap(iface_(text), width)):
+    for i, line in enumerate(textwrap.wrap(iface_(text), width or characters())):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)

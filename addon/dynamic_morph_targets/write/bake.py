@@ -26,7 +26,7 @@ from ..scene.skin import cache_modifier, followers
 from .bake_influence import MOTION, SHAPES, keep_influence, strip_of
 from .bake_reading import baked_names
 from .before import Before
-from .muting import mute_targets, unmute_targets
+from .muting import leave_to_live, mute_targets, unmute_targets
 from .reconcile import reconcile
 
 LINEAR = 1  # the value of Keyframe.interpolation for foreach_set
@@ -255,7 +255,8 @@ def free(obj):
     for each in baked:
         reconcile(each)
         _free(each, baked_names(each))
-        leave(each)
+        if not each.dynamorph.live.key.name:  # which it still shows
+            leave(each)
 
 
 def check_free(obj):
@@ -269,7 +270,10 @@ def _free(obj, names):
     if record.exists and keys:
         _remove_keys(obj, names, record.action, record.active_index)
         _clear_unused(keys, record.had_animation_data)
-    unmute_targets(obj, record.muted)
+    if obj.dynamorph.live.key.name:
+        leave_to_live(obj)
+    else:
+        unmute_targets(obj, record.muted)
     modifier = cache_modifier(obj)
     if modifier:
         _remove_modifier(obj, modifier)

@@ -8,7 +8,7 @@ plain when everything that would show it is muted.
 from __future__ import annotations
 
 from ..scene import skin
-from . import bake, live_key, reconcile
+from . import bake, live_key, muting, reconcile
 
 
 def is_plain(obj) -> bool:
@@ -34,15 +34,11 @@ def show(obj, plain: bool):
 
 
 def _show(obj, plain: bool):
-    settings = obj.dynamorph
-    modifier = skin.cache_modifier(obj)
-    if modifier and plain:
-        settings.bake.was_rendered = modifier.show_render
-        modifier.show_viewport = modifier.show_render = False
-    elif modifier:
-        modifier.show_viewport, modifier.show_render = True, settings.bake.was_rendered
-    for block in _blocks(obj):
-        block.mute = plain
+    settings, live = obj.dynamorph, live_key.find(obj)
+    if live:
+        live.mute = plain
+    else:  # a bake has no effect while Live plays over it
+        muting.show_bake(obj, not plain)
     blocks = obj.data.shape_keys.key_blocks if obj.data.shape_keys else {}
     for key in (*settings.bake.muted, *settings.live.muted):
         if key.name in blocks:

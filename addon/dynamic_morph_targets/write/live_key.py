@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+
 import numpy as np
 
 from ..scene.references import key_points
@@ -14,7 +16,8 @@ NAME = "Dynamorph Live"
 
 
 def add(obj, target_names, pieces=()):
-    """Add the key at value 1, and mute the keys of these targets: it contains their shapes. Raises SinkError.
+    """Add the key at value 1, and mute the keys of these targets: it contains their shapes. A bake stays, without any
+    effect. Raises SinkError.
 
     pieces: other meshes that follow the soft skin `obj`; each gets one too.
     """
@@ -24,6 +27,8 @@ def add(obj, target_names, pieces=()):
     _add(obj, target_names)
     for piece in pieces:
         _add(piece, target_names, skin=obj)
+    for each in (obj, *followers(obj)):
+        muting.show_bake(each, False)
 
 
 def _add(obj, target_names, skin=None):
@@ -48,8 +53,11 @@ def remove(obj):
     for each in shown:
         if find(each):
             bake.check_not_edited(each)
+    had_key = bool(obj.dynamorph.live.key.name)
     for each in shown:
         _remove(each)
+        if had_key:
+            muting.show_bake(each, True)
 
 
 def _remove(obj):
@@ -77,7 +85,8 @@ def remove_hidden(obj):
 
 def hide(obj, hidden: bool):
     """Let `obj` and what follows it look as without Live, while the key stays; or as with it again."""
-    for each in (obj, *followers(obj)):
+    for each in (obj, *followers(obj)) if find(obj) else ():
+        muting.show_bake(each, hidden)
         block = find(each)
         if block is None:
             continue
@@ -92,6 +101,19 @@ def is_hidden(obj) -> bool:
     """Whether there is the key, and it shows nothing."""
     block = find(obj)
     return block is not None and block.mute
+
+
+@contextmanager
+def left_out(obj):
+    """While it is open, Live is hidden and a bake shows."""
+    shown = find(obj) is not None and not is_hidden(obj)
+    if shown:
+        hide(obj, True)
+    try:
+        yield
+    finally:
+        if shown:
+            hide(obj, False)
 
 
 def find(obj, written: np.ndarray | None = None):

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sections that say how soft the skin is, and where."""
+
+from __future__ import annotations
+
+from ..core import feel
+from ..run import batch
+from . import paint_operators
+
+
+def draw_feel(layout, _context, obj):
+    """The presets and the amount of the whole skin, and how the tissue of the selected target swings."""
+    settings = obj.dynamorph
+    layout.enabled = batch.running is None
+    column = layout.column(align=True)
+    row = column.row(align=True)
+    chosen = feel.active(settings.targets[0], settings.simulation)
+    for key, preset in feel.FEELS.items():
+        row.operator("dynamorph.apply_feel", text=preset.label, depress=key == chosen).feel = key
+    column.prop(settings.simulation, "amount", slider=True)
+    target = settings.active_target
+    if target:
+        layout.label(text=target.name, icon=icon_of(obj, target), translate=False)
+        draw_swing(layout, target)
+
+
+def icon_of(obj, target) -> str:
+    return "ARMATURE_DATA" if target == obj.dynamorph.targets[0] else "SHAPEKEY_DATA"
+
+
+def draw_swing(layout, target):
+    """Bounce, settle time and mass of a target, once they are measured."""
+    column = layout.column(align=True)
+    column.enabled = target.is_measured and batch.running is None
+    for name in ("bounce", "settle_time", "weight"):
+        column.prop(target, name)
+    if not target.is_measured:
+        column.label(text="Build Model first", icon="INFO")
+
+
+def draw_material(layout, _context, obj):
+    """The material of the selected target in physical units."""
+    target = obj.dynamorph.active_target
+    layout.enabled = batch.running is None
+    if target is None:
+        return
+    layout.label(text=target.name, icon=icon_of(obj, target), translate=False)
+    column = layout.column(align=True)
+    for name in ("stiffness", "poisson", "density", "mass_damping"):
+        column.prop(target, name)
+    column.prop(target, "stiffness_damping", text="Stiff. Damping")  # that much fits
+    layout.operator("dynamorph.fit_material")
+
+
+def draw_softness(layout, context, obj):
+    """The maps that are painted."""
+    settings = obj.dynamorph
+    layout.enabled = batch.running is None
+    draw_painted_group(layout, obj, "SOFT")
+    pair = layout.column(align=True)  # side by side, their names would be cut off
+    pair.use_property_split = False
+    pair.prop(context.window_manager.dynamorph, "hold", icon="OVERLAY", toggle=True)
+    pair.operator("dynamorph.hold_to_group", icon="GROUP_VERTEX")
+    draw_painted_group(layout, obj, "STIFFNESS")
+    column = layout.column()
+    column.active = bool(settings.stiffness_group)
+    column.prop(settings, "stiffness_factor")
+    column.prop(context.window_manager.dynamorph, "stiffness", icon="OVERLAY", toggle=True)
+
+
+def draw_painted_group(layout, obj, which: str):
+    row = layout.row(align=True)
+    row.prop_search(obj.dynamorph, paint_operators.PAINTED[which].field, obj, "vertex_groups")
+    text = "Done" if paint_operators.is_painting(obj, which) else "Paint"
+    button = row.row(align=True)
+    button.ui_units_x = 2.5  # the name of the group needs the rest
+    button.operator("dynamorph.paint_group", text=text).which = which
+    paint_operators.draw_tools(layout, obj, which)
