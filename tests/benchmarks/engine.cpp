@@ -335,7 +335,7 @@ void linearize(State& state) {
   ReducedModel::Blend blended;
   model->blend(swing(model->body(), int(state.range(0))).weights[0], blended);
   VectorXd force;
-  MatrixXd tangent;
+  ReducedModel::Matrix tangent;
   for (auto _ : state) benchmark::DoNotOptimize(model->linearize(blended, z, force, tangent));
   const double coefficients = double(TableLayout{model->dofs(), true}.size());
   state.counters["coefficients"] = coefficients;
@@ -355,15 +355,16 @@ void iterate(State& state, const Case& c) {
     rest.push_back(VectorXd::Constant(model->dofs(), 1e-3));
     for (Eigen::Index j = 0; j < w.size(); ++j) rest.back() += w(j) * model->target(int(j));
   }
-  MatrixXd tangent;
+  const VectorXd inertia = VectorXd::Constant(model->dofs(), 1000 / (kStep * kStep));
+  ReducedModel::Matrix tangent;
   ReducedModel::Blend blended;
-  DenseFactor factor;
+  ArrowFactor factor;
   int k = 0;
   for (auto _ : state) {
     k = (k + 1) % kFrames;
     model->blend(moving.weights[k], blended);
     benchmark::DoNotOptimize(model->linearize(blended, rest[k], force, tangent));
-    tangent.diagonal().array() += 1000 / (kStep * kStep);
+    tangent.add_to_diagonal(1, inertia);
     if (!factor.compute(tangent)) state.SkipWithError("the tangent is not positive definite");
     factor.solve(force, direction);
     z = rest[k] - direction;

@@ -2,10 +2,6 @@
 """Models with many linear responses beside few tabulated modes, as Python sees them."""
 
 import hashlib
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import dynamorph
 import numpy as np
@@ -13,7 +9,7 @@ import pytest
 import test_physics
 from test_instruction_sets import available
 from test_physics import BLENDINGS, FLEXED, LAWS, TWO_BONES
-from test_threads import CORES
+from test_threads import run
 
 MODES, RESPONSES = 10, 24
 
@@ -130,8 +126,11 @@ def test_what_does_not_fit_is_refused_by_name():
     ):
         with pytest.raises(ValueError, match=message):
             dynamorph.ReducedModel(full.body, targets, tables_like(tables, **changes), dynamorph.Blending.EVEN)
-    for modes in (2, full.dofs // 2 - RESPONSES):
-        with pytest.raises(dynamorph.Error, match="tabulated"):
+    for modes, message in (
+        (2, "2 modes in full detail are too few: the shapes of the targets alone take 2. Ask for 3 or more"),
+        (full.dofs // 2 - RESPONSES, f"Ask for fewer than {full.dofs // 2} modes, or raise Cage Nodes"),
+    ):
+        with pytest.raises(dynamorph.Error, match=message):
             dynamorph.make_response_basis(full, modes, RESPONSES)
     with pytest.raises(ValueError, match="h: expected at least one response, got 0"):
         dynamorph.make_response_basis(full, MODES, 0)
@@ -161,43 +160,13 @@ def test_a_state_resumes_bit_for_bit():
 
 
 def digest() -> str:
-    """Of a basis, its tables and a motion, on a bar that several chunks of work share."""
+    """Of a basis, its tables and a motion, on a bar that several chunks of work share; for test_threads."""
     model, _, _, basis, tables = with_responses(dynamorph.Law.STVK, dynamorph.Blending.EVEN, cells=(16, 4, 4))
     found = hashlib.sha256()
     arrays = (basis.U, basis.W, basis.amplitudes, *tables.response_lambda, *tables.response_mu, tables.reach)
     for array in (*arrays, moved(model, 8)):
         found.update(np.ascontiguousarray(array).tobytes())
     return found.hexdigest()
-
-
-def run(code, **variables):
-    """What a fresh Python prints that has this module as test_responses."""
-    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-    environment = {key: value for key, value in os.environ.items() if key != "DYNAMORPH_ISA"}
-    environment |= {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"} | variables
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
-
-
-@pytest.mark.skipif(len(CORES) < 2, reason="one core, or a system that does not pin threads")
-def test_one_core_and_all_make_the_same_bytes():
-    def on(cores, most=0) -> tuple[str, int]:
-        found, threads = run(
-            f"import os; os.sched_setaffinity(0, {set(cores)!r}); import test_responses; test_responses.report({most})"
-        ).split()
-        return found, int(threads)
-
-    (alone, one), (limited, few), (together, several) = on([min(CORES)]), on(CORES, 1), on(CORES)
-    assert several > one == few  # or nothing was compared
-    assert alone == limited == together
-
-
-def report(most: int):
-    """The digest, and how many threads are there to do the work, limited to `most`."""
-    dynamorph.set_threads(most)
-    found = digest()
-    print(found, len(list(Path("/proc/self/task").iterdir())))
 
 
 def save_motion(path: str) -> None:

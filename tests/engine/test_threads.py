@@ -33,28 +33,33 @@ def digest() -> str:
     return found.hexdigest()
 
 
+def run(code, **variables) -> str:
+    """What a fresh Python prints that can import the modules of this folder."""
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {key: value for key, value in os.environ.items() if key != "DYNAMORPH_ISA"}
+    environment |= {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"} | variables
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def report(digest, most: int):
+    """The digest, and how many threads are there to do the work, limited to `most`."""
+    dynamorph.set_threads(most)
+    found = digest()
+    print(found, len(list(Path("/proc/self/task").iterdir())))
+
+
 @pytest.mark.skipif(len(CORES) < 2, reason="one core, or a system that does not pin threads")
-def test_one_core_and_all_make_the_same_bytes():
+@pytest.mark.parametrize("module", ["test_threads", "test_responses"])
+def test_one_core_and_all_make_the_same_bytes(module):
     def on(cores, most=0) -> tuple[str, int]:
-        code = f"import os; os.sched_setaffinity(0, {set(cores)!r}); import test_threads; test_threads.report({most})"
-        path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env=os.environ | {"PYTHONPATH": path, "OPENBLAS_NUM_THREADS": "1"},
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        found, threads = done.stdout.split()
+        found, threads = run(
+            f"import os; os.sched_setaffinity(0, {set(cores)!r}); import test_threads, {module}; "
+            f"test_threads.report({module}.digest, {most})"
+        ).split()
         return found, int(threads)
 
     (alone, one), (limited, few), (together, several) = on([min(CORES)]), on(CORES, 1), on(CORES)
     assert several > one == few  # or nothing was compared
     assert alone == limited == together
-
-
-def report(most: int):
-    """The digest, and how many threads are there to do the work, limited to `most`."""
-    dynamorph.set_threads(most)
-    found = digest()
-    print(found, len(list(Path("/proc/self/task").iterdir())))

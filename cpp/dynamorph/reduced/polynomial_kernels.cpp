@@ -83,6 +83,48 @@ void add_symmetric_product(const float* __restrict A, Index size, const double* 
   }
 }
 
+void add_short_product(const float* __restrict A, Index rows, const float* __restrict x, Index columns,
+                       double* __restrict y) {
+  for (Index i = 0; i < rows; i += kChunk) {
+    DoubleW sum = {load(y + i), load(y + i + 4)};
+    for (Index c = 0; c < columns; c += 4) {
+      Float8 block = {};
+      for (Index k = c; k < columns && k < c + 4; ++k) block = mul_add(block, x[k], load(A + k * rows + i));
+      sum += to_double(block);
+    }
+    store(sum.low, y + i);
+    store(sum.high, y + i + 4);
+  }
+}
+
+void add_short_symmetric_product(const float* __restrict A, Index size, const float* __restrict x,
+                                 double* __restrict y) {
+  const Index chunks = size / kChunk;
+  for (Index panel = 0; panel < 2 * chunks; ++panel) {  // of four columns
+    const Index diagonal = panel / 2;
+    const float* own = x + 4 * panel;
+    Float8 sums[4] = {};
+    for (Index i = diagonal; i < chunks; ++i, A += 4 * kChunk) {
+      const Float8 x8 = load(x + kChunk * i),
+                   columns[4] = {load(A), load(A + kChunk), load(A + 2 * kChunk), load(A + 3 * kChunk)};
+      Float8 block = own[0] * columns[0];
+      for (int c = 1; c < 4; ++c) block = mul_add(block, own[c], columns[c]);
+      if (i > diagonal)  // the diagonal chunk is stored in full
+        for (int c = 0; c < 4; ++c) sums[c] = mul_add(sums[c], columns[c], x8);
+      const DoubleW added = to_double(block);
+      double* to = y + kChunk * i;
+      store(load(to) + added.low, to);
+      store(load(to + 4) + added.high, to + 4);
+    }
+    Double4 halves[4];
+    for (int c = 0; c < 4; ++c) {
+      const DoubleW sum = to_double(sums[c]);
+      halves[c] = sum.low + sum.high;
+    }
+    store(load(y + 4 * panel) + sums_of(halves), y + 4 * panel);
+  }
+}
+
 double contract_orders(const double* __restrict constant, const double* __restrict linear,
                        const double* __restrict quadratic, const double* __restrict v, Index r,
                        double* __restrict force, double* __restrict stiffness) {
@@ -119,19 +161,19 @@ double contract_orders(const double* __restrict constant, const double* __restri
 
 void blend_tables(const float* const* __restrict tables, const double* __restrict weights, int count, Index size,
                   float* __restrict out) {
-  if (count == 0) {
-    for (Index i = 0; i < size; ++i) out[i] = 0;
-    return;
+  constexpr Index kBlock = 1024;  // what is written stays in the cache while all tables are added
+  for (Index begin = 0; begin < size; begin += kBlock) {
+    const Index end = begin + kBlock < size ? begin + kBlock : size;
+    for (Index i = begin; i < end; ++i) out[i] = 0;
+    int k = 0;
+    for (; k + 3 <= count; k += 3) {
+      const float *a = tables[k], *b = tables[k + 1], *c = tables[k + 2];
+      const float wa = float(weights[k]), wb = float(weights[k + 1]), wc = float(weights[k + 2]);
+      for (Index i = begin; i < end; ++i) out[i] = mul_add(mul_add(mul_add(out[i], wa, a[i]), wb, b[i]), wc, c[i]);
+    }
+    for (; k < count; ++k)
+      for (Index i = begin; i < end; ++i) out[i] = mul_add(out[i], float(weights[k]), tables[k][i]);
   }
-  for (Index i = 0; i < size; ++i) out[i] = float(weights[0]) * tables[0][i];
-  int k = 1;
-  for (; k + 2 <= count; k += 2) {
-    const float *a = tables[k], *b = tables[k + 1];
-    const float wa = float(weights[k]), wb = float(weights[k + 1]);
-    for (Index i = 0; i < size; ++i) out[i] += mul_add(wa * a[i], wb, b[i]);
-  }
-  for (; k < count; ++k)
-    for (Index i = 0; i < size; ++i) out[i] = mul_add(out[i], float(weights[k]), tables[k][i]);
 }
 
 void couple(const float* __restrict S, Index h, Index r, const double* __restrict v, const double* __restrict y,

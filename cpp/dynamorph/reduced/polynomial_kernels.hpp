@@ -16,6 +16,10 @@ DYNAMORPH_KERNEL(void, add_single_product, const float* A, Index rows, const dou
 /// y += A x for a symmetric A stored by symmetric_index, summed in double. size is a whole number of chunks.
 DYNAMORPH_KERNEL(void, add_symmetric_product, const float* A, Index size, const double* x, double* y);
 
+/// Both with blocks of four columns summed in single precision. rows is a whole number of chunks.
+DYNAMORPH_KERNEL(void, add_short_product, const float* A, Index rows, const float* x, Index columns, double* y);
+DYNAMORPH_KERNEL(void, add_short_symmetric_product, const float* A, Index size, const float* x, double* y);
+
 /// y = A^T x, with A (rows, columns) column-major.
 DYNAMORPH_KERNEL(void, transposed_product, const double* A, Index rows, Index columns, const double* x, double* y);
 

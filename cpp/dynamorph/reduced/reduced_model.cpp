@@ -35,6 +35,16 @@ void multiply_packed(const VectorXd& S, const VectorXd& x, VectorXd& y) {
   }
 }
 
+/// v_k v_l of every pair of modes, doubled for a pair that stands for both its orders.
+template <class Real>
+void take_pairs(const Real* v, Eigen::Index r, Real* pairs) {
+  for (Eigen::Index k = 0; k < r; ++k) {
+    const Real twice = 2 * v[k];
+    *pairs++ = v[k] * v[k];
+    for (Eigen::Index l = k + 1; l < r; ++l) *pairs++ = twice * v[l];
+  }
+}
+
 double packed_quadratic(const VectorXd& S, const VectorXd& x) {
   double sum = 0;
   for (Eigen::Index k = 0, p = 0; k < x.size(); ++k)
@@ -158,6 +168,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   if (w.size() != Eigen::Index(targets_.size()))
     throw std::invalid_argument("weights: expected " + std::to_string(targets_.size()) + ", got " +
                                 std::to_string(w.size()));
+  out.exact = blending_ == Blending::forces;  // about z = 0, where single precision would move the targets
   if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
   out.of = this;
   const Eigen::Index r = layout_.r, pairs = layout_.pairs();
@@ -202,15 +213,20 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
   blend.linear.setZero(rows);
   blend.quadratic.setZero(rows);
   if (!layout_.nonlinear) return;
-  blend.pairs.setZero(rows);
-  double* pair = blend.pairs.data();
-  for (Eigen::Index k = 0; k < r; ++k) {
-    *pair++ = blend.v(k) * blend.v(k);
-    for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * blend.v(k) * blend.v(l);
-  }
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
-  add_single_product(table, rows, blend.v.data(), r, blend.linear.data());
-  add_symmetric_product(table + rows * r, rows, blend.pairs.data(), blend.quadratic.data());
+  if (!blend.exact) {
+    blend.single.resize(r);
+    blend.single_pairs.resize(rows, 0.0F);
+    for (Eigen::Index k = 0; k < r; ++k) blend.single[k] = float(blend.v(k));
+    take_pairs(blend.single.data(), r, blend.single_pairs.data());
+    add_short_product(table, rows, blend.single.data(), r, blend.linear.data());
+    add_short_symmetric_product(table + rows * r, rows, blend.single_pairs.data(), blend.quadratic.data());
+  } else {
+    blend.pairs.setZero(rows);
+    take_pairs(blend.v.data(), r, blend.pairs.data());
+    add_single_product(table, rows, blend.v.data(), r, blend.linear.data());
+    add_symmetric_product(table + rows * r, rows, blend.pairs.data(), blend.quadratic.data());
+  }
 }
 
 double ReducedModel::energy(const Blend& blend, const VectorXd& z) const {

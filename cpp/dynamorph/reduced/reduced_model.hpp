@@ -3,6 +3,7 @@
 // linear responses W.
 #pragma once
 
+#include <utility>
 #include <variant>
 
 #include "dynamorph/models/morph_target.hpp"
@@ -46,9 +47,11 @@ class ReducedModel {
     VectorXd force;           ///< f at v = 0
     double energy = 0;        ///< E at v = 0
     VectorXd centre;          ///< v = z - centre
-    /// Scratch: v, its pairs, the orders of the packed tangent, results that the energy does not need, the tables with
-    /// a weight.
+    bool exact = false;       ///< whether the nonlinear orders are summed in double precision
+    /// Scratch: v and its pairs, in single precision too, the orders of the packed tangent, results that the energy
+    /// does not need, the tables with a weight.
     mutable VectorXd v, pairs, linear, quadratic, unused_force;
+    mutable LaneVector<float> single, single_pairs;
     mutable Matrix unused_stiffness;
     Responses::Blend responses;
     VectorXd packed_damping;
@@ -79,6 +82,10 @@ class ReducedModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
+  /// Changes of the coordinates that single precision does not notice, where the energy was expanded last.
+  double resolution(const Blend& blend) const { return blend.exact ? 0 : 1e-7 * blend.v.norm(); }
+  /// From now on, until the next call of `blend`, sums in double precision. Returns whether it did not before.
+  bool refine(Blend& blend) const { return !std::exchange(blend.exact, true); }
   /// Blends by out.weights, which must be set before.
   void blend(EightBlend& out) const;
   void linearize(EightBlend& blend, const LaneVector<DoubleW>& z, DoubleW& energy, LaneVector<DoubleW>& force,

@@ -50,36 +50,97 @@ RowMajor bone_loads(const SoftBody& body, Index most) {
   return strongest(loads, most);
 }
 
-/// M^1/2 times static answers at one target, block after block: to the bones' loads, then K^-1 M times the block
-/// before, which answers loads that change. Two blocks do for a body of many bones; few bones need more.
-std::vector<RowMajor> answers(const StaticSolver& solver, const VectorXd& root, const RowMajor& loads, Index most) {
+/// What one target answers to loads. Columns are y = M^1/2 u.
+struct Answers {
+  std::unique_ptr<StaticSolver> solver;
+  /// To the bones' loads, then K^-1 M times the block before, which answers loads that change. Two blocks do for a body
+  /// of many bones; few bones need more.
+  std::vector<RowMajor> blocks;
+  RowMajor bending;  ///< to the second derivatives of the force in the modes; empty for the linear law
+};
+
+std::vector<RowMajor> answers_to(const RowMajor& loads, const StaticSolver& solver, const VectorXd& root, Index most) {
   constexpr int kBlocks = 8;
-  std::vector<RowMajor> out;
+  std::vector<RowMajor> blocks;
   Index columns = 0;
-  for (RowMajor block = loads; int(out.size()) < kBlocks && columns < 2 * most; columns += block.cols()) {
+  for (RowMajor block = loads; int(blocks.size()) < kBlocks && columns < 2 * most; columns += block.cols()) {
     block = root.asDiagonal() * solver.solve_all(root.asDiagonal() * block);
     block = strongest(block, most);
-    if (!out.empty()) block *= out[0].norm() / block.norm();
-    out.push_back(block);
+    const double size = block.norm();
+    if (!(size > 0)) break;
+    if (!blocks.empty()) block *= blocks[0].norm() / size;
+    blocks.push_back(block);
   }
+  return blocks;
+}
+
+/// Calls work, and reports each solve of `solver` in it as a part of the `expected` number.
+template <class Work>
+void count_solves(StaticSolver& solver, Index expected, const ProgressFn& progress, const Work& work) {
+  Index solves = 0;
+  solver.tick = [&] { report(progress, std::min(1.0, double(solves++) / double(expected))); };
+  work();
+  solver.tick = nullptr;
+}
+
+/// The answers of all targets that differ, without bending.
+std::vector<Answers> all_answers(const FullModel& model, const VectorXd& root, Index most, const ProgressFn& progress) {
+  const RowMajor loads = bone_loads(model.body(), 2 * most);
+  const std::vector<int> targets = distinct_targets(model.targets());
+  std::vector<Answers> out(targets.size());
+  run_tasks(int(targets.size()), progress, [&](int i, const ProgressFn& done) {
+    out[i].solver = std::make_unique<StaticSolver>(model, targets[i]);
+    count_solves(*out[i].solver, loads.cols() + 2 * most, done,
+                 [&] { out[i].blocks = answers_to(loads, *out[i].solver, root, most); });
+  });
   return out;
 }
 
-/// M^1/2 times the static answers to the second derivatives of the force in the given motions (3 free, k).
-RowMajor bending(const FullModel& model, int target, const StaticSolver& solver, const VectorXd& root,
-                 const MatrixXd& motions) {
-  MatrixXd loads = force_curvatures(model, target, motions);
-  for (Index i = 0; i < motions.cols(); ++i) loads.col(pair_index(motions.cols(), i, i)) /= 2;
-  return root.asDiagonal() * solver.solve_all(std::move(loads));
+/// Adds the answers to the second derivatives of the force in the given motions (3 free, k).
+void add_bending(const FullModel& model, const VectorXd& root, const MatrixXd& motions, Index most,
+                 const ProgressFn& progress, std::vector<Answers>& answers) {
+  const std::vector<int> targets = distinct_targets(model.targets());
+  run_tasks(int(targets.size()), progress, [&](int i, const ProgressFn& done) {
+    MatrixXd loads = force_curvatures(model, targets[i], motions);
+    for (Index k = 0; k < motions.cols(); ++k) loads.col(pair_index(motions.cols(), k, k)) /= 2;
+    count_solves(*answers[i].solver, loads.cols(), done, [&] {
+      answers[i].bending = strongest(root.asDiagonal() * answers[i].solver->solve_all(std::move(loads)), most);
+    });
+  });
 }
 
-RowMajor side_by_side(const std::vector<RowMajor>& blocks, const std::vector<double>& scales) {
+using Weighted = std::pair<double, const RowMajor*>;
+
+RowMajor side_by_side(Index rows, const std::vector<Weighted>& blocks) {
   Index columns = 0;
-  for (const RowMajor& block : blocks) columns += block.cols();
-  RowMajor all(blocks[0].rows(), columns);
-  for (size_t i = 0, at = 0; i < blocks.size(); at += blocks[i].cols(), ++i)
-    all.middleCols(at, blocks[i].cols()) = scales[i] * blocks[i];
+  for (const auto& [weight, block] : blocks) columns += block->cols();
+  RowMajor all(rows, columns);
+  Index at = 0;
+  for (const auto& [weight, block] : blocks) {
+    all.middleCols(at, block->cols()) = weight * *block;
+    at += block->cols();
+  }
   return all;
+}
+
+/// What modes are made of: all blocks of answers, the first more than the later ones. Stiff targets answer less and
+/// count less.
+RowMajor for_modes(const std::vector<Answers>& answers, Index rows) {
+  std::vector<Weighted> blocks;
+  for (const Answers& each : answers)
+    for (size_t k = 0; k < each.blocks.size(); ++k) blocks.emplace_back(std::pow(kLater, double(k)), &each.blocks[k]);
+  return side_by_side(rows, blocks);
+}
+
+/// What responses are made of: all blocks of answers alike, and bending.
+RowMajor for_responses(const std::vector<Answers>& answers, Index rows) {
+  std::vector<Weighted> blocks;
+  for (const Answers& each : answers)
+    for (const RowMajor& block : each.blocks) blocks.emplace_back(1, &block);
+  for (const Answers& each : answers)
+    if (const double size = each.bending.norm(); size > 0 && !each.blocks.empty())
+      blocks.emplace_back(kBending * each.blocks[0].norm() / size, &each.bending);
+  return side_by_side(rows, blocks);
 }
 
 /// Progress of a part of a call, from one fraction of it to another.
@@ -106,78 +167,71 @@ MatrixXd decoupled(const SparseMatrix& K, const VectorXd& mass, const MatrixXd& 
   return free * Eigen::GeneralizedSelfAdjointEigenSolver<MatrixXd>(stiffness, inertia).eigenvectors();
 }
 
+/// M^1/2 times the targets' shapes, orthonormal.
+MatrixXd shapes_of_targets(const FullModel& model, const VectorXd& root) {
+  MatrixXd shapes(model.dofs(), Index(model.targets().size()));
+  for (int j = 0; j < shapes.cols(); ++j) shapes.col(j) = root.cwiseProduct(model.target(j));
+  return orthonormal(shapes);
+}
+
+/// Throws Error unless r modes hold the targets' shapes and some motion, and all fit in the cage. It speaks of modes as
+/// the settings do: all of them are modes, r of them in full detail.
+void check_counts(int r, int h, Index shapes, Index dofs) {
+  const auto number = [](Index n) { return std::to_string(n); };
+  if (r <= shapes)
+    throw Error(number(r) + " modes in full detail are too few: the shapes of the targets alone take " + number(shapes) +
+                ". Ask for " + number(shapes + 1) + " or more.");
+  if (Index(r) + h >= dofs / 2)
+    throw Error("A Detail of " + number(Index(r) + h) + " modes is too much for this cage, whose nodes can move in " +
+                number(dofs) + " ways. Ask for fewer than " + number(dofs / 2) + " modes, or raise Cage Nodes.");
+}
+
+/// M^1/2 times the modes (3 free, r), orthonormal: the shapes, then the strongest of the candidates' motions beyond
+/// them. amplitudes: of the candidates in each.
+MatrixXd modes(RowMajor candidates, const MatrixXd& shapes, Index r, VectorXd& amplitudes) {
+  const Index motions = r - shapes.cols();
+  const VectorXd along_shapes = (shapes.transpose() * candidates).rowwise().norm();
+  remove_span(shapes, candidates);
+  const MatrixXd strong = strongest(candidates, motions);
+  if (strong.cols() < motions)
+    throw Error("The bones move this cage in only " + std::to_string(shapes.cols() + strong.cols()) + " of " +
+                std::to_string(r) + " modes in full detail. Lower Detail, or take the modes from Vibration.");
+  const VectorXd sizes = strong.colwise().norm();
+  amplitudes.resize(r);
+  amplitudes << along_shapes, sizes;
+  MatrixXd Y(shapes.rows(), r);
+  Y << shapes, strong * sizes.cwiseInverse().asDiagonal();
+  return orthonormalized(Y);
+}
+
 }  // namespace
 
 ResponseBasis make_response_basis(const FullModel& model, int r, int h, const ProgressFn& progress) {
   if (h < 1) throw std::invalid_argument("h: expected at least one response, got " + std::to_string(h));
-  const VectorXd mass = unit_mass(model.body()), root = mass.cwiseSqrt();
-  const int targets = int(model.targets().size()), most = r + h;
-  MatrixXd sculpted(model.dofs(), targets);
-  for (int j = 0; j < targets; ++j) sculpted.col(j) = root.cwiseProduct(model.target(j));
-  const MatrixXd shapes = orthonormal(sculpted);
+  const VectorXd mass = unit_mass(model.body()), root = mass.cwiseSqrt(), inverse = root.cwiseInverse();
+  const Index most = Index(r) + h;
+  const MatrixXd shapes = shapes_of_targets(model, root);
   const Index motions = r - shapes.cols();
-  if (motions < 1 || most >= model.dofs() / 2)
-    throw Error("A detail of " + std::to_string(most) + " (" + std::to_string(r) +
-                " tabulated): this model needs more tabulated modes than " + std::to_string(shapes.cols()) +
-                " (its targets' shapes) and fewer in all than " + std::to_string(model.dofs() / 2) +
-                " (half its degrees of freedom).");
+  check_counts(r, h, shapes.cols(), model.dofs());
 
   report(progress, 0);
-  const RowMajor loads = bone_loads(model.body(), 2 * most);
-  const std::vector<int> distinct = distinct_targets(model.targets());
-  std::vector<std::unique_ptr<StaticSolver>> solvers(distinct.size());
-  std::vector<std::vector<RowMajor>> found(distinct.size());
-  run_tasks(int(distinct.size()), part_of(progress, 0, 0.5), [&](int i, const ProgressFn& done) {
-    double solves = 0;
-    const double expected = double(loads.cols() + 2 * most);
-    solvers[i] =
-        std::make_unique<StaticSolver>(model, distinct[i], [&] { report(done, std::min(1.0, solves++ / expected)); });
-    found[i] = answers(*solvers[i], root, loads, most);
-    solvers[i]->tick = nullptr;
-  });
-  std::vector<RowMajor> blocks;
-  std::vector<double> of_modes, scales;  // of the blocks
-  for (const auto& those : found)
-    for (size_t k = 0; k < those.size(); ++k) {
-      blocks.push_back(those[k]);
-      of_modes.push_back(std::pow(kLater, double(k)));
-      scales.push_back(1);
-    }
-
-  // Stiff targets answer less and count less.
+  std::vector<Answers> answers = all_answers(model, root, most, part_of(progress, 0, 0.5));
   ResponseBasis basis;
-  RowMajor all = side_by_side(blocks, of_modes);
-  const VectorXd along_shapes = (shapes.transpose() * all).rowwise().norm();
-  remove_span(shapes, all);
-  MatrixXd low = strongest(all, motions);
-  if (low.cols() < motions)
-    throw Error(std::to_string(r) + " modes are more than this cage can move in. Ask for fewer.");
-  const VectorXd sizes = low.colwise().norm();
-  basis.amplitudes.resize(r);
-  basis.amplitudes << along_shapes, sizes;
-  MatrixXd Y(model.dofs(), r);
-  Y << shapes, low * sizes.cwiseInverse().asDiagonal();
-  Y = orthonormalized(Y);
-  basis.U = root.cwiseInverse().asDiagonal() * Y;
-
+  const MatrixXd Y = modes(for_modes(answers, model.dofs()), shapes, r, basis.amplitudes);
+  basis.U = inverse.asDiagonal() * Y;
   if (model.law() != Law::linear) {
-    const MatrixXd moved = root.cwiseInverse().asDiagonal() * low;
-    std::vector<RowMajor> bent(distinct.size());
-    run_tasks(int(distinct.size()), part_of(progress, 0.5, 0.8), [&](int i, const ProgressFn&) {
-      bent[i] = strongest(bending(model, distinct[i], *solvers[i], root, moved), most);
-    });
-    for (size_t i = 0; i < bent.size(); ++i) {
-      scales.push_back(kBending * found[i][0].norm() / bent[i].norm());
-      blocks.push_back(std::move(bent[i]));
-    }
+    const MatrixXd moved = basis.U.rightCols(motions) * basis.amplitudes.tail(motions).asDiagonal();
+    add_bending(model, root, moved, most, part_of(progress, 0.5, 0.85), answers);
   }
-  all = side_by_side(blocks, scales);
-  remove_span(Y, all);
   report(progress, 0.85);
-  const MatrixXd high = orthonormalized(strongest(all, h).colwise().normalized());
-  basis.W = decoupled(solvers[0]->stiffness, mass, basis.U, root.cwiseInverse().asDiagonal() * high);
+
+  RowMajor rest = for_responses(answers, model.dofs());
+  remove_span(Y, rest);
+  const MatrixXd high = orthonormalized(strongest(rest, h).colwise().normalized());
+  basis.W = decoupled(answers[0].solver->stiffness, mass, basis.U, inverse.asDiagonal() * high);
   if (!basis.U.allFinite() || !basis.W.allFinite())
-    throw Error("The modes of this setup are not finite. Check its stiffness and rebuild.");
+    throw Error(
+        "The modes of this soft skin are not finite numbers. Check the stiffness of its targets and build again.");
   report(progress, 1);
   return basis;
 }

@@ -15,6 +15,8 @@ namespace {
 
 /// Pairs of bones that share less of the body are left out, and those with less of the largest load in a pose.
 constexpr double kNegligible = 1e-5, kInsignificant = 1e-4;
+/// Bones whose mean square scales differ by less scale alike.
+constexpr double kEven = 1e-6;
 
 using Affine = Eigen::Matrix<double, 3, 4, Eigen::RowMajor>;
 
@@ -27,6 +29,12 @@ Affine inertial_target(const InertialTarget& inertial, Index b, const Vector3d& 
   return target;
 }
 
+/// The mean of the squares of a transform's scales, less one.
+double growth(const Eigen::Map<const Affine>& pose) { return pose.leftCols<3>().squaredNorm() / 3 - 1; }
+
+/// Whether some bones or nodes scale otherwise than others.
+bool uneven(const VectorXd& growth) { return growth.maxCoeff() - growth.minCoeff() > kEven * (1 + growth.maxCoeff()); }
+
 }  // namespace
 
 ResponseInertia::ResponseInertia(std::shared_ptr<const SoftBody> body, const MatrixXd& U, const MatrixXd& W)
@@ -38,7 +46,6 @@ ResponseInertia::ResponseInertia(std::shared_ptr<const SoftBody> body, const Mat
     if (b.moments[bone](3, 3) > 0) {
       place[bone] = int(bones_.size());
       bones_.push_back(int(bone));
-      volumes_.push_back(b.moments[bone](3, 3) / b.volume);
       terms_.push_back({place[bone], place[bone], 0});
     }
   if (!b.own_transforms) {
@@ -52,17 +59,32 @@ ResponseInertia::ResponseInertia(std::shared_ptr<const SoftBody> body, const Mat
   }
   const VectorXd mass = b.volumes.rowwise().sum().replicate(1, 3).transpose().reshaped();
   modal_ = W.transpose() * (mass.asDiagonal() * U);
+  bound_ = (1 + MatrixXd(modal_.transpose() * modal_).selfadjointView<Eigen::Lower>().eigenvalues().maxCoeff()) / 2;
   const MatrixXd own = W - U * modal_.transpose();
   for (int s = 0; s < b.sets(); ++s) {
     Set& set = sets_.emplace_back();
     const VectorXd part = b.volumes.col(s).replicate(1, 3).transpose().reshaped();
-    set.mass = (part.asDiagonal() * W.cwiseAbs2()).colwise().sum();
     set.border = own.transpose() * (part.asDiagonal() * U);
-    tabulate(own, s, set);
+    tabulate_mass(W, s, set);
+    tabulate_loads(own, s, set);
   }
 }
 
-void ResponseInertia::tabulate(const MatrixXd& own, int s, Set& set) {
+void ResponseInertia::tabulate_mass(const MatrixXd& W, int s, Set& set) {
+  const SoftBody& b = *body_;
+  MatrixXd parts = MatrixXd::Zero(rows_, b.skin.cols());  // nodes with transforms of their own are each a bone there
+  for (Index i = 0; i < b.skin.rows(); ++i) {
+    const VectorXd mass = b.volumes(i, s) * W.middleRows<3>(3 * i).colwise().squaredNorm();
+    for (SkinWeights::InnerIterator it(b.skin, i); it; ++it) parts.col(it.col()).head(count_) += it.value() * mass;
+  }
+  if (!b.own_transforms) parts = MatrixXd(parts(Eigen::all, bones_));
+  set.mass = parts.rowwise().sum().head(count_);
+  for (Index k = 0; k < count_; ++k)
+    if (set.mass(k) > 0) parts.row(k) /= set.mass(k);
+  set.parts.assign(parts.data(), parts.data() + parts.size());
+}
+
+void ResponseInertia::tabulate_loads(const MatrixXd& own, int s, Set& set) {
   const SoftBody& b = *body_;
   const Index nodes = b.volumes.rows();
   MatrixXd loads = MatrixXd::Zero(rows_, b.own_transforms ? 3 * nodes : 12 * Index(terms_.size()));
@@ -88,22 +110,21 @@ void ResponseInertia::tabulate(const MatrixXd& own, int s, Set& set) {
   set.loads.assign(loads.data(), loads.data() + loads.size());
 }
 
-double ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scratch) const {
+void ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scratch) const {
   scratch.loads.resize(12 * Index(terms_.size()));
+  scratch.growth.resize(Index(bones_.size()));
   scratch.targets.resize(bones_.size());
   scratch.active.clear();
-  double scale = 0, all = 0, largest = 0;
-  const auto pose = [&](int bone) {
-    return Eigen::Map<const Affine>(inertial.bones[0]->data() + 12 * bones_[bone]).leftCols<3>();
-  };
+  double largest = 0;
+  const auto affine = [&](int bone) { return Eigen::Map<const Affine>(inertial.bones[0]->data() + 12 * bones_[bone]); };
+  const auto pose = [&](int bone) { return affine(bone).leftCols<3>(); };
   for (size_t t = 0; t < terms_.size(); ++t) {
     const auto [first, second, size] = terms_[t];
     Eigen::Map<Affine> load(scratch.loads.data() + 12 * t);
     if (first == second) {
       scratch.targets[first] = inertial_target(inertial, bones_[first], body_->centre);
       load.noalias() = pose(first).transpose() * scratch.targets[first];
-      scale += volumes_[first] * pose(first).squaredNorm() / 3;
-      all += volumes_[first];
+      scratch.growth(first) = growth(affine(first));
       largest = std::max(largest, load.norm() * size);
     } else {
       load.noalias() = (pose(second) - pose(first)).transpose() * (scratch.targets[first] - scratch.targets[second]);
@@ -111,29 +132,41 @@ double ResponseInertia::take_loads(const InertialTarget& inertial, Scratch& scra
     }
     scratch.active.push_back(int(t));
   }
-  return scale / all;
 }
 
-double ResponseInertia::take_nodal_loads(const InertialTarget& inertial, VectorXd& loads) const {
+void ResponseInertia::take_nodal_loads(const InertialTarget& inertial, Scratch& scratch) const {
   const Index nodes = body_->volumes.rows();
-  loads.resize(3 * nodes);
-  double scale = 0;
+  scratch.loads.resize(3 * nodes);
+  scratch.growth.resize(nodes);
   for (Index i = 0; i < nodes; ++i) {
     const Eigen::Map<const Affine> pose(inertial.bones[0]->data() + 12 * i);
     const Affine target = inertial_target(inertial, i, Vector3d::Zero());
-    loads.segment<3>(3 * i) =
+    scratch.growth(i) = growth(pose);
+    scratch.loads.segment<3>(3 * i) =
         pose.leftCols<3>().transpose() * (target.leftCols<3>() * body_->rest.segment<3>(3 * i) + target.col(3));
-    scale += pose.leftCols<3>().squaredNorm() / 3;
   }
-  return scale / double(nodes);
+}
+
+double ResponseInertia::definite_border(const ArrowMatrix& matrix, Scratch& scratch) const {
+  scratch.corner.compute(matrix.corner());
+  if (scratch.corner.info() != Eigen::Success) return 1;  // also where a target set has no damping
+  // The matrix [A, B^T; B, S] is positive definite when all eigenvalues of L^-1 B^T S^-1 B L^-T are below 1, A = L L^T.
+  scratch.between = matrix.border().transpose() * matrix.rest().cwiseSqrt().cwiseInverse().asDiagonal();
+  scratch.corner.matrixL().solveInPlace(scratch.between);
+  scratch.gram.noalias() = scratch.between * scratch.between.transpose();
+  scratch.eigen.compute(scratch.gram, Eigen::EigenvaluesOnly);
+  const double largest = scratch.eigen.eigenvalues().maxCoeff();
+  return largest > bound_ ? std::sqrt(bound_ / largest) : 1;
 }
 
 void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensities& densities, Scratch& scratch,
                                ArrowMatrix& mass, ArrowMatrix& damped, VectorXd& force) const {
   if (count_ == 0) return;
   const Index r = mass.corner_size();
-  const double scale =
-      body_->own_transforms ? take_nodal_loads(inertial, scratch.loads) : take_loads(inertial, scratch);
+  if (body_->own_transforms)
+    take_nodal_loads(inertial, scratch);
+  else
+    take_loads(inertial, scratch);
   scratch.past.setZero(r + count_);
   for (int m = 0; m < InertialTarget::kMoments; ++m)
     scratch.past += inertial.coefficients.row(m).sum() * *inertial.q[m];
@@ -152,12 +185,23 @@ void ResponseInertia::evaluate(const InertialTarget& inertial, const SetDensitie
       add_single_product(set.loads.data() + 12 * t * rows_, rows_, scratch.loads.data() + 12 * t, 12,
                          scratch.force.data());
     force.tail(count_) += density * scratch.force.head(count_);
-    mass.rest() += density * scale * set.mass;
-    damped.rest() += damping * scale * set.mass;
+    scratch.scales.setOnes(rows_);
+    add_single_product(set.parts.data(), rows_, scratch.growth.data(), scratch.growth.size(), scratch.scales.data());
+    const auto scales = scratch.scales.head(count_);
+    mass.rest() += density * scales.cwiseProduct(set.mass);
+    damped.rest() += damping * scales.cwiseProduct(set.mass);
     if (sets_.size() == 1) continue;  // its border is zero
-    mass.border() += density * scale * set.border;
-    damped.border() += damping * scale * set.border;
-    force.tail(count_).noalias() += density * scale * (set.border * scratch.past.head(r));
+    mass.border() += density * scales.asDiagonal() * set.border;
+    damped.border() += damping * scales.asDiagonal() * set.border;
+    scratch.border_force.noalias() = set.border * scratch.past.head(r);
+    force.tail(count_) += density * scales.cwiseProduct(scratch.border_force);
+  }
+  if (uneven(scratch.growth)) {
+    const double kept = definite_border(mass, scratch);
+    damped.border() *= sets_.size() == 1 ? kept : definite_border(damped, scratch);
+    scratch.border_force.noalias() = mass.border() * scratch.past.head(r);
+    force.tail(count_) -= (1 - kept) * scratch.border_force;
+    mass.border() *= kept;
   }
   force.head(r).noalias() += mass.border().transpose() * scratch.past.tail(count_);
   force.tail(count_) += mass.rest().cwiseProduct(scratch.past.tail(count_));

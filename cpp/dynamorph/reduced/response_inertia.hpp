@@ -1,8 +1,14 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Inertia of the responses (responses.hpp). W = U C^T + W' with W'^T M U = 0 for unit density. What moves in the modes,
-// U C^T, has their exact inertia. The displacement in W' is small, so that of its inertia only the mass at rest is
-// kept, which is diagonal among the responses. The moving rig acts on it through twelve loads of each bone, and of each
-// pair of bones that share much tissue (modal_inertia.hpp),
+// U C^T, has their exact inertia. The displacement in W' is small, so that of its inertia only the mass is kept that
+// each response k has alone. At rest there is no other. Where bones scale, it is
+//
+//   sum_b |R_b|^2 / 3 sum_i m_i w_ib |W_ik|^2,
+//
+// or, for nodes with transforms of their own, the same sum over those. What is left out can make the mass of unevenly
+// scaled bones indefinite, most of all where W is nearly in the span of U. There the mass between modes and responses
+// is made as much smaller as is needed. The moving rig acts on W' through twelve loads of each bone, and of each pair
+// of bones that share much tissue (modal_inertia.hpp),
 //
 //   force = sum_b (R_b^T [R^ | t^]_b) : sum_i m_i w_ib W'_i (X_i, 1) - ...,
 //
@@ -10,6 +16,8 @@
 // exact inertia (docs/accuracy.md).
 #pragma once
 
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <memory>
 #include <vector>
 
@@ -27,7 +35,12 @@ class ResponseInertia {
   ResponseInertia(std::shared_ptr<const SoftBody> body, const MatrixXd& U, const MatrixXd& W);
 
   struct Scratch {
-    VectorXd loads, force, past;
+    VectorXd loads, force, past, border_force;
+    VectorXd growth;  ///< of each bone or node: its mean square scale, less one
+    VectorXd scales;  ///< (rows) the mean square scale of each response
+    MatrixXd between, gram;
+    Eigen::LLT<MatrixXd> corner;
+    Eigen::SelfAdjointEigenSolver<MatrixXd> eigen;
     std::vector<int> active;  ///< terms
     std::vector<Eigen::Matrix<double, 3, 4, Eigen::RowMajor>> targets;
   };
@@ -45,21 +58,25 @@ class ResponseInertia {
   /// Of one target set, for unit density.
   struct Set {
     LaneVector<float> loads;  ///< (rows, 12 terms); or with transforms of their own, (rows, 3 nodes)
-    VectorXd mass;            ///< (h)
+    VectorXd mass;            ///< (h), at rest
+    LaneVector<float> parts;  ///< of that mass, carried by each bone or node (rows, bones or nodes)
     MatrixXd border;          ///< W'^T M U (h, r), whose sum over the sets is zero
   };
-  void tabulate(const MatrixXd& own, int s, Set& set);
-  /// Writes the inertial target of each term (12), or of each node (3), in its own frame, and which terms matter.
-  /// Returns the mean square scale of the bones.
-  double take_loads(const InertialTarget& inertial, Scratch& scratch) const;
-  double take_nodal_loads(const InertialTarget& inertial, VectorXd& loads) const;
+  void tabulate_loads(const MatrixXd& own, int s, Set& set);
+  void tabulate_mass(const MatrixXd& W, int s, Set& set);
+  /// Writes the inertial target of each term (12), or of each node (3), in its own frame, which terms matter, and how
+  /// bones or nodes scale.
+  void take_loads(const InertialTarget& inertial, Scratch& scratch) const;
+  void take_nodal_loads(const InertialTarget& inertial, Scratch& scratch) const;
+  /// The factor, at most 1, on the border of `matrix` with which it is positive definite.
+  double definite_border(const ArrowMatrix& matrix, Scratch& scratch) const;
 
   std::shared_ptr<const SoftBody> body_;
   Eigen::Index count_, rows_;
-  std::vector<int> bones_;       ///< those that carry soft tissue
-  std::vector<double> volumes_;  ///< of their tissue, relative to all
-  std::vector<Term> terms_;      ///< bones, then pairs
-  MatrixXd modal_;               ///< C (h, r)
+  std::vector<int> bones_;   ///< those that carry soft tissue
+  std::vector<Term> terms_;  ///< bones, then pairs
+  MatrixXd modal_;           ///< C (h, r)
+  double bound_;             ///< definite_border's bound, a little above what it is at rest
   std::vector<Set> sets_;
 };
 

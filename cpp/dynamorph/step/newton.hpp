@@ -94,9 +94,10 @@ struct NewtonLimits {
 template <class Arithmetic>
 struct NewtonReport {
   int iterations = 0;                      ///< for all characters together
+  Lanes unseen = 0;                        ///< ended with a step after which the potential was not evaluated
   Lanes open = 0;                          ///< missed the tolerance, and the last step was not negligible
   Lanes broken = 0;                        ///< a force is not finite, or there is no direction
-  typename Arithmetic::Number residual{};  ///< gradient relative to the forces in it
+  typename Arithmetic::Number residual{};  ///< gradient relative to the forces in it, foretold where it is unseen
 };
 
 /// Norm of the gradient relative to the forces in it, with an allowance for their round-off.
@@ -180,22 +181,50 @@ Lanes line_search(Potential& potential, NewtonScratch<Arithmetic>& scratch, Lane
   return rising;
 }
 
+/// Takes the last step of the lanes whose residual will then be below the tolerance, without evaluating the potential
+/// again, and writes what it will be. Newton's method leaves w |g|^2 of a gradient g, so two gradients tell what the
+/// third will be (Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 2.2); their directions differ, hence
+/// a margin. Returns these lanes.
+template <class Arithmetic, class Potential>
+Lanes last_step(const Potential& potential, const NewtonScratch<Arithmetic>& scratch, Lanes moving,
+                const typename Arithmetic::Number& before, const typename Arithmetic::Number& tolerance,
+                typename Arithmetic::Vector& q, typename Arithmetic::Number& residual) {
+  using Number = typename Arithmetic::Number;
+  constexpr double kMargin = 10;
+  const Number ratio = residual / (before + 1e-300), left = kMargin * (ratio * ratio * residual);
+  const Number whole = Number() + 1.0;
+  Lanes ending = moving & Arithmetic::below(left, tolerance) & Arithmetic::below(scratch.shift, Number());
+  if (ending) ending &= Arithmetic::below(whole, potential.longest(q, scratch.direction));
+  if (!ending) return 0;
+  Number length{};
+  for (int lane = 0; lane < Arithmetic::kLanes; ++lane)
+    if (ending >> lane & 1) {
+      Arithmetic::at(length, lane) = 1;
+      Arithmetic::at(residual, lane) = Arithmetic::at(left, lane);
+    }
+  Arithmetic::move(q, length, scratch.direction, q);
+  return ending;
+}
+
 /// Minimizes the potential from q on, for the lanes that are `moving`; the others stay. It calls `ask`, which may
 /// throw, before every iteration.
 template <class Arithmetic, class Potential, class Ask>
 NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic>& scratch,
                                   typename Arithmetic::Vector& q, Lanes moving, const NewtonLimits& limits,
                                   const Ask& ask) {
+  using Number = typename Arithmetic::Number;
   NewtonReport<Arithmetic> report;
   scratch.shift = typename Arithmetic::Number();
   potential.evaluate(q, scratch.value);
+  const Number tolerance = Number() + limits.tolerance;
+  Number before{};       // the residual before the last step
   Lanes far = ~Lanes();  // lanes in which the last step was not negligible
   for (int iteration = 0;; ++iteration) {
     ask();
     const Value<Arithmetic>& value = scratch.value;
     report.broken |= moving & ~Arithmetic::finite(value.forces);
     report.residual = relative_residual(value, limits.tolerance);
-    moving &= ~report.broken & ~Arithmetic::below(report.residual, typename Arithmetic::Number() + limits.tolerance);
+    moving &= ~report.broken & ~Arithmetic::below(report.residual, tolerance);
     if (!moving) return report;
     if (iteration == limits.iterations) {
       report.open |= moving & far;
@@ -205,10 +234,15 @@ NewtonReport<Arithmetic> minimize(Potential& potential, NewtonScratch<Arithmetic
     const auto step = Arithmetic::norm(scratch.direction);
     moving &= ~report.broken & ~Arithmetic::below(step, value.resolution);
     far = ~Arithmetic::below(step, value.resolution + limits.step);
+    const Number last = report.residual;
+    const Lanes ending = last_step(potential, scratch, moving, before, tolerance, q, report.residual);
+    before = last;
+    moving &= ~ending;
+    report.unseen = moving ? 0 : ending;
     const Lanes stuck = moving ? line_search(potential, scratch, moving, q) : 0;
     report.open |= stuck & far;
     moving &= ~stuck;
-    for (Lanes rest = moving; rest; rest &= rest - 1) ++report.iterations;
+    for (Lanes rest = moving | ending; rest; rest &= rest - 1) ++report.iterations;
     if (!moving) return report;
   }
 }

@@ -216,7 +216,12 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   };
   const double nothing = options_.tolerance * model_->body().size * model_->metre();
   const NewtonLimits limits{options_.tolerance, nothing, max_iterations};
-  const NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
+  begin_ = q;
+  NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
+  if (found.open && found.iterations < max_iterations && model_->refine(blend_)) {  // round-off hid the way down
+    q = begin_;
+    found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
+  }
   if (found.broken)
     throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
   StepReport report;
@@ -224,6 +229,10 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   report.converged = !found.open;
   report.residual = found.residual;
   report.energy = elastic_.energy;
+  if (found.unseen) {  // the last step is short: its third power does not count
+    Arithmetic::multiply(elastic_.hessian, newton_.direction, resistance_);
+    report.energy += newton_.direction.dot(elastic_.gradient + 0.5 * resistance_);
+  }
   return report;
 }
 

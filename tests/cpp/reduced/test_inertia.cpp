@@ -5,12 +5,11 @@
 #include <Eigen/Geometry>
 #include <map>
 
-#include "derivatives.hpp"
 #include "dynamorph/pose/inertial_target.hpp"
 #include "dynamorph/reduced/basis.hpp"
 #include "dynamorph/reduced/modal_terms.hpp"
 #include "dynamorph/step/simulation.hpp"
-#include "scenes.hpp"
+#include "reduced/motion.hpp"
 
 using namespace dynamorph;
 using namespace scenes;
@@ -21,77 +20,60 @@ TEST_CASE("modal inertia is U^T A^T M (...) over the nodes: mass, and the force 
   const FullModel full(body, targets, Law::linear, Blending::forces);
   const MatrixXd U = make_basis(full, 10).U;
   const ReducedModel reduced(body, targets, reduce(full, U), Blending::forces);
-  VectorXd density(2), damped(2);
-  density << 700, 1300;
-  damped << 300, 0;
+  const SetDensities densities{Eigen::Vector2d(700, 1300), Eigen::Vector2d(300, 0)};
   for (double stretch : {1.0, 1.3}) {
-    std::array<VectorXd, InertialTarget::kMoments> z, u;
-    std::array<Transforms, InertialTarget::kPoses> poses;
-    InertialTarget small, big;
-    for (int m = 0; m < InertialTarget::kMoments; ++m) {
-      z[m] = random_vector(10, 1e-3, 40 + m);
-      u[m] = U * z[m];
-      small.q[m] = &z[m];
-      big.q[m] = &u[m];
-    }
-    for (int n = 0; n < InertialTarget::kPoses; ++n) {
-      poses[n] = stretch * scenes::bent(1.2 - 0.2 * n);
-      small.bones[n] = big.bones[n] = &poses[n];
-      for (int m = 0; m < InertialTarget::kMoments; ++m)
-        small.coefficients(m, n) = big.coefficients(m, n) = 0.3 * m - 0.2 * n;
-    }
-    small.gravity_offset = big.gravity_offset = Vector3d(0.1, -0.2, 0.3);
-    FullModel::Inertia expected;
-    ReducedModel::Inertia found;
-    full.inertia(big, {density, damped}, expected);
-    reduced.inertia(small, {density, damped}, found);
-    const MatrixXd mass = U.transpose() * (expected.mass * U), less = U.transpose() * (expected.damped * U);
-    const VectorXd force = U.transpose() * expected.force;
-    CHECK((mass - found.mass.dense()).norm() < 1e-7 * mass.norm());  // stored in single precision
-    CHECK((less - found.damped.dense()).norm() < 1e-7 * less.norm());
+    Moving moving(U, 1, [&](int n) { return Transforms(stretch * scenes::bent(1.2 - 0.2 * n)); });
+    for (int m = 0; m < InertialTarget::kMoments; ++m)
+      for (int n = 0; n < InertialTarget::kPoses; ++n)
+        moving.small.coefficients(m, n) = moving.big.coefficients(m, n) = 0.3 * m - 0.2 * n;
+    moving.small.gravity_offset = moving.big.gravity_offset = Vector3d(0.1, -0.2, 0.3);
+    const auto [mass, damped, force] = moving.projected(full, densities);
+    const Moving::Inertia found = moving.reduced(reduced, densities);
+    CHECK((mass - found.mass).norm() < 1e-7 * mass.norm());  // stored in single precision
+    CHECK((damped - found.damped).norm() < 1e-7 * damped.norm());
     CHECK((force - found.force).norm() < 1e-6 * force.norm());
   }
 }
 
+namespace {
+
+/// Bone b of a chain that bends and flies, n steps back.
+Affine of_chain(int b, int n, double bend, const Vector3d& axis, const Vector3d& translation) {
+  Affine T;
+  T << Eigen::AngleAxisd(bend * (0.3 * b + 1) * (1 - 0.01 * n * n), axis.normalized()).toRotationMatrix(), translation;
+  return T;
+}
+
+MorphTarget neutral_of(const SoftBody& body) {
+  MorphTarget target;
+  target.displacement = VectorXd::Zero(3 * body.mesh.nodes.rows());
+  target.lame = {2e4, 1e4};
+  return target;
+}
+
+}  // namespace
+
 TEST_CASE("modal inertia of many bones: the pairs that are simplified stay within the bounds that it states") {
   for (int count : {1, 2, 4, 5, 20}) {
     const auto body = scenes::chain_bar(count);
-    MorphTarget target;
-    target.displacement = VectorXd::Zero(3 * body->mesh.nodes.rows());
-    target.lame = {2e4, 1e4};
-    const FullModel full(body, {target}, Law::linear, Blending::even);
+    const std::vector<MorphTarget> neutral{neutral_of(*body)};
+    const FullModel full(body, neutral, Law::linear, Blending::even);
     const MatrixXd U = make_basis(full, 10).U;
-    const ReducedModel reduced(body, {target}, reduce(full, U), Blending::even);
+    const ReducedModel reduced(body, neutral, reduce(full, U), Blending::even);
     for (double bend : {0.0, 1e-3, 0.05, 0.5}) {
-      std::array<VectorXd, InertialTarget::kMoments> z, u;
-      std::array<Transforms, InertialTarget::kPoses> poses;
-      InertialTarget small, big;
-      small.coefficients = big.coefficients = StepRule(StepOptions{1 / 120.}).coefficients();
-      for (int m = 0; m < InertialTarget::kMoments; ++m) {
-        z[m] = VectorXd::LinSpaced(10, -1, 1) * 1e-3 * (m + 1);
-        u[m] = U * z[m];
-        small.q[m] = &z[m];
-        big.q[m] = &u[m];
-      }
-      for (int n = 0; n < InertialTarget::kPoses; ++n) {
-        poses[n].resize(count, 12);
-        for (int b = 0; b < count; ++b) {
-          Eigen::Matrix<double, 3, 4, Eigen::RowMajor> T;
-          const double angle = bend * (0.3 * b + 1) * (1 - 0.01 * n * n);
-          T.leftCols<3>() = Eigen::AngleAxisd(angle, Vector3d(0.2, 1, 0.3).normalized()).toRotationMatrix();
-          T.col(3) = Vector3d(0, 0, 0.01 * n * n * bend);
-          poses[n].row(b) = Eigen::Map<Eigen::Matrix<double, 1, 12>>(T.data());
-        }
-        small.bones[n] = big.bones[n] = &poses[n];
+      Moving moving(U, 1, [&](int n) {
+        return pose_of(count, [&](int b) {
+          return of_chain(b, n, bend, Vector3d(0.2, 1, 0.3), Vector3d(0, 0, 0.01 * n * n * bend));
+        });
+      });
+      for (int m = 0; m < InertialTarget::kMoments; ++m) {  // smooth in time: the bounds are for motion
+        moving.q[m] = VectorXd::LinSpaced(10, -1, 1) * 1e-3 * (m + 1);
+        moving.u[m] = U * moving.q[m];
       }
       const SetDensities densities{VectorXd::Constant(1, 1000), VectorXd::Ones(1)};
-      FullModel::Inertia expected;
-      ReducedModel::Inertia found;
-      full.inertia(big, densities, expected);
-      reduced.inertia(small, densities, found);
-      const MatrixXd mass = U.transpose() * (expected.mass * U);
-      const VectorXd force = U.transpose() * expected.force;
-      CHECK((mass - found.mass.dense()).norm() <= (count < 3 ? 1e-6 : 1e-3) * mass.norm());
+      const auto [mass, damped, force] = moving.projected(full, densities);
+      const Moving::Inertia found = moving.reduced(reduced, densities);
+      CHECK((mass - found.mass).norm() <= (count < 3 ? 1e-6 : 1e-3) * mass.norm());
       CHECK((force - found.force).norm() <= (count < 3 ? 1e-6 : 3e-5) * force.norm() + 1e-12);
     }
   }
@@ -103,46 +85,22 @@ TEST_CASE("inertia of nodes with transforms of their own: as if their bones had 
     const auto targets = scenes::targets(*body, sets - 1);
     const FullModel full(body, targets, Law::linear, Blending::even);
     const MatrixXd U = make_basis(full, 10).U;
-    std::vector<bool> pinned(body->free_of_node.size());
-    for (size_t i = 0; i < pinned.size(); ++i) pinned[i] = body->free_of_node[i] < 0;
-    const auto own = std::make_shared<SoftBody>(body->mesh, body->fill, VectorXd::Ones(body->fill.size()),
-                                                body->region_weights, pinned, MatrixXd(pinned.size(), 0));
+    const auto own = with_own_transforms(*body);
     const ReducedModel reduced(own, targets, reduce(full, U), Blending::even);
     CHECK_THROWS_AS(reduced.modal_inertia(), std::invalid_argument);
     CHECK(make_basis(FullModel(own, targets, Law::linear, Blending::even), 10).U.cols() == 10);
-    std::array<VectorXd, InertialTarget::kMoments> z, u;
-    std::array<SkinFrame, InertialTarget::kPoses> poses;
-    InertialTarget small, big;
-    small.coefficients = big.coefficients = StepRule(StepOptions{1 / 120.}).coefficients();
-    small.gravity_offset = big.gravity_offset = Vector3d(0.1, -0.2, 0.3);
-    for (int m = 0; m < InertialTarget::kMoments; ++m) {
-      z[m] = random_vector(10, 1e-3, 40 + m);
-      u[m] = U * z[m];
-      small.q[m] = &z[m];
-      big.q[m] = &u[m];
-    }
-    for (int n = 0; n < InertialTarget::kPoses; ++n) {
-      poses[n].bones = 1.1 * scenes::bent(1.2 - 0.2 * n);
-      pose_nodes(body->skin, poses[n]);
-      big.bones[n] = &poses[n].bones;
-      small.bones[n] = &poses[n].nodes;
-    }
+    Moving moving(U, 1, [](int n) { return Transforms(1.1 * scenes::bent(1.2 - 0.2 * n)); });
     const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::LinSpaced(sets, 300, 100)};
-    FullModel::Inertia expected;
-    ReducedModel::Inertia found;
-    full.inertia(big, densities, expected);
-    reduced.inertia(small, densities, found);
-    const MatrixXd mass = U.transpose() * (expected.mass * U), damped = U.transpose() * (expected.damped * U);
-    const VectorXd force = U.transpose() * expected.force;
-    CHECK((mass - found.mass.dense()).norm() < 1e-12 * mass.norm());
-    CHECK((damped - found.damped.dense()).norm() < 1e-12 * damped.norm());
-    CHECK((force - found.force).norm() < 1e-12 * force.norm());
-
-    for (int n = 0; n < InertialTarget::kPoses; ++n) small.bones[n] = &poses[n].bones;  // of the body with bones
-    ModalInertia::Result posed;
+    const auto [mass, damped, force] = moving.projected(full, densities);
+    ModalInertia::Result posed;  // by the body with bones
     NodalInertia::Scratch scratch;
-    NodalInertia(body, U).evaluate(small, densities, scratch, posed.mass, posed.damped, posed.force);
-    CHECK((posed.mass - found.mass.dense()).norm() < 1e-14 * mass.norm());
+    NodalInertia(body, U).evaluate(moving.small, densities, scratch, posed.mass, posed.damped, posed.force);
+    moving.use_nodes(*body);
+    const Moving::Inertia found = moving.reduced(reduced, densities);
+    CHECK((mass - found.mass).norm() < 1e-12 * mass.norm());
+    CHECK((damped - found.damped).norm() < 1e-12 * damped.norm());
+    CHECK((force - found.force).norm() < 1e-12 * force.norm());
+    CHECK((posed.mass - found.mass).norm() < 1e-14 * mass.norm());
     CHECK((posed.force - found.force).norm() < 1e-14 * force.norm());
   }
 }
@@ -204,46 +162,24 @@ TEST_CASE("tensors of bones and of their pairs are the sum over the nodes to 1e-
   for (int count : {2, 4, 20})
     for (int sets : {1, 3}) {
       const auto body = scenes::chain_bar(count, sets);
-      MorphTarget target;
-      target.displacement = VectorXd::Zero(3 * body->mesh.nodes.rows());
-      target.lame = {2e4, 1e4};
-      const FullModel full(body, std::vector<MorphTarget>(1, target), Law::linear, Blending::even);
+      const FullModel full(body, {neutral_of(*body)}, Law::linear, Blending::even);
       const MatrixXd U = make_basis(full, 10).U;
       const SetDensities densities{VectorXd::LinSpaced(sets, 700, 1300), VectorXd::Ones(sets)};
       for (double bend : {0.0, 0.05, 0.5})
         for (double stretch : {1.0, 1.2}) {
-          std::array<VectorXd, InertialTarget::kMoments> z, u;
-          std::array<Transforms, InertialTarget::kPoses> poses;
-          InertialTarget small, big;
-          small.coefficients = big.coefficients = StepRule(StepOptions{1 / 120.}).coefficients();
-          small.gravity_offset = big.gravity_offset = Vector3d(0, 0, 7e-4);
-          for (int m = 0; m < InertialTarget::kMoments; ++m) {
-            z[m] = random_vector(10, 1e-3, 60 + m);
-            u[m] = U * z[m];
-            small.q[m] = &z[m];
-            big.q[m] = &u[m];
-          }
-          for (int n = 0; n < InertialTarget::kPoses; ++n) {
-            poses[n].resize(count, 12);
-            for (int b = 0; b < count; ++b) {
-              Eigen::Matrix<double, 3, 4, Eigen::RowMajor> T;
-              const double angle = bend * (0.3 * b + 1) * (1 - 0.01 * n * n);
-              T.leftCols<3>() =
-                  stretch * Eigen::AngleAxisd(angle, Vector3d(0.2, 1, 0.3 - 0.1 * b).normalized()).toRotationMatrix();
-              T.col(3) = Vector3d(5 + 0.1 * b, -3, 0.01 * n * n);
-              poses[n].row(b) = Eigen::Map<Eigen::Matrix<double, 1, 12>>(T.data());
-            }
-            small.bones[n] = big.bones[n] = &poses[n];
-          }
-          FullModel::Inertia expected;
-          full.inertia(big, densities, expected);
+          const Moving moving(U, 1, [&](int n) {
+            return pose_of(count, [&](int b) {
+              Affine T = of_chain(b, n, bend, Vector3d(0.2, 1, 0.3 - 0.1 * b), Vector3d(5 + 0.1 * b, -3, 0.01 * n * n));
+              T.leftCols<3>() *= stretch;
+              return T;
+            });
+          });
+          const Moving::Inertia expected = moving.projected(full, densities);
           MatrixXd mass;
           VectorXd force;
-          contract_in_double(*body, U, small, densities, mass, force);
-          const MatrixXd dense = U.transpose() * (expected.mass * U);
-          const VectorXd pull = U.transpose() * expected.force;
-          CHECK((mass - dense).norm() <= 1e-10 * dense.norm());
-          CHECK((force - pull).norm() <= 1e-10 * pull.norm());
+          contract_in_double(*body, U, moving.small, densities, mass, force);
+          CHECK((mass - expected.mass).norm() <= 1e-10 * expected.mass.norm());
+          CHECK((force - expected.force).norm() <= 1e-10 * expected.force.norm());
         }
     }
 }

@@ -37,7 +37,8 @@ TEST_CASE("full and reduced models: derivatives by finite differences at blended
       const ReducedModel reduced(body, targets, reduce(full, U), blending);
       ReducedModel::Blend small;
       reduced.blend(w, small);
-      check_derivatives(evaluator(reduced, small), random_vector(12, 5e-4, 5), 1e-5);
+      // Exact for a polynomial of fourth degree, so that a long step loses nothing but round-off.
+      check_derivatives(evaluator(reduced, small), random_vector(12, 5e-4, 5), 5e-4);
     }
 }
 

@@ -5,12 +5,11 @@
 #include <Eigen/Eigenvalues>
 #include <limits>
 
-#include "derivatives.hpp"
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/reduced/static_solver.hpp"
 #include "dynamorph/step/crowd.hpp"
 #include "dynamorph/step/simulation.hpp"
-#include "scenes.hpp"
+#include "reduced/motion.hpp"
 
 using namespace dynamorph;
 using namespace scenes;
@@ -75,78 +74,79 @@ std::shared_ptr<const SoftBody> held_bar(bool pinned) {
 }  // namespace
 
 TEST_CASE("responses: force and tangent are the energy's derivatives, near the shape and far beyond the reach") {
-  for (int sets : {1, 2})
-    for (Law law : kLaws)
-      for (Blending blending : kBlendings) {
-        const auto body = two_bone_bar(sets);
-        const ResponseScene scene(body, targets(*body, sets - 1), law, blending);
-        const ReducedModel& model = *scene.model;
-        const int r = model.modes(), h = model.dofs() - r;
-        for (const VectorXd& w : full_weights(sets)) {
-          const ReducedModel::Blend blend = blended(model, w);
-          const VectorXd shape = shape_of(model, w);
-          VectorXd force;
-          ArrowMatrix rest = model.zero();
-          model.linearize(blend, joined(shape, VectorXd::Zero(h)), force, rest);
-          // In coordinates in which all stiffness is about one, so that no term is hidden behind stiffer ones.
-          const VectorXd scales = rest.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse();
-          for (double distance : {0.05, 0.7, 3.0}) {  // measured in the reach; s is its square
-            const VectorXd reach = law == Law::linear ? VectorXd(1e-3 * scene.tables.reach) : scene.tables.reach;
-            const VectorXd z = shape + distance * random_vector(r, 1, 3).normalized().cwiseProduct(reach);
-            ArrowMatrix K = model.zero();
-            model.linearize(blend, joined(z, VectorXd::Zero(h)), force, K);
-            const VectorXd answer = force.tail(h).cwiseQuotient(K.rest());
-            const VectorXd y = (answer.norm() / std::sqrt(h)) * random_vector(h, 2, 4) - answer;
-            const VectorXd x = joined(z, y).cwiseQuotient(scales);
-            check_derivatives(
-                [&](const VectorXd& at, VectorXd& f, VectorXd& Kd, const VectorXd& d) {
-                  const double energy = evaluator(model, blend)(scales.cwiseProduct(at), f, Kd, scales.cwiseProduct(d));
-                  f = scales.cwiseProduct(f);
-                  Kd = scales.cwiseProduct(Kd);
-                  return energy;
-                },
-                x, 2e-4 * (z - shape).cwiseQuotient(scales.head(r)).norm());
-          }
-        }
+  for_each_response_scene([](const ResponseScene& scene, int sets) {
+    const Law law = scene.full.law();
+    const ReducedModel& model = *scene.model;
+    ReducedTables tables = scene.tables;
+    tables.responses.resize(tables.basis.rows(), 0);
+    const ReducedModel modes(scene.full.shared_body(), scene.full.targets(), tables, scene.full.blending());
+    const int r = model.modes(), h = model.dofs() - r;
+    for (const VectorXd& w : full_weights(sets)) {
+      const ReducedModel::Blend blend = blended(model, w), of_modes = blended(modes, w);
+      const VectorXd shape = shape_of(model, w);
+      VectorXd force;
+      ArrowMatrix rest = model.zero();
+      model.linearize(blend, joined(shape, VectorXd::Zero(h)), force, rest);
+      // In coordinates in which all stiffness is about one, so that no term is hidden behind stiffer ones.
+      const VectorXd scales = rest.diagonal().cwiseAbs().cwiseSqrt().cwiseInverse();
+      for (double distance : {0.05, 0.7, 3.0}) {  // measured in the reach; s is its square
+        const VectorXd reach = law == Law::linear ? VectorXd(1e-3 * scene.tables.reach) : scene.tables.reach;
+        const VectorXd z = shape + distance * random_vector(r, 1, 3).normalized().cwiseProduct(reach);
+        ArrowMatrix K = model.zero();
+        model.linearize(blend, joined(z, VectorXd::Zero(h)), force, K);
+        const VectorXd answer = force.tail(h).cwiseQuotient(K.rest());
+        const VectorXd y = (answer.norm() / std::sqrt(h)) * random_vector(h, 2, 4) - answer;
+        const VectorXd x = joined(z, y).cwiseQuotient(scales);
+        // Without the part of the modes alone, whose sums in single precision would hide small steps.
+        check_derivatives(
+            [&](const VectorXd& at, VectorXd& f, VectorXd& Kd, const VectorXd& d) {
+              const VectorXd q = scales.cwiseProduct(at), along = scales.cwiseProduct(d);
+              VectorXd own, own_Kd;
+              double energy = evaluator(model, blend)(q, f, Kd, along);
+              energy -= evaluator(modes, of_modes)(q.head(r), own, own_Kd, along.head(r));
+              f.head(r) -= own;
+              Kd.head(r) -= own_Kd;
+              f = scales.cwiseProduct(f);
+              Kd = scales.cwiseProduct(Kd);
+              return energy;
+            },
+            x, 2e-4 * (z - shape).cwiseQuotient(scales.head(r)).norm());
       }
+    }
+  });
 }
 
 TEST_CASE("responses: every target is exact, its force and energy are zero, and it is the static solution") {
-  for (int sets : {1, 2})
-    for (Law law : kLaws)
-      for (Blending blending : kBlendings) {
-        const auto body = two_bone_bar(sets);
-        const auto all = targets(*body, sets - 1);
-        const ResponseScene scene(body, all, law, blending);
-        const auto& model = scene.model;
-        const int r = model->modes(), h = model->dofs() - r;
-        for (int j = 0; j < 3; ++j) {
-          const VectorXd at = model->target(j);
-          VectorXd u, force;
-          model->displacement(at, u);
-          CHECK(at.tail(h) == VectorXd::Zero(h));
-          CHECK((u - scene.full.target(j)).norm() <= 1e-10 * (1e-3 + u.norm()));
-          ArrowMatrix K = model->zero();
-          const double energy = model->linearize(blended(*model, VectorXd::Unit(3, j)), at, force, K);
-          const double stiff = K.corner().norm(), size = model->target(1).norm();
-          CHECK(force.head(r).norm() <= 1e-6 * stiff * size);  // with forces blending, about z = 0 in single precision
-          CHECK(force.tail(h).norm() <= 1e-6 * stiff * size);
-          CHECK(std::abs(energy) <= 1e-6 * stiff * size * size);
+  for_each_response_scene([](const ResponseScene& scene, int sets) {
+    const auto& model = scene.model;
+    const int r = model->modes(), h = model->dofs() - r;
+    for (int j = 0; j < 3; ++j) {
+      const VectorXd at = model->target(j);
+      VectorXd u, force;
+      model->displacement(at, u);
+      CHECK(at.tail(h) == VectorXd::Zero(h));
+      CHECK((u - scene.full.target(j)).norm() <= 1e-10 * (1e-3 + u.norm()));
+      ArrowMatrix K = model->zero();
+      const double energy = model->linearize(blended(*model, VectorXd::Unit(3, j)), at, force, K);
+      const double stiff = K.corner().norm(), size = model->target(1).norm();
+      CHECK(force.head(r).norm() <= 1e-6 * stiff * size);  // with forces blending, about z = 0 in single precision
+      CHECK(force.tail(h).norm() <= 1e-6 * stiff * size);
+      CHECK(std::abs(energy) <= 1e-6 * stiff * size * size);
 
-          VectorXd w = VectorXd::Unit(3, j);
-          if (sets == 2 && j == 2) {
-            if (blending == Blending::forces) continue;  // overlapping sets are exact with even blending alone
-            w(0) = 1;
-          } else if (sets == 2) {
-            continue;  // set 1 has the twist alone, whose weight is always one
-          }
-          Simulation<ReducedModel> simulation(model, precise());
-          VectorXd q = at + 0.02 * model->metre() * random_vector(r + h, 0.05, 9);
-          CHECK(simulation.solve_static(bent(0.8), w, q).converged);
-          model->displacement(q, u);
-          CHECK((u - scene.full.target(j)).cwiseAbs().maxCoeff() <= 1e-6 * body->size);
-        }
+      VectorXd w = VectorXd::Unit(3, j);
+      if (sets == 2 && j == 2) {
+        if (scene.full.blending() == Blending::forces) continue;  // overlapping sets are exact with even blending alone
+        w(0) = 1;
+      } else if (sets == 2) {
+        continue;  // set 1 has the twist alone, whose weight is always one
       }
+      Simulation<ReducedModel> simulation(model, precise());
+      VectorXd q = at + 0.02 * model->metre() * random_vector(r + h, 0.05, 9);
+      CHECK(simulation.solve_static(bent(0.8), w, q).converged);
+      model->displacement(q, u);
+      CHECK((u - scene.full.target(j)).cwiseAbs().maxCoeff() <= 1e-6 * scene.full.body().size);
+    }
+  });
 }
 
 TEST_CASE("responses: balanced targets do not sag, and a held body's targets are exact") {
@@ -267,49 +267,46 @@ TEST_CASE("response basis: a number of responses that is none is refused") {
 }
 
 TEST_CASE("responses couple as the second-order part of the full model's force, faded") {
-  for (int sets : {1, 2})
-    for (Law law : kLaws)
-      for (Blending blending : kBlendings) {
-        const auto body = two_bone_bar(sets);
-        const ResponseScene scene(body, targets(*body, sets - 1), law, blending);
-        const ReducedModel& model = *scene.model;
-        const MatrixXd &U = scene.basis.U, &W = scene.basis.W;
-        const int r = int(U.cols()), h = int(W.cols());
-        // The even part of a cubic force about a place where it is zero is its second-order part.
-        const auto even_part = [&](int j, const VectorXd& v) {
-          FullModel::Blend alone;
-          scene.full.blend(VectorXd::Unit(3, j), alone);
-          SparseMatrix K = scene.full.zero();
-          VectorXd plus, minus;
-          scene.full.linearize(alone, scene.full.target(j) + U * v, plus, K);
-          scene.full.linearize(alone, scene.full.target(j) - U * v, minus, K);
-          return VectorXd(W.transpose() * (plus + minus) / 2);
-        };
-        std::vector<VectorXd> all = full_weights(sets);
-        for (int j = 0; j < 3; ++j) all.push_back(VectorXd::Unit(3, j));
-        for (const VectorXd& w : all)
-          for (double distance : {1e-2, 1.0, 4.0}) {
-            const VectorXd shape = shape_of(model, w);
-            const VectorXd v = law == Law::linear ? random_vector(r, 1e-3, 6)
-                                                  : VectorXd(distance * direction_in_reach(scene.tables, 6));
-            VectorXd expected = VectorXd::Zero(h), force;
-            for (int j = 0; j < 3; ++j)  // about the blended shape, with both blendings
-              if (w(j) != 0) expected += w(j) * even_part(j, v);
-            ArrowMatrix K = model.zero();
-            model.linearize(blended(model, w), joined(shape + v, VectorXd::Zero(h)), force, K);
-            if (law == Law::linear) {
-              CHECK(force.tail(h) == VectorXd::Zero(h));
-              continue;
-            }
-            expected *= fade(distance * distance);
-            CHECK((force.tail(h) - expected).norm() <= 1e-6 * expected.norm());
-          }
-        for (int j = 0; j < 3; ++j) {  // and among themselves they have the full model's stiffness
-          ArrowMatrix K = model.zero();
-          VectorXd force;
-          model.linearize(blended(model, VectorXd::Unit(3, j)), model.target(j), force, K);
-          const VectorXd expected = (W.transpose() * (scene.full.rest_stiffness(j) * W)).diagonal();
-          CHECK((K.rest() - expected).norm() <= 1e-10 * expected.norm());
+  for_each_response_scene([](const ResponseScene& scene, int sets) {
+    const Law law = scene.full.law();
+    const ReducedModel& model = *scene.model;
+    const MatrixXd &U = scene.basis.U, &W = scene.basis.W;
+    const int r = int(U.cols()), h = int(W.cols());
+    // The even part of a cubic force about a place where it is zero is its second-order part.
+    const auto even_part = [&](int j, const VectorXd& v) {
+      FullModel::Blend alone;
+      scene.full.blend(VectorXd::Unit(3, j), alone);
+      SparseMatrix K = scene.full.zero();
+      VectorXd plus, minus;
+      scene.full.linearize(alone, scene.full.target(j) + U * v, plus, K);
+      scene.full.linearize(alone, scene.full.target(j) - U * v, minus, K);
+      return VectorXd(W.transpose() * (plus + minus) / 2);
+    };
+    std::vector<VectorXd> all = full_weights(sets);
+    for (int j = 0; j < 3; ++j) all.push_back(VectorXd::Unit(3, j));
+    for (const VectorXd& w : all)
+      for (double distance : {1e-2, 1.0, 4.0}) {
+        const VectorXd shape = shape_of(model, w);
+        const VectorXd v =
+            law == Law::linear ? random_vector(r, 1e-3, 6) : VectorXd(distance * direction_in_reach(scene.tables, 6));
+        VectorXd expected = VectorXd::Zero(h), force;
+        for (int j = 0; j < 3; ++j)  // about the blended shape, with both blendings
+          if (w(j) != 0) expected += w(j) * even_part(j, v);
+        ArrowMatrix K = model.zero();
+        model.linearize(blended(model, w), joined(shape + v, VectorXd::Zero(h)), force, K);
+        if (law == Law::linear) {
+          CHECK(force.tail(h) == VectorXd::Zero(h));
+          continue;
         }
+        expected *= fade(distance * distance);
+        CHECK((force.tail(h) - expected).norm() <= 1e-6 * expected.norm());
       }
+    for (int j = 0; j < 3; ++j) {  // and among themselves they have the full model's stiffness
+      ArrowMatrix K = model.zero();
+      VectorXd force;
+      model.linearize(blended(model, VectorXd::Unit(3, j)), model.target(j), force, K);
+      const VectorXd expected = (W.transpose() * (scene.full.rest_stiffness(j) * W)).diagonal();
+      CHECK((K.rest() - expected).norm() <= 1e-10 * expected.norm());
+    }
+  });
 }

@@ -23,12 +23,14 @@ struct Hills {
   using Vector = typename Arithmetic::Vector;
   bool wells = false;
   double scale = 1, least = -std::numeric_limits<double>::infinity();  ///< q_0 must stay above that
+  int evaluations = 0;
   Vector gradient;
   typename Arithmetic::Matrix hessian;
   Number energy{}, forces{}, round_off{}, length{}, resolution{};
 
   void evaluate(const Vector& q) {
     const Eigen::Index r = Eigen::Index(q.size());
+    ++evaluations;
     gradient = q;
     if constexpr (Arithmetic::kLanes == 1) {
       hessian.setZero(r, r);
@@ -97,6 +99,33 @@ TEST_CASE("Newton: the sum of a quadratic and a hill is least where its derivati
   CHECK(report.iterations > 2);
   CHECK(q(0) == doctest::Approx(low).epsilon(1e-9));
   CHECK(q(1) == doctest::Approx(low).epsilon(1e-9));
+}
+
+TEST_CASE("Newton: the last step is not looked at when it is certain, and leaves no more than is reported") {
+  for (const bool wells : {false, true})
+    for (const double begin : {0.7, 1.1, 1.4, 3.0}) {
+      CAPTURE(wells);
+      CAPTURE(begin);
+      QuadraticTerm<Dense> quadratic;  // where hills alone are odd, Newton's method is better than this test assumes
+      quadratic.hessian = MatrixXd::Identity(2, 2);
+      quadratic.g = Eigen::Vector2d(-0.5, 0.3);
+      quadratic.origin = VectorXd::Zero(2);
+      Hills<Dense> hills;
+      hills.wells = wells;
+      Potential<Dense, QuadraticTerm<Dense>, Hills<Dense>> potential(quadratic, hills);
+      NewtonScratch<Dense> scratch;
+      VectorXd q = Eigen::Vector2d(begin, 0.8 * begin);
+      const auto report = minimize(potential, scratch, q, 1, kLimits, kAsk);
+      CHECK(!report.open);
+      if (!wells) {  // no step is halved
+        CHECK(report.unseen == 1);
+        CHECK(hills.evaluations == report.iterations);  // the first is before the first step
+      }
+      Value<Dense> value;
+      potential.evaluate(q, value);
+      CHECK(relative_residual(value, kLimits.tolerance) <= report.residual + 1e-15);
+      CHECK(report.residual <= kLimits.tolerance);
+    }
 }
 
 TEST_CASE("Newton: from where the Hessian is indefinite it goes downhill, to a minimum") {
