@@ -160,6 +160,8 @@ def drop_setup():
     other = WORK / "other.json"
     other.write_text('{"format": "scene"}')
     yield from drop(other)
+    driver.photograph("dropped_another_json")
+    yield from driver.tap("ESC", viewport.middle)  # close what it says
     assert settings().targets[1].stiffness == 4 * stiffness, "a file that is no setup was applied"
     yield from drop(SETUP)
     yield from until(lambda: settings().targets[1].stiffness == stiffness, "the setup that was dropped")
@@ -170,11 +172,11 @@ def drop_setup():
 
 
 def drop(path):
-    """Events cannot drop files: this calls what Blender calls then."""
+    """Events cannot drop files: this calls what Blender calls then, with an undo step."""
     yield from driver.move(viewport.middle)
     driver.actions += 1
     with viewport.context():
-        bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=str(path.parent), files=[{"name": path.name}])
+        bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", True, directory=str(path.parent), files=[{"name": path.name}])
     yield from driver.drawn()
 
 
