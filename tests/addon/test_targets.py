@@ -257,6 +257,16 @@ def test_finish_after_the_artist_left_by_hand(soft_arm):
     assert rig_of(soft_arm).mode == "POSE" and not soft_arm.show_only_shape_key
 
 
+def test_a_new_sculpt_shows_in_its_pose_beside_a_bake(soft_arm):
+    """The bake was made without it, and mutes the targets that it contains."""
+    part("bake").write_keys(soft_arm, hand_made_bake(soft_arm))
+    pose_by_hand(soft_arm, lower=0.7)
+    OPS.new_from_pose(key="up")
+    OPS.finish_sculpt()
+    keys = soft_arm.data.shape_keys.key_blocks
+    assert keys["up"].value == 1.0 and not keys["up"].mute and keys["flexed"].mute
+
+
 def test_sculpting_a_target_again(soft_arm):
     pose_by_hand(soft_arm)
     soft_arm.dynamorph.active_target_index = 1
