@@ -248,11 +248,27 @@ def test_materials_change_without_a_build(baked):
 def test_a_model_with_them_is_stored_and_read(baked):
     model_file, model = part("model_file"), part("model")
     arrays, meta = baked.model.to_arrays()
+    h = baked.model.responses.shape[1]
+    assert arrays["response_mu"].dtype == np.float64 and arrays["response_mu"].shape[1] == h
+    assert arrays["coupling_mu"].dtype == np.float32 and arrays["coupling_mu"].shape[1] == h * 10 * 11 // 2
     read = model.Model.from_arrays(*model_file.unpack(model_file.pack(arrays, meta)))
-    for name in ("responses", "response_lambda", "response_mu", "reach"):
+    for name in model.RESPONSE_ARRAYS:
         assert np.array_equal(getattr(read, name), getattr(baked.model, name))
     older = {name: array for name, array in arrays.items() if name not in model.RESPONSE_ARRAYS}
     assert not model.Model.from_arrays(older, meta).responses.size
+
+
+def test_a_model_whose_coupling_is_in_double_is_simulated_as_before(baked):
+    model, simulate = part("model"), part("simulate")
+    arrays, meta = baked.model.to_arrays()
+    for lame in ("lambda", "mu"):
+        arrays[f"response_{lame}"] = np.hstack([arrays[f"response_{lame}"], arrays.pop(f"coupling_{lame}")])
+    older = model.Model.from_arrays(arrays, meta)
+    first, second = (
+        list(simulate.simulate(each, baked.character, baked.computation.rig, baked.settings))[-1].coordinates
+        for each in (baked.model, older)
+    )
+    assert np.array_equal(first, second)
 
 
 def test_a_setup_from_before_has_the_modes_of_before(skin):

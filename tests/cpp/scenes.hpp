@@ -107,9 +107,9 @@ struct ResponseScene {
 };
 
 /// A bar of 0.8 m on `count` bones along it, each of which moves what is near; pinned at x = 0. Each set has less of it
-/// towards the end than the one before.
-inline std::shared_ptr<const SoftBody> chain_bar(int count, int sets = 1) {
-  const TetMesh mesh = bar(16, 2, 2, 0.05);
+/// towards the end than the one before. fine: 2 for cells of half the size.
+inline std::shared_ptr<const SoftBody> chain_bar(int count, int sets = 1, int fine = 1) {
+  const TetMesh mesh = bar(16 * fine, 2 * fine, 2 * fine, 0.05 / fine);
   const Eigen::Index n = mesh.nodes.rows(), m = mesh.tets.rows();
   MatrixXd weights(n, count);
   std::vector<bool> pinned(n);

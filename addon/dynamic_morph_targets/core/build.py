@@ -132,11 +132,15 @@ def _reduced(model: Model, full: dynamorph.FullModel, basis: Basis, report: Repo
     )
     if not tables.responses.size:
         return model
+    h = tables.responses.shape[1]
+    response_lambda, response_mu = np.array(tables.response_lambda), np.array(tables.response_mu)
     return replace(
         model,
         responses=tables.responses,
-        response_lambda=np.array(tables.response_lambda),
-        response_mu=np.array(tables.response_mu),
+        response_lambda=response_lambda[:, :h],
+        response_mu=response_mu[:, :h],
+        coupling_lambda=response_lambda[:, h:].astype(np.float32),
+        coupling_mu=response_mu[:, h:].astype(np.float32),
         reach=tables.reach,
     )
 

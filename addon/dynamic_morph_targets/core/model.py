@@ -14,8 +14,8 @@ from .character import Character, Skeleton
 from .errors import ModelFileError, SceneError
 from .settings import ModelSettings
 
+RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "coupling_lambda", "coupling_mu", "reach")
 # The names in model files of the fields that were renamed since.
-RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "reach")
 STORED_NAMES = {"residual_shapes": "details", "region_weights": "shares", "hold_strength": "held"}
 
 EngineModel = dynamorph.ReducedModel | dynamorph.FullModel
@@ -32,9 +32,9 @@ class Model:
     node_weights (n, B + 1), embedding_nodes and embedding_weights (V, 4), displacements (J, n, 3), residual_shapes
     (J, V, 3) local space: what the cage cannot carry of the targets' shapes; to_bind (3, 3); parents (B,), rest
     (B, 4, 4) of the skeleton. basis (3 free, r), table_lambda and table_mu (J, ...) of a reduced model
-    (dynamorph.ReducedTables), empty of a full one; responses (3 free, h), response_lambda and response_mu (J, ...) and
-    reach (r) of one with responses, else empty. Static morph targets have no nodes: their residual shapes are the
-    shapes.
+    (dynamorph.ReducedTables), empty of a full one. Of one with responses, else empty: responses (3 free, h),
+    response_lambda and response_mu (J, h) their stiffness, coupling_lambda and coupling_mu (J, ...) in single precision
+    as it is simulated, reach (r). Static morph targets have no nodes: their residual shapes are the shapes.
     """
 
     nodes: np.ndarray
@@ -60,6 +60,8 @@ class Model:
     responses: np.ndarray
     response_lambda: np.ndarray
     response_mu: np.ndarray
+    coupling_lambda: np.ndarray
+    coupling_mu: np.ndarray
     reach: np.ndarray
     bone_names: tuple[str, ...]
     settings: ModelSettings
@@ -85,6 +87,8 @@ class Model:
         """The inverse of `to_arrays`. Raises ModelFileError when something is missing."""
         none, no_table = np.zeros(0), np.zeros((0, 0))  # older models have none
         later = dict.fromkeys(("held", "hold", "thickness"), none) | dict.fromkeys(RESPONSE_ARRAYS, no_table)
+        if "coupling_lambda" not in arrays and "response_lambda" in arrays:  # it is part of response_lambda
+            later |= dict.fromkeys(("coupling_lambda", "coupling_mu"), np.zeros((len(arrays["response_lambda"]), 0)))
         arrays = later | arrays
         try:
             return cls(
@@ -129,9 +133,11 @@ class Model:
         law = dynamorph.Law.__members__[self.settings.law]
         if self.settings.solver == "FULL":
             return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
+        lame_lambda = np.hstack([self.response_lambda, self.coupling_lambda])
+        lame_mu = np.hstack([self.response_mu, self.coupling_mu])
         tables = dynamorph.ReducedTables(
-            law, self.basis, list(self.table_lambda), list(self.table_mu), self.responses, list(self.response_lambda),
-            list(self.response_mu), self.reach.reshape(-1),
+            law, self.basis, list(self.table_lambda), list(self.table_mu), self.responses, list(lame_lambda),
+            list(lame_mu), self.reach.reshape(-1),
         )  # fmt: skip
         return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
 

@@ -19,6 +19,7 @@ Error incomplete(const std::string& what) {
 }
 
 constexpr const char* dtype_of(double) { return "F64"; }
+constexpr const char* dtype_of(float) { return "F32"; }
 constexpr const char* dtype_of(std::int32_t) { return "I32"; }
 constexpr const char* dtype_of(std::uint8_t) { return "BOOL"; }
 
@@ -105,18 +106,33 @@ MatrixXd surface_modes(const Content& content, const SoftBody& body, const Matri
   return modes;
 }
 
+/// One Lame parameter's table of the responses of each target: their stiffness, then their coupling, which is in an
+/// array of its own and in single precision, unless the model is older.
+std::vector<VectorXd> response_tables(const Content& content, const std::string& lame, Eigen::Index targets,
+                                      Eigen::Index size) {
+  MatrixXd rows = table<double>(content, "response_" + lame, {targets, -1});
+  if (content.find("coupling_" + lame)) {
+    const auto coupling = table<float>(content, "coupling_" + lame, {targets, -1});
+    rows.conservativeResize(Eigen::NoChange, rows.cols() + coupling.cols());
+    rows.rightCols(coupling.cols()) = coupling.cast<double>();
+  }
+  if (rows.cols() != size) throw incomplete("response_" + lame);
+  std::vector<VectorXd> out;
+  for (Eigen::Index j = 0; j < targets; ++j) out.push_back(rows.row(j));
+  return out;
+}
+
 /// The responses (ReducedTables), which older models lack.
 void add_responses(const Content& content, ReducedTables& tables, Eigen::Index targets) {
   const Array* responses = content.find("responses");
   if (!responses || responses->bytes.empty()) return;
+  const TableLayout layout = tables.layout();
   tables.responses = table<double>(content, "responses", {tables.basis.rows(), -1});
-  tables.reach = table<double>(content, "reach", {tables.basis.cols()});
-  const auto lambda = table<double>(content, "response_lambda", {targets, -1});
-  const auto mu = table<double>(content, "response_mu", {targets, lambda.cols()});
-  for (Eigen::Index j = 0; j < targets; ++j) {
-    tables.response_lambda.push_back(lambda.row(j));
-    tables.response_mu.push_back(mu.row(j));
-  }
+  tables.reach = table<double>(content, "reach", {layout.r});
+  if (!(tables.reach.array() > 0).all()) throw incomplete("reach");
+  const Eigen::Index size = tables.responses.cols() * (1 + (layout.nonlinear ? layout.pairs() : 0));
+  tables.response_lambda = response_tables(content, "lambda", targets, size);
+  tables.response_mu = response_tables(content, "mu", targets, size);
 }
 
 }  // namespace

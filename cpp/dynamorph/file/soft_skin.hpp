@@ -12,14 +12,14 @@
 
 namespace dynamorph::file {
 
-/// V surface vertices, r modes, J targets, B bones.
+/// V surface vertices, n coordinates of the model (of its modes, then of its responses), J targets, B bones.
 struct SoftSkin {
   std::shared_ptr<const ReducedModel> model;
   std::vector<std::string> bone_names;  ///< (B); the model has one more bone, the object itself, which comes last
-  MatrixXd modes;                       ///< (3V, r) displacement of the surface, local space
+  MatrixXd modes;                       ///< (3V, n) displacement of the surface by each coordinate, local space
   MatrixXd residual_shapes;             ///< (3V, J) the part of the targets' shapes that the nodes cannot represent
 
-  /// Displacement of the surface (3V) before skinning, in the mesh object's local space, at the coordinates (r) and
+  /// Displacement of the surface (3V) before skinning, in the mesh object's local space, at the coordinates (n) and
   /// target weights (J) of a step.
   VectorXd surface(const VectorXd& coordinates, const VectorXd& weights) const {
     return modes * coordinates + residual_shapes * weights;

@@ -179,8 +179,8 @@ MatrixXd shapes_of_targets(const FullModel& model, const VectorXd& root) {
 void check_counts(int r, int h, Index shapes, Index dofs) {
   const auto number = [](Index n) { return std::to_string(n); };
   if (r <= shapes)
-    throw Error(number(r) + " modes in full detail are too few: the shapes of the targets alone take " + number(shapes) +
-                ". Ask for " + number(shapes + 1) + " or more.");
+    throw Error(number(r) + " modes in full detail are too few: the shapes of the targets alone take " +
+                number(shapes) + ". Ask for " + number(shapes + 1) + " or more.");
   if (Index(r) + h >= dofs / 2)
     throw Error("A Detail of " + number(Index(r) + h) + " modes is too much for this cage, whose nodes can move in " +
                 number(dofs) + " ways. Ask for fewer than " + number(dofs / 2) + " modes, or raise Cage Nodes.");

@@ -237,11 +237,30 @@ TEST_CASE("response basis: reports its progress, can be stopped, and refuses wha
     CHECK_THROWS_AS(make_response_basis(full, 9, 12, stop), Cancelled);
     CHECK_THROWS_AS(reduce(full, basis, stop), Cancelled);
   }
-  CHECK_THROWS_AS(make_response_basis(full, 2, 12), Error);  // the targets' shapes alone
-  CHECK_THROWS_AS(make_response_basis(full, 9, 72), Error);  // half of all that there are
+  CHECK_THROWS_WITH_AS(make_response_basis(full, 2, 12),
+                       "2 modes in full detail are too few: the shapes of the targets alone take 2. Ask for 3 or more.",
+                       Error);
+  CHECK_THROWS_WITH_AS(
+      make_response_basis(full, 9, 72),
+      "A Detail of 81 modes is too much for this cage, whose nodes can move in 162 ways. Ask for fewer "
+      "than 81 modes, or raise Cage Nodes.",
+      Error);
   CHECK_THROWS_AS(make_response_basis(full, -3, 12), Error);
   const FullModel neutral(body, {targets(*body)[0]}, Law::stvk, Blending::even);
   CHECK(make_response_basis(neutral, 30, 12).U.cols() == 30);  // more than two bones' loads
+}
+
+TEST_CASE("response basis: how the modes bend takes a while, of which it reports and in which it can be stopped") {
+  const auto body = chain_bar(8, 1, 2);
+  const FullModel full(body, {targets(*body)[0]}, Law::stvk, Blending::even);
+  const auto bending = [](double done) { return done > 0.5 && done < 0.85; };
+  int reports = 0;
+  make_response_basis(full, 25, 10, [&](double done) {
+    reports += bending(done);
+    return true;
+  });
+  CHECK(reports > 0);
+  CHECK_THROWS_AS(make_response_basis(full, 25, 10, [&](double done) { return !bending(done); }), Cancelled);
 }
 
 TEST_CASE("response basis: of a body that nothing but a hold keeps in place") {
