@@ -82,8 +82,6 @@ class ReducedModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
-  /// Changes of the coordinates that single precision does not notice, where the energy was expanded last.
-  double resolution(const Blend& blend) const { return blend.exact ? 0 : 1e-7 * blend.v.norm(); }
   /// From now on, until the next call of `blend`, sums in double precision. Returns whether it did not before.
   bool refine(Blend& blend) const { return !std::exchange(blend.exact, true); }
   /// Blends by out.weights, which must be set before.

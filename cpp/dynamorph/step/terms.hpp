@@ -50,7 +50,6 @@ struct ElasticTerm {
   void evaluate(const Vector& q) {
     if constexpr (Arithmetic::kLanes == 1) {
       energy = model->linearize(*blend, q, gradient, hessian);
-      resolution = model->resolution(*blend);
     } else {
       model->linearize(*blend, q, energy, gradient, hessian);
       Arithmetic::subtract(q, blend->centre, from_centre_);
