@@ -63,7 +63,6 @@ class FullModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& q) const;
   double linearize(const Blend& blend, const VectorXd& q, VectorXd& force, Matrix& stiffness) const;
-  bool refine(Blend&) const { return false; }          ///< it always sums in double precision
   void inertia(const InertialTarget& inertial, const SetDensities& densities, Inertia& out) const;
   void displacement(const VectorXd& q, VectorXd& u) const { u = q; }
   void project_force(const VectorXd& f, VectorXd& out) const { out = f; }

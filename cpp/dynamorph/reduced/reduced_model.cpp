@@ -35,16 +35,6 @@ void multiply_packed(const VectorXd& S, const VectorXd& x, VectorXd& y) {
   }
 }
 
-/// v_k v_l of every pair of modes, doubled for a pair that stands for both its orders.
-template <class Real>
-void take_pairs(const Real* v, Eigen::Index r, Real* pairs) {
-  for (Eigen::Index k = 0; k < r; ++k) {
-    const Real twice = 2 * v[k];
-    *pairs++ = v[k] * v[k];
-    for (Eigen::Index l = k + 1; l < r; ++l) *pairs++ = twice * v[l];
-  }
-}
-
 double packed_quadratic(const VectorXd& S, const VectorXd& x) {
   double sum = 0;
   for (Eigen::Index k = 0, p = 0; k < x.size(); ++k)
@@ -168,7 +158,7 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
   if (w.size() != Eigen::Index(targets_.size()))
     throw std::invalid_argument("weights: expected " + std::to_string(targets_.size()) + ", got " +
                                 std::to_string(w.size()));
-  out.exact = blending_ == Blending::forces;  // about z = 0, where single precision would move the targets
+  out.anchored = false;
   if (out.of == this && out.weights.size() == w.size() && out.weights == w) return;  // the pose did not change
   out.of = this;
   const Eigen::Index r = layout_.r, pairs = layout_.pairs();
@@ -207,26 +197,42 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
 }
 
 void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
+  constexpr double kNear = 0.03;  // of v
   const Eigen::Index r = layout_.r, rows = padded_pairs_;
-  blend.v = z.head(r) - blend.centre;
-  if (!layout_.nonlinear && blend.linear.size() == rows) return;  // always zero
-  blend.linear.setZero(rows);
-  blend.quadratic.setZero(rows);
-  if (!layout_.nonlinear) return;
-  const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
-  if (!blend.exact) {
-    blend.single.resize(r);
-    blend.single_pairs.resize(rows, 0.0F);
-    for (Eigen::Index k = 0; k < r; ++k) blend.single[k] = float(blend.v(k));
-    take_pairs(blend.single.data(), r, blend.single_pairs.data());
-    add_short_product(table, rows, blend.single.data(), r, blend.linear.data());
-    add_short_symmetric_product(table + rows * r, rows, blend.single_pairs.data(), blend.quadratic.data());
-  } else {
-    blend.pairs.setZero(rows);
-    take_pairs(blend.v.data(), r, blend.pairs.data());
-    add_single_product(table, rows, blend.v.data(), r, blend.linear.data());
-    add_symmetric_product(table + rows * r, rows, blend.pairs.data(), blend.quadratic.data());
+  Blend::Orders &now = blend.now, &anchor = blend.anchor;
+  now.v = z.head(r) - blend.centre;
+  if (!layout_.nonlinear && now.linear.size() == rows) return;  // always zero
+  if (!layout_.nonlinear) {
+    now.linear.setZero(rows);
+    now.quadratic.setZero(rows);
+    return;
   }
+  now.pairs.setZero(rows);
+  double* pair = now.pairs.data();
+  for (Eigen::Index k = 0; k < r; ++k) {
+    *pair++ = now.v(k) * now.v(k);
+    for (Eigen::Index l = k + 1; l < r; ++l) *pair++ = 2 * now.v(k) * now.v(l);
+  }
+  const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
+  // With forces blending v is the displacement from rest, of which even a small part hides the way to a target.
+  const bool near = blending_ == Blending::even && blend.anchored;
+  if (!near || (now.v - anchor.v).norm() > kNear * now.v.norm()) {
+    now.linear.setZero(rows);
+    now.quadratic.setZero(rows);
+    add_single_product(table, rows, now.v.data(), r, now.linear.data());
+    add_symmetric_product(table + rows * r, rows, now.pairs.data(), now.quadratic.data());
+    anchor = now;
+    blend.anchored = true;
+    return;
+  }
+  blend.change.resize(r);
+  blend.pair_changes.resize(rows);
+  for (Eigen::Index k = 0; k < r; ++k) blend.change[k] = float(now.v(k) - anchor.v(k));
+  for (Eigen::Index p = 0; p < rows; ++p) blend.pair_changes[p] = float(now.pairs(p) - anchor.pairs(p));
+  now.linear = anchor.linear;
+  now.quadratic = anchor.quadratic;
+  add_short_product(table, rows, blend.change.data(), r, now.linear.data());
+  add_short_symmetric_product(table + rows * r, rows, blend.pair_changes.data(), now.quadratic.data());
 }
 
 double ReducedModel::energy(const Blend& blend, const VectorXd& z) const {
@@ -238,10 +244,10 @@ double ReducedModel::linearize(const Blend& blend, const VectorXd& z, VectorXd& 
   const Eigen::Index r = layout_.r;
   force.resize(dofs());
   if (!stiffness.fits(layout_.r, dofs())) stiffness = zero();
-  const double energy = contract_orders(blend.stiffness.data(), blend.linear.data(), blend.quadratic.data(),
-                                        blend.v.data(), r, force.data(), stiffness.corner().data());
+  const double energy = contract_orders(blend.stiffness.data(), blend.now.linear.data(), blend.now.quadratic.data(),
+                                        blend.now.v.data(), r, force.data(), stiffness.corner().data());
   force.head(r) += blend.force;
-  return blend.energy + blend.force.dot(blend.v) + energy + responses_.add(blend.responses, z, force, stiffness);
+  return blend.energy + blend.force.dot(blend.now.v) + energy + responses_.add(blend.responses, z, force, stiffness);
 }
 
 void ReducedModel::blend(EightBlend& out) const {

@@ -3,7 +3,6 @@
 // linear responses W.
 #pragma once
 
-#include <utility>
 #include <variant>
 
 #include "dynamorph/models/morph_target.hpp"
@@ -47,11 +46,15 @@ class ReducedModel {
     VectorXd force;           ///< f at v = 0
     double energy = 0;        ///< E at v = 0
     VectorXd centre;          ///< v = z - centre
-    bool exact = false;       ///< whether the nonlinear orders are summed in double precision
-    /// Scratch: v and its pairs, in single precision too, the orders of the packed tangent, results that the energy
-    /// does not need, the tables with a weight.
-    mutable VectorXd v, pairs, linear, quadratic, unused_force;
-    mutable LaneVector<float> single, single_pairs;
+    /// Scratch: v, its pairs and the orders of the packed tangent, first where they were summed in double precision
+    /// (`expand`), then where they are wanted; changes of v and pairs; results that the energy does not need.
+    struct Orders {
+      VectorXd v, pairs, linear, quadratic;
+    };
+    mutable bool anchored = false;  ///< whether `anchor` is of this pose
+    mutable Orders anchor, now;
+    mutable LaneVector<float> change, pair_changes;
+    mutable VectorXd unused_force;
     mutable Matrix unused_stiffness;
     Responses::Blend responses;
     VectorXd packed_damping;
@@ -82,8 +85,6 @@ class ReducedModel {
   void blend(const VectorXd& w, Blend& out) const;
   double energy(const Blend& blend, const VectorXd& z) const;
   double linearize(const Blend& blend, const VectorXd& z, VectorXd& force, Matrix& stiffness) const;
-  /// From now on, until the next call of `blend`, sums in double precision. Returns whether it did not before.
-  bool refine(Blend& blend) const { return !std::exchange(blend.exact, true); }
   /// Blends by out.weights, which must be set before.
   void blend(EightBlend& out) const;
   void linearize(EightBlend& blend, const LaneVector<DoubleW>& z, DoubleW& energy, LaneVector<DoubleW>& force,
@@ -98,7 +99,8 @@ class ReducedModel {
   Matrix zero() const { return Matrix(layout_.r, responses_.count()); }
 
  private:
-  /// Computes the packed orders of the tangent at v, in the scratch.
+  /// Computes the packed orders of the tangent at v, in the scratch: in double precision, and near there only what has
+  /// changed, in single precision. So a step that converges loses nothing by it.
   void expand(const Blend& blend, const VectorXd& z) const;
 
   std::shared_ptr<const SoftBody> body_;

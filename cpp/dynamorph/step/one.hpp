@@ -20,7 +20,7 @@ struct One {
   using Matrix = MatrixType;
   static constexpr bool kSparse = std::is_same_v<Matrix, SparseMatrix>, kArrow = std::is_same_v<Matrix, ArrowMatrix>;
   static constexpr int kLanes = 1, kHalvings = 19;
-  static constexpr double kNoise = kArrow ? 1e-7 : 1e-12;  ///< relative, of an energy; arrow: in single precision
+  static constexpr double kNoise = 1e-12;  ///< relative, of an energy
 
   /// Solves H x = b. Returns the lanes in which H is not positive definite.
   class Solver {

@@ -216,12 +216,7 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   };
   const double nothing = options_.tolerance * model_->body().size * model_->metre();
   const NewtonLimits limits{options_.tolerance, nothing, max_iterations};
-  begin_ = q;
-  NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
-  if (found.open && found.iterations < max_iterations && model_->refine(blend_)) {  // round-off hid the way down
-    q = begin_;
-    found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
-  }
+  const NewtonReport<Arithmetic> found = dynamorph::minimize(potential, newton_, q, 1, limits, ask);
   if (found.broken)
     throw Error("A step failed because a force is not finite. Check the rig and the materials at this frame.");
   StepReport report;

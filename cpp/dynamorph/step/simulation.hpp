@@ -101,7 +101,6 @@ class Simulation {
   typename Model::Inertia inertia_;
   typename Model::Matrix damped_;
   VectorXd next_, velocity_, resistance_;  ///< coordinates of the step, bind-pose velocity, and damping at it
-  VectorXd begin_;                         ///< where a minimization begins
   QuadraticTerm<Arithmetic> quadratic_;
   ElasticTerm<Model, Arithmetic, const typename Model::Blend> elastic_;
   NewtonScratch<Arithmetic> newton_;
