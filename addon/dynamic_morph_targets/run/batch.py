@@ -8,12 +8,14 @@ all at once, so that it is one undo step and an error before it changes nothing.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from ..core.errors import Cancelled, SceneError
 from ..core.rig_samples import RigSamples
+from ..core.time_left import TimeLeft
 from .bake_result import write_all
 from .job import Job
 
@@ -31,6 +33,7 @@ class Batch:
         self.jobs = jobs
         self.goal = goal
         self.undone = False  # by the user, since it began
+        self.time_left = TimeLeft()
         self._at = jobs[0]
 
     @property
@@ -102,6 +105,7 @@ class Batch:
 
     def _turn(self, reading: bool = False) -> Iterator[None]:
         """The window's turn, and what came of it."""
+        self.time_left.learn(time.monotonic(), self.fraction)
         yield
         if self._at.cancelled:
             raise Cancelled

@@ -59,6 +59,7 @@ class Computation:
         self.shot: Shot | None = None
         self.previous = given.previous  # the model whose cage may serve
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
+        self._shot_from = READ  # of the job, the part that is done before the shot is simulated
         self._needs_model = given.model is None
         self._chunks = 0  # that were simulated
         self._best: tuple[Character, Bake, dict, Verdict]  # what the rehearsal keeps; the dictionary is the report
@@ -144,7 +145,7 @@ class Computation:
                 if self.progress.cancelled:
                     return
         adopt(outcome, calibration.calibrated(given.character, outcome.references))
-        self.progress.fraction = built
+        self.progress.fraction = self._shot_from = built
         outcome.warnings += model.summary["warnings"]
 
     def _take_model(self, model: Model) -> None:
@@ -161,6 +162,7 @@ class Computation:
             self._judge(shot)
             if not self._rehearse_again():
                 return True
+            self.progress.fraction = self._shot_from
             if self._chunks > 1:  # of the rig the last is left: it is read again
                 self.rig, self._chunks, self.shot = None, 1, None
                 return False
@@ -172,7 +174,7 @@ class Computation:
         assert rig is not None  # a shot has one
         with self.progress.stage("simulate"):
             if self.shot is None:
-                progress = self.progress.part(self.progress.fraction if given.reasons else READ, 1.0)
+                progress = self.progress.part(self._shot_from, 1.0)
                 self.shot = simulate.Shot(outcome.model, outcome.character, given.settings, progress)
                 if given.first is not None:
                     self.shot.resume(given.resumed, given.first)

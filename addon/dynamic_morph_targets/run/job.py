@@ -120,8 +120,9 @@ class Job(Progress):
             return True
         with self.stage("sample rig"), self.request.scene.as_context():
             done = self._reader.advance(seconds, self.computation.previous)
-        progress = self.part(self.computation.read_from, READ)
+        before, progress = self.fraction, self.part(self.computation.read_from, READ)
         progress(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
+        self.fraction = max(before, self.fraction)  # another chunk than the first
         return done
 
     def next_chunk(self) -> bool:

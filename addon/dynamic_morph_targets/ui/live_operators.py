@@ -101,6 +101,8 @@ class PreviewOperator(TissueOperator):
 
     bl_options = {"REGISTER"}  # it leaves nothing that could be undone
 
+    lasts: float | None = None  # seconds; None: until it is stopped
+
     def apply(self, obj):
         running = Preview(obj, type(self))
         try:
@@ -126,7 +128,7 @@ class PreviewOperator(TissueOperator):
             return {"PASS_THROUGH"} if self.passes(event) else {"RUNNING_MODAL"}
         result = {"CANCELLED"}
         try:
-            result = report_errors(self, self._tick)
+            result = report_errors(self, self._tick, context)
         finally:
             if result != {"RUNNING_MODAL"}:
                 self._end(context)
@@ -157,7 +159,7 @@ class PreviewOperator(TissueOperator):
         events.redraw_status(context)
         return {"RUNNING_MODAL"}
 
-    def _tick(self):
+    def _tick(self, context):
         """Show the frame that is due now. A slow window drops frames, as playback does."""
         if rig_motion.render_runs():  # which reads what would be written
             return {"RUNNING_MODAL"}
@@ -168,6 +170,9 @@ class PreviewOperator(TissueOperator):
             self.largest = max(self.largest, self.running.tissue.moved(values))
         if frames:
             self.running.show(*frames[-1])
+        if self.lasts is not None:
+            self.running.seconds_left = max(self.lasts - self.done / self.fps, 0.0)
+            events.redraw_status(context)
         if len(frames) == due:
             return {"RUNNING_MODAL"}
         self._report(self.largest)
@@ -204,6 +209,10 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
     seconds: FloatProperty(
         name="Seconds", description="Duration of the test", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
     )
+
+    @property
+    def lasts(self) -> float:
+        return self.seconds
 
     def passes(self, event) -> bool:
         """Only navigation: an undo step would store the rig in its shaken position."""

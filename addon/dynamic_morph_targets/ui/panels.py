@@ -8,6 +8,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Panel
 
 from ..core import engine, feel
+from ..core.time_left import clock
 from ..run import batch, preview
 from ..scene import checks, skin
 from ..scene.registration import of_classes
@@ -15,7 +16,7 @@ from . import paint_operators
 from .panel_attachments import DYNAMORPH_UL_pieces, draw_pieces
 from .panel_bake import DYNAMORPH_UL_modes, draw_bake, draw_live, draw_model, draw_modes, draw_plain, draw_setup
 from .panel_targets import DYNAMORPH_MT_targets, DYNAMORPH_UL_targets, draw_target_weights, draw_targets
-from .widgets import draw_job, draw_message, draw_problem
+from .widgets import draw_job, draw_message, draw_problem, progress_text
 
 
 def draw_soft_skin(layout, context, obj):
@@ -133,10 +134,11 @@ def draw_status(header, _context):
     """What runs, at the left of the status bar of every window, wherever it was started."""
     work = batch.running
     if work:
-        text = iface_("{done:.0%}  {message}    Esc: cancel")
-        text = text.format(done=work.fraction, message=iface_(work.message))
+        text = iface_("{progress}    Esc: cancel").format(progress=progress_text(work))
     elif preview.preview:
-        text = iface_("{name}    Esc: stop").format(name=iface_(preview.preview.label))
+        seconds = preview.preview.seconds_left
+        text = iface_("{name}    Esc: stop" if seconds is None else "{name}  {time} left    Esc: stop")
+        text = text.format(name=iface_(preview.preview.label, "Operator"), time=clock(seconds or 0.0))
     else:
         return
     header.layout.label(text=text, translate=False)

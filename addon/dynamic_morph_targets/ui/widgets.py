@@ -7,6 +7,7 @@ import textwrap
 
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..core.time_left import clock
 from ..run import batch
 
 LINE = 34  # characters that fit into the sidebar at its default width
@@ -28,8 +29,15 @@ def draw_job(layout, operator: str, icon: str, text: str | None = None):
         layout.operator(operator, text=text, icon=icon)
         return
     row = layout.row(align=True)
-    row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {iface_(job.message)}")
+    row.progress(factor=job.fraction, text=progress_text(job))
     row.operator("dynamorph.cancel", text="", icon="X")
+
+
+def progress_text(work: batch.Batch) -> str:
+    """How much of it is done, the time left as soon as that can be said, and what it does."""
+    seconds = work.time_left.seconds
+    text = iface_("{done:.0%}  {message}" if seconds is None else "{done:.0%}  {time} left  {message}")
+    return text.format(done=work.fraction, time=clock(seconds or 0.0), message=iface_(work.message))
 
 
 def draw_outdated(layout, reasons: list[str]):
