@@ -20,6 +20,7 @@ def _modules():
         export_operators,
         feel_operators,
         job_operators,
+        languages,
         live_operators,
         material_operators,
         overlays,
@@ -35,6 +36,7 @@ def _modules():
     )
 
     return (
+        languages,
         preferences,
         properties,
         job_operators,

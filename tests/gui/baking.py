@@ -65,7 +65,7 @@ def out_of_date():
     yield from select_target(1)
     yield from sidebar.unfold("targets[1].stiffness", above="dynamorph.build")
     yield from sidebar.enter("targets[1].stiffness", str(round(2.0 * settings().targets[1].stiffness)))
-    assert addon("scene.staleness").outdated(skin()) == ['stiffness of "flexed" changed']
+    assert addon("scene.staleness").outdated(skin()) == ['Stiffness of "flexed" changed']
     yield from sidebar.fold("targets[1].stiffness")
     yield from sidebar.scroll("WHEELDOWNMOUSE", 40)  # to what the panel says of it
 

@@ -180,8 +180,13 @@ def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
     settings, (first, last) = given.settings, given.before[0].frames[[0, -1]].astype(int).tolist()
     if settings.start > last + 1 or settings.end < first - 1:
         raise SceneError(
-            f"'{given.name}': frames {settings.start} to {settings.end} are not next to those of the last bake, "
-            f"{first} to {last}: choose others, or turn Keep Other Frames off"
+            "'{name}': frames {start} to {end} are not next to those of the last bake, {first} to {last}: choose "
+            "others, or turn Keep Other Frames off",
+            name=given.name,
+            start=settings.start,
+            end=settings.end,
+            first=first,
+            last=last,
         )
     whole = {"start": min(settings.start, first), "end": max(settings.end, last)}
     given.inputs["simulation"] |= whole

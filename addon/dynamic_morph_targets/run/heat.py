@@ -105,7 +105,7 @@ def holds(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     if isinstance(found, str):
         raise SceneError(found)
     if len(found[obj.session_uid]) != len(obj.data.vertices):
-        raise SceneError(f"'{obj.name}' has other vertices than its model: press Build Model")
+        raise SceneError("'{name}' has other vertices than its model: press Build Model", name=obj.name)
     return found
 
 

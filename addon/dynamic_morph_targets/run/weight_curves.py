@@ -18,7 +18,7 @@ from bpy.app.handlers import persistent
 
 from ..core import rig_samples
 from ..core.character import Target, TargetSet
-from ..core.errors import SceneError
+from ..core.errors import SceneError, sentence
 from ..core.settings import Material
 from ..core.target_weights import Space, TargetWeights
 from ..scene import checks, events, references, rig_motion, skin
@@ -74,7 +74,7 @@ def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Target
     space = space_of(obj)
     rig = checks.armature_modifier(obj).object.evaluated_get(depsgraph)
     if len(rig.pose.bones) != len(space.order):
-        raise SceneError(f"The bones of '{rig.name}' are being edited")
+        raise SceneError("The bones of '{name}' are being edited", name=rig.name)
     return space.weights_at(rig_motion.pose_matrices(rig, space.order)[None])
 
 
@@ -120,7 +120,7 @@ class Reading:
                 return False
             self._shot.pose = rig_samples.keep_collapsed(self._sampling.samples(), self._skeleton)[0].pose
         except SceneError as error:
-            self._shot.problem = str(error)
+            self._shot.problem = sentence(error)
             shots[self._rig] = self._shot
             raise
         shots[self._rig] = self._shot

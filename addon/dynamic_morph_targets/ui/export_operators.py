@@ -19,7 +19,7 @@ from ..scene import events, skin
 from ..scene.registration import of_classes
 from ..write import comparison, exports, losses
 from . import widgets
-from .base import SoftSkinOperator, listed, report_errors
+from .base import SoftSkinOperator, listed, report_errors, reported
 from .job_operators import JobOperator
 
 LINE = 60  # characters per line of a pop-up
@@ -31,7 +31,7 @@ FORMATS = [
 SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
 
 
-def draw_losses(layout, lost, width=LINE):
+def draw_losses(layout, lost, width=None):
     for text in lost:
         widgets.draw_message(layout, text, width=width)
 
@@ -63,7 +63,7 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
             self.report({"INFO"}, rpt_("{format} will show everything of '{name}'").format(format=label, name=obj.name))
         elif not bpy.app.background:  # the status bar shows the last alone
             window = bpy.context.window_manager
-            window.popup_menu(lambda menu, _: draw_losses(menu.layout, lost), title=label, icon="ERROR")
+            window.popup_menu(lambda menu, _: draw_losses(menu.layout, lost, LINE), title=label, icon="ERROR")
 
 
 class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
@@ -123,7 +123,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         if exports.FORMATS[self.format].skins:
             layout.prop(self, "clips")
         lost = _shown_losses(skin.mesh_in(context).session_uid, self.format, self.chosen_clips)
-        draw_losses(layout, lost, widgets.LINE)  # beside the files there is as little room as in the sidebar
+        draw_losses(layout, lost)
 
     def check(self, _context):
         """The file name follows the format."""
@@ -148,7 +148,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         try:
             bpy.ops.dynamorph.export_actions("INVOKE_DEFAULT", format=self.format, filepath=str(path))
         except RuntimeError as error:  # what it reported
-            raise errors.ExportError(str(error).removeprefix("Error: ").strip()) from error
+            raise errors.ExportError(reported(error)) from error
         return {"FINISHED"}
 
 

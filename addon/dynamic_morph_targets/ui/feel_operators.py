@@ -71,7 +71,7 @@ def _verdict(obj) -> verdict.Verdict:
     """Raises SceneError when there is none."""
     found = verdict.parsed(obj.dynamorph.bake.verdict)
     if found is None:
-        raise SceneError(f"'{obj.name}' has no verdict: press Bake first")
+        raise SceneError("'{name}' has no verdict: press Bake first", name=obj.name)
     return found
 
 
@@ -84,7 +84,7 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
     def apply(self, obj):
         found = _verdict(obj)
         if found.frame is None:
-            raise SceneError(f"'{obj.name}': the verdict names no frame: bake again")
+            raise SceneError("'{name}': the verdict names no frame: bake again", name=obj.name)
         if obj.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Edit Mode has a selection of its own
         mesh = obj.data
@@ -123,7 +123,7 @@ class DYNAMORPH_OT_stiffen(StartsJob, Operator):
         factor = _verdict(obj).factor
         measured = [target for target in obj.dynamorph.targets if target.is_measured]
         if not measured:
-            raise SceneError(f"'{obj.name}': the bounce has not been measured yet: press Build Model first")
+            raise SceneError("'{name}': the bounce has not been measured yet: press Build Model first", name=obj.name)
         before = measured[0].bounce
         for target in measured:
             by_hand = target.by_hand
@@ -143,7 +143,7 @@ class DYNAMORPH_OT_refine_cage(StartsJob, Operator):
         model = obj.dynamorph.model
         before = model.cage_nodes
         if before >= MOST_NODES:
-            raise SceneError(f"'{obj.name}': the cage has the maximum number of nodes: raise Bounce instead")
+            raise SceneError("'{name}': the cage has the maximum number of nodes: raise Bounce instead", name=obj.name)
         model.cage_nodes = min(round(FINER * before), MOST_NODES)
         self.report({"INFO"}, f"Cage Nodes {before} → {model.cage_nodes}")
 

@@ -221,7 +221,9 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
     def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, Matrix]]:
         for moved in movers(obj):
             if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
-                raise SceneError(f"'{moved.name}' rotates by Axis Angle: choose another rotation mode to twist it")
+                raise SceneError(
+                    "'{name}' rotates by Axis Angle: choose another rotation mode to twist it", name=moved.name
+                )
         return self._played(tissue, *shaken(obj, tissue, self.kind, self.seconds))
 
     @staticmethod
@@ -245,9 +247,9 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
     def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, None]]:
         """One swing per second; in the background, a single swing."""
         if tissue.dofs and not tissue.modes:
-            raise SceneError(f"'{obj.name}' is simulated without modes: set Quality to Reduced")
+            raise SceneError("'{name}' is simulated without modes: set Quality to Reduced", name=obj.name)
         if not tissue.modes:
-            raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
+            raise SceneError("'{name}' has no modes: choose another Method and build", name=obj.name)
         weights = tissue.player.begin(rig_motion.sample_present(obj, tissue.probe)).weights
         return self._swinging(obj.session_uid, tissue, weights)
 

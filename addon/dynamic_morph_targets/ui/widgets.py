@@ -5,17 +5,23 @@ from __future__ import annotations
 
 import textwrap
 
+import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..core.message import Message, joined, translated
 from ..core.time_left import clock
 from ..run import batch
 
-LINE = 34  # characters that fit into the sidebar at its default width
+FRAME = 76  # pixels at a UI scale of 1 beside a text: the sidebar's tabs, margins and an icon
+CHARACTER = 6.2  # such pixels that a character takes in a line of many wide ones
+SHORTEST = 16  # characters of a line, even where fewer fit
+DEFAULT = 280  # such pixels: the sidebar's width
+BUTTON = 10  # characters that make room for a button
 
 
 def draw_problem(layout, problem, icon: str):
     row = layout.row()
-    draw_message(row, problem.text, icon=icon, width=LINE - 10 if problem.fix else LINE)
+    draw_message(row, problem.text, icon=icon, width=line_length() - BUTTON if problem.fix else None)
     if problem.fix:
         button = row.column()
         button.alignment = "RIGHT"
@@ -33,19 +39,19 @@ def draw_job(layout, operator: str, icon: str, text: str | None = None):
     row.operator("dynamorph.cancel", text="", icon="X")
 
 
-def progress_text(work: batch.Batch) -> str:
+def progress_text(work: batch.Work) -> str:
     """How much of it is done, the time left as soon as that can be said, and what it does."""
     seconds = work.time_left.seconds
     text = iface_("{done:.0%}  {message}" if seconds is None else "{done:.0%}  {time} left  {message}")
-    return text.format(done=work.fraction, time=clock(seconds or 0.0), message=iface_(work.message))
+    return text.format(done=work.fraction, time=clock(seconds or 0.0), message=translated(work.message, iface_))
 
 
 def draw_outdated(layout, reasons: list[str]):
     """Up to three reasons. While a job runs they are outdated, so none is shown."""
     if reasons and not batch.running:
         more = len(reasons) - 3
-        text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
-        draw_message(layout, text.format(reasons=", ".join(reasons[:3]), count=more))
+        text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
+        draw_message(layout, Message(text, reasons=joined(", ", reasons[:3]), count=more))
 
 
 def draw_warnings(layout, warnings: str, said=""):
@@ -55,8 +61,21 @@ def draw_warnings(layout, warnings: str, said=""):
             draw_message(layout, warning)
 
 
-def draw_message(layout, text: str, icon="ERROR", width=LINE):
-    """Text, translated unless it was formatted, and broken into lines, because labels do not wrap."""
+def draw_message(layout, text: str, icon="ERROR", width: int | None = None):
+    """Text, translated, and broken into lines, because labels do not wrap. width: characters, if not what fits."""
     column = layout.column(align=True)
-    for i, line in enumerate(textwrap.wrap(iface_(text), width)):
+    for i, line in enumerate(textwrap.wrap(translated(text, iface_), width or line_length())):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
+
+
+def line_length() -> int:
+    """How many characters fit into a line of the region that is drawn."""
+    region = bpy.context.region
+    if region is None:  # there is no window
+        return characters(DEFAULT, 1.0)
+    return characters(region.width, bpy.context.preferences.system.ui_scale)
+
+
+def characters(width: float, scale: float) -> int:
+    """width: of a region, pixels; scale: of the interface."""
+    return max(int((width / scale - FRAME) / CHARACTER), SHORTEST)

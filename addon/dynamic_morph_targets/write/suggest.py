@@ -53,7 +53,11 @@ def suggestions(obj) -> tuple[list[Suggestion], list[str]]:
     neutral = obj.dynamorph.targets[0].local(skeleton)
     read = _axes_read(obj, rig, rig_world @ skeleton.pose(neutral), skeleton)
     if not read:
-        raise SceneError(f"'{obj.name}' has no shape key, besides targets, whose driver reads bones of '{rig.name}'")
+        raise SceneError(
+            "'{name}' has no shape key, besides targets, whose driver reads bones of '{rig}'",
+            name=obj.name,
+            rig=rig.name,
+        )
     found, skipped = [], []
     with _unchanged_pose(rig), events.unheard(), _Trial(obj, rig) as trial:
         targets.pose_rig(rig, skeleton, neutral)
