@@ -262,7 +262,9 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
         )
     found = outcome.verdict.as_dict(given.limits)
     if not found["ok"]:
-        outcome.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint the Softness Map")
+        outcome.warnings.append(
+            Message("{verdict}. Raise Bounce or Cage Nodes, or paint the Softness Map", verdict=found["text"])
+        )
 
 
 def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:

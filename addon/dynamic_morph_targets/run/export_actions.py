@@ -120,7 +120,9 @@ class ActionsExport(batch.Batch):
     @property
     def warnings(self) -> list[str]:
         return [
-            f"{clip.name}: {text}" for clip, job in zip(self.clips, self.jobs, strict=True) for text in job.warnings
+            message.joined(": ", [clip.name, text])
+            for clip, job in zip(self.clips, self.jobs, strict=True)
+            for text in job.warnings
         ]
 
     def write(self) -> Iterator[None]:

@@ -14,6 +14,7 @@ import numpy as np
 from ..core.character import Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import determinant, invertible, turned
+from ..core.message import Message
 from ..core.rig_samples import ForceField, RigSamples
 from . import checks, events, skinning
 from .checks import armature_modifier, refuse
@@ -39,7 +40,11 @@ def in_metres(worlds: np.ndarray, unit: float) -> np.ndarray:
 
 
 def not_a_number(name: str, frame: int) -> str:
-    return f"'{name}' has a transform that is not a number at frame {frame}: check its drivers and constraints"
+    return Message(
+        "'{name}' has a transform that is not a number at frame {frame}: check its drivers and constraints",
+        name=name,
+        frame=frame,
+    )
 
 
 def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:

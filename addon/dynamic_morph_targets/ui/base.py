@@ -78,9 +78,14 @@ class SoftSkinOperator:
         return report_errors(self, self._apply_reconciled, skin.mesh_in(context))
 
     def _apply_reconciled(self, obj):
-        if obj and obj.dynamorph.targets:
-            reconcile(obj)  # a script may have renamed a key just now
-        return self.apply(obj)
+        return self.apply(reconciled(obj))
+
+
+def reconciled(obj):
+    """The object, after references to what a script may have renamed just now are mended."""
+    if obj and obj.dynamorph.targets:
+        reconcile(obj)
+    return obj
 
 
 def at_work() -> str:

@@ -14,6 +14,7 @@ from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper
 
 from ..core import errors
+from ..core.message import translated
 from ..run import export_actions
 from ..scene import events, skin
 from ..scene.registration import of_classes
@@ -57,7 +58,7 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
     def apply(self, obj):
         lost = list(losses.losses(obj, self.format))
         for text in lost:
-            self.report({"WARNING"}, text)
+            self.report({"WARNING"}, translated(text, rpt_))
         label = exports.FORMATS[self.format].label
         if not lost:
             self.report({"INFO"}, rpt_("{format} will show everything of '{name}'").format(format=label, name=obj.name))
@@ -169,7 +170,7 @@ class DYNAMORPH_OT_export_actions(JobOperator, Operator):
     def _done(self, batch):
         obj = batch.jobs[0].target()
         for warning in batch.warnings:
-            self.report({"WARNING"}, warning)
+            self.report({"WARNING"}, translated(warning, rpt_))
         report_export(self, obj, batch.path, [clip.name for clip in batch.clips])
         return {"FINISHED"}
 
@@ -192,7 +193,7 @@ HANDLERS = dict.fromkeys(("depsgraph_update_post", "undo_post", "redo_post", "lo
 def report_export(operator, obj, path: Path, clips=()):
     """What was lost, and where the file is; clips: the names of those of Actions."""
     for text in losses.losses(obj, operator.format, "ACTIONS" if clips else "SCENE"):
-        operator.report({"WARNING"}, text)
+        operator.report({"WARNING"}, translated(text, rpt_))
     text = rpt_("'{name}' written as '{file}': {clips}" if clips else "'{name}' written as '{file}'")
     operator.report({"INFO"}, text.format(name=obj.name, file=path.name, clips=listed(clips)))
 

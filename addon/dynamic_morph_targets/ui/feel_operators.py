@@ -129,7 +129,8 @@ class DYNAMORPH_OT_stiffen(StartsJob, Operator):
             by_hand = target.by_hand
             target.bounce = factor * target.bounce
             target.by_hand = by_hand
-        self.report({"INFO"}, f"Bounce {before:.2g} Hz → {measured[0].bounce:.2g} Hz")
+        text = rpt_("Bounce {before:.2g} Hz → {after:.2g} Hz")
+        self.report({"INFO"}, text.format(before=before, after=measured[0].bounce))
 
 
 class DYNAMORPH_OT_refine_cage(StartsJob, Operator):
@@ -145,7 +146,8 @@ class DYNAMORPH_OT_refine_cage(StartsJob, Operator):
         if before >= MOST_NODES:
             raise SceneError("'{name}': the cage has the maximum number of nodes: raise Bounce instead", name=obj.name)
         model.cage_nodes = min(round(FINER * before), MOST_NODES)
-        self.report({"INFO"}, f"Cage Nodes {before} → {model.cage_nodes}")
+        text = rpt_("Cage Nodes {before} → {after}")
+        self.report({"INFO"}, text.format(before=before, after=model.cage_nodes))
 
 
 CLASSES = (

@@ -17,7 +17,7 @@ from ..scene import events, staleness
 from ..scene.registration import of_classes
 from ..scene.skin import is_shown_on, mesh_in, soft_skins
 from ..write import bake, live_key
-from .base import SoftSkinOperator, at_work, report_errors, reported
+from .base import SoftSkinOperator, at_work, reconciled, report_errors, reported
 
 TICK = 0.05  # seconds from one turn of a job to the next
 SLICE = 0.035  # seconds of a turn that may block the window, approximately
@@ -87,7 +87,7 @@ class JobOperator(SoftSkinOperator):
         batch.stop()
 
     def _begin(self, context):
-        self.batch = batch.running = self._batch(mesh_in(context))
+        self.batch = batch.running = self._batch(reconciled(mesh_in(context)))
         self.steps = self.batch.steps(SLICE, 0.0)
         self.shown = 0.0  # when
         self.timer = context.window_manager.event_timer_add(TICK, window=context.window)

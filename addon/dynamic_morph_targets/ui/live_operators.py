@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from itertools import islice
 
 import bpy
@@ -20,7 +21,7 @@ from mathutils import Matrix
 from ..core import records
 from ..core.character import target_labels
 from ..core.errors import SceneError, SinkError
-from ..run import live, preview
+from ..run import live, preview, task
 from ..run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ..scene import events, model_store, rig_motion, skin
 from ..scene.registration import of_classes
@@ -302,21 +303,30 @@ class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
             mode.gain, mode.solo = 1.0, False
 
 
-class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_check_targets(JobOperator, Operator):
     """Measure how far the soft skin at rest in each target's pose is from the sculpted shape"""
 
     bl_idname = "dynamorph.check_targets"
     bl_label = "Check Targets"
+    goal = "CHECK_TARGETS"
 
-    def apply(self, obj):
+    def _batch(self, obj):
+        return task.Task(obj, self.goal, self._misses(obj))
+
+    @staticmethod
+    def _misses(obj) -> task.Pieces[list[str]]:
         model, character = model_store.current_model(obj)
         from ..core import compare  # needs the engine, which is there now
 
-        misses = compare.residuals(model, character)
+        misses = yield from task.in_thread(partial(compare.residuals, model, character), "Checking targets")
         labels = zip(target_labels(character.target_sets), character.targets, strict=True)
-        lines = [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
-        obj.dynamorph.live.checks = "\n".join(lines)
-        self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
+        return [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
+
+    def _done(self, task):
+        obj = task.object.find()
+        obj.dynamorph.live.checks = "\n".join(task.result)
+        self.report({"INFO"}, f"{obj.name}: {', '.join(task.result)}")
+        return {"FINISHED"}
 
 
 class DYNAMORPH_OT_swap_slot(SoftSkinOperator, Operator):

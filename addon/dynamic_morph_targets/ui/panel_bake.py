@@ -51,7 +51,7 @@ def draw_modes(layout, obj):
         playing = preview.is_running("dynamorph.play_mode")
         row.operator("dynamorph.play_mode", icon="PAUSE" if playing else "PLAY", depress=playing)
         row.operator("dynamorph.reset_gains", icon="LOOP_BACK")
-    body.operator("dynamorph.check_targets", icon="CHECKMARK")
+    draw_job(body, "dynamorph.check_targets", "CHECKMARK")
     for line in filter(None, settings.live.checks.split("\n")):
         draw_message(body, line, icon="DOT")
 

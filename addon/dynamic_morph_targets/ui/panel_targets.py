@@ -11,7 +11,7 @@ from ..core import engine, errors
 from ..core.character import region_label
 from ..run import batch, weight_curves
 from ..scene import checks
-from .widgets import draw_message
+from .widgets import draw_job, draw_message
 
 FEW_BONES = 8  # more bones of a target than these are folded away
 WIDE = 340  # pixels at a resolution scale of 1; a list this wide has room for more than names
@@ -162,7 +162,7 @@ def draw_target_weights(layout, context, obj):
     row.operator("dynamorph.update_influence", text="", icon="FILE_REFRESH")
     if context.window_manager.dynamorph.target_weights and weight_curves.problem(obj):
         draw_message(body, weight_curves.problem(obj))
-    body.operator("dynamorph.suggest_pose", icon="VIEWZOOM")
+    draw_job(body, "dynamorph.suggest_pose", "VIEWZOOM")
 
 
 def draw_bars(layout, context, obj):

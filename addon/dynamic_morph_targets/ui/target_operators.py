@@ -10,6 +10,7 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy.types import Operator
 
 from ..core.errors import SceneError
+from ..run import task
 from ..run.live import remove_soft_skin
 from ..scene import checks, data_checks, mesh_data, rig_motion, skin
 from ..scene.references import key_points, rest_skeleton
@@ -17,6 +18,7 @@ from ..scene.registration import of_classes
 from ..write import muting, regions, suggest, targets
 from ..write.targets import capture, sculpted_key
 from .base import SoftSkinOperator, TargetOperator, listed
+from .job_operators import JobOperator
 
 # The list ----------------------------------------------------------------------------------------------------------
 
@@ -73,15 +75,18 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
         regions.update(obj)
 
 
-class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_suggest_targets(JobOperator, Operator):
     """Make targets from the shape keys whose drivers read bones, each at the pose in which its driver turns it on"""
 
     bl_idname = "dynamorph.suggest_targets"
     bl_label = "Suggest from Drivers"
+    goal = "SUGGEST_TARGETS"
 
-    def apply(self, obj):
-        found, skipped = suggest.suggestions(obj)
-        added = []
+    def _batch(self, obj):
+        return task.Task(obj, self.goal, suggest.suggestions(obj.session_uid))
+
+    def _done(self, task):
+        obj, (found, skipped), added = task.object.find(), task.result, []
         for suggestion in found:
             skeleton, local, _ = suggestion.pose
             other = targets.at_pose_of(obj, skeleton, local, suggestion.bones)
@@ -98,6 +103,7 @@ class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
         if not added:
             raise SceneError("; ".join(told))
         self.report({"WARNING" if skipped else "INFO"}, "; ".join(told))
+        return {"FINISHED"}
 
 
 class DYNAMORPH_OT_remove_target(TargetOperator, Operator):

@@ -81,11 +81,23 @@ def left_alone(obj) -> Iterator[str]:
         if other.type != "MESH" or other == obj or skinning.armature_modifiers(other):
             continue
         if other.parent_type == "BONE":
-            yield f"'{other.name}' is parented to bone '{other.parent_bone}': it moves with the bone and is left alone"
+            yield Message(
+                "'{name}' is parented to bone '{bone}': it moves with the bone and is left alone",
+                name=other.name,
+                bone=other.parent_bone,
+            )
         elif other.parent_type in {"VERTEX", "VERTEX_3"}:
-            yield f"'{other.name}' is parented to vertices of '{other.parent.name}': it moves with them"
+            yield Message(
+                "'{name}' is parented to vertices of '{parent}': it moves with them",
+                name=other.name,
+                parent=other.parent.name,
+            )
         else:
-            yield f"'{other.name}' is parented to '{other.parent.name}': it moves with it as a whole and is left alone"
+            yield Message(
+                "'{name}' is parented to '{parent}': it moves with it as a whole and is left alone",
+                name=other.name,
+                parent=other.parent.name,
+            )
 
 
 def _siblings(obj) -> list:

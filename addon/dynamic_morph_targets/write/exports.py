@@ -87,10 +87,17 @@ def check_bake(obj, key: str):
     if record.cache and not chosen.surface:
         raise ExportError(
             "The bake of '{name}' is a point cache, {format} writes shape keys: bake to Shape Keys first, or choose "
-            "Alembic or USD",
+            "{others}",
             name=obj.name,
             format=chosen.label,
+            others=surface_formats(),
         )
+
+
+def surface_formats() -> str:
+    """Those that have the posed surface itself, as a message names them."""
+    labels = [each.label for each in FORMATS.values() if each.surface and each.is_available]
+    return " or ".join(labels) or "a Blender that exports Alembic or USD"
 
 
 # Writers -----------------------------------------------------------------------------------------------------------
@@ -277,9 +284,13 @@ def _sampled_keys(obj, frames):
     scene, keys = bpy.context.scene, obj.data.shape_keys
     times = np.arange(frames[0], frames[1] + 1)
     values = np.empty((len(times), len(keys.key_blocks)), np.float32)
-    for row, frame in zip(values, times, strict=True):
+    window = bpy.context.window_manager
+    window.progress_begin(0, len(times))  # beside the pointer: Blender's exporters leave no room for more
+    for k, (row, frame) in enumerate(zip(values, times, strict=True)):
+        window.progress_update(k)
         scene.frame_set(int(frame))
         keys.key_blocks.foreach_get("value", row)
+    window.progress_end()
     animation = keys.animation_data
     before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
     names = [block.name for block in keys.key_blocks]
