@@ -21,6 +21,7 @@ def _modules():
         export_operators,
         feel_operators,
         job_operators,
+        languages,
         live_operators,
         material_operators,
         overlays,
@@ -36,6 +37,7 @@ def _modules():
     )
 
     return (
+        languages,
         preferences,
         properties,
         job_operators,

@@ -99,6 +99,6 @@ class Pressed:
             event = types.SimpleNamespace(type=next(events, "TIMER"), value="PRESS")
             self.result = self.operator.modal(bpy.context, event)
             self.turns += 1
-            for job in self.operator.batch.jobs:
+            for job in getattr(self.operator.batch, "jobs", ()):  # a task has none
                 if job.thread.is_alive():
                     job.thread.join(0.005)  # it goes on

@@ -241,6 +241,7 @@ CALLS = {  # what a button needs beforehand, and its arguments
     "duplicate_target": (target_selected, {}),
     "find_pieces": (other_mesh_selected, {}),
     "finish_sculpt": (sculpting, {}),
+    "fit_bounce": (built, {"frequency": 5.0, "settle": 0.5}),
     "fit_material": (built, {"frequency": 5.0, "settle": 0.5}),
     "fix": (enveloped, {"problem": "ENVELOPES"}),
     "first_look": (target_selected, {}),

@@ -685,8 +685,8 @@ def test_what_the_other_frames_were_made_from_is_said(shot, soft_arm):
     record = soft_arm.dynamorph.bake
     soft_arm.dynamorph.targets[1].stiffness *= 2.0
     job = rebaked(soft_arm, 8, 15)
-    assert any("other frames" in text and "stiffness" in text for text in job.warnings)
-    assert "stiffness" in record.warnings
+    assert any("other frames" in text and "Stiffness" in text for text in job.warnings)
+    assert "Stiffness" in record.warnings
     first = record.content_id
     rebaked(soft_arm, 8, 15)
     assert record.content_id != first  # it was made from another bake

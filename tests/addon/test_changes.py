@@ -31,10 +31,10 @@ def with_modes(obj):
 
 
 SETTINGS = [
-    ("targets[1].stiffness", 5e5, 'stiffness of "flexed" changed'),
-    ("targets[0].mass_damping", 3.0, 'mass damping of "Neutral" changed'),
-    ("targets[1].radius", 0.5, 'fade-out angle of "flexed" changed'),
-    ("targets[1].region", "lower", 'region of "flexed" changed'),
+    ("targets[1].stiffness", 5e5, 'Stiffness of "flexed" changed'),
+    ("targets[0].mass_damping", 3.0, 'Mass Damping of "Neutral" changed'),
+    ("targets[1].radius", 0.5, 'Fade-Out Angle of "flexed" changed'),
+    ("targets[1].region", "lower", 'Region of "flexed" changed'),
     ("model.modes", 7, "Detail (Modes) changed"),
     ("model.blending", "FORCES", "Between Targets changed"),
     ("soft_group", "lower", "Softness Map changed"),
@@ -90,11 +90,11 @@ def test_targets_that_are_added_removed_renamed_or_muted(scene, baked):
     bpy.ops.dynamorph.remove_target()
     assert outdated(baked) == []
     baked.dynamorph.targets[1].mute = True
-    assert outdated(baked) == ['mute of "biceps" changed'] == model_changes(baked)
+    assert outdated(baked) == ['Mute of "biceps" changed'] == model_changes(baked)
     baked.dynamorph.targets[1].mute = False
     baked.dynamorph.active_target_index = 1
     bpy.ops.dynamorph.capture_pose()
-    assert outdated(baked) == ['pose of "biceps" changed']
+    assert outdated(baked) == ['Pose of "biceps" changed']
     bpy.ops.dynamorph.remove_target()
     assert outdated(baked) == ['target "flexed" is gone']
 
@@ -236,7 +236,7 @@ def test_the_badge_names_three(baked):
     badge = "Out of date: "
     assert not any(text.startswith(badge) for text in drawn(baked))
     baked.dynamorph.targets[1].stiffness = 5e5
-    assert 'Out of date: stiffness of "flexed" changed' in " ".join(drawn(baked))
+    assert 'Out of date: Stiffness of "flexed" changed' in " ".join(drawn(baked))
     simulation = baked.dynamorph.simulation
     simulation.substeps, simulation.scheme, simulation.gravity, simulation.loop = 9, "EULER", 0.5, True
     assert "Substeps Per Frame changed, Integrator changed, and 2 more" in " ".join(drawn(baked))
@@ -373,7 +373,7 @@ def test_records_have_a_version_and_older_ones_have_none(baked):
         setattr(record, name, json.dumps(values["animation"] if name == "animation" else values))
     assert outdated(baked) == [] == model_changes(baked)
     baked.dynamorph.targets[1].stiffness = 5e5
-    assert outdated(baked) == ['stiffness of "flexed" changed']
+    assert outdated(baked) == ['Stiffness of "flexed" changed']
 
 
 def test_a_set_of_settings_with_unknown_fields_is_put_without_them(baked):

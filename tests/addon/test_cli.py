@@ -87,7 +87,7 @@ def test_loops_and_what_is_out_of_date(shot, run, stand_in):
     bpy.data.objects["Arm"].dynamorph.targets[1].stiffness = 5e5
     bpy.data.objects["Arm Rig"].keyframe_insert("location", frame=3)
     code, out, _ = run("info", "--object", "Arm", opens_file=False)
-    assert 'bake state: stiffness of "flexed" changed; animation of "Arm Rig" changed' in out
+    assert 'bake state: Stiffness of "flexed" changed; animation of "Arm Rig" changed' in out
 
 
 def test_all_in_place(shot, run, stand_in):

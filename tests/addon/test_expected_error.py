@@ -46,7 +46,7 @@ def measured(obj) -> float | None:
 
 
 def said(obj) -> str:
-    return " ".join(drawn(obj))
+    return " ".join(drawn(obj, "DYNAMORPH_PT_physics"))
 
 
 def test_the_panel_shows_it_after_a_build(coarse):

@@ -50,6 +50,7 @@ def test_zip_holds_the_add_on_and_a_wheel_for_this_python(archive):
         names = files.namelist()
         manifest = tomllib.loads(files.read("blender_manifest.toml").decode())
     assert {"blender_manifest.toml", "__init__.py", "LICENSE", "LICENSES.md"} <= set(names)
+    assert {"translations/de.json", "translations/fr.json"} <= set(names)
     tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
     assert any(name.startswith("wheels/dynamorph-") and tag in name for name in names)
     assert manifest["platforms"] == ["linux-x64"]

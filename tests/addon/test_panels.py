@@ -70,6 +70,8 @@ def test_progress_takes_the_row_of_the_state(soft_arm, stand_in):
         for panel in (SIDEBAR, PHYSICS):
             assert drawn(soft_arm, panel)[:8] == ["0%  Frame 7", "dynamorph.cancel", *BUTTONS]
         assert not bpy.ops.dynamorph.build.poll() and not bpy.ops.dynamorph.bake.poll()
+        job.fraction, batch.running.time_left.seconds = 0.38, 11.4
+        assert "38%  0:12 left  Frame 7" in drawn(soft_arm)
     finally:
         batch.running = None
 
@@ -153,10 +155,16 @@ def test_the_status_bar_says_what_runs(soft_arm, stand_in, monkeypatch):
     assert status() == []
     job = part("job").Job(soft_arm, goal="BAKE")
     job.fraction, job.message = 0.4, "Frame 7"
-    monkeypatch.setattr(part("batch"), "running", job)
+    running = part("batch").Batch([job], "BAKE")
+    monkeypatch.setattr(part("batch"), "running", running)
     assert status() == ["40%  Frame 7    Esc: cancel"]
+    running.time_left.seconds = 72.0
+    assert status() == ["40%  1:12 left  Frame 7    Esc: cancel"]
     monkeypatch.setattr(part("batch"), "running", None)
-    monkeypatch.setattr(part("preview"), "preview", types.SimpleNamespace(label="Shake Test"))
+    shake = types.SimpleNamespace(label="Shake Test", seconds_left=1.5)
+    monkeypatch.setattr(part("preview"), "preview", shake)
+    assert status() == ["Shake Test  0:02 left    Esc: stop"]
+    shake.seconds_left = None
     assert status() == ["Shake Test    Esc: stop"]
 
 

@@ -202,7 +202,7 @@ def test_a_local_object_with_a_linked_mesh_is_refused(asset):
     activate(obj)
     assert obj.library is None and obj.data.library
     before = state()
-    for name in set(CALLS) - {"apply_feel", "apply_material", "fit_material", "fix"}:
+    for name in set(CALLS) - {"apply_feel", "apply_material", "fit_bounce", "fit_material", "fix"}:
         assert not getattr(OPS, name).poll(), name
     told = part("job_operators").DYNAMORPH_OT_bake.disabled_reason(bpy.context)
     assert told.startswith(f"The mesh of '{obj.name}' is linked") and "make it local" in told
@@ -221,7 +221,7 @@ def test_an_override_keeps_materials_alone(asset, tmp_path):
     obj.dynamorph.simulation.preroll = 7
     before = state()
     assert {"flexed", "stiffness"} <= set(drawn(obj))
-    for name in set(CALLS) - {"apply_feel", "apply_material", "fit_material"}:
+    for name in set(CALLS) - {"apply_feel", "apply_material", "fit_bounce", "fit_material"}:
         assert not getattr(OPS, name).poll(), name
     for goal in ("BUILD", "BAKE"):
         with pytest.raises(part("errors").SinkError, match="'Arm' is a library override.*make it local"):

@@ -84,7 +84,7 @@ def out_of_date():
     yield from sidebar.fold("DYNAMORPH_PT_targets")
     yield from sidebar.unfold("DYNAMORPH_PT_material")
     yield from sidebar.enter("targets[1].stiffness", str(round(2.0 * settings().targets[1].stiffness)))
-    assert addon("scene.staleness").outdated(skin()) == ['stiffness of "flexed" changed']
+    assert addon("scene.staleness").outdated(skin()) == ['Stiffness of "flexed" changed']
     yield from sidebar.fold("DYNAMORPH_PT_material")
 
 

@@ -22,6 +22,7 @@ def fit():
     yield from sidebar.unfold("DYNAMORPH_PT_material")
     yield from sidebar.pop_up("dynamorph.fit_material")
     yield from sidebar.key("RET")
+    yield from job_done()
 
 
 # Presets -------------------------------------------------------------------------------------------------------------
@@ -139,4 +140,18 @@ def preferences():
         driver.photograph("opened_DynamorphPreferences")
     finally:
         area.type = "VIEW_3D"
+    yield from driver.drawn()
+
+
+@step("The interface in German")
+def german():
+    preferences = bpy.context.preferences.view
+    before = preferences.language
+    preferences.language = "de_DE"
+    try:
+        assert bpy.app.translations.pgettext_iface("Build Model", "Operator") == "Modell aufbauen"
+        yield from driver.drawn()
+        driver.photograph("german", sidebar.box)
+    finally:
+        preferences.language = before
     yield from driver.drawn()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import platform
+import time
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import bpy
 
 from ..core import baked
+from ..core.time_left import TimeLeft, clock
 from ..run.batch import Batch
 from ..run.job import Job
 
@@ -81,14 +83,18 @@ class Progress:
         self.openjd = openjd
         self.step = 1 if openjd else 10
         self.percent = -1
+        self.time_left = TimeLeft()
 
     def __call__(self, job: Job | Batch) -> None:
+        self.time_left.learn(time.monotonic(), job.fraction)
         percent = int(100 * job.fraction) // self.step * self.step
         if percent > self.percent:
             self.percent = percent
-            print(f"{job.name}: {percent:3d} %  {job.message}", flush=True)
+            seconds = self.time_left.seconds
+            message = job.message if seconds is None else f"{clock(seconds)} left  {job.message}"
+            print(f"{job.name}: {percent:3d} %  {message}", flush=True)
             if self.openjd:
-                print(f"openjd_progress: {percent}\nopenjd_status: {job.name}: {job.message}", flush=True)
+                print(f"openjd_progress: {percent}\nopenjd_status: {job.name}: {message}", flush=True)
 
 
 def print_table(job: Job, save_seconds: float) -> None:

@@ -91,7 +91,7 @@ def build_cage(character: Character, progress: Progress | None = None, previous:
     and errors as for `build`.
     """
     if character.settings.method == "STATIC":
-        raise SceneError(f"'{character.name}' needs no cage: with the Method Static nothing is simulated")
+        raise SceneError("'{name}' needs no cage: with the Method Static nothing is simulated", name=character.name)
     authored = dependencies(character)
     stages = Stages(progress, CAGE_SHARE)
     mesh = _reusable(previous, authored)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -183,10 +183,12 @@ def figures(run: Run, authored: Character) -> dict:
     return row
 
 
-def residuals(model: Model, authored: Character) -> dict[str, float]:
+def residuals(
+    model: Model, authored: Character, report: Callable[[float], object] = lambda _fraction: None
+) -> dict[str, float]:
     """For each authored target, how far the skin at rest in its captured pose is from the shape sculpted for it.
 
-    The largest distance over the surface, meters, without gravity.
+    The largest distance over the surface, meters, without gravity. report(fraction) is called after each target.
     """
     simulated = authored.by_method()
     poses = np.array([target.local for target in authored.targets])
@@ -194,10 +196,12 @@ def residuals(model: Model, authored: Character) -> dict[str, float]:
     sculpted = np.tensordot(posing.pose_space(authored).weights(poses), shapes, 1)
     weights = posing.pose_space(simulated).weights(poses)
     statics, to_metres = Statics(model, authored), authored.to_bind.T
-    return {
-        target.name: float(np.linalg.norm((statics.surface(weights[j]) - sculpted[j]) @ to_metres, axis=1).max())
-        for j, target in enumerate(authored.targets)
-    }
+    found = {}
+    for j, target in enumerate(authored.targets):
+        miss = (statics.surface(weights[j]) - sculpted[j]) @ to_metres
+        found[target.name] = float(np.linalg.norm(miss, axis=1).max())
+        report((j + 1) / len(authored.targets))
+    return found
 
 
 class Statics:

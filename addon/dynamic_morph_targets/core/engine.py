@@ -7,7 +7,7 @@ import sys
 from functools import lru_cache
 from types import ModuleType
 
-from .errors import DynamorphError, EngineNotFoundError
+from .errors import DynamorphError, EngineNotFoundError, sentence
 
 _threads, _told = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
 
@@ -21,8 +21,9 @@ def engine() -> tuple[ModuleType, ModuleType]:
         import dynamorph  # noqa: F401
     except Exception as error:  # a wheel for another system fails in many ways
         raise EngineNotFoundError(
-            f"The engine cannot be loaded ({error}). Install the Dynamorph extension made for this Blender and system "
-            "from its .zip, or with pip the package 'dynamorph', and restart"
+            "The engine cannot be loaded ({error}). Install the Dynamorph extension made for this Blender and system "
+            "from its .zip, or with pip the package 'dynamorph', and restart",
+            error=error,
         ) from error
     _tell_threads()
     from . import build, simulate
@@ -36,7 +37,7 @@ def engine_problem() -> str:
     try:
         engine()
     except EngineNotFoundError as error:
-        return str(error)
+        return sentence(error)
     return ""
 
 

@@ -3,11 +3,19 @@
 
 from __future__ import annotations
 
+from .message import Message
+
 NO_MEMORY = "There is not enough memory for this. Close other programs, bake fewer frames, or lower Cage Nodes or Modes"
 
 
 class DynamorphError(Exception):
-    """The message is for the artist: it says what is wrong and what to do."""
+    """The message is for the artist: it says what is wrong and what to do.
+
+    text: in English, with {names} where values belong, if there are any: see `message.Message`.
+    """
+
+    def __init__(self, text: str = "", /, **values: object):
+        super().__init__(Message(text, **values) if values else text)
 
 
 class InputError(DynamorphError):
@@ -63,5 +71,7 @@ class SinkError(DynamorphError):
 
 
 def sentence(error: BaseException) -> str:
-    """What the artist is told of an error that is expected (see `engine.expected_errors`)."""
-    return NO_MEMORY if isinstance(error, MemoryError) else str(error)
+    """What the artist is told of an error that is expected (see `engine.expected_errors`), for `message.translated`."""
+    if isinstance(error, MemoryError):
+        return NO_MEMORY
+    return error.args[0] if isinstance(error, DynamorphError) else str(error)

@@ -31,8 +31,10 @@ def as_keys(bake: Bake, output: OutputSettings, to_bind: np.ndarray) -> tuple[Ba
         kept = key_frames(bake, output.tolerance, to_bind) if output.tolerance else every_nth(bake, output.every)
         if len(kept) > MOST_KEYS:
             raise ClipError(
-                f"{len(kept)} shape keys are too many, {MOST_KEYS} are the most: raise Frame Step or Tolerance, or "
-                "choose a point cache"
+                "{count} shape keys are too many, {most} are the most: raise Frame Step or Tolerance, or choose a "
+                "point cache",
+                count=len(kept),
+                most=MOST_KEYS,
             )
         return by_frames(bake, kept), off_between(bake, kept, to_bind)
     if output.sink in POINT_CACHES:

@@ -6,6 +6,8 @@ from __future__ import annotations
 import logging
 import traceback
 
+from .message import Message
+
 logger = logging.getLogger("dynamic_morph_targets")  # prints to the console unless it is told otherwise
 _told: set[tuple] = set()  # kinds and places of the bugs that `log_once` has logged
 
@@ -26,7 +28,8 @@ def log_once(error: BaseException) -> None:
 
 def bug_sentence(error: BaseException) -> str:
     """What the artist is told of an error that nobody expected."""
-    return (
-        f"Dynamorph failed ({type(error).__name__}: {error}). This is a bug: please report it, with the traceback in "
-        "the system console"
+    return Message(
+        "Dynamorph failed ({kind}: {error}). This is a bug: please report it, with the traceback in the system console",
+        kind=type(error).__name__,
+        error=error,
     )

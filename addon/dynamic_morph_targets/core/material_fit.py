@@ -71,7 +71,9 @@ def fit_oscillation(
     1, by default that of the target. Poisson's ratio and density stay. The damping of other targets is ignored.
     """
     if not (np.isfinite([frequency, decay]).all() and frequency > 0.0 and decay >= 0.0):
-        raise FitError(f"frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero")
+        raise FitError(
+            "frequency {frequency} Hz, decay {decay} 1/s: give numbers above zero", frequency=frequency, decay=decay
+        )
     character, patch = checked(model, character, target, patch)
     now = character.targets[target].material
     omega_now = natural_frequency(model, full_engine(model, character), target, patch)
@@ -108,8 +110,9 @@ def _stiffness_for(
         slope = max((now - reached) / step, 0.05)
         stiffness, reached = stiffness + step, now
     raise FitError(
-        f"'{character.targets[target].name}' cannot swing at {omega / (2 * pi):.3g} Hz: its size, or the tissue around "
-        "its region, sets the pace"
+        "'{name}' cannot swing at {frequency:.3g} Hz: its size, or the tissue around its region, sets the pace",
+        name=character.targets[target].name,
+        frequency=omega / (2 * pi),
     )
 
 
@@ -230,8 +233,8 @@ def checked(model: Model, character: Character, target: int, patch: np.ndarray |
     character = character.by_method()
     if not len(model.tets):
         raise FitError(
-            f"'{character.name}': the model simulates nothing, so no material can be fitted: choose another Method "
-            "and build it"
+            "'{name}': the model simulates nothing, so no material can be fitted: choose another Method and build it",
+            name=character.name,
         )
     if not 0 <= target < len(character.targets):
         raise ValueError(f"target: expected 0 to {len(character.targets) - 1}, got {target}")

@@ -99,7 +99,7 @@ class Model:
                 summary={"seconds": {}, **meta["summary"]},
             )
         except (KeyError, TypeError) as error:
-            raise ModelFileError(f"The stored model is incomplete ({error}): build it again") from error
+            raise ModelFileError("The stored model is incomplete ({error}): build it again", error=error) from error
 
     @property
     def skeleton(self) -> Skeleton:
@@ -127,7 +127,7 @@ class Model:
         """
         character = character.by_method()
         if len(character.targets) != len(self.displacements):
-            raise SceneError(f"'{character.name}' has other targets than its model: build it again")
+            raise SceneError("'{name}' has other targets than its model: build it again", name=character.name)
         targets = morph_targets(character, self.displacements)
         blending = dynamorph.Blending.__members__[character.settings.blending]
         law = dynamorph.Law.__members__[self.settings.law]

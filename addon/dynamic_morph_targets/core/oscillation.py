@@ -38,7 +38,7 @@ class Oscillation:
 def decay_of(settle: float) -> float:
     """The decay (1/s) of an oscillation with this settle time in seconds."""
     if not settle > 0.0:
-        raise FitError(f"the motion settles in {settle} s: give a time above zero")
+        raise FitError("the motion settles in {settle} s: give a time above zero", settle=settle)
     return log(1 / REST) / settle
 
 
@@ -74,7 +74,9 @@ def _track(times: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.nda
     times, positions = np.asarray(times, float), np.asarray(positions, float)
     if times.ndim != 1 or len(times) < 10 or positions.ndim > 2 or len(positions) != len(times):
         raise FitError(
-            f"expected at least 10 times (n,) and positions (n,) or (n, 3), got {times.shape} and {positions.shape}"
+            "expected at least 10 times (n,) and positions (n,) or (n, 3), got {times} and {positions}",
+            times=times.shape,
+            positions=positions.shape,
         )
     if not (np.isfinite(times).all() and np.isfinite(positions).all()):
         raise FitError("some times or positions are not numbers: remove those samples")
@@ -147,7 +149,9 @@ def read_columns(path: Path, counts: tuple[int, ...]) -> np.ndarray:
         table = np.empty(0)
     if table.ndim != 2 or table.shape[1] not in counts:
         wanted = " or ".join(map(str, counts))
-        raise FitError(f"'{path.name}': expected {wanted} numbers with commas between them in every line")
+        raise FitError(
+            "'{name}': expected {wanted} numbers with commas between them in every line", name=path.name, wanted=wanted
+        )
     return table
 
 

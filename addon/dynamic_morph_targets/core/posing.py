@@ -49,7 +49,12 @@ def pose_space(character: WithTargets) -> dynamorph.PoseSpace:
         named = sorted({bone for target in target_set.targets for bone in target.bones})
         missing = [bone for bone in named if bone not in names]
         if missing:
-            raise SceneError(f"'{character.name}': bone '{missing[0]}' of target set '{target_set.name}' is missing")
+            raise SceneError(
+                "'{name}': bone '{bone}' of target set '{target_set}' is missing",
+                name=character.name,
+                bone=missing[0],
+                target_set=target_set.name,
+            )
         sets.append(
             dynamorph.TargetSet(
                 [names.index(bone) for bone in named],

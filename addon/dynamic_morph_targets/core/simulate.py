@@ -15,6 +15,7 @@ from .cage import Progress, Report
 from .character import Character
 from .geometry import determinant
 from .loops import cycle, loop_warnings
+from .message import Message
 from .model import Model
 from .player import STEP, Frame, Player
 from .rig_samples import RigSamples
@@ -46,9 +47,10 @@ def _player(model: Model, character: Character, settings: SimulationSettings, pr
 
     def keep_going() -> bool:
         done = (player.number - settings.first) / len(settings.simulated)
-        message = f"Simulating frame {player.number}"
+        message = Message("Simulating frame {frame}", frame=player.number)
         if settings.loop:  # the number of passes is not known
-            done, message = 1.0 - 0.5 ** (player.passes + done), f"{message}, pass {player.passes + 1}"
+            done = 1.0 - 0.5 ** (player.passes + done)
+            message = Message("Simulating frame {frame}, pass {count}", frame=player.number, count=player.passes + 1)
         return progress is None or progress(done, message)
 
     player = Player(model, character, settings, keep_going=keep_going)
@@ -205,10 +207,12 @@ def _report(frames: np.ndarray, steps: np.ndarray) -> dict:
     }
     unconverged = _whole(frames[by_name["converged"] == 0])
     if unconverged:
-        warnings.append(f"Steps did not converge at {_some(unconverged)}: raise Substeps Per Frame")
+        warnings.append(
+            Message("Steps did not converge at {frames}: raise Substeps Per Frame", frames=_some(unconverged))
+        )
     cuts = _whole(frames[by_name["teleported"] != 0])
     if cuts:
-        warnings.append(f"The rig jumps at {_some(cuts)}: the soft skin was carried along")
+        warnings.append(Message("The rig jumps at {frames}: the soft skin was carried along", frames=_some(cuts)))
     return report
 
 
@@ -217,9 +221,9 @@ def _whole(frames: np.ndarray) -> list[int]:
     return np.unique(np.ceil(frames)).astype(int).tolist()
 
 
-def _some(numbers: list[int]) -> str:
+def _some(numbers: list[int]) -> Message:
     listed = ", ".join(map(str, numbers[:5])) + (", ..." if len(numbers) > 5 else "")
-    return f"frame{'s' * (len(numbers) > 1)} {listed}"
+    return Message("frames {numbers}" if len(numbers) > 1 else "frame {numbers}", numbers=listed)
 
 
 def _worst_elements(player: Player, coordinates: np.ndarray, static: np.ndarray) -> dict:

@@ -52,7 +52,12 @@ def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: floa
             output = accessors[sampler["output"]]
             keys = accessors[sampler["input"]]["count"]
             if keys <= last:
-                raise ExportError(f"The animation has {keys} keys, the clip '{name}' is to end with the {last + 1}th")
+                raise ExportError(
+                    "The animation has {keys} keys, the clip '{name}' is to end with the {end}th",
+                    keys=keys,
+                    name=name,
+                    end=last + 1,
+                )
             each = output["count"] // keys  # values per key; for weights, one per morph target
             size = SIZES[output["componentType"]] * WIDTHS[output["type"]]
             begin = output.get("byteOffset", 0) + first * each * size

@@ -48,7 +48,9 @@ def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
         array = np.asarray(array)
         little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
         if little.dtype.str not in TAGS:
-            raise ModelFileError(f"Array '{name}' has type {array.dtype}: only numbers can be stored")
+            raise ModelFileError(
+                "Array '{name}' has type {dtype}: only numbers can be stored", name=name, dtype=array.dtype
+            )
         chunk = little.tobytes()
         tensors[name] = {
             "dtype": TAGS[little.dtype.str],
@@ -61,7 +63,7 @@ def pack(arrays: dict[str, np.ndarray], meta: dict) -> bytes:
     try:
         text = json.dumps(meta, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise ModelFileError(f"The description cannot be stored: {error}") from error
+        raise ModelFileError("The description cannot be stored: {error}", error=error) from error
     return _header_bytes(tensors, text, json.dumps(hashes)) + b"".join(chunks)
 
 

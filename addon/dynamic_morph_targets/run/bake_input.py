@@ -18,6 +18,7 @@ from ..core import engine, errors, judge, records
 from ..core.character import Follower
 from ..core.errors import SceneError
 from ..core.keys import united
+from ..core.message import Message, joined
 from ..io import point_cache
 from ..io.cache_dir import CacheDir
 from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
@@ -103,7 +104,11 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
     for mesh in (obj, *(handle.find() for handle in handles(given.followers))):
         lost = ", ".join(f"'{name}'" for name in overwritten_keys(mesh))
         if lost:
-            given.warnings.append(f"The point cache of '{mesh.name}' plays over shape keys that move too: {lost}")
+            given.warnings.append(
+                Message(
+                    "The point cache of '{name}' plays over shape keys that move too: {lost}", name=mesh.name, lost=lost
+                )
+            )
 
 
 def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bool:
@@ -181,15 +186,20 @@ def _read_kept(given: BakeInput, obj: bpy.types.Object) -> None:
     settings, (first, last) = given.settings, given.before[0].frames[[0, -1]].astype(int).tolist()
     if settings.start > last + 1 or settings.end < first - 1:
         raise SceneError(
-            f"'{given.name}': frames {settings.start} to {settings.end} are not next to those of the last bake, "
-            f"{first} to {last}: choose others, or turn Keep Other Frames off"
+            "'{name}': frames {start} to {end} are not next to those of the last bake, {first} to {last}: choose "
+            "others, or turn Keep Other Frames off",
+            name=given.name,
+            start=settings.start,
+            end=settings.end,
+            first=first,
+            last=last,
         )
     whole = {"start": min(settings.start, first), "end": max(settings.end, last)}
     given.inputs["simulation"] |= whole
     run_up = min(settings.start - whole["start"], max(settings.preroll, round(settings.fps)))
-    since = ", ".join(staleness.outdated(obj))
-    if since:
-        given.warnings.append(f"Since the other frames were baked: {since}")
+    changes = staleness.outdated(obj)
+    if changes:
+        given.warnings.append(Message("Since the other frames were baked: {changes}", changes=joined(", ", changes)))
     if settings.loop:
         given.warnings.append("A part of a bake cannot be a loop: Loop is ignored")
     given.settings = replace(settings, loop=False)

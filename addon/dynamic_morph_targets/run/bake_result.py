@@ -57,7 +57,7 @@ def target(request: Request, given: BakeInput) -> bpy.types.Object:
     for handle, vertices in meshes:
         obj = handle.find()
         if len(obj.data.vertices) != len(vertices):
-            raise SceneError(f"Mesh '{obj.name}' changed while the job ran: nothing was written, start again")
+            raise SceneError("Mesh '{name}' changed while the job ran: nothing was written, start again", name=obj.name)
     return request.target.find()
 
 

@@ -8,17 +8,46 @@ all at once, so that it is one undo step and an error before it changes nothing.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from ..core.errors import Cancelled, SceneError
+from ..core.message import joined
 from ..core.rig_samples import RigSamples
+from ..core.time_left import TimeLeft
 from .bake_result import write_all
 from .job import Job
 
-running: Batch | None = None  # the work whose progress the panels draw
+UNDONE = "The scene was undone while '{name}' was read: nothing was written, start again"
+
+
+class Work(Protocol):
+    """What a window runs step by step, with progress: a `Batch`, or a `task.Task`. undone: by the user, meanwhile."""
+
+    goal: str
+    undone: bool
+    time_left: TimeLeft
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def message(self) -> str: ...
+    @property
+    def fraction(self) -> float: ...
+    def steps(self, seconds: float = ..., pause: float = ...) -> Iterator[None]: ...
+    def cancel(self) -> None: ...
+    def abandon(self) -> None: ...
+    def stop(self) -> None: ...
+
+
+running: Work | None = None  # the work whose progress the panels draw
 winding_down: list[threading.Thread] = []  # of cancelled jobs: the engine has not noticed yet
+
+
+W = TypeVar("W", bound=Work)
 
 
 class Batch:
@@ -31,6 +60,7 @@ class Batch:
         self.jobs = jobs
         self.goal = goal
         self.undone = False  # by the user, since it began
+        self.time_left = TimeLeft()
         self._at = jobs[0]
 
     @property
@@ -39,7 +69,8 @@ class Batch:
 
     @property
     def message(self) -> str:
-        return f"{self.name}: {self._at.message}" if len(self.jobs) > 1 else self._at.message
+        message = self._at.message
+        return joined(": ", [self.name, message]) if len(self.jobs) > 1 else message
 
     @property
     def fraction(self) -> float:
@@ -102,11 +133,12 @@ class Batch:
 
     def _turn(self, reading: bool = False) -> Iterator[None]:
         """The window's turn, and what came of it."""
+        self.time_left.learn(time.monotonic(), self.fraction)
         yield
         if self._at.cancelled:
             raise Cancelled
         if reading and self.undone:
-            raise SceneError(f"The scene was undone while '{self.name}' was read: nothing was written, start again")
+            raise SceneError(UNDONE, name=self.name)
 
     def abandon(self) -> None:
         """Cancel, and leave the thread to end when the engine notices; what it comes to is dropped."""
@@ -128,9 +160,9 @@ def run(job: Job, tick: Callable[[Job], object] | None = None) -> None:
     run_all(Batch([job], job.request.goal), tick and (lambda _batch: tick(job)))
 
 
-def run_all(batch: Batch, tick: Callable[[Batch], object] | None = None) -> None:
-    """All jobs at once, or nothing. tick(batch): as in `run`."""
-    _exhaust(batch, batch.steps(), tick)
+def run_all(work: W, tick: Callable[[W], object] | None = None) -> None:
+    """All jobs at once, or nothing. tick(work): as in `run`."""
+    _exhaust(work, work.steps(), tick)
 
 
 def read_rig(job: Job) -> RigSamples:
@@ -140,14 +172,14 @@ def read_rig(job: Job) -> RigSamples:
     return job.take_rig()
 
 
-def _exhaust(batch: Batch, steps: Iterator[None], tick: Callable[[Batch], object] | None = None) -> None:
+def _exhaust(work: W, steps: Iterator[None], tick: Callable[[W], object] | None = None) -> None:
     """All steps; if one fails, no thread is left."""
     try:
         for _ in steps:
             if tick:
-                tick(batch)
+                tick(work)
     except BaseException:
-        batch.stop()
+        work.stop()
         raise
 
 

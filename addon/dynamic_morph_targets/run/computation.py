@@ -19,6 +19,7 @@ from ..core.baked import Bake
 from ..core.errors import SceneError, SelfCheckError
 from ..core.judge import Verdict
 from ..core.keys import as_keys, splice
+from ..core.message import Message
 from ..core.rehearsal import Rehearsal
 from ..core.rig_samples import RigSamples
 from ..io import model_file, paths, point_cache
@@ -59,13 +60,16 @@ class Computation:
         self.shot: Shot | None = None
         self.previous = given.previous  # the model whose cage may serve
         self.read_from = 0.0  # of the job, the part that is done before the rig is read
+        self._shot_from = READ  # of the job, the part that is done before the shot is simulated
         self._needs_model = given.model is None
         self._chunks = 0  # that were simulated
         self._best: tuple[Character, Bake, dict, Verdict]  # what the rehearsal keeps; the dictionary is the report
         self._rehearsal: Rehearsal | None = None  # until it has finished
         if given.rehearsed_from:
             self._rehearsal = Rehearsal(given.rehearsed_from)
-            self.outcome.rehearsed = f"Bounce of {given.rehearsed_from:.3g} Hz keeps the skin within Max Displacement"
+            self.outcome.rehearsed = Message(
+                "Bounce of {frequency:.3g} Hz keeps the skin within Max Displacement", frequency=given.rehearsed_from
+            )
 
     @property
     def needs_cage(self) -> bool:
@@ -144,7 +148,7 @@ class Computation:
                 if self.progress.cancelled:
                     return
         adopt(outcome, calibration.calibrated(given.character, outcome.references))
-        self.progress.fraction = built
+        self.progress.fraction = self._shot_from = built
         outcome.warnings += model.summary["warnings"]
 
     def _take_model(self, model: Model) -> None:
@@ -161,6 +165,7 @@ class Computation:
             self._judge(shot)
             if not self._rehearse_again():
                 return True
+            self.progress.fraction = self._shot_from
             if self._chunks > 1:  # of the rig the last is left: it is read again
                 self.rig, self._chunks, self.shot = None, 1, None
                 return False
@@ -172,7 +177,7 @@ class Computation:
         assert rig is not None  # a shot has one
         with self.progress.stage("simulate"):
             if self.shot is None:
-                progress = self.progress.part(self.progress.fraction if given.reasons else READ, 1.0)
+                progress = self.progress.part(self._shot_from, 1.0)
                 self.shot = simulate.Shot(outcome.model, outcome.character, given.settings, progress)
                 if given.first is not None:
                     self.shot.resume(given.resumed, given.first)
@@ -210,8 +215,9 @@ class Computation:
             adopt(outcome, character)
         if rehearsal.best != rehearsal.asked:
             kept = outcome.verdict.excess(limits) <= judge.SHOWS
-            came = ": the skin stays within Max Displacement" if kept else ", and the skin still moves too far"
-            outcome.rehearsed = f"Bounce raised from {rehearsal.asked:.3g} to {rehearsal.best:.3g} Hz{came}"
+            text = "Bounce raised from {before:.3g} to {frequency:.3g} Hz"
+            text += ": the skin stays within Max Displacement" if kept else ", and the skin still moves too far"
+            outcome.rehearsed = Message(text, before=rehearsal.asked, frequency=rehearsal.best)
         return False
 
 
@@ -236,7 +242,9 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     outcome.carried = [followers.follow(outcome.model, outcome.bake, follower) for follower in outside]
     for name in ("coordinates", "weights", "modes", "residual_shapes", "static"):
         if not all(np.isfinite(getattr(bake, name)).all() for bake in (outcome.bake, *outcome.carried)):
-            raise SelfCheckError(f"'{given.name}': the engine's {name} are not numbers: nothing was written")
+            raise SelfCheckError(
+                "'{name}': the engine's {result} are not numbers: nothing was written", name=given.name, result=name
+            )
     progress.message = "Making keys"
     with progress.stage("make keys"):
         if given.before:
@@ -249,10 +257,14 @@ def finish(given: BakeInput, outcome: Outcome, progress: Progress) -> None:
     first, last = outcome.model.summary.get("fitted", (settings.start, settings.end))
     uses_modes = outcome.model.settings.solver == "REDUCED"
     if uses_modes and (settings.start < first or settings.end > last):
-        outcome.warnings.append(f"The modes were fitted to frames {first} to {last}: press Build Model")
+        outcome.warnings.append(
+            Message("The modes were fitted to frames {first} to {last}: press Build Model", first=first, last=last)
+        )
     found = outcome.verdict.as_dict(given.limits, given.can_rehearse)
     if not found["ok"]:
-        outcome.warnings.append(f"{found['text']}. Raise Bounce or Cage Nodes, or paint the Softness Map")
+        outcome.warnings.append(
+            Message("{verdict}. Raise Bounce or Cage Nodes, or paint the Softness Map", verdict=found["text"])
+        )
 
 
 def of_meshes(given: BakeInput, model: Model, bake: Bake) -> list[Bake]:
@@ -293,7 +305,7 @@ def _make_keys(given: BakeInput, outcome: Outcome, output: OutputSettings) -> No
         try:
             keys, error = as_keys(whole, output, to_metres)
         except errors.ClipError as refusal:
-            raise SceneError(f"'{name}': {refusal}") from refusal
+            raise SceneError("'{name}': {refusal}", name=name, refusal=refusal) from refusal
         off = max(off, error)
         all_keys += of_meshes(given, outcome.model, keys)
         bakes += of_meshes(given, outcome.model, whole)

@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..core import keys
+from ..core import keys, message
 from ..core.baked import Bake
 from ..core.errors import ExportError, SceneError
 from ..scene.references import rig_of
@@ -39,8 +39,12 @@ class ClipJob(Job):
     def read(self) -> None:
         super().read()
         if self.reasons:
-            why = "; ".join(self.reasons)
-            raise SceneError(f"The model of '{self.character.name}' is out of date ({why}): press Build Model first")
+            why = message.joined("; ", self.reasons)
+            raise SceneError(
+                "The model of '{name}' is out of date ({why}): press Build Model first",
+                name=self.character.name,
+                why=why,
+            )
 
     def sample(self, seconds: float = np.inf) -> bool:
         with laid_out(rig_of(self.request.target.find()), self._clips):
@@ -102,12 +106,13 @@ class ActionsExport(batch.Batch):
         check_place(obj, key, path)
         if not FORMATS[key].skins:
             raise ExportError(
-                f"{FORMATS[key].label} has one animation only: choose glTF or FBX for one for each Action"
+                "{format} has one animation only: choose glTF or FBX for one for each Action", format=FORMATS[key].label
             )
         if obj.dynamorph.model.solver == "FULL" and obj.dynamorph.model.method != "STATIC":
             raise ExportError(
-                f"'{obj.name}': clips share their shape keys, and Final quality makes others for each: set Quality to "
-                "Reduced"
+                "'{name}': clips share their shape keys, and Final quality makes others for each: set Quality to "
+                "Reduced",
+                name=obj.name,
             )
         self.key, self.path = key, path
         self.clips = actions.clips_of(obj)
@@ -116,7 +121,9 @@ class ActionsExport(batch.Batch):
     @property
     def warnings(self) -> list[str]:
         return [
-            f"{clip.name}: {text}" for clip, job in zip(self.clips, self.jobs, strict=True) for text in job.warnings
+            message.joined(": ", [clip.name, text])
+            for clip, job in zip(self.clips, self.jobs, strict=True)
+            for text in job.warnings
         ]
 
     def write(self) -> Iterator[None]:

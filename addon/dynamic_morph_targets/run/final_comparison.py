@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 
 from ..core import baked, records
 from ..core.errors import SceneError
+from ..core.message import Message, joined
 from ..core.rigid import vertex_areas
 from .batch import Batch
 from .computation import Computation
@@ -33,7 +33,11 @@ class ShotJob(Job):
         super().read()
         given = self.input
         if given.model is None:
-            raise SceneError(f"The model of '{self.name}' is out of date ({'; '.join(self.reasons)}): bake again first")
+            raise SceneError(
+                "The model of '{name}' is out of date ({why}): bake again first",
+                name=self.name,
+                why=joined("; ", self.reasons),
+            )
         given.character = given.character.with_settings(solver=self._solver)
         given.model = given.model.with_settings(given.character.settings)
         self.computation = Computation(given, self)
@@ -47,7 +51,7 @@ class FinalComparison(Batch):
     def __init__(self, obj: bpy.types.Object):
         why = disabled_reason(obj)
         if why:
-            raise SceneError(f"'{obj.name}': {why}")
+            raise SceneError("'{name}': {why}", name=obj.name, why=why)
         simulated = records.bake_inputs(obj.dynamorph.bake.inputs)["simulation"]
         frames = simulated["start"], simulated["end"]
         super().__init__([ShotJob(obj, solver, frames) for solver in ("REDUCED", "FULL")], "COMPARE_FINAL")
@@ -81,4 +85,4 @@ def disabled_reason(obj: bpy.types.Object) -> str:
 def told(obj: bpy.types.Object) -> str:
     """What was found, as a sentence; '' before the bake was compared."""
     distance = obj.dynamorph.bake.off_final
-    return iface_("Reduced motion: {percent:.1f} % off Final").format(percent=100 * distance) if distance >= 0 else ""
+    return Message("Reduced motion: {percent:.1f} % off Final", percent=100 * distance) if distance >= 0 else ""

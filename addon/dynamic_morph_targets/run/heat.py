@@ -14,6 +14,7 @@ import numpy as np
 
 from ..core import engine, errors
 from ..core.errors import SceneError
+from ..core.message import Message
 from ..scene import extract, mesh_data, model_store, references, skin
 from ..write import bake_reading
 from . import live
@@ -106,7 +107,7 @@ def holds(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     if isinstance(found, str):
         raise SceneError(found)
     if len(found[obj.session_uid]) != len(obj.data.vertices):
-        raise SceneError(f"'{obj.name}' has other vertices than its model: press Build Model")
+        raise SceneError("'{name}' has other vertices than its model: press Build Model", name=obj.name)
     return found
 
 
@@ -117,13 +118,15 @@ def _holds(session_uid: int, _content_id: str) -> dict[int, np.ndarray] | str:
     try:
         model = model_store.load_model(obj)
         if model is None or not len(getattr(model, "hold", ())):
-            return f"'{obj.name}' has no model with a hold by thickness: set Hold to Thickness and build"
+            return Message(
+                "'{name}' has no model with a hold by thickness: set Hold to Thickness and build", name=obj.name
+            )
         character = extract.character(obj)
     except engine.expected_errors() as error:
         return errors.sentence(error)
     on_skin = np.einsum("va,va->v", model.embedding_weights, model.hold[model.embedding_nodes]).clip(0.0, 1.0)
     if len(on_skin) != len(character.vertices):
-        return f"'{obj.name}' has other vertices than its model: press Build Model"
+        return Message("'{name}' has other vertices than its model: press Build Model", name=obj.name)
     return {session_uid: on_skin[character.own]} | {part.session_uid: on_skin[part.members] for part in character.parts}
 
 
@@ -131,7 +134,7 @@ def stiffness(obj: bpy.types.Object) -> dict[int, np.ndarray]:
     """The stiffness map (V,) of the soft skin `obj` as it is painted, by session_uid. Raises SceneError without one."""
     name = obj.dynamorph.stiffness_group
     if name not in obj.vertex_groups:
-        raise SceneError(f"'{obj.name}' has no stiffness map: press Paint beside Stiffness Map")
+        raise SceneError("'{name}' has no stiffness map: press Paint beside Stiffness Map", name=obj.name)
     return {obj.session_uid: _weights(obj.session_uid, name)}
 
 

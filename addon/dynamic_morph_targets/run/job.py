@@ -16,6 +16,7 @@ from ..core.baked import Bake
 from ..core.character import Character
 from ..core.errors import Cancelled
 from ..core.judge import Verdict
+from ..core.message import Message
 from ..core.rig_samples import RigSamples
 from ..core.settings import SimulationSettings
 from ..scene import rig_motion
@@ -120,8 +121,9 @@ class Job(Progress):
             return True
         with self.stage("sample rig"), self.request.scene.as_context():
             done = self._reader.advance(seconds, self.computation.previous)
-        progress = self.part(self.computation.read_from, READ)
-        progress(sampling.done / sampling.count, f"Reading frame {sampling.frame}")
+        before, progress = self.fraction, self.part(self.computation.read_from, READ)
+        progress(sampling.done / sampling.count, Message("Reading frame {frame}", frame=sampling.frame))
+        self.fraction = max(before, self.fraction)  # another chunk than the first
         return done
 
     def next_chunk(self) -> bool:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import bpy
 from bpy.app.handlers import persistent
-from bpy.app.translations import pgettext_iface as iface_
 
 from ..core import engine, errors, logger
+from ..core.message import Message, joined
 from ..scene import events, references, staleness
 from ..scene.skin import followers, soft_skins
 from ..write import bake, live_key, muting, regions, storage
@@ -39,7 +39,7 @@ def disabled_reason(obj: bpy.types.Object) -> str:
     `turn_on`.
     """
     age = staleness.model_age(obj) if obj.dynamorph.model.content_id else ["not built yet"]
-    return iface_("Press Build Model first: {reasons}").format(reasons="; ".join(age)) if age else ""
+    return Message("Press Build Model first: {reasons}", reasons=joined("; ", age)) if age else ""
 
 
 def turn_on(obj: bpy.types.Object, scene: bpy.types.Scene) -> None:

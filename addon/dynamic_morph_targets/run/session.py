@@ -15,6 +15,7 @@ import numpy as np
 from ..core import engine, errors, rig_samples
 from ..core.character import Character, Skeleton, TargetSet
 from ..core.errors import SceneError
+from ..core.message import joined
 from ..core.rig_samples import RigSamples
 from ..core.settings import Material, SimulationSettings
 from ..scene import extract, model_store, probe, references, rig_motion, run_settings, skin, skinning, staleness
@@ -197,7 +198,8 @@ class Session:
             values += fraction * (self.tissue.values(self._frames[before + 1]) - values)
         if not np.isfinite(values).all():  # Python and drivers can set any value as a gain
             raise errors.SelfCheckError(
-                f"'{obj.name}': its motion is not numbers: reset the gains of its modes, or the targets' Motion Amount"
+                "'{name}': its motion is not numbers: reset the gains of its modes, or the targets' Motion Amount",
+                name=obj.name,
             )
         return values
 
@@ -226,12 +228,15 @@ class Session:
         """Apply what the artist has changed; the frames simulated after the one that shows are then dropped."""
         age = staleness.model_age(obj)
         if age:
-            raise SceneError(f"The model is out of date ({'; '.join(age)}): press Build Model")
+            raise SceneError("The model is out of date ({why}): press Build Model", why=joined("; ", age))
         for handle, count in self.tissue.vertices.items():
             mesh = handle.find().data
             if len(mesh.vertices) != count:
                 raise SceneError(
-                    f"Mesh '{mesh.name}' has {len(mesh.vertices)} vertices, its model {count}: press Build Model"
+                    "Mesh '{name}' has {count} vertices, its model {expected}: press Build Model",
+                    name=mesh.name,
+                    count=len(mesh.vertices),
+                    expected=count,
                 )
         placing, materials, sampled = _placing(obj), _materials(obj), _sampling(obj)
         player = self.tissue.player

@@ -18,12 +18,14 @@ from bpy.app.handlers import persistent
 
 from ..core import rig_samples
 from ..core.character import Target, TargetSet
-from ..core.errors import SceneError
+from ..core.errors import SceneError, sentence
+from ..core.message import Message
 from ..core.settings import Material
 from ..core.target_weights import Space, TargetWeights
 from ..scene import checks, events, references, rig_motion, skin
 from ..scene.references import bones_key
 from . import batch
+from .task import Pieces
 
 PATIENCE = 0.5  # seconds without an edit before the graph is updated
 SLICE = 0.02  # seconds of reading frames, between which Blender does other things
@@ -74,7 +76,7 @@ def weights_now(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Target
     space = space_of(obj)
     rig = checks.armature_modifier(obj).object.evaluated_get(depsgraph)
     if len(rig.pose.bones) != len(space.order):
-        raise SceneError(f"The bones of '{rig.name}' are being edited")
+        raise SceneError("The bones of '{name}' are being edited", name=rig.name)
     return space.weights_at(rig_motion.pose_matrices(rig, space.order)[None])
 
 
@@ -109,6 +111,15 @@ class Reading:
         self._shot = Shot(start, end, bones_key(rig.data), np.zeros((0, 0, 4, 4)))
         self._sampling: rig_motion.RigSampling | None = None
 
+    @property
+    def fraction(self) -> float:
+        return self._sampling.done / self._sampling.count if self._sampling else 0.0
+
+    @property
+    def frame(self) -> int:
+        """The one that is read next."""
+        return self._sampling.frame if self._sampling else self._shot.start
+
     def advance(self, obj: bpy.types.Object, seconds: float = np.inf) -> bool:
         """Reads on for about so many seconds; True when everything is read. Raises SceneError, which the shot
         records.
@@ -120,20 +131,21 @@ class Reading:
                 return False
             self._shot.pose = rig_samples.keep_collapsed(self._sampling.samples(), self._skeleton)[0].pose
         except SceneError as error:
-            self._shot.problem = str(error)
+            self._shot.problem = sentence(error)
             shots[self._rig] = self._shot
             raise
         shots[self._rig] = self._shot
         return True
 
 
-def curves(obj: bpy.types.Object, start: int, end: int) -> TargetWeights:
-    """At every frame from start to end, F = end - start + 1. Evaluates the rig there, and keeps its poses for `drawn`.
-
-    Raises what `jobs.expected_errors` names.
+def reading(session_uid: int, start: int, end: int) -> Pieces[TargetWeights]:
+    """The pieces of a `task.Task` that evaluates the rig of an object at every frame from start to end, and keeps its
+    poses for `drawn`. The result is the weights there, F = end - start + 1. Raises `engine.expected_errors`.
     """
-    Reading(obj, start, end).advance(obj)
-    found = drawn(obj)
+    work = Reading(skin.find(session_uid), start, end)
+    while not work.advance(skin.find(session_uid), SLICE):
+        yield work.fraction, Message("Reading frame {frame}", frame=work.frame)
+    found = drawn(skin.find(session_uid))
     assert found is not None  # it has just been read
     return found[1]
 

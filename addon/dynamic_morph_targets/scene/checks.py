@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What prevents a mesh from being simulated, and what looks unintended, as data. Reads only.
 
-`problems`, `next_steps` and `notes` take a fraction of a millisecond, so a panel calls them whenever it draws. Checks
-that read points, weights or poses run when a soft skin is added or built. `write/fixes` has the fixes.
+`problems`, `next_steps` and `notes` take a fraction of a millisecond, so a panel calls them whenever it draws.
+`data_checks` read points, weights or poses, when a soft skin is added or built. `write/fixes` has the fixes.
 """
 
 from __future__ import annotations
@@ -11,17 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import bpy
-import numpy as np
 
-from ..core.character import Skeleton, Target
 from ..core.errors import SceneError
-from ..core.geometry import turned
-from .references import key_points, rig_of
+from ..core.message import Message
+from .references import rig_of
 from .skin import cache_modifier
 from .skinning import armature_for, armature_modifiers, beyond_bones, deforming_bones, main_modifier
 
-SAME_POSE = np.radians(0.5)  # the engine cannot interpolate between targets that are nearer than this over all bones
-PLAUSIBLE = (0.02, 20.0)  # meters from corner to corner; a body of another size is probably unintended
 # Modifiers that may change the number of vertices. Before the Armature they break the match with the shape keys.
 GENERATING = {
     "ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MESH_TO_VOLUME", "MIRROR", "MULTIRES",
@@ -35,12 +31,16 @@ DEFORMING = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(init=False)
 class Problem:
     """text: what is wrong, with the object's name, and the remedy; fix: the key of `fixes.FIXES`, or ''."""
 
     text: str
-    fix: str = ""
+    fix: str
+
+    def __init__(self, text: str, fix="", /, **values):
+        self.text = Message(text, **values) if values else text
+        self.fix = fix
 
 
 # At every draw -----------------------------------------------------------------------------------------------------
@@ -70,13 +70,15 @@ def next_steps(obj) -> Iterator[Problem]:
         return
     if len(obj.dynamorph.targets) > 1:
         yield Problem(
-            f"'{obj.name}': all targets are muted, so nothing moves with the Method Static: unmute one, or choose the "
-            "Method Dynamic"
+            "'{name}': all targets are muted, so nothing moves with the Method Static: unmute one, or choose the "
+            "Method Dynamic",
+            name=obj.name,
         )
     else:
         yield Problem(
-            f"'{obj.name}' has no targets, so nothing moves with the Method Static: add a target, or choose the Method "
-            "Dynamic"
+            "'{name}' has no targets, so nothing moves with the Method Static: add a target, or choose the Method "
+            "Dynamic",
+            name=obj.name,
         )
 
 
@@ -94,16 +96,26 @@ def notes(obj) -> Iterator[Problem]:
     for modifier in armature_modifiers(obj)[-1:]:
         for before in _modifiers_before(obj, modifier):
             if before.type in DEFORMING and before != cache_modifier(obj):
-                yield Problem(f"'{obj.name}': modifier '{before.name}' before the Armature is not simulated")
+                yield Problem(
+                    "'{name}': modifier '{modifier}' before the Armature is not simulated",
+                    name=obj.name,
+                    modifier=before.name,
+                )
         yield from _scene_drivers(modifier.object)
     reason = beyond_bones(obj)
     if reason:
-        yield Problem(f"'{obj.name}' is skinned with {reason}, which takes longer to bake and to play than plain bones")
+        yield Problem(
+            "'{name}' is skinned with {reason}, which takes longer to bake and to play than plain bones",
+            name=obj.name,
+            reason=reason,
+        )
     yield from shared_mesh(obj)
     sculpting = obj.dynamorph.sculpt.active and obj.mode != "OBJECT"  # which shows that key alone on purpose
     if obj.show_only_shape_key and not sculpting:
         yield Problem(
-            f"'{obj.name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake", "UNPIN"
+            "'{name}' shows only its active shape key: unpin it (Shape Keys panel) to see the bake",
+            "UNPIN",
+            name=obj.name,
         )
 
 
@@ -113,8 +125,10 @@ def _scene_drivers(armature) -> Iterator[Problem]:
     for variable in (each for owner in owners for curve in owner.drivers for each in curve.driver.variables):
         if variable.type == "CONTEXT_PROP" or any(target.id_type == "SCENE" for target in variable.targets):
             yield Problem(
-                f"A driver of '{armature.name}' reads '{variable.targets[0].data_path}' of the scene, which stands "
-                "still in a bake: write 'frame' in its expression, or keep the property on the armature"
+                "A driver of '{name}' reads '{path}' of the scene, which stands still in a bake: write 'frame' in "
+                "its expression, or keep the property on the armature",
+                name=armature.name,
+                path=variable.targets[0].data_path,
             )
             return
 
@@ -124,9 +138,12 @@ def outgrown(obj) -> str:
     model, count = obj.dynamorph.model, len(obj.data.vertices)
     if not model.content_id or model.vertices in (0, count):
         return ""
-    return (
-        f"'{obj.name}' has {count} vertices now, its model was built for {model.vertices}. Targets and settings are "
-        "kept: build the model again"
+    return Message(
+        "'{name}' has {count} vertices now, its model was built for {expected}. Targets and settings are kept: build "
+        "the model again",
+        name=obj.name,
+        count=count,
+        expected=model.vertices,
     )
 
 
@@ -135,15 +152,17 @@ def shared_mesh(obj) -> Iterator[Problem]:
     users = obj.data.users - obj.data.use_fake_user
     if users > 1:
         yield Problem(
-            f"Mesh '{obj.data.name}' is shared by {users} objects, which would all move alike: "
-            "make it single-user (Object > Relations > Make Single User > Object & Data)",
+            "Mesh '{name}' is shared by {count} objects, which would all move alike: make it single-user (Object > "
+            "Relations > Make Single User > Object & Data)",
             "SINGLE_USER",
+            name=obj.data.name,
+            count=users,
         )
 
 
 def nothing_soft(obj) -> str:
     """Says that a character is rigid everywhere."""
-    return f"'{obj.name}': nothing soft found: paint the Softness Map"
+    return Message("'{name}': nothing soft found: paint the Softness Map", name=obj.name)
 
 
 def meshes_on(rig) -> list:
@@ -163,32 +182,45 @@ def follower(obj, piece) -> Iterator[Problem]:
     body, armature = obj.name, rig_of(obj)
     modifiers = armature_modifiers(piece)
     if piece == obj:
-        yield Problem(f"'{body}' cannot be attached to itself: remove it from the Attachments")
+        yield Problem("'{body}' cannot be attached to itself: remove it from the Attachments", body=body)
     elif not modifiers:
         yield Problem(
-            f"'{piece.name}' has no Armature modifier with an armature: skin it to '{armature.name}', or choose Rigid"
+            "'{name}' has no Armature modifier with an armature: skin it to '{armature}', or choose Rigid",
+            name=piece.name,
+            armature=armature.name,
         )
     elif all(modifier.object != armature for modifier in modifiers):
         yield Problem(
-            f"'{piece.name}' is moved by another armature: choose '{armature.name}' in its Armature modifier, or Rigid"
+            "'{name}' is moved by another armature: choose '{armature}' in its Armature modifier, or Rigid",
+            name=piece.name,
+            armature=armature.name,
         )
     if piece.dynamorph.targets:
-        yield Problem(f"'{piece.name}' is a soft skin of its own: choose Own Cage")
+        yield Problem("'{name}' is a soft skin of its own: choose Own Cage", name=piece.name)
     elif piece.dynamorph.follows not in (None, obj):
         other = piece.dynamorph.follows.name
         yield Problem(
-            f"'{piece.name}' follows '{other}': delete the bake of that soft skin first, or turn its Live off"
+            "'{name}' follows '{other}': delete the bake of that soft skin first, or turn its Live off",
+            name=piece.name,
+            other=other,
         )
     if piece.mode == "EDIT":
-        yield Problem(f"'{piece.name}' is in Edit Mode: leave it first")
+        yield Problem("'{name}' is in Edit Mode: leave it first", name=piece.name)
     if not piece.data.vertices:
-        yield Problem(f"Mesh '{piece.data.name}' has no vertices: remove '{piece.name}' from the Attachments")
+        yield Problem(
+            "Mesh '{mesh}' has no vertices: remove '{name}' from the Attachments", mesh=piece.data.name, name=piece.name
+        )
     keys = piece.data.shape_keys
     if keys and not keys.use_relative:
-        yield Problem(f"'{piece.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel")
+        yield Problem("'{name}' uses absolute shape keys: turn on Relative in the Shape Keys panel", name=piece.name)
     bound = next((m for m in piece.modifiers if obj in (getattr(m, "target", None), getattr(m, "object", None))), None)
     if bound:
-        yield Problem(f"'{piece.name}' follows '{body}' by its modifier '{bound.name}' already: choose Rigid")
+        yield Problem(
+            "'{name}' follows '{body}' by its modifier '{modifier}' already: choose Rigid",
+            name=piece.name,
+            body=body,
+            modifier=bound.name,
+        )
 
 
 def active_targets(obj) -> list:
@@ -204,15 +236,20 @@ def generating_before(obj, modifier) -> list:
 def mesh(obj) -> Iterator[Problem]:
     """Yields nothing when `obj` has a surface, and is not being edited."""
     if obj.mode == "EDIT":
-        yield Problem(f"'{obj.name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE")
+        yield Problem("'{name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE", name=obj.name)
     elif not obj.data.polygons:
-        yield Problem(f"Mesh '{obj.name}' has no faces: model some, or choose the right object")
+        yield Problem("Mesh '{name}' has no faces: model some, or choose the right object", name=obj.name)
 
 
 def order(obj) -> Iterator[Problem]:
     """Yields nothing when no modifier before the Armature changes the number of vertices."""
     for before in generating_before(obj, armature_modifiers(obj)[-1]):
-        yield Problem(f"'{obj.name}': modifier '{before.name}' comes before the Armature: move it below", "MOVE_BELOW")
+        yield Problem(
+            "'{name}': modifier '{modifier}' comes before the Armature: move it below",
+            "MOVE_BELOW",
+            name=obj.name,
+            modifier=before.name,
+        )
 
 
 def _modifiers_before(obj, modifier) -> list:
@@ -224,27 +261,36 @@ def _modifiers_before(obj, modifier) -> list:
 def _modifier(obj, modifier):
     if not modifier.show_viewport:
         yield Problem(
-            f"'{obj.name}': Armature modifier '{modifier.name}' is disabled in viewports: enable it", "ENABLE_MODIFIER"
+            "'{name}': Armature modifier '{modifier}' is disabled in viewports: enable it",
+            "ENABLE_MODIFIER",
+            name=obj.name,
+            modifier=modifier.name,
         )
     if modifier.use_bone_envelopes or not modifier.use_vertex_groups:
         yield Problem(
-            f"'{obj.name}' is skinned by bone envelopes: in Armature modifier '{modifier.name}' turn Bone Envelopes "
-            "off and Vertex Groups on",
+            "'{name}' is skinned by bone envelopes: in Armature modifier '{modifier}' turn Bone Envelopes off and "
+            "Vertex Groups on",
             "ENVELOPES",
+            name=obj.name,
+            modifier=modifier.name,
         )
 
 
 def _armature(armature):
     name = armature.name
     if armature.mode == "EDIT":
-        yield Problem(f"Armature '{name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE")
+        yield Problem("Armature '{name}' is in Edit Mode: leave it first", "LEAVE_EDIT_MODE", name=name)
     if armature.data.pose_position == "REST":
         yield Problem(
-            f"Armature '{name}' is shown in rest position: choose Pose Position in its Data tab", "POSE_POSITION"
+            "Armature '{name}' is shown in rest position: choose Pose Position in its Data tab",
+            "POSE_POSITION",
+            name=name,
         )
     if armature.hide_viewport:
         yield Problem(
-            f"Armature '{name}' is disabled in viewports, so Blender does not move it: enable it", "ENABLE_ARMATURE"
+            "Armature '{name}' is disabled in viewports, so Blender does not move it: enable it",
+            "ENABLE_ARMATURE",
+            name=name,
         )
 
 
@@ -253,19 +299,27 @@ def _bones(obj, armature):
     bones = deforming_bones(obj, armature)
     if not bones:
         yield Problem(
-            f"'{obj.name}' has no vertex group named after a deforming bone of '{armature.name}': weight it first"
+            "'{name}' has no vertex group named after a deforming bone of '{armature}': weight it first",
+            name=obj.name,
+            armature=armature.name,
         )
         return
     multiplied = next((bone for bone in bones if bone.use_envelope_multiply), None)
     if multiplied:
         yield Problem(
-            f"Bone '{multiplied.name}' of '{armature.name}': turn off Envelope Multiply in its Deform panel",
+            "Bone '{bone}' of '{armature}': turn off Envelope Multiply in its Deform panel",
             "ENVELOPE_MULTIPLY",
+            bone=multiplied.name,
+            armature=armature.name,
         )
     lengths = [bone.length for bone in bones]
     if min(lengths) <= 1e-5 * max(lengths):
         point = bones[lengths.index(min(lengths))]
-        yield Problem(f"Bone '{point.name}' of '{armature.name}' has no length: move its tail, or turn off its Deform")
+        yield Problem(
+            "Bone '{bone}' of '{armature}' has no length: move its tail, or turn off its Deform",
+            bone=point.name,
+            armature=armature.name,
+        )
 
 
 def _keys(obj):
@@ -273,83 +327,39 @@ def _keys(obj):
     targets = active_targets(obj)
     if keys is None:
         if len(targets) > 1:  # a bake, like Add Soft Skin, makes the Basis that it needs
-            yield Problem(f"'{obj.name}' has no shape keys: add a Basis and one key per target", "ADD_BASIS")
+            yield Problem("'{name}' has no shape keys: add a Basis and one key per target", "ADD_BASIS", name=obj.name)
         return
     if not keys.use_relative:
         yield Problem(
-            f"'{obj.name}' uses absolute shape keys: turn on Relative in the Shape Keys panel", "RELATIVE_KEYS"
+            "'{name}' uses absolute shape keys: turn on Relative in the Shape Keys panel",
+            "RELATIVE_KEYS",
+            name=obj.name,
         )
     for target in targets[1:]:
         if target.name not in keys.key_blocks:
-            yield Problem(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
+            yield Problem(
+                "'{name}': the shape key of target '{target}' is gone: remove the target",
+                name=obj.name,
+                target=target.name,
+            )
         elif keys.key_blocks[target.name] == keys.reference_key:
             yield Problem(
-                f"'{obj.name}': target '{target.name}' has become the Basis, which moves nothing: put a Basis above it "
-                "in the Shape Keys panel, or remove the target"
+                "'{name}': target '{target}' has become the Basis, which moves nothing: put a Basis above it in the "
+                "Shape Keys panel, or remove the target",
+                name=obj.name,
+                target=target.name,
             )
 
 
-# Once: these read points, weights and poses ------------------------------------------------------------------------
-
-
-def shapes(obj) -> Iterator[Problem]:
-    """Coordinates that are not numbers, in the Basis and the targets' keys."""
-    keys = obj.data.shape_keys
-    if keys is None:  # only the mesh exists
-        return
-    for block in (keys.reference_key, *(keys.key_blocks[target.name] for target in active_targets(obj)[1:])):
-        bad = np.flatnonzero(~np.isfinite(key_points(block)).all(axis=1))
-        if len(bad):
-            yield Problem(
-                f"'{obj.name}': shape key '{block.name}' has coordinates that are not numbers at vertices "
-                f"{', '.join(map(str, bad[:5]))}: delete or repair them"
-            )
-
-
-def poses(name: str, targets: tuple[Target, ...], skeleton: Skeleton) -> Iterator[Problem]:
-    """Targets of one set that the rotations of the targets' bones alone cannot distinguish."""
-    for target in targets[1:]:
-        if not target.bones:
-            yield Problem(
-                f"'{name}': target '{target.name}' has no bones: pose the armature away from the neutral target "
-                "and press Capture Pose"
-            )
-    named = {bone for target in targets for bone in target.bones}
-    used = [bone in named for bone in skeleton.names]
-    for i, first in enumerate(targets):
-        for second in targets[i + 1 :]:
-            if same_pose(first.local[used], second.local[used]):
-                yield Problem(
-                    f"'{name}': targets '{first.name}' and '{second.name}' have the same pose in the bones that "
-                    "place targets: capture one of them in another pose, choose its bones, or remove it"
-                )
-
-
-def same_pose(first: np.ndarray, second: np.ndarray) -> bool:
-    """Whether targets with these transforms (B, 4, 4) of the bones that place them cannot be distinguished."""
-    return bool(np.linalg.norm(turned(first, second)) < SAME_POSE)
-
-
-def body(name: str, vertices: np.ndarray, to_bind: np.ndarray, left: np.ndarray) -> Iterator[Problem]:
-    """Whether the size and the weights of a body look intended.
-
-    vertices, to_bind: as of `Character`; left (V,): which of them no bone moves.
-    """
-    size = np.linalg.norm(np.ptp(vertices @ to_bind.T, axis=0))
-    if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
-        yield Problem(f"'{name}' is {size:.3g} m long and will move like something of that size: check the scale")
-    count = int(left.sum())
-    if count:
-        yield Problem(
-            f"{count} of the {len(vertices)} vertices of '{name}' have no bone weight: they stay behind when the "
-            "armature moves; weight them"
-        )
+# What others ask for ------------------------------------------------------------------------------------------------
 
 
 def armature_modifier(obj):
     """The Armature modifier whose armature places the targets of `obj`. Raises SceneError."""
     if obj is None or obj.type != "MESH":
-        raise SceneError(f"'{obj.name if obj else 'Nothing'}' is not a mesh: select the character's mesh object")
+        raise SceneError(
+            "'{name}' is not a mesh: select the character's mesh object", name=obj.name if obj else "Nothing"
+        )
     refuse(skinning_problems(obj))
     return main_modifier(obj)
 
@@ -369,8 +379,9 @@ def skinning_problems(obj) -> Iterator[Problem]:
     """Yields nothing when there is an Armature modifier with an armature."""
     if not armature_modifiers(obj):
         yield Problem(
-            f"'{obj.name}' has no Armature modifier with an armature: add one, or parent the mesh to it",
+            "'{name}' has no Armature modifier with an armature: add one, or parent the mesh to it",
             "ADD_ARMATURE" if armature_for(obj) else "",
+            name=obj.name,
         )
 
 

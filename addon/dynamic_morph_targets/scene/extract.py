@@ -12,10 +12,10 @@ import bpy
 import numpy as np
 
 from ..core.character import Character, Follower, OwnCage, Skeleton, Target, TargetSet
-from ..core.errors import SceneError
+from ..core.errors import SceneError, sentence
 from ..core.geometry import inverse
 from ..core.settings import ModelSettings
-from . import checks, skinning
+from . import checks, data_checks, skinning
 from .checks import armature_modifier, refuse
 from .mesh_data import (
     VertexGroups,
@@ -48,16 +48,16 @@ def character(obj, without_targets=False) -> Character:
     """
     modifier = armature_modifier(obj)
     if not obj.dynamorph.targets:
-        raise SceneError(f"'{obj.name}' is no soft skin: select it and press Add Soft Skin")
+        raise SceneError("'{name}' is no soft skin: select it and press Add Soft Skin", name=obj.name)
     refuse(checks.problems(obj))
     if not without_targets:
         refuse(checks.next_steps(obj))
-    refuse(checks.shapes(obj))
+    refuse(data_checks.shapes(obj))
     skeleton = rest_skeleton(modifier.object.data)
     groups = VertexGroups(obj)
     target_sets = _target_sets(obj, skeleton, groups)
     for target_set in target_sets:
-        refuse(checks.poses(obj.name, target_set.targets, skeleton))
+        refuse(data_checks.poses(obj.name, target_set.targets, skeleton))
     world, rig_world = worlds_at_start(obj, modifier.object)
     to_bind, bones = stretch(world), skinning.deforming_bones(obj, modifier.object)
     own = Character(
@@ -104,7 +104,9 @@ def followers(obj, character: Character) -> list[Follower]:
     skin = character.vertices @ character.to_bind.T
     of_body = (character.pieces[character.triangles] == 0).all(axis=1)
     if not of_body.any():
-        raise SceneError(f"'{obj.name}' has no body to carry its attachments: choose With Body for a part of it")
+        raise SceneError(
+            "'{name}' has no body to carry its attachments: choose With Body for a part of it", name=obj.name
+        )
     found = []
     for piece in pieces:
         refuse(checks.follower(obj, piece))
@@ -138,7 +140,7 @@ def far_followers(character: Character, found: list[Follower]) -> list[str]:
 def warnings(obj, character: Character) -> list[str]:
     """What will be ignored, or looks unintended."""
     left = _left_behind(obj, VertexGroups(obj))
-    found = (*checks.notes(obj), *checks.body(obj.name, character.vertices, character.to_bind, left))
+    found = (*checks.notes(obj), *data_checks.body(obj.name, character.vertices, character.to_bind, left))
     return [problem.text for problem in found]
 
 
@@ -149,11 +151,11 @@ def first_look(obj) -> list[str]:
         to_bind = stretch(worlds_at_start(obj, rig_of(obj))[0])
         left = _left_behind(obj, VertexGroups(obj))
     except SceneError as error:
-        return [*(problem.text for problem in found), str(error)]
+        return [*(problem.text for problem in found), sentence(error)]
     points = np.empty((len(obj.data.vertices), 3), np.float32)
     obj.data.vertices.foreach_get("co", points.ravel())  # Edit Mode hides the attribute
     if len(points):
-        found += checks.body(obj.name, points, to_bind, left)
+        found += data_checks.body(obj.name, points, to_bind, left)
     return [problem.text for problem in found]
 
 
@@ -177,12 +179,19 @@ def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[
     if gone:
         name = next(target.name for target in others if target.region == gone[0])
         raise SceneError(
-            f"'{obj.name}': the vertex group '{gone[0]}' of target '{name}' is gone: choose another Region"
+            "'{name}': the vertex group '{group}' of target '{target}' is gone: choose another Region",
+            name=obj.name,
+            group=gone[0],
+            target=name,
         )
     region_weights = vertex_groups.weights(groups).clip(0.0, 1.0)
     empty = [group for group, weights in zip(groups, region_weights.T, strict=True) if not weights.any()]
     if empty:
-        raise SceneError(f"'{obj.name}': the vertex group '{empty[0]}' of a target's Region is empty: paint it")
+        raise SceneError(
+            "'{name}': the vertex group '{group}' of a target's Region is empty: paint it",
+            name=obj.name,
+            group=empty[0],
+        )
     region_weights /= np.maximum(region_weights.sum(axis=1, keepdims=True), 1.0)
     sets = []
     body = (1.0 - region_weights.sum(axis=1)).clip(0.0)
@@ -198,16 +207,30 @@ def _target_sets(obj, skeleton: Skeleton, vertex_groups: VertexGroups) -> tuple[
 def _target(obj, target, skeleton: Skeleton, groups: VertexGroups) -> Target:
     missing = [name for name in target.bone_names() if name not in skeleton.names]
     if missing:
-        raise SceneError(f"'{obj.name}': bone '{missing[0]}' of target '{target.name}' is gone: capture its pose again")
+        raise SceneError(
+            "'{name}': bone '{bone}' of target '{target}' is gone: capture its pose again",
+            name=obj.name,
+            bone=missing[0],
+            target=target.name,
+        )
     material = target.material()
     for field, value in (*vars(material).items(), ("motion amount", target.influence)):
         if not np.isfinite(value):  # property limits do not restrict Python or drivers
-            raise SceneError(f"'{obj.name}': {field} of target '{target.name}' is not a number: set it again")
+            raise SceneError(
+                "'{name}': {field} of target '{target}' is not a number: set it again",
+                name=obj.name,
+                field=field,
+                target=target.name,
+            )
     neutral = target == obj.dynamorph.targets[0]
     shape = np.zeros((len(obj.data.vertices), 3)) if neutral else target_shape(obj, target.name, groups)
     local, rig_world = target.local(skeleton), np.array(target.rig_world).reshape(4, 4)
     if not (np.isfinite(local).all() and np.isfinite(rig_world).all()):
-        raise SceneError(f"'{obj.name}': the pose of target '{target.name}' is not numbers: capture it again")
+        raise SceneError(
+            "'{name}': the pose of target '{target}' is not numbers: capture it again",
+            name=obj.name,
+            target=target.name,
+        )
     return Target(
         target.name, shape, target.bone_names(), local, rig_world, material, target.radius, target.influence,
         target.frequency, target.by_hand,
@@ -220,11 +243,17 @@ def _own_cage(obj, rig, to_bind) -> OwnCage | None:
     if cage is None:
         return None
     if cage.name not in bpy.context.scene.objects:
-        raise SceneError(f"Cage Object '{cage.name}' of '{obj.name}' is not in the scene any more: choose another")
+        raise SceneError(
+            "Cage Object '{cage}' of '{name}' is not in the scene any more: choose another",
+            cage=cage.name,
+            name=obj.name,
+        )
     if cage.mode == "EDIT":
-        raise SceneError(f"Cage Object '{cage.name}' is in Edit Mode: leave it first")
+        raise SceneError("Cage Object '{name}' is in Edit Mode: leave it first", name=cage.name)
     if cage.hide_viewport:
-        raise SceneError(f"Cage Object '{cage.name}' is disabled in viewports: enable it, and hide it by its eye")
+        raise SceneError(
+            "Cage Object '{name}' is disabled in viewports: enable it, and hide it by its eye", name=cage.name
+        )
     with at_rest(rig), rig_scene(obj, rig) as (scene, _follower):
         scene.collection.objects.link(cage)
         scene.frame_set(bpy.context.scene.frame_start)
@@ -237,5 +266,5 @@ def _own_cage(obj, rig, to_bind) -> OwnCage | None:
         triangles = mesh_triangles(mesh)
         evaluated.to_mesh_clear()
     if not len(triangles):
-        raise SceneError(f"Cage Object '{cage.name}' has no faces: choose a closed mesh")
+        raise SceneError("Cage Object '{name}' has no faces: choose a closed mesh", name=cage.name)
     return OwnCage(cage.name, carried(points.astype(np.float64), to_local) @ to_bind.T, triangles)

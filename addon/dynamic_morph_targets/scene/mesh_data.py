@@ -32,7 +32,9 @@ def rest_points(obj) -> np.ndarray:
     else:
         obj.data.attributes["position"].data.foreach_get("vector", points.ravel())
     if not np.isfinite(points).all():
-        raise SceneError(f"'{obj.name}' has vertices whose coordinates are not numbers: delete or repair them")
+        raise SceneError(
+            "'{name}' has vertices whose coordinates are not numbers: delete or repair them", name=obj.name
+        )
     return points.astype(np.float64)
 
 
@@ -75,7 +77,9 @@ class VertexGroups:
                 weights[self._vertices[members].astype(np.int64), column] = self._weights[members]
         bad = np.flatnonzero(~np.isfinite(weights).all(axis=0))
         if len(bad):
-            raise SceneError(f"'{obj.name}': vertex group '{names[bad[0]]}' has weights that are not numbers")
+            raise SceneError(
+                "'{name}': vertex group '{group}' has weights that are not numbers", name=obj.name, group=names[bad[0]]
+            )
         return weights
 
 
@@ -105,7 +109,12 @@ def modifier_weights(obj, modifier, skeleton: Skeleton, groups: VertexGroups) ->
 def _painted(obj, groups: VertexGroups, use: str, group: str) -> np.ndarray:
     """Weights (V,) of the vertex group chosen as softness or stiffness map. Raises SceneError."""
     if group not in obj.vertex_groups:
-        raise SceneError(f"'{obj.name}': the vertex group '{group}' for {use} is gone: choose another")
+        raise SceneError(
+            "'{name}': the vertex group '{group}' for {use} is gone: choose another",
+            name=obj.name,
+            group=group,
+            use=use,
+        )
     return groups.weights([group])[:, 0].clip(0.0, 1.0)
 
 
@@ -119,7 +128,7 @@ def stiffness(obj, groups: VertexGroups) -> np.ndarray:
     if not settings.stiffness_group:
         return np.ones(len(obj.data.vertices))
     if not np.isfinite(settings.stiffness_factor):
-        raise SceneError(f"'{obj.name}': the Stiffness Factor is not a number: set it again")
+        raise SceneError("'{name}': the Stiffness Factor is not a number: set it again", name=obj.name)
     return settings.stiffness_factor ** _painted(obj, groups, "Stiffness", settings.stiffness_group)
 
 
@@ -132,7 +141,9 @@ def pieces_of(parts, mesh, groups: VertexGroups, first: int = 1) -> np.ndarray:
     gone = next((part for part in parts if part.group not in mesh.vertex_groups), None)
     if gone:
         raise SceneError(
-            f"'{mesh.name}': the vertex group '{gone.group}' of an attachment is gone: remove the attachment"
+            "'{name}': the vertex group '{group}' of an attachment is gone: remove the attachment",
+            name=mesh.name,
+            group=gone.group,
         )
     pieces, cages = np.zeros(len(mesh.data.vertices), np.int32), itertools.count(first)
     for part, members in members_of(parts, groups):
@@ -189,7 +200,7 @@ def worlds_at_start(obj, rig) -> list[np.ndarray]:
             raise SceneError(not_a_number(moving.name, bpy.context.scene.frame_start))
         sizes = np.linalg.svd(world[:3, :3], compute_uv=False)
         if sizes[-1] <= 1e-6 * sizes[0]:
-            raise SceneError(f"'{moving.name}' is scaled to zero: give it a size")
+            raise SceneError("'{name}' is scaled to zero: give it a size", name=moving.name)
     return [in_metres(world, unit_scale()) for world in worlds]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from .. import preferences
 from ..core import engine, errors
 from ..core.errors import SceneError
+from ..core.message import joined
 from ..io import model_file
 from . import extract
 from .skin import find
@@ -37,7 +38,9 @@ def stored_model(obj) -> bytes | None:
     if path is None:
         places = " and ".join(f"'{folder}'" for folder in folders) or "beside the .blend"
         raise errors.ModelFileError(
-            f"The model of '{obj.name}' is missing (looked for in {places}): put it back or build again"
+            "The model of '{name}' is missing (looked for in {places}): put it back or build again",
+            name=obj.name,
+            places=places,
         )
     return path.read_bytes()
 
@@ -50,7 +53,7 @@ def _as_bytes(name: str, numbers) -> bytes:
         if not 0 <= len(packed) - count < 4:
             raise ValueError
     except (TypeError, ValueError, IndexError):
-        raise errors.ModelFileError(f"The model of '{name}' is damaged: build it again") from None
+        raise errors.ModelFileError("The model of '{name}' is damaged: build it again", name=name) from None
     return packed[:count]
 
 
@@ -77,7 +80,7 @@ def stale_reasons(obj, character) -> list[str]:
     try:
         model = load_model(obj)
     except errors.ModelFileError as error:
-        return [str(error)]
+        return [errors.sentence(error)]
     return ["not built yet"] if model is None else build.stale_reasons(model, character)
 
 
@@ -86,7 +89,11 @@ def current_model(obj):
     character = extract.character(obj)
     reasons = stale_reasons(obj, character)
     if reasons:
-        raise SceneError(f"The model of '{obj.name}' is out of date ({'; '.join(reasons)}): press Build Model first")
+        raise SceneError(
+            "The model of '{name}' is out of date ({why}): press Build Model first",
+            name=obj.name,
+            why=joined("; ", reasons),
+        )
     return load_model(obj).with_settings(character.settings), character
 
 
@@ -98,7 +105,9 @@ def fit_input(obj, target):
     model, character = current_model(obj)
     index = index_in(character, obj, target)
     if index is None:
-        raise SceneError(f"Target '{target.name}' is not in the model: it is muted, or the Method leaves it out")
+        raise SceneError(
+            "Target '{name}' is not in the model: it is muted, or the Method leaves it out", name=target.name
+        )
     return model, character, index
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from ..core.character import Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import determinant, invertible, turned
+from ..core.message import Message
 from ..core.rig_samples import ForceField, RigSamples
 from . import checks, events, skinning
 from .checks import armature_modifier, refuse
@@ -39,7 +40,11 @@ def in_metres(worlds: np.ndarray, unit: float) -> np.ndarray:
 
 
 def not_a_number(name: str, frame: int) -> str:
-    return f"'{name}' has a transform that is not a number at frame {frame}: check its drivers and constraints"
+    return Message(
+        "'{name}' has a transform that is not a number at frame {frame}: check its drivers and constraints",
+        name=name,
+        frame=frame,
+    )
 
 
 def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]:
@@ -59,7 +64,11 @@ def current_pose(obj, depsgraph=None) -> tuple[Skeleton, np.ndarray, np.ndarray]
             raise SceneError(not_a_number(name, bpy.context.scene.frame_current))
     flat = [name for name, matrix in zip(skeleton.names, pose, strict=True) if not invertible(matrix)]
     if flat:
-        raise SceneError(f"Bone '{flat[0]}' of '{rig.name}' is scaled to zero: give it a size to capture the pose")
+        raise SceneError(
+            "Bone '{bone}' of '{name}' is scaled to zero: give it a size to capture the pose",
+            bone=flat[0],
+            name=rig.name,
+        )
     return skeleton, skeleton.local_transforms(pose), rig_world
 
 
@@ -167,7 +176,7 @@ class RigSampling:
         rig = armature_modifier(obj).object
         sources = [bpy.context.scene.objects.get(name) for name in self._sources]
         if _moving(obj, rig) != self._moving or None in sources:
-            raise SceneError(f"'{obj.name}' or what moves it changed while it was read: start again")
+            raise SceneError("'{name}' or what moves it changed while it was read: start again", name=obj.name)
         with rig_scene(obj, rig, self.probe) as (scene, follower):
             for source in sources:
                 if source.name not in scene.collection.objects:  # the rig may be one
@@ -210,13 +219,17 @@ class RigSampling:
         flat = np.argwhere(determinant(worlds[..., :3, :3]) == 0)  # bones may collapse: `keep_collapsed`
         if len(flat):
             name, frame = self._moving[flat[0, 1]], self._frame(flat[0, 0])
-            raise SceneError(f"'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range")
+            raise SceneError(
+                "'{name}' is scaled to zero at frame {frame}: hide it instead, or bake another range",
+                name=name,
+                frame=frame,
+            )
         for nodes in filter(None, (self._nodes, self._target_nodes)):
             if not np.isfinite(nodes.points).all():
                 raise SceneError(not_a_number(self._moving[1], self.start))
         for name, field in zip(self._sources, self._fields, strict=True):
             if not (np.isfinite(field.world).all() and np.isfinite(field.strength).all()):
-                raise SceneError(f"Force field '{name}' is not a number at some frame: check its drivers")
+                raise SceneError("Force field '{name}' is not a number at some frame: check its drivers", name=name)
         return samples
 
     def _frame(self, sample) -> int:
@@ -238,8 +251,9 @@ def _force_fields(view_layer) -> list:
             continue
         if field.shape not in {"POINT", "PLANE"} or field.falloff_type != "SPHERE" or field.z_direction != "BOTH":
             raise SceneError(
-                f"Force field '{obj.name}' cannot push skin as it is: choose Shape Point or Plane, Falloff Sphere "
-                "and Z Direction Both, or set Force Fields to 0"
+                "Force field '{name}' cannot push skin as it is: choose Shape Point or Plane, Falloff Sphere and Z "
+                "Direction Both, or set Force Fields to 0",
+                name=obj.name,
             )
         found.append(obj)
     return found

@@ -30,7 +30,12 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
     own = (scene.frame_start, scene.frame_end) if chosen.use_scene_range else (chosen.start, chosen.end)
     start, end = frames or own
     if end < start:
-        raise SceneError(f"'{obj.name}': the last frame {end} comes before the first {start}: change the range")
+        raise SceneError(
+            "'{name}': the last frame {end} comes before the first {start}: change the range",
+            name=obj.name,
+            end=end,
+            start=start,
+        )
     substeps = substeps or chosen.steps_per_frame(fps)
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
     gains = tuple(mode.gain for mode in obj.dynamorph.modes)

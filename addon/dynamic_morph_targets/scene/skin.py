@@ -37,7 +37,7 @@ class ObjectHandle:
         obj = next((obj for obj in bpy.data.objects if obj.session_uid == self.session_uid), None)
         if obj is None:
             name = f"'{self.name}'" if self.name else "The object"
-            raise SceneError(f"{name} was deleted while the job ran: nothing was written")
+            raise SceneError("{name} was deleted while the job ran: nothing was written", name=name)
         return obj
 
 
@@ -58,7 +58,7 @@ class SceneHandle:
         """The scene. Raises SceneError when it was deleted."""
         scene = next((scene for scene in bpy.data.scenes if scene.session_uid == self.session_uid), None)
         if scene is None:
-            raise SceneError(f"Scene '{self.name}' was deleted while the job ran: nothing was written")
+            raise SceneError("Scene '{name}' was deleted while the job ran: nothing was written", name=self.name)
         return scene
 
     @contextmanager

@@ -15,7 +15,8 @@ import bpy
 import numpy as np
 
 from ..core import records
-from ..core.errors import RecordError, SceneError
+from ..core.errors import RecordError, SceneError, sentence
+from ..core.message import Message
 from ..core.settings import ENGINE, FREE_SETTINGS, SimulationSettings
 from . import animation, run_settings, skin, skinning
 from .plain import plain
@@ -44,7 +45,7 @@ def model_changes(obj) -> list[str]:
     try:
         then, now = records.build_inputs(built), model_inputs(obj)
     except RecordError as error:
-        return [str(error)]
+        return [sentence(error)]
     if then.get("model", {}).get("solver") == "REDUCED":  # such a model serves unreduced simulations too
         del now["model"]["solver"]
     return _changes(obj, then, now)
@@ -65,7 +66,7 @@ def outdated(obj) -> list[str]:
         then, seen = records.bake_inputs(record.inputs), records.animation(record.animation)
         now = bake_inputs(obj, run_settings.simulation_settings(obj, bpy.context.scene))
     except (RecordError, SceneError) as error:
-        return [str(error)]
+        return [sentence(error)]
     now["simulation"] |= _kept_range(then.get("simulation", {}), now["simulation"], settings.simulation.is_patch)
     found = _changes(obj, then, now)
     if obj.dynamorph.model.content_id != then["content_id"]:
@@ -74,7 +75,7 @@ def outdated(obj) -> list[str]:
         found.append(obj.dynamorph.model.stale)
     found += _piece_changes(obj)
     found += [
-        f'animation of "{name}" changed'
+        Message('animation of "{name}" changed', name=name)
         for (name, digest), (_, before) in zip(seen, then["animation"], strict=False)
         if digest != before
     ]
@@ -136,7 +137,8 @@ def _changes(obj, then: dict, now: dict) -> list[str]:
     known |= {"groups": settings, "scene": None}
     for part, group in known.items():
         before, after = then.get(part, {}), now.get(part, {})
-        found += [f"{_title(group, name)} changed" for name in after if before.get(name, after[name]) != after[name]]
+        changed = (_title(group, name) for name in after if before.get(name, after[name]) != after[name])
+        found += [Message("{setting} changed", setting=title) for title in changed]
     return found
 
 
@@ -148,26 +150,29 @@ def _target_changes(obj, then: dict, now: dict) -> list[str]:
             then = {**then, name: then[old]}
             new.remove(name)
             lost.remove(old)
-    found = [f'target "{name}" is new' for name in new] + [f'target "{name}" is gone' for name in lost]
+    found: list[str] = [Message('target "{name}" is new', name=name) for name in new]
+    found += [Message('target "{name}" is gone', name=name) for name in lost]
     for name, target in named_targets(obj):
         before, after = then.get(name, {}), now[name]
         if not (before.get("mute") and after["mute"]):
             told = [field for field in after if field != SCULPT]  # of the mesh `jobs.show_stale` tells
             changed = [_title(target, field) for field in told if before.get(field, after[field]) != after[field]]
-            found += [f'{title.lower()} of "{target.name}" changed' for title in changed]
+            found += [Message('{setting} of "{name}" changed', setting=title, name=target.name) for title in changed]
     return found
 
 
 def _piece_changes(obj) -> list[str]:
     """The other meshes that do not show what the bake of `obj` should show."""
     wanted, shown = clothes_in(obj), followers(obj)
-    found = [f'attachment "{piece.name}" is new' for piece in wanted if piece not in shown]
+    found = [Message('attachment "{name}" is new', name=piece.name) for piece in wanted if piece not in shown]
     return found + [
-        f'attachment "{piece.name}" is not with the body any more' for piece in shown if piece not in wanted
+        Message('attachment "{name}" is not with the body any more', name=piece.name)
+        for piece in shown
+        if piece not in wanted
     ]
 
 
-def _title(group, name: str) -> str:
+def _title(group, name: str) -> Message:
     """The name of a setting in the panels."""
     own = group and group.bl_rna.properties.get(name)
-    return own.name if own else {"fps": "Frame rate"}.get(name, name.replace("_", " ").capitalize())
+    return Message(own.name if own else {"fps": "Frame rate"}.get(name, name.replace("_", " ").capitalize()))

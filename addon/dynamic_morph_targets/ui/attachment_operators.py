@@ -87,7 +87,7 @@ class DYNAMORPH_OT_select_piece(PieceOperator, Operator):
         if shown is None or (piece.group and problem):
             raise SceneError(problem)
         if not shown.visible_get():
-            raise SceneError(f"'{shown.name}' is hidden: show it to select it")
+            raise SceneError("'{name}' is hidden: show it to select it", name=shown.name)
         if bpy.context.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")
         for other in bpy.context.selected_objects:

@@ -7,6 +7,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core import engine, errors, logger
+from ..core.message import Message, translated
 from ..run import batch
 from ..scene import skin
 from ..write.reconcile import reconcile
@@ -21,11 +22,16 @@ def report_errors(operator, action, *args) -> set[str]:
     except errors.Cancelled:
         operator.report({"WARNING"}, "Cancelled: nothing was changed")
     except engine.expected_errors() as error:
-        operator.report({"ERROR"}, errors.sentence(error))
+        operator.report({"ERROR"}, translated(errors.sentence(error), rpt_))
     except Exception as bug:
         logger.log_bug(bug)
-        operator.report({"ERROR"}, logger.bug_sentence(bug))
+        operator.report({"ERROR"}, translated(logger.bug_sentence(bug), rpt_))
     return {"CANCELLED"}
+
+
+def reported(error: RuntimeError) -> str:
+    """What another operator has reported as its error, without the word that Blender puts before it."""
+    return str(error).removeprefix(f"{rpt_('Error')}: ").strip()
 
 
 class SoftSkinOperator:
@@ -41,7 +47,7 @@ class SoftSkinOperator:
     def poll(cls, context):
         disabled_reason = cls.disabled_reason(context)
         if disabled_reason:
-            cls.poll_message_set(iface_(disabled_reason))
+            cls.poll_message_set(translated(disabled_reason, iface_))
         return not disabled_reason
 
     @classmethod
@@ -51,17 +57,19 @@ class SoftSkinOperator:
         if obj is None:
             return "Select the character's mesh object"
         if obj.library:
-            text = iface_("'{name}' is linked: make a library override to change its materials, or make it local")
-            return text.format(name=obj.name)
-        if obj.override_library and not cls.on_override:
-            text = iface_("'{name}' is a library override, which would lose this when saved: make it local")
-            return text.format(name=obj.name)
-        if obj.data.library and not (obj.override_library or cls.on_override or cls.on_linked_mesh):
-            text = iface_(
-                "The mesh of '{name}' is linked, so shape keys and weights would be lost when saved: make it local "
-                "(Object > Relations > Make Local > Selected Objects and Data)"
+            return Message(
+                "'{name}' is linked: make a library override to change its materials, or make it local", name=obj.name
             )
-            return text.format(name=obj.name)
+        if obj.override_library and not cls.on_override:
+            return Message(
+                "'{name}' is a library override, which would lose this when saved: make it local", name=obj.name
+            )
+        if obj.data.library and not (obj.override_library or cls.on_override or cls.on_linked_mesh):
+            return Message(
+                "The mesh of '{name}' is linked, so shape keys and weights would be lost when saved: make it local "
+                "(Object > Relations > Make Local > Selected Objects and Data)",
+                name=obj.name,
+            )
         if cls.needs_soft_skin and not obj.dynamorph.targets:
             return "Press Add Soft Skin first"
         return at_work()
@@ -70,16 +78,21 @@ class SoftSkinOperator:
         return report_errors(self, self._apply_reconciled, skin.mesh_in(context))
 
     def _apply_reconciled(self, obj):
-        if obj and obj.dynamorph.targets:
-            reconcile(obj)  # a script may have renamed a key just now
-        return self.apply(obj)
+        return self.apply(reconciled(obj))
+
+
+def reconciled(obj):
+    """The object, after references to what a script may have renamed just now are mended."""
+    if obj and obj.dynamorph.targets:
+        reconcile(obj)
+    return obj
 
 
 def at_work() -> str:
     """Which job must end first, or ''."""
     if not batch.running:
         return ""
-    return iface_("Wait until '{name}' is done, or cancel it").format(name=batch.running.name)
+    return Message("Wait until '{name}' is done, or cancel it", name=batch.running.name)
 
 
 def listed(names: list[str]) -> str:

@@ -14,12 +14,13 @@ from bpy.types import Operator
 from bpy_extras.io_utils import ExportHelper
 
 from ..core import errors
+from ..core.message import translated
 from ..run import export_actions
 from ..scene import events, skin
 from ..scene.registration import of_classes
 from ..write import comparison, exports, losses
 from . import widgets
-from .base import SoftSkinOperator, listed, report_errors
+from .base import SoftSkinOperator, listed, report_errors, reported
 from .job_operators import JobOperator
 
 LINE = 60  # characters per line of a pop-up
@@ -31,7 +32,7 @@ FORMATS = [
 SKINS = [item for item in FORMATS if exports.FORMATS[item[0]].skins]
 
 
-def draw_losses(layout, lost, width=LINE):
+def draw_losses(layout, lost, width=None):
     for text in lost:
         widgets.draw_message(layout, text, width=width)
 
@@ -57,13 +58,13 @@ class DYNAMORPH_OT_export_check(BakedOperator, Operator):
     def apply(self, obj):
         lost = list(losses.losses(obj, self.format))
         for text in lost:
-            self.report({"WARNING"}, text)
+            self.report({"WARNING"}, translated(text, rpt_))
         label = exports.FORMATS[self.format].label
         if not lost:
             self.report({"INFO"}, rpt_("{format} will show everything of '{name}'").format(format=label, name=obj.name))
         elif not bpy.app.background:  # the status bar shows the last alone
             window = bpy.context.window_manager
-            window.popup_menu(lambda menu, _: draw_losses(menu.layout, lost), title=label, icon="ERROR")
+            window.popup_menu(lambda menu, _: draw_losses(menu.layout, lost, LINE), title=label, icon="ERROR")
 
 
 class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
@@ -123,7 +124,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         if exports.FORMATS[self.format].skins:
             layout.prop(self, "clips")
         lost = _shown_losses(skin.mesh_in(context).session_uid, self.format, self.chosen_clips)
-        draw_losses(layout, lost, widgets.LINE)  # beside the files there is as little room as in the sidebar
+        draw_losses(layout, lost)
 
     def check(self, _context):
         """The file name follows the format."""
@@ -148,7 +149,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         try:
             bpy.ops.dynamorph.export_actions("INVOKE_DEFAULT", format=self.format, filepath=str(path))
         except RuntimeError as error:  # what it reported
-            raise errors.ExportError(str(error).removeprefix("Error: ").strip()) from error
+            raise errors.ExportError(reported(error)) from error
         return {"FINISHED"}
 
 
@@ -169,7 +170,7 @@ class DYNAMORPH_OT_export_actions(JobOperator, Operator):
     def _done(self, batch):
         obj = batch.jobs[0].target()
         for warning in batch.warnings:
-            self.report({"WARNING"}, warning)
+            self.report({"WARNING"}, translated(warning, rpt_))
         report_export(self, obj, batch.path, [clip.name for clip in batch.clips])
         return {"FINISHED"}
 
@@ -192,7 +193,7 @@ HANDLERS = dict.fromkeys(("depsgraph_update_post", "undo_post", "redo_post", "lo
 def report_export(operator, obj, path: Path, clips=()):
     """What was lost, and where the file is; clips: the names of those of Actions."""
     for text in losses.losses(obj, operator.format, "ACTIONS" if clips else "SCENE"):
-        operator.report({"WARNING"}, text)
+        operator.report({"WARNING"}, translated(text, rpt_))
     text = rpt_("'{name}' written as '{file}': {clips}" if clips else "'{name}' written as '{file}'")
     operator.report({"INFO"}, text.format(name=obj.name, file=path.name, clips=listed(clips)))
 

@@ -71,7 +71,7 @@ def _verdict(obj) -> verdict.Verdict:
     """Raises SceneError when there is none."""
     found = verdict.parsed(obj.dynamorph.bake.verdict)
     if found is None:
-        raise SceneError(f"'{obj.name}' has no verdict: press Bake first")
+        raise SceneError("'{name}' has no verdict: press Bake first", name=obj.name)
     return found
 
 
@@ -84,7 +84,7 @@ class DYNAMORPH_OT_show_worst(SoftSkinOperator, Operator):
     def apply(self, obj):
         found = _verdict(obj)
         if found.frame is None:
-            raise SceneError(f"'{obj.name}': the verdict names no frame: bake again")
+            raise SceneError("'{name}': the verdict names no frame: bake again", name=obj.name)
         if obj.mode != "OBJECT":
             bpy.ops.object.mode_set(mode="OBJECT")  # Edit Mode has a selection of its own
         mesh = obj.data
@@ -123,13 +123,14 @@ class DYNAMORPH_OT_stiffen(StartsJob, Operator):
         factor = _verdict(obj).factor
         measured = [target for target in obj.dynamorph.targets if target.is_measured]
         if not measured:
-            raise SceneError(f"'{obj.name}': the bounce has not been measured yet: press Build Model first")
+            raise SceneError("'{name}': the bounce has not been measured yet: press Build Model first", name=obj.name)
         before = measured[0].bounce
         for target in measured:
             by_hand = target.by_hand
             target.bounce = factor * target.bounce
             target.by_hand = by_hand
-        self.report({"INFO"}, f"Bounce {before:.2g} Hz → {measured[0].bounce:.2g} Hz")
+        text = rpt_("Bounce {before:.2g} Hz → {after:.2g} Hz")
+        self.report({"INFO"}, text.format(before=before, after=measured[0].bounce))
 
 
 class DYNAMORPH_OT_refine_cage(StartsJob, Operator):
@@ -143,9 +144,10 @@ class DYNAMORPH_OT_refine_cage(StartsJob, Operator):
         model = obj.dynamorph.model
         before = model.cage_nodes
         if before >= MOST_NODES:
-            raise SceneError(f"'{obj.name}': the cage has the maximum number of nodes: raise Bounce instead")
+            raise SceneError("'{name}': the cage has the maximum number of nodes: raise Bounce instead", name=obj.name)
         model.cage_nodes = min(round(FINER * before), MOST_NODES)
-        self.report({"INFO"}, f"Cage Nodes {before} → {model.cage_nodes}")
+        text = rpt_("Cage Nodes {before} → {after}")
+        self.report({"INFO"}, text.format(before=before, after=model.cage_nodes))
 
 
 CLASSES = (

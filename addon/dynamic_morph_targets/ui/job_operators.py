@@ -9,6 +9,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.types import Operator
 
+from ..core.message import Message, joined, translated
 from ..run import batch, expected_error, final_comparison, live
 from ..run.batch import run_all
 from ..run.job import Job
@@ -16,7 +17,7 @@ from ..scene import events, staleness
 from ..scene.registration import of_classes
 from ..scene.skin import is_shown_on, mesh_in, soft_skins
 from ..write import bake, beside, live_key
-from .base import SoftSkinOperator, at_work, report_errors
+from .base import SoftSkinOperator, at_work, reconciled, report_errors, reported
 
 TICK = 0.05  # seconds from one turn of a job to the next
 SLICE = 0.035  # seconds of a turn that may block the window, approximately
@@ -88,7 +89,7 @@ class JobOperator(SoftSkinOperator):
 
     def _begin(self, context):
         expected_error.cancel()  # the job needs the computer, and outdates what is measured
-        self.batch = batch.running = self._batch(mesh_in(context))
+        self.batch = batch.running = self._batch(reconciled(mesh_in(context)))
         self.steps = self.batch.steps(SLICE, 0.0)
         self.shown = 0.0  # when
         self.timer = context.window_manager.event_timer_add(TICK, window=context.window)
@@ -100,7 +101,6 @@ class JobOperator(SoftSkinOperator):
         try:
             next(self.steps)
         except StopIteration:
-            expected_error.begin(batch.jobs)
             return self._done(batch)
         if time.monotonic() - self.shown > SHOWN:
             self.shown = time.monotonic()
@@ -116,15 +116,18 @@ class JobOperator(SoftSkinOperator):
         events.redraw_status(context)
 
     def _done(self, batch):
+        expected_error.begin(batch.jobs)
         for job in batch.jobs:
             built_first = job.input.is_bake and job.reasons
-            text = rpt_("{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}")
-            self.report({"INFO"}, text.format(name=job.name, result=job.summary(), reasons="; ".join(job.reasons)))
+            text = "{name}: {result} (built first: {reasons})" if built_first else "{name}: {result}"
+            reasons = joined("; ", job.reasons)
+            told = Message(text, name=job.name, result=job.summary(), reasons=reasons)
+            self.report({"INFO"}, translated(told, rpt_))
             if job.outcome.rehearsed:
-                self.report({"INFO"}, f"{job.name}: {job.outcome.rehearsed}")
+                self.report({"INFO"}, translated(joined(": ", [job.name, job.outcome.rehearsed]), rpt_))
         for job in batch.jobs:
             for warning in job.warnings:  # last, because the status bar shows the last report
-                self.report({"WARNING"}, warning)
+                self.report({"WARNING"}, translated(warning, rpt_))
         return {"FINISHED"}
 
 
@@ -148,7 +151,7 @@ def press(operator, name: str, **settings):
         if button.poll():
             button("INVOKE_DEFAULT", **settings)
     except RuntimeError as error:  # what it reported as an error
-        operator.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+        operator.report({"ERROR"}, reported(error))
 
 
 class DYNAMORPH_OT_build(JobOperator, Operator):
@@ -213,7 +216,7 @@ class DYNAMORPH_OT_compare_final(JobOperator, Operator):
 
     def _done(self, batch):
         obj = batch.jobs[0].target()
-        self.report({"INFO"}, f"{obj.name}: {final_comparison.told(obj)}")
+        self.report({"INFO"}, translated(joined(": ", [obj.name, final_comparison.told(obj)]), rpt_))
         return {"FINISHED"}
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from functools import partial
 from itertools import islice
 
 import bpy
@@ -18,7 +19,7 @@ from mathutils import Matrix
 
 from ..core.character import target_labels
 from ..core.errors import SceneError
-from ..run import live, preview
+from ..run import live, preview, task
 from ..run.preview import SECONDS, SWING, Preview, end_preview, end_recovered, is_running, movers, shaken
 from ..scene import events, model_store, rig_motion, skin
 from ..scene.registration import of_classes
@@ -111,6 +112,8 @@ class PreviewOperator(TissueOperator):
 
     bl_options = {"REGISTER"}  # it leaves nothing that could be undone
 
+    lasts: float | None = None  # seconds; None: until it is stopped
+
     def apply(self, obj):
         running = Preview(obj, type(self))
         try:
@@ -136,7 +139,7 @@ class PreviewOperator(TissueOperator):
             return {"PASS_THROUGH"} if self.passes(event) else {"RUNNING_MODAL"}
         result = {"CANCELLED"}
         try:
-            result = report_errors(self, self._tick)
+            result = report_errors(self, self._tick, context)
         finally:
             if result != {"RUNNING_MODAL"}:
                 self._end(context)
@@ -167,7 +170,7 @@ class PreviewOperator(TissueOperator):
         events.redraw_status(context)
         return {"RUNNING_MODAL"}
 
-    def _tick(self):
+    def _tick(self, context):
         """Show the frame that is due now. A slow window drops frames, as playback does."""
         if rig_motion.render_runs():  # which reads what would be written
             return {"RUNNING_MODAL"}
@@ -178,6 +181,9 @@ class PreviewOperator(TissueOperator):
             self.largest = max(self.largest, self.running.tissue.moved(values))
         if frames:
             self.running.show(*frames[-1])
+        if self.lasts is not None:
+            self.running.seconds_left = max(self.lasts - self.done / self.fps, 0.0)
+            events.redraw_status(context)
         if len(frames) == due:
             return {"RUNNING_MODAL"}
         self._report(self.largest)
@@ -215,6 +221,10 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
         name="Seconds", description="Duration of the test", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
     )
 
+    @property
+    def lasts(self) -> float:
+        return self.seconds
+
     def passes(self, event) -> bool:
         """Only navigation: an undo step would store the rig in its shaken position."""
         return event.type in NAVIGATION
@@ -222,7 +232,9 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
     def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, Matrix]]:
         for moved in movers(obj):
             if self.kind == "TWIST" and moved.rotation_mode == "AXIS_ANGLE":
-                raise SceneError(f"'{moved.name}' rotates by Axis Angle: choose another rotation mode to twist it")
+                raise SceneError(
+                    "'{name}' rotates by Axis Angle: choose another rotation mode to twist it", name=moved.name
+                )
         return self._played(tissue, *shaken(obj, tissue, self.kind, self.seconds))
 
     @staticmethod
@@ -246,9 +258,9 @@ class DYNAMORPH_OT_play_mode(PreviewOperator, Operator):
     def frames(self, obj, tissue) -> Iterator[tuple[np.ndarray, None]]:
         """One swing per second; in the background, a single swing."""
         if tissue.dofs and not tissue.modes:
-            raise SceneError(f"'{obj.name}' is simulated without modes: set Quality to Reduced")
+            raise SceneError("'{name}' is simulated without modes: set Quality to Reduced", name=obj.name)
         if not tissue.modes:
-            raise SceneError(f"'{obj.name}' has no modes: choose another Method and build")
+            raise SceneError("'{name}' has no modes: choose another Method and build", name=obj.name)
         weights = tissue.player.begin(rig_motion.sample_present(obj, tissue.probe)).weights
         return self._swinging(obj.session_uid, tissue, weights)
 
@@ -280,21 +292,30 @@ class DYNAMORPH_OT_reset_gains(SoftSkinOperator, Operator):
             mode.gain, mode.solo = 1.0, False
 
 
-class DYNAMORPH_OT_check_targets(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_check_targets(JobOperator, Operator):
     """Measure how far the soft skin at rest in each target's pose is from the sculpted shape"""
 
     bl_idname = "dynamorph.check_targets"
     bl_label = "Check Targets"
+    goal = "CHECK_TARGETS"
 
-    def apply(self, obj):
+    def _batch(self, obj):
+        return task.Task(obj, self.goal, self._misses(obj))
+
+    @staticmethod
+    def _misses(obj) -> task.Pieces[list[str]]:
         model, character = model_store.current_model(obj)
         from ..core import compare  # needs the engine, which is there now
 
-        misses = compare.residuals(model, character)
+        misses = yield from task.in_thread(partial(compare.residuals, model, character), "Checking targets")
         labels = zip(target_labels(character.target_sets), character.targets, strict=True)
-        lines = [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
-        obj.dynamorph.live.checks = "\n".join(lines)
-        self.report({"INFO"}, f"{obj.name}: {', '.join(lines)}")
+        return [f"{label}: {1000 * misses[target.name]:.3f} mm" for label, target in labels]
+
+    def _done(self, task):
+        obj = task.object.find()
+        obj.dynamorph.live.checks = "\n".join(task.result)
+        self.report({"INFO"}, f"{obj.name}: {', '.join(task.result)}")
+        return {"FINISHED"}
 
 
 @persistent

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import bpy
 from bpy.props import EnumProperty, FloatProperty
 from bpy.types import Operator
 
 from ..core import material_fit, material_presets, oscillation
+from ..run import task
 from ..scene import model_store, skin
 from ..scene.registration import of_classes
 from .base import TargetOperator, report_errors
+from .job_operators import JobOperator, press
 
 
 class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
@@ -35,13 +38,12 @@ class DYNAMORPH_OT_apply_material(TargetOperator, Operator):
         obj.dynamorph.active_target.set_material(material_presets.PRESETS[self.preset].material, by_hand=True)
 
 
-class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
-    """Set stiffness and damping of the selected target so that the built skin swings as observed"""
+class FitsBounce(TargetOperator, JobOperator):
+    """Mixin: sets the material by what was observed."""
 
-    bl_idname = "dynamorph.fit_material"
-    bl_label = "Fit Bounce"
     neutral_too = True
     on_override = True
+    goal = "FIT_MATERIAL"
 
     frequency: FloatProperty(
         name="Bounce",
@@ -67,23 +69,63 @@ class DYNAMORPH_OT_fit_material(TargetOperator, Operator):
             return "Press Build Model first: the bounce is measured on its cage"
         return disabled_reason
 
+    def _batch(self, obj):
+        return task.Task(obj, self.goal, self._fitted(obj, self.frequency, oscillation.decay_of(self.settle)))
+
+    @staticmethod
+    def _fitted(obj, frequency: float, decay: float) -> task.Pieces[tuple]:
+        """The result: the index of the target in the list, and its material."""
+        index = obj.dynamorph.active_target_index
+        given = model_store.fit_input(obj, obj.dynamorph.active_target)
+
+        def fit(_report):
+            return material_fit.fit_oscillation(*given, frequency, decay)
+
+        return index, (yield from task.in_thread(fit, "Fitting the bounce"))
+
+    def _done(self, task):
+        index, fitted = task.result
+        task.object.find().dynamorph.targets[index].set_material(fitted, by_hand=True)
+        return {"FINISHED"}
+
+
+class DYNAMORPH_OT_fit_bounce(FitsBounce, Operator):
+    """Set stiffness and damping of the selected target, as the dialog of Fit Bounce says"""
+
+    bl_idname = "dynamorph.fit_bounce"
+    bl_label = "Fit Bounce to Observation"
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
+
+
+class DYNAMORPH_OT_fit_material(FitsBounce, Operator):
+    """Set stiffness and damping of the selected target so that the built skin swings as observed"""
+
+    bl_idname = "dynamorph.fit_material"
+    bl_label = "Fit Bounce"
+
     def invoke(self, context, _event):
         return report_errors(self, self._ask, context)
 
     def _ask(self, context):
         obj = skin.mesh_in(context)
-        now = material_fit.bounce(*model_store.fit_input(obj, obj.dynamorph.active_target))
-        self.frequency, self.settle = now.frequency or self.frequency, now.settle
+        target = obj.dynamorph.active_target
+        if target.is_measured:
+            self.frequency, self.settle = target.bounce or self.frequency, target.settle_time
+        else:  # by an earlier version, or with another Poisson's ratio
+            now = material_fit.bounce(*model_store.fit_input(obj, target))
+            self.frequency, self.settle = now.frequency or self.frequency, now.settle
         return context.window_manager.invoke_props_dialog(self)
 
-    def apply(self, obj):
-        target, decay = obj.dynamorph.active_target, oscillation.decay_of(self.settle)
-        fitted = material_fit.fit_oscillation(*model_store.fit_input(obj, target), self.frequency, decay)
-        target.set_material(fitted, by_hand=True)
+    def execute(self, context):
+        if bpy.app.background:
+            return super().execute(context)
+        press(self, "dynamorph.fit_bounce", frequency=self.frequency, settle=self.settle)
+        return {"CANCELLED"}  # the other button makes the undo step
 
 
 CLASSES = (
     DYNAMORPH_OT_apply_material,
+    DYNAMORPH_OT_fit_bounce,
     DYNAMORPH_OT_fit_material,
 )
 register, unregister = of_classes(CLASSES)

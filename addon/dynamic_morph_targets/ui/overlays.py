@@ -186,7 +186,7 @@ def shown_points(obj, depsgraph) -> np.ndarray:
     evaluated = obj.evaluated_get(depsgraph)
     count = len(obj.data.vertices)
     if len(evaluated.data.vertices) < count:
-        raise errors.SceneError(f"Modifiers take vertices of '{obj.name}' away, so it cannot be colored")
+        raise errors.SceneError("Modifiers take vertices of '{name}' away, so it cannot be colored", name=obj.name)
     points = np.empty((len(evaluated.data.vertices), 3), np.float32)
     evaluated.data.attributes["position"].data.foreach_get("vector", points.ravel())
     world = np.array(evaluated.matrix_world, np.float32)

@@ -75,7 +75,7 @@ class DYNAMORPH_OT_paint_group(SoftSkinOperator, Operator):
 
     def _enter(self, obj):
         if not obj.visible_get():
-            raise SceneError(f"'{obj.name}' is hidden: show it to paint on it")
+            raise SceneError("'{name}' is hidden: show it to paint on it", name=obj.name)
         owned(obj.data)
         active, display = bpy.context.object, bpy.context.window_manager.dynamorph
         if obj.mode != "WEIGHT_PAINT":
@@ -196,11 +196,15 @@ def _held_by_bones(obj) -> np.ndarray:
     rig = checks.armature_modifier(obj).object
     chosen = targets.selected_bones(rig)
     if not chosen:
-        raise SceneError(f"Select in Pose Mode the bones of '{rig.name}' that hold the skin of '{obj.name}'")
-    names = references.rest_skeleton(rig.data).names
-    theirs = mesh_data.skin_weights(obj)[:, [names.index(bone) for bone in chosen]].sum(axis=1)
+        raise SceneError(
+            "Select in Pose Mode the bones of '{rig}' that hold the skin of '{name}'", rig=rig.name, name=obj.name
+        )
+    bones = references.rest_skeleton(rig.data).names
+    theirs = mesh_data.skin_weights(obj)[:, [bones.index(bone) for bone in chosen]].sum(axis=1)
     if not theirs.any():
-        raise SceneError(f"The selected bones of '{rig.name}' move no skin of '{obj.name}': select others")
+        raise SceneError(
+            "The selected bones of '{rig}' move no skin of '{name}': select others", rig=rig.name, name=obj.name
+        )
     edges = np.empty((len(obj.data.edges), 2), np.int32)
     obj.data.edges.foreach_get("vertices", edges.ravel())
     ends, others = np.concatenate([edges, edges[:, ::-1]]).T
@@ -238,7 +242,7 @@ class DYNAMORPH_OT_mirror_map(SoftSkinOperator, Operator):
         partners = targets.mirror_partners(points)
         overwritten = (points[:, 0] < 0.0 if self.to == "RIGHT" else points[:, 0] > 0.0) & (partners >= 0)
         if not overwritten.any():
-            raise SceneError(f"'{obj.name}' is not symmetric about its X axis: paint the other side yourself")
+            raise SceneError("'{name}' is not symmetric about its X axis: paint the other side yourself", name=obj.name)
         name = obj.vertex_groups.active.name
         weights = mesh_data.group_weights(obj, [name])[:, 0]
         _write_group(obj, name, np.where(overwritten, weights[partners], weights))

@@ -9,11 +9,12 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core import engine, verdict
+from ..core.message import Message, joined
 from ..run import batch, live, preview
 from ..scene import checks, skin, staleness
 from ..scene.checks import Problem
 from ..write import comparison
-from .widgets import draw_problem
+from .widgets import draw_problem, progress_text
 
 MOST_REASONS = 3  # of those for which something is out of date
 
@@ -43,7 +44,7 @@ def draw_state(layout, context, obj):
     row = layout.row(align=True)
     job = batch.running
     if job:
-        row.progress(factor=job.fraction, text=f"{job.fraction:.0%}  {iface_(job.message)}")
+        row.progress(factor=job.fraction, text=progress_text(job))
         row.operator("dynamorph.cancel", text="", icon="X")
         return
     text, icon = state(obj)
@@ -107,7 +108,7 @@ def messages(obj) -> Iterator[tuple[Problem, str]]:
         yield problem, "ERROR"
     if not settings.targets:
         if settings.follows:
-            text = iface_("'{name}' moves with '{body}'").format(name=obj.name, body=settings.follows.name)
+            text = Message("'{name}' moves with '{body}'", name=obj.name, body=settings.follows.name)
             yield Problem(text), "LINKED"
         return
     for text in texts(obj):
@@ -132,8 +133,8 @@ def texts(obj) -> Iterator[str]:
     reasons = list(dict.fromkeys((*staleness.model_age(obj), *staleness.outdated(obj))))
     if reasons and not batch.running:  # while a job runs they are outdated themselves
         more = len(reasons) - MOST_REASONS
-        text = iface_("Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}")
-        yield text.format(reasons=", ".join(reasons[:MOST_REASONS]), count=more)
+        text = "Out of date: {reasons}, and {count} more" if more > 0 else "Out of date: {reasons}"
+        yield Message(text, reasons=joined(", ", reasons[:MOST_REASONS]), count=more)
     found = verdict.parsed(bake.verdict)
     for warning in filter(None, (*model.warnings.split("\n"), *bake.warnings.split("\n"))):
         if not (found and warning.startswith(found.text)):  # which the section Result says

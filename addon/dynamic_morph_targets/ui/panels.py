@@ -10,6 +10,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 from bpy.types import Panel
 
+from ..core.time_left import clock
 from ..run import batch, preview
 from ..scene import skin
 from ..scene.registration import of_classes
@@ -30,7 +31,7 @@ from .panel_targets import (
     has_weights,
 )
 from .presets import DYNAMORPH_PT_material_presets, DYNAMORPH_PT_setup_presets, PresetList
-from .widgets import draw_message
+from .widgets import draw_message, progress_text
 
 SIDEBAR = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "Dynamorph"}
 PHYSICS = {"bl_space_type": "PROPERTIES", "bl_region_type": "WINDOW", "bl_context": "physics"}
@@ -168,10 +169,11 @@ def draw_status(header, _context):
     """What runs, at the left of the status bar of every window, wherever it was started."""
     work = batch.running
     if work:
-        text = iface_("{done:.0%}  {message}    Esc: cancel")
-        text = text.format(done=work.fraction, message=iface_(work.message))
+        text = iface_("{progress}    Esc: cancel").format(progress=progress_text(work))
     elif preview.preview:
-        text = iface_("{name}    Esc: stop").format(name=iface_(preview.preview.label))
+        seconds = preview.preview.seconds_left
+        text = iface_("{name}    Esc: stop" if seconds is None else "{name}  {time} left    Esc: stop")
+        text = text.format(name=iface_(preview.preview.label, "Operator"), time=clock(seconds or 0.0))
     else:
         return
     header.layout.label(text=text, translate=False)

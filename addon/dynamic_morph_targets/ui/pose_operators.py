@@ -63,7 +63,9 @@ class DYNAMORPH_OT_use_selected_bones(TargetOperator, Operator):
         rig = checks.armature_modifier(obj).object
         chosen = targets.selected_bones(rig)
         if not chosen:
-            raise SceneError(f"Select in Pose Mode the bones of '{rig.name}' that '{target.name}' depends on")
+            raise SceneError(
+                "Select in Pose Mode the bones of '{rig}' that '{target}' depends on", rig=rig.name, target=target.name
+            )
         kept = target.bone_names() if self.extend else ()
         target.set_bones(dict.fromkeys((*kept, *chosen)))
         regions.update(obj)

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 
 from ..core import engine, errors
 from ..core.errors import SceneError
+from ..core.message import translated
 from ..scene import rig_motion, skin
 from ..scene.registration import of_classes
 from ..write import muting, targets
@@ -75,7 +77,9 @@ class DYNAMORPH_OT_new_from_pose(SculptOperator, SoftSkinOperator, Operator):
         other = targets.at_pose_of(obj, skeleton, local, bones)
         # Another limb that is turned too may have a target there: by its sculpt it comes into another set.
         if other and (obj.dynamorph.model.hold != "THICKNESS" or set(bones) <= {*other.bone_names()}):
-            raise SceneError(f"The armature is in the pose of '{other.name}': change the pose, or sculpt that target")
+            raise SceneError(
+                "The armature is in the pose of '{name}': change the pose, or sculpt that target", name=other.name
+            )
         return skeleton, local, rig_world
 
     def _default_name(self, obj) -> str:
@@ -116,7 +120,7 @@ class DYNAMORPH_OT_finish_sculpt(SoftSkinOperator, Operator):
         try:
             targets.learn_from_sculpt(obj)
         except engine.expected_errors() as error:  # the mode is left in any case
-            self.report({"WARNING"}, errors.sentence(error))
+            self.report({"WARNING"}, translated(errors.sentence(error), rpt_))
 
 
 CLASSES = (

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from ..core.errors import SceneError
+from ..core.errors import SceneError, sentence
 from ..core.feel import FEELS
+from ..core.message import translated
 from ..run.live import remove_soft_skin
 from ..scene import checks, extract, references, rig_motion, skin, skinning, target_properties
 from ..scene.registration import of_classes
@@ -40,12 +42,11 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
     def apply(self, obj):
         chosen = _body_meant(obj)
         if chosen != obj:
-            self.report(
-                {"INFO"}, f"'{chosen.name}' becomes the soft skin: it has the largest soft surface on its armature"
-            )
+            text = rpt_("'{name}' becomes the soft skin: it has the largest soft surface on its armature")
+            self.report({"INFO"}, text.format(name=chosen.name))
         obj = chosen
         if obj.dynamorph.targets:
-            raise SceneError(f"'{obj.name}' is a soft skin already: press Bake, or add targets")
+            raise SceneError("'{name}' is a soft skin already: press Bake, or add targets", name=obj.name)
         in_the_way = extract.first_look(obj)
         rig = references.rig_of(obj)
         skeleton, rig_world = references.rest_skeleton(rig.data), rig_motion.world_now(rig)
@@ -61,7 +62,7 @@ class DYNAMORPH_OT_add_soft_skin(StartsJob, Operator):
         drawn = [problem.text for problem in (*checks.problems(obj), *checks.notes(obj))]
         obj.dynamorph.model.warnings = "\n".join(text for text in in_the_way if text not in drawn)  # until a build
         for text in in_the_way:
-            self.report({"WARNING"}, text)
+            self.report({"WARNING"}, translated(text, rpt_))
 
 
 class DYNAMORPH_OT_remove_soft_skin(SoftSkinOperator, Operator):
@@ -99,7 +100,7 @@ def _find_attachments(obj) -> list[str]:
         attachments.find(obj)
         extract.character(obj, without_targets=True)
     except SceneError as error:
-        return [str(error)]
+        return [sentence(error)]
     return []
 
 
@@ -124,7 +125,11 @@ class DYNAMORPH_OT_fix(SoftSkinOperator, Operator):
 
     def apply(self, obj):
         if self.problem not in [problem.fix for problem in (*checks.problems(obj), *checks.notes(obj))]:
-            raise SceneError(f"'{obj.name}' does not have this problem: {FIXES[self.problem].label} is not needed")
+            raise SceneError(
+                "'{name}' does not have this problem: {label} is not needed",
+                name=obj.name,
+                label=FIXES[self.problem].label,
+            )
         FIXES[self.problem].apply(obj)
 
 

@@ -10,13 +10,15 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy.types import Operator
 
 from ..core.errors import SceneError
+from ..run import task
 from ..run.live import remove_soft_skin
-from ..scene import checks, mesh_data, rig_motion, skin
+from ..scene import checks, data_checks, mesh_data, rig_motion, skin
 from ..scene.references import key_points, rest_skeleton
 from ..scene.registration import of_classes
 from ..write import muting, regions, suggest, targets
 from ..write.targets import capture, sculpted_key
 from .base import SoftSkinOperator, TargetOperator, listed
+from .job_operators import JobOperator
 
 # The list ----------------------------------------------------------------------------------------------------------
 
@@ -56,30 +58,35 @@ class DYNAMORPH_OT_add_target(SoftSkinOperator, Operator):
         block = keys and (keys.key_blocks.get(self.key) if self.key else obj.active_shape_key)
         if not block:
             wanted = f"shape key '{self.key}'" if self.key else "active shape key"
-            raise SceneError(f"'{obj.name}' has no {wanted}: sculpt one, or select another")
+            raise SceneError("'{name}' has no {wanted}: sculpt one, or select another", name=obj.name, wanted=wanted)
         if block == keys.reference_key:
             raise SceneError(
-                f"'{block.name}' is the shape of the neutral target: select another shape key, or make one by New from "
-                "Pose"
+                "'{name}' is the shape of the neutral target: select another shape key, or make one by New from Pose",
+                name=block.name,
             )
         if block.name in [target.name for target in settings.targets[1:]]:
-            raise SceneError(f"'{block.name}' is a target already: pose the armature and press Capture Pose to move it")
+            raise SceneError(
+                "'{name}' is a target already: pose the armature and press Capture Pose to move it", name=block.name
+            )
         if block.name in settings.bake.keys:
-            raise SceneError(f"'{block.name}' belongs to the bake: select another shape key")
+            raise SceneError("'{name}' belongs to the bake: select another shape key", name=block.name)
         pose = rig_motion.current_pose(obj)
         capture(self, obj, targets.add(obj, block), pose)
         regions.update(obj)
 
 
-class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
+class DYNAMORPH_OT_suggest_targets(JobOperator, Operator):
     """Make targets from the shape keys whose drivers read bones, each at the pose in which its driver turns it on"""
 
     bl_idname = "dynamorph.suggest_targets"
     bl_label = "Suggest from Drivers"
+    goal = "SUGGEST_TARGETS"
 
-    def apply(self, obj):
-        found, skipped = suggest.suggestions(obj)
-        added = []
+    def _batch(self, obj):
+        return task.Task(obj, self.goal, suggest.suggestions(obj.session_uid))
+
+    def _done(self, task):
+        obj, (found, skipped), added = task.object.find(), task.result, []
         for suggestion in found:
             skeleton, local, _ = suggestion.pose
             other = targets.at_pose_of(obj, skeleton, local, suggestion.bones)
@@ -96,6 +103,7 @@ class DYNAMORPH_OT_suggest_targets(SoftSkinOperator, Operator):
         if not added:
             raise SceneError("; ".join(told))
         self.report({"WARNING" if skipped else "INFO"}, "; ".join(told))
+        return {"FINISHED"}
 
 
 class DYNAMORPH_OT_remove_target(TargetOperator, Operator):
@@ -196,14 +204,14 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
     def _bones(self, source, skeleton, mirrored) -> list[str]:
         """The target's bones on the other side. Raises SceneError where there is no other side."""
         if bpy.utils.flip_name(source.name) == source.name:
-            raise SceneError(f"'{source.name}' does not say its side: give it a name that ends in .L or .R")
+            raise SceneError("'{name}' does not say its side: give it a name that ends in .L or .R", name=source.name)
         bones = [bpy.utils.flip_name(bone) for bone in source.bone_names()]
         missing = [bone for bone in bones if bone not in skeleton.names]
         if missing:
-            raise SceneError(f"Bone '{missing[0]}' is missing: '{source.name}' has no other side")
+            raise SceneError("Bone '{bone}' is missing: '{name}' has no other side", bone=missing[0], name=source.name)
         used = [name in {*bones, *source.bone_names()} for name in skeleton.names]
-        if checks.same_pose(source.local(skeleton)[used], mirrored[used]):
-            raise SceneError(f"'{source.name}' has a symmetric pose, which its mirror image would share")
+        if data_checks.same_pose(source.local(skeleton)[used], mirrored[used]):
+            raise SceneError("'{name}' has a symmetric pose, which its mirror image would share", name=source.name)
         return bones
 
     def _region(self, obj, source) -> str:
@@ -226,7 +234,11 @@ class DYNAMORPH_OT_mirror_target(TargetOperator, Operator):
         partners = targets.mirror_partners(key_points(keys.reference_key))
         alone = (partners < 0).nonzero()[0]
         if len(alone) == len(partners):
-            raise SceneError(f"'{obj.name}' is not symmetric about its X axis: sculpt a shape key '{name}' yourself")
+            raise SceneError(
+                "'{name}' is not symmetric about its X axis: sculpt a shape key '{key}' yourself",
+                name=obj.name,
+                key=name,
+            )
         if len(alone):
             text = rpt_("{count} vertices have no mirror image and stay as in the Basis: {numbers}")
             self.report({"WARNING"}, text.format(count=len(alone), numbers=listed([str(vertex) for vertex in alone])))
@@ -258,7 +270,7 @@ class DYNAMORPH_OT_select_target(SoftSkinOperator, Operator):
         index = skin.target_of_active_key(obj)
         if index is None:
             name = obj.active_shape_key.name
-            raise SceneError(f"'{name}' is not a target: press Add Target, or select another shape key")
+            raise SceneError("'{name}' is not a target: press Add Target, or select another shape key", name=name)
         obj.dynamorph.active_target_index = index
 
 

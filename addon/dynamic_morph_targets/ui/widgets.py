@@ -8,29 +8,48 @@ import textwrap
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-LINE = 34  # characters that fit into the sidebar at its default width
-LETTER, BORDERS = 6.5, 58  # pixels at a resolution scale of 1: of a character, and of icon and margins
+from ..core.message import translated
+from ..core.time_left import clock
+from ..run import batch
 
-
-def characters() -> int:
-    """How many fit into a line of the region that is drawn."""
-    region = bpy.context.region
-    if region is None:
-        return LINE
-    return max(16, int((region.width / bpy.context.preferences.system.ui_scale - BORDERS) / LETTER))
+FRAME = 76  # pixels at a UI scale of 1 beside a text: the sidebar's tabs, margins and an icon
+CHARACTER = 6.2  # such pixels that a character takes in a line of many wide ones
+SHORTEST = 16  # characters of a line, even where fewer fit
+DEFAULT = 280  # such pixels: the sidebar's width
+BUTTON = 10  # characters that make room for a button
 
 
 def draw_problem(layout, problem, icon: str):
     row = layout.row()
-    draw_message(row, problem.text, icon=icon, width=characters() - 10 * bool(problem.fix))
+    draw_message(row, problem.text, icon=icon, width=line_length() - BUTTON if problem.fix else None)
     if problem.fix:
         button = row.column()
         button.alignment = "RIGHT"
         button.operator("dynamorph.fix").problem = problem.fix
 
 
+def progress_text(work: batch.Work) -> str:
+    """How much of it is done, the time left as soon as that can be said, and what it does."""
+    seconds = work.time_left.seconds
+    text = iface_("{done:.0%}  {message}" if seconds is None else "{done:.0%}  {time} left  {message}")
+    return text.format(done=work.fraction, time=clock(seconds or 0.0), message=translated(work.message, iface_))
+
+
 def draw_message(layout, text: str, icon="ERROR", width: int | None = None):
-    """Text, translated unless it was formatted, and broken into lines, because labels do not wrap."""
+    """Text, translated, and broken into lines, because labels do not wrap. width: characters, if not what fits."""
     column = layout.column(align=True)
-    for i, line in enumerate(textwrap.wrap(iface_(text), width or characters())):
+    for i, line in enumerate(textwrap.wrap(translated(text, iface_), width or line_length())):
         column.label(text=line, icon="BLANK1" if i else icon, translate=False)
+
+
+def line_length() -> int:
+    """How many characters fit into a line of the region that is drawn."""
+    region = bpy.context.region
+    if region is None:  # there is no window
+        return characters(DEFAULT, 1.0)
+    return characters(region.width, bpy.context.preferences.system.ui_scale)
+
+
+def characters(width: float, scale: float) -> int:
+    """width: of a region, pixels; scale: of the interface."""
+    return max(int((width / scale - FRAME) / CHARACTER), SHORTEST)

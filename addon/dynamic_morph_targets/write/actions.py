@@ -45,11 +45,13 @@ def clips_of(obj) -> list[Clip]:
     """
     rig, render = rig_of(obj), bpy.context.scene.render
     if rig is None:
-        raise SceneError(f"'{obj.name}' has no Armature modifier with an armature: it has no Actions to export")
+        raise SceneError(
+            "'{name}' has no Armature modifier with an armature: it has no Actions to export", name=obj.name
+        )
     if not rig.is_editable:
-        raise SceneError(f"'{rig.name}' is linked, so its Actions cannot be played in turn: make it local")
+        raise SceneError("'{name}' is linked, so its Actions cannot be played in turn: make it local", name=rig.name)
     if rig.animation_data and rig.animation_data.use_tweak_mode:
-        raise SceneError(f"'{rig.name}' is in NLA tweak mode: leave it first (Tab in the NLA editor)")
+        raise SceneError("'{name}' is in NLA tweak mode: leave it first (Tab in the NLA editor)", name=rig.name)
     if render.frame_map_old != render.frame_map_new:
         raise SceneError("The scene stretches time, clips have their own: set Time Stretching to 100 (Output tab)")
     found, first = [], 1
@@ -60,7 +62,7 @@ def clips_of(obj) -> list[Clip]:
             found.append(Clip(action.name, begin, first, last, action.use_cyclic))
             first = last + 2
     if not found:
-        raise SceneError(f"No Action moves bones of '{rig.name}': make one for each clip")
+        raise SceneError("No Action moves bones of '{name}': make one for each clip", name=rig.name)
     return found
 
 
@@ -115,7 +117,7 @@ def lay_out(owner, clips: Sequence[Clip]):
 def _action(clip: Clip):
     action = bpy.data.actions.get(clip.name)
     if action is None:
-        raise SceneError(f"Action '{clip.name}' was removed or renamed meanwhile: start again")
+        raise SceneError("Action '{name}' was removed or renamed meanwhile: start again", name=clip.name)
     return action
 
 

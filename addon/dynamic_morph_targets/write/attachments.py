@@ -12,6 +12,7 @@ import numpy as np
 
 from ..core import errors, rigid
 from ..core.geometry import inverse, loose_parts
+from ..core.message import Message
 from ..scene import checks, mesh_data, references, skinning
 from ..scene.references import rig_of
 from ..scene.skin import parts_in, parts_of
@@ -58,12 +59,14 @@ def members(obj, group: str) -> np.ndarray:
 def problem(obj, piece) -> str:
     """What is wrong with an attachment of `obj`, or ''. Reads no mesh: fast enough for drawing."""
     if not (piece.object or piece.group):
-        return f"'{piece.name}' is gone: remove the attachment" if piece.name else "Choose an object or a vertex group"
+        gone = Message("'{name}' is gone: remove the attachment", name=piece.name)
+        return gone if piece.name else "Choose an object or a vertex group"
     if piece.object and not piece.object.users_scene:
-        return f"'{piece.name}' is gone: remove the attachment"
+        return Message("'{name}' is gone: remove the attachment", name=piece.name)
     if piece.group:
         gone = piece.group not in (piece.object or obj).vertex_groups
-        return f"The vertex group '{piece.group}' is gone: choose another, or remove the attachment" if gone else ""
+        text = "The vertex group '{group}' is gone: choose another, or remove the attachment"
+        return Message(text, group=piece.group) if gone else ""
     if piece.choice in {"WITH_BODY", "HELD"} and rig_of(obj):
         return next((each.text for each in checks.follower(obj, piece.object)), "")
     return ""
@@ -78,11 +81,23 @@ def left_alone(obj) -> Iterator[str]:
         if other.type != "MESH" or other == obj or skinning.armature_modifiers(other):
             continue
         if other.parent_type == "BONE":
-            yield f"'{other.name}' is parented to bone '{other.parent_bone}': it moves with the bone and is left alone"
+            yield Message(
+                "'{name}' is parented to bone '{bone}': it moves with the bone and is left alone",
+                name=other.name,
+                bone=other.parent_bone,
+            )
         elif other.parent_type in {"VERTEX", "VERTEX_3"}:
-            yield f"'{other.name}' is parented to vertices of '{other.parent.name}': it moves with them"
+            yield Message(
+                "'{name}' is parented to vertices of '{parent}': it moves with them",
+                name=other.name,
+                parent=other.parent.name,
+            )
         else:
-            yield f"'{other.name}' is parented to '{other.parent.name}': it moves with it as a whole and is left alone"
+            yield Message(
+                "'{name}' is parented to '{parent}': it moves with it as a whole and is left alone",
+                name=other.name,
+                parent=other.parent.name,
+            )
 
 
 def _siblings(obj) -> list:

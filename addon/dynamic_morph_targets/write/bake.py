@@ -2,10 +2,9 @@
 """A bake -> Blender: shape keys or a point cache, and their removal.
 
 surface = vertices + modes . coordinates + residual_shapes . weights becomes a shape key for each mode and each residual
-shape, with the coordinates as F-curves. The curves sit in an Action of their own, as strips on NLA tracks, because an
-animation data holds one Action and that is the artist's. There are two tracks: the lower one plays the targets' shapes,
-the one above it replaces them by the motion, as far as the influence of its strip says. In the place of the upper track
-there may be a point cache: a Mesh Cache modifier before all others, whose influence is its own.
+shape, with the coordinates as F-curves, in an Action of their own, as strips on two NLA tracks, because the animation
+data's one Action is the artist's. The lower track plays the targets' shapes, the upper one replaces them by the motion,
+as far as its influence says. In its place there may be a point cache: a Mesh Cache modifier before all others.
 """
 
 from __future__ import annotations
@@ -38,34 +37,38 @@ def check(obj, needs_keys=True):
     needs_keys: a Basis must exist already, unless the neutral target is alone: then it is created.
     """
     if obj.type != "MESH":
-        raise SinkError(f"'{obj.name}' is not a mesh: select the character's mesh object")
+        raise SinkError("'{name}' is not a mesh: select the character's mesh object", name=obj.name)
     keys = obj.data.shape_keys
     if keys is None and needs_keys and len(obj.dynamorph.targets) != 1:
-        raise SinkError(f"'{obj.name}' has no shape keys: add a Basis first")
+        raise SinkError("'{name}' has no shape keys: add a Basis first", name=obj.name)
     check_local(obj, obj.data, *filter(None, [keys]))
     for problem in checks.shared_mesh(obj):
         raise SinkError(problem.text)
     check_not_edited(obj)
-    animation = keys and keys.animation_data
-    if animation is None:
+    if not (keys and keys.animation_data):
         return
-    if animation.use_tweak_mode:
-        raise SinkError(f"The shape keys of '{obj.name}' are in NLA tweak mode: leave it first (Tab in the NLA editor)")
-    if not animation.use_nla:
-        raise SinkError(f"NLA is turned off for the shape keys of '{obj.name}': turn it on (Key in the NLA editor)")
+    animation = keys.animation_data
     solo = next((track.name for track in animation.nla_tracks if track.is_solo), None)
-    if solo is not None:
-        raise SinkError(f"NLA track '{solo}' of the shape keys of '{obj.name}' is solo: turn its star off")
     paths = {f'key_blocks["{bpy.utils.escape_identifier(target.name)}"].mute' for target in obj.dynamorph.targets[1:]}
     driven = next((driver.data_path for driver in animation.drivers if driver.data_path in paths), None)
-    if driven is not None:
-        raise SinkError(f"'{obj.name}': {driven} has a driver, so a bake cannot mute the key: remove the driver")
+    text = ""
+    if animation.use_tweak_mode:
+        text = "The shape keys of '{name}' are in NLA tweak mode: leave it first (Tab in the NLA editor)"
+    elif not animation.use_nla:
+        text = "NLA is turned off for the shape keys of '{name}': turn it on (Key in the NLA editor)"
+    elif solo is not None:
+        text = "NLA track '{track}' of the shape keys of '{name}' is solo: turn its star off"
+    elif driven is not None:
+        text = "'{name}': {key} has a driver, so a bake cannot mute the key: remove the driver"
+    if text:
+        raise SinkError(text, name=obj.name, track=solo, key=driven)
 
 
 def check_cache(obj, folder: Path | None):
     """Refuse a point cache that has no place: folder is that of the .blend. Raises SinkError."""
     if folder is None:
-        raise SinkError(f"The point cache of '{obj.name}' goes into a folder beside the .blend: save the .blend first")
+        text = "The point cache of '{name}' goes into a folder beside the .blend: save the .blend first"
+        raise SinkError(text, name=obj.name)
 
 
 def overwritten_keys(obj) -> list[str]:
@@ -77,7 +80,7 @@ def overwritten_keys(obj) -> list[str]:
 def check_not_edited(obj):
     """Refuse Edit Mode, in which Blender removes no shape keys. Raises SinkError."""
     if obj.mode == "EDIT":
-        raise SinkError(f"'{obj.name}' is in Edit Mode: leave it first")
+        raise SinkError("'{name}' is in Edit Mode: leave it first", name=obj.name)
 
 
 def check_local(*blocks):
@@ -86,8 +89,11 @@ def check_local(*blocks):
         if block.library or block.override_library:
             how = "linked" if block.library else "a library override"
             raise SinkError(
-                f"{block.bl_rna.name} '{block.name}' is {how}, so what is made here would be lost on save: make it "
-                "local (Object > Relations > Make Local > Selected Objects and Data)"
+                "{kind} '{name}' is {how}, so what is made here would be lost on save: make it local (Object > "
+                "Relations > Make Local > Selected Objects and Data)",
+                kind=block.bl_rna.name,
+                name=block.name,
+                how=how,
             )
 
 
@@ -121,9 +127,8 @@ class NewBake:
         check(obj, needs_keys=skin is None)
         reconcile(obj)
         if bake.modes.shape[1] != len(obj.data.vertices):
-            raise SinkError(
-                f"Mesh '{obj.name}' has {len(obj.data.vertices)} vertices, the bake {bake.modes.shape[1]}: bake again"
-            )
+            text = "Mesh '{name}' has {count} vertices, the bake {expected}: bake again"
+            raise SinkError(text, name=obj.name, count=len(obj.data.vertices), expected=bake.modes.shape[1])
         self._obj, self._bake, self._skin, self._cache = obj, bake, skin, cache
         record, keys = obj.dynamorph.bake, obj.data.shape_keys
         self._followed = obj.dynamorph.follows
@@ -245,9 +250,7 @@ def leave(obj):
 
 def free(obj):
     """Remove the bake of `obj` and of what follows it, if any, and restore what it changed: keys, order, active key,
-    mute, animation data.
-
-    Raises SinkError.
+    mute, animation data. Raises SinkError.
     """
     baked = (obj, *followers(obj))
     for each in baked:

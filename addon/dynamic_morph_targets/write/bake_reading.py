@@ -27,7 +27,7 @@ def read_back(obj, samples: int = 1) -> Bake:
     paths = [f"{block.path_from_id()}.value" for block in blocks]
     curves = [curve for curve in (*map(dynamic.get, paths), *map(static.get, paths)) if curve]
     if not curves or record.cache:
-        raise SinkError(f"'{obj.name}' has no curves of a bake's motion: bake to shape keys first")
+        raise SinkError("'{name}' has no curves of a bake's motion: bake to shape keys first", name=obj.name)
     render = bpy.context.scene.render
     per_frame = render.frame_map_old / render.frame_map_new
     ends = [end / per_frame for curve in curves for end in curve.range()]

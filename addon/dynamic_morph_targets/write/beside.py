@@ -30,7 +30,7 @@ def add(body, right: np.ndarray):
     1, world space. Raises SceneError, SinkError.
     """
     if not body.visible_get():
-        raise SceneError(f"'{body.name}' is hidden: show it to compare it")
+        raise SceneError("'{name}' is hidden: show it to compare it", name=body.name)
     empty = bpy.data.objects.new(f"{body.name} Beside", None)
     empty.instance_type, empty.hide_select, empty.hide_render = "COLLECTION", True, True
     empty.empty_display_size = 0.0  # there is only the copy to be seen

@@ -47,13 +47,15 @@ def check_place(obj, key: str, path: Path):
     """Refuse, before any work, what cannot be written. Raises ExportError, sinks.SinkError."""
     chosen = FORMATS[key]
     if not chosen.is_available:
-        raise ExportError(f"This Blender was built without {chosen.label}: choose another format")
+        raise ExportError("This Blender was built without {format}: choose another format", format=chosen.label)
     bake.check_not_edited(obj)
     hidden = next((other for other in (obj, rig_of(obj), *followers(obj)) if other and not other.visible_get()), None)
     if hidden:
-        raise ExportError(f"'{hidden.name}' is hidden, so Blender exports nothing of it: show it")
+        raise ExportError("'{name}' is hidden, so Blender exports nothing of it: show it", name=hidden.name)
     if not path.parent.is_dir():
-        raise ExportError(f"There is no folder '{path.parent}' to write '{path.name}' to: choose another")
+        raise ExportError(
+            "There is no folder '{folder}' to write '{name}' to: choose another", folder=path.parent, name=path.name
+        )
 
 
 def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), without=()):
@@ -66,10 +68,10 @@ def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), wit
         with frames_kept(), _collected(obj, without) as collection:
             chosen.write(obj, collection, partial, frames, takes)
         if not partial.is_file():
-            raise ExportError(f"Blender's {chosen.label} exporter wrote nothing: its report says why")
+            raise ExportError("Blender's {format} exporter wrote nothing: its report says why", format=chosen.label)
         partial.replace(path)
     except RuntimeError as error:  # reported by the operator
-        raise ExportError(f"'{obj.name}' could not be exported: {str(error).strip()}") from error
+        raise ExportError("'{name}' could not be exported: {error}", name=obj.name, error=str(error).strip()) from error
     finally:
         partial.unlink(missing_ok=True)
 
@@ -81,12 +83,21 @@ def check_bake(obj, key: str):
     keys = animation.baked_keys(obj).intersection(animation.keys_of(obj).keys())
     shown = skin.cache_modifier(obj) if record.cache else keys
     if not shown:
-        raise ExportError(f"'{obj.name}' has no bake to export: press Bake first")
+        raise ExportError("'{name}' has no bake to export: press Bake first", name=obj.name)
     if record.cache and not chosen.surface:
         raise ExportError(
-            f"The bake of '{obj.name}' is a point cache, {chosen.label} writes shape keys: bake to Shape Keys first, "
-            "or choose Alembic or USD"
+            "The bake of '{name}' is a point cache, {format} writes shape keys: bake to Shape Keys first, or choose "
+            "{others}",
+            name=obj.name,
+            format=chosen.label,
+            others=surface_formats(),
         )
+
+
+def surface_formats() -> str:
+    """Those that have the posed surface itself, as a message names them."""
+    labels = [each.label for each in FORMATS.values() if each.surface and each.is_available]
+    return " or ".join(labels) or "a Blender that exports Alembic or USD"
 
 
 # Writers -----------------------------------------------------------------------------------------------------------
@@ -273,9 +284,13 @@ def _sampled_keys(obj, frames):
     scene, keys = bpy.context.scene, obj.data.shape_keys
     times = np.arange(frames[0], frames[1] + 1)
     values = np.empty((len(times), len(keys.key_blocks)), np.float32)
-    for row, frame in zip(values, times, strict=True):
+    window = bpy.context.window_manager
+    window.progress_begin(0, len(times))  # beside the pointer: Blender's exporters leave no room for more
+    for k, (row, frame) in enumerate(zip(values, times, strict=True)):
+        window.progress_update(k)
         scene.frame_set(int(frame))
         keys.key_blocks.foreach_get("value", row)
+    window.progress_end()
     animation = keys.animation_data
     before = animation.action, animation.action_slot, animation.use_nla, [d.mute for d in animation.drivers]
     names = [block.name for block in keys.key_blocks]

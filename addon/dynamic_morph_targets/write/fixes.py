@@ -25,7 +25,11 @@ class Fix:
 def owned(data):
     """`data`, if changes to it are saved. Raises SceneError."""
     if not data.is_editable:
-        raise SceneError(f"{data.bl_rna.name} '{data.name}' is linked, so the change would be lost: make it local")
+        raise SceneError(
+            "{kind} '{name}' is linked, so the change would be lost: make it local",
+            kind=data.bl_rna.name,
+            name=data.name,
+        )
     return data
 
 

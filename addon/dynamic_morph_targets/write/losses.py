@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from ..core.message import Message
 from ..scene import animation, skinning
 from ..scene.references import rig_of
 from ..scene.skin import followers
-from .exports import FORMATS, left_out, meshes_together
+from .exports import FORMATS, left_out, meshes_together, surface_formats
 
 MORPHS = 8  # morph targets that common engines and viewers blend at once
 MOST_BONES = 4  # per vertex that glTF writes
@@ -27,7 +28,7 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
             yield from _key_losses(mesh, key, planned if mesh in moved else None)
     if key != "RAW":
         for mesh in left_out(obj):
-            yield f"'{mesh.name}' is hidden, so Blender exports nothing of it: show it"
+            yield Message("'{name}' is hidden, so Blender exports nothing of it: show it", name=mesh.name)
 
 
 def _planned_keys(obj) -> int:
@@ -39,30 +40,46 @@ def _planned_keys(obj) -> int:
 def _raw_losses(obj) -> Iterator[str]:
     pieces = ", ".join(f"'{piece.name}'" for piece in meshes_together(obj) if piece != obj)
     if pieces:
-        yield f"A raw clip is of one mesh: {pieces} is left out"
+        yield Message("A raw clip is of one mesh: {pieces} is left out", pieces=pieces)
     others = [name for name in animation.moving_keys(obj) if name not in animation.baked_keys(obj)]
     if others:
-        yield f"A raw clip has the bake's keys alone: {', '.join(others)} is left out"
+        yield Message("A raw clip has the bake's keys alone: {keys} is left out", keys=", ".join(others))
 
 
 def _skinning_losses(obj, key: str) -> Iterator[str]:
     label, modifiers = FORMATS[key].label, skinning.armature_modifiers(obj)
     if not modifiers:
-        yield f"'{obj.name}' has no Armature modifier: its bones are not written"
+        yield Message("'{name}' has no Armature modifier: its bones are not written", name=obj.name)
         return
     for modifier in obj.modifiers:
         if modifier not in modifiers and modifier.show_viewport:
             where = "after" if obj.modifiers.find(modifier.name) > obj.modifiers.find(modifiers[-1].name) else "before"
-            yield (
-                f"'{obj.name}': modifier '{modifier.name}' {where} the Armature is left out: {label} takes shape keys "
-                "or modifiers, not both. Use Alembic or USD"
+            yield Message(
+                "'{name}': modifier '{modifier}' {where} the Armature is left out: {format} takes shape keys or "
+                "modifiers, not both. Use {others}",
+                name=obj.name,
+                modifier=modifier.name,
+                where=Message(where),
+                format=label,
+                others=surface_formats(),
             )
     beyond = skinning.beyond_bones(obj)
     if beyond:
-        yield f"'{obj.name}' is skinned with {beyond}, {label} skins by plain bones: it will differ. Use Alembic or USD"
+        yield Message(
+            "'{name}' is skinned with {beyond}, {format} skins by plain bones: it will differ. Use {others}",
+            name=obj.name,
+            beyond=beyond,
+            format=label,
+            others=surface_formats(),
+        )
     crowded = _crowded_vertices(obj)
     if key == "GLTF" and crowded:
-        yield f"'{obj.name}': {crowded} vertices follow more than {MOST_BONES} bones: the weakest of them are dropped"
+        yield Message(
+            "'{name}': {count} vertices follow more than {most} bones: the weakest of them are dropped",
+            name=obj.name,
+            count=crowded,
+            most=MOST_BONES,
+        )
 
 
 def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
@@ -74,16 +91,30 @@ def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
         room = MORPHS - len(others)
         again = "bake to Shape Keys again with Keys" if planned is None else "set Keys to"
         remedy = f"{again} {room}, or use" if room > 0 else "use"
-        yield f"'{obj.name}': {count} keys move, many engines blend {MORPHS} at most: {remedy} Alembic or USD"
+        yield Message(
+            "'{name}': {count} keys move, many engines blend {most} at most: {remedy} {others}",
+            name=obj.name,
+            count=count,
+            most=MORPHS,
+            remedy=remedy,
+            others=surface_formats(),
+        )
     driven = [name for name in moving if name in animation.driven_keys(obj)]
     if driven:
-        yield f"'{obj.name}': drivers are left out, the values they give at each frame are written: {', '.join(driven)}"
+        yield Message(
+            "'{name}': drivers are left out, the values they give at each frame are written: {keys}",
+            name=obj.name,
+            keys=", ".join(driven),
+        )
     blocks = obj.data.shape_keys.key_blocks if moving else ()
     whole = [name for name in moving if blocks[name].vertex_group or blocks[name].relative_key != blocks[0]]
     if key == "GLTF" and whole:
-        yield (
-            f"'{obj.name}': glTF knows no vertex groups of shape keys, and none relative to others than "
-            f"'{blocks[0].name}': {', '.join(whole)} will differ"
+        yield Message(
+            "'{name}': glTF knows no vertex groups of shape keys, and none relative to others than '{basis}': "
+            "{keys} will differ",
+            name=obj.name,
+            basis=blocks[0].name,
+            keys=", ".join(whole),
         )
 
 

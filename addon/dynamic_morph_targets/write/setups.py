@@ -214,7 +214,7 @@ def read(path: Path) -> dict:
         check(setup)
     except (SetupError, ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, SetupError) else f"This is not a Dynamorph setup ({error})"
-        raise SetupError(f"'{path.name}': {reason}") from error
+        raise SetupError("'{name}': {reason}", name=path.name, reason=reason) from error
     return setup
 
 
@@ -227,7 +227,11 @@ def check(setup):
         raise SetupError("This is not a Dynamorph setup")
     version = setup.get("version")
     if type(version) is not int or not 1 <= version <= VERSION:
-        raise SetupError(f"The setup has version {version!r:.40}, this add-on reads 1 to {VERSION}: update the add-on")
+        raise SetupError(
+            "The setup has version {version!r:.40}, this add-on reads 1 to {known}: update the add-on",
+            version=version,
+            known=VERSION,
+        )
     targets, modes, pieces = setup.get("targets"), setup.get("modes", []), setup.get("pieces", [])
     if not isinstance(targets, list) or not targets or not isinstance(modes, list) or not isinstance(pieces, list):
         raise SetupError("The setup has no list of targets")
@@ -236,7 +240,7 @@ def check(setup):
     names = [target["name"] for target in targets[1:]]
     doubles = [name for name in names if names.count(name) > 1]
     if doubles:
-        raise SetupError(f"Two targets are called '{doubles[0]}'")
+        raise SetupError("Two targets are called '{name}'", name=doubles[0])
     for i, mode in enumerate(modes):
         _check_values(f"Mode {i + 1}", DynamorphMode, mode)
     for i, piece in enumerate(pieces):
@@ -253,41 +257,53 @@ def _check_target(target):
     bones, pose = target.get("bones", []), target.get("pose", {})
     _check_values(where, DynamorphTarget, _simple(target))
     if not isinstance(bones, list) or not all(map(_is_text, bones)):
-        raise SetupError(f"{where}: bones must be a list of names")
+        raise SetupError("{where}: bones must be a list of names", where=where)
     if not isinstance(pose, dict) or not all(map(_is_text, pose)):
-        raise SetupError(f"{where}: pose must have an entry for each bone")
+        raise SetupError("{where}: pose must have an entry for each bone", where=where)
     matrices = {"rig_world": target["rig_world"]} if "rig_world" in target else {}
     for bone, values in pose.items():
         _check_values(f"{where}, bone '{bone}'", DynamorphBonePose, values)
         if set(values) != {"rest", "local"}:
-            raise SetupError(f"{where}, bone '{bone}': rest and local are needed")
+            raise SetupError("{where}, bone '{bone}': rest and local are needed", where=where, bone=bone)
         matrices |= {f"{part} of bone '{bone}'": matrix for part, matrix in values.items()}
     flat = determinant(np.array(list(matrices.values()), float).reshape(-1, 4, 4)[:, :3, :3]) == 0
     if flat.any():
-        raise SetupError(f"{where}: {list(matrices)[flat.argmax()]} is a transform that flattens")
+        raise SetupError(
+            "{where}: {bone} is a transform that flattens", where=where, bone=list(matrices)[flat.argmax()]
+        )
 
 
 def _check_piece(where: str, piece):
     names = [piece.get(kind, "") for kind in ("object", "group")] if isinstance(piece, dict) else []
     if not all(map(_is_text, names)) or not any(names):
-        raise SetupError(f"{where} names neither an object nor a vertex group")
+        raise SetupError("{where} names neither an object nor a vertex group", where=where)
     _check_values(where, DynamorphPiece, _simple(piece))
 
 
 def _check_values(where: str, kind, values):
     """Raises SetupError unless all `values` are what the property group `kind` takes unchanged."""
     if not isinstance(values, dict):
-        raise SetupError(f"{where} must have properties by name")
+        raise SetupError("{where} must have properties by name", where=where)
     properties = kind.bl_rna.properties
     for name, value in values.items():
         known = name in properties and name not in ("rna_type", *NOT_AUTHORED[kind])
         if not known or properties[name].type in ("POINTER", "COLLECTION"):
-            raise SetupError(f"{where} has a property {name!r} that this add-on does not know: update the add-on")
+            raise SetupError(
+                "{where} has a property {name!r} that this add-on does not know: update the add-on",
+                where=where,
+                name=name,
+            )
         prop = properties[name]
         count = prop.array_length if getattr(prop, "is_array", False) else 0
         whole = isinstance(value, list) and len(value) == count if count else True
         if not whole or not all(fits(prop, number) for number in (value if count else [value])):
-            raise SetupError(f"{where}: {name} is {value!r:.40}, but must be {_wanted(prop, count)}")
+            raise SetupError(
+                "{where}: {name} is {value!r:.40}, but must be {wanted}",
+                where=where,
+                name=name,
+                value=value,
+                wanted=_wanted(prop, count),
+            )
 
 
 def fits(prop, value) -> bool:

@@ -29,8 +29,10 @@ def model_path(name: str, packed: bytes, folder: Path | None = None) -> Path | N
     folders = preferences.model_folders(folder or blend_folder())
     if not folders:
         raise SceneError(
-            f"The model of '{name}' is large ({len(packed) / 2**20:.0f} MB) and goes into a file beside the "
-            ".blend: save the .blend first"
+            "The model of '{name}' is large ({size:.0f} MB) and goes into a file beside the .blend: save the .blend "
+            "first",
+            name=name,
+            size=len(packed) / 2**20,
         )
     return folders[0] / f"{model_file.content_id(packed)}.dynamorph"
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -17,7 +18,9 @@ import numpy as np
 from mathutils import Quaternion
 
 from ..core.errors import SceneError
+from ..core.message import Message
 from ..scene import checks, events, rig_motion
+from ..scene.skin import find
 from . import targets
 
 STEP = np.radians(3.0)
@@ -44,20 +47,30 @@ class Suggestion:
     pose: tuple
 
 
-def suggestions(obj) -> tuple[list[Suggestion], list[str]]:
-    """Suggestions from the driven shape keys of `obj` that are not targets, and why others suggest nothing. The
-    armature is posed to find out, and then restored. Raises SceneError.
+def suggestions(session_uid: int) -> Generator[tuple[float, str], None, tuple[list[Suggestion], list[str]]]:
+    """Suggestions from the driven shape keys of an object that are not targets, and why others suggest nothing. Yields
+    (fraction, message) before each key.
+
+    The armature is posed to find out, and restored before each yield. Raises SceneError.
     """
+    obj = find(session_uid)
     rig = checks.armature_modifier(obj).object
     skeleton, _, rig_world = rig_motion.current_pose(obj)
     neutral = obj.dynamorph.targets[0].local(skeleton)
     read = _axes_read(obj, rig, rig_world @ skeleton.pose(neutral), skeleton)
     if not read:
-        raise SceneError(f"'{obj.name}' has no shape key, besides targets, whose driver reads bones of '{rig.name}'")
+        raise SceneError(
+            "'{name}' has no shape key, besides targets, whose driver reads bones of '{rig}'",
+            name=obj.name,
+            rig=rig.name,
+        )
     found, skipped = [], []
-    with _unchanged_pose(rig), events.unheard(), _Trial(obj, rig) as trial:
-        targets.pose_rig(rig, skeleton, neutral)
-        for key, axes in read.items():
+    for done, (key, axes) in enumerate(read.items()):
+        yield done / len(read), Message("Trying the driver of '{name}'", name=key)
+        obj = find(session_uid)
+        rig = checks.armature_modifier(obj).object
+        with _unchanged_pose(rig), events.unheard(), _Trial(obj, rig) as trial:
+            targets.pose_rig(rig, skeleton, neutral)
             angles, top, turns = _turned_until_on(trial, key, axes)
             bones = {bone for (bone, _), angle in zip(turns, angles, strict=True) if angle}
             if top < WORKS:
@@ -68,7 +81,6 @@ def suggestions(obj) -> tuple[list[Suggestion], list[str]]:
                 trial.turn(turns, angles)
                 pose = rig_motion.current_pose(obj, trial.depsgraph)
                 found.append(Suggestion(key, [name for name in skeleton.names if name in bones], pose))
-            targets.pose_rig(rig, skeleton, neutral)
     return found, skipped
 
 

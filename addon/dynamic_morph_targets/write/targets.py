@@ -15,7 +15,7 @@ from ..core import engine
 from ..core.character import Character, Skeleton
 from ..core.errors import SceneError
 from ..core.geometry import turned
-from ..scene import animation, checks, extract, mesh_data, rig_motion
+from ..scene import animation, checks, data_checks, extract, mesh_data, rig_motion
 from ..scene.plain import plain
 from ..scene.references import KEY_REFERENCE, key_points, rest_skeleton, rig_of
 from . import regions
@@ -148,7 +148,7 @@ def at_pose_of(obj, skeleton: Skeleton, local: np.ndarray, bones):
     """The target, other than the neutral one, that a pose (B, 4, 4) with these bones cannot be distinguished from."""
     for target in obj.dynamorph.targets[1:]:
         used = [name in {*bones, *target.bone_names()} for name in skeleton.names]
-        if checks.same_pose(target.local(skeleton)[used], local[used]):
+        if data_checks.same_pose(target.local(skeleton)[used], local[used]):
             return target
     return None
 
@@ -229,7 +229,9 @@ def begin_sculpting(obj, block, mode: str, is_new=False):
     """
     check_can_sculpt(obj)
     if block.mute:
-        raise SceneError(f"Shape key '{block.name}' is muted and would not show: unmute it, or press Delete Bake")
+        raise SceneError(
+            "Shape key '{name}' is muted and would not show: unmute it, or press Delete Bake", name=block.name
+        )
     modifier, remembered = checks.armature_modifier(obj), obj.dynamorph.sculpt
     blocks = obj.data.shape_keys.key_blocks
     remembered.active, remembered.is_new = True, is_new
@@ -248,7 +250,7 @@ def check_can_sculpt(obj):
     """Raises SceneError."""
     checks.check_mesh(obj)
     if not obj.visible_get():
-        raise SceneError(f"'{obj.name}' is hidden: show it to sculpt")
+        raise SceneError("'{name}' is hidden: show it to sculpt", name=obj.name)
 
 
 def finish_sculpting(obj):
@@ -312,7 +314,7 @@ def _is_in_pose(obj, target, depsgraph) -> bool:
         return False
     bones = target.bone_names() or skeleton.names
     used = [name in bones for name in skeleton.names]
-    return checks.same_pose(target.local(skeleton)[used], local[used])
+    return data_checks.same_pose(target.local(skeleton)[used], local[used])
 
 
 def _with_sets(obj, name: str, own: bool) -> Character:
@@ -341,7 +343,9 @@ def sculpted_key(obj):
     target, keys = obj.dynamorph.active_target, obj.data.shape_keys
     block = keys and keys.key_blocks.get(target.name)
     if not block:
-        raise SceneError(f"'{obj.name}': the shape key of target '{target.name}' is gone: remove the target")
+        raise SceneError(
+            "'{name}': the shape key of target '{target}' is gone: remove the target", name=obj.name, target=target.name
+        )
     return block
 
 

@@ -39,19 +39,31 @@ def check(source, others, replace: bool):
     keys = source.data.shape_keys
     gone = [name for name in names if keys is None or name not in keys.key_blocks]
     if gone:
-        raise SceneError(f"'{source.name}': the shape key of target '{gone[0]}' is gone: remove the target")
+        raise SceneError(
+            "'{name}': the shape key of target '{target}' is gone: remove the target", name=source.name, target=gone[0]
+        )
     for obj in (source, *others):
         checks.check_mesh(obj)
         if checks.armature_modifier(obj).object != rig:
-            raise SceneError(f"'{obj.name}' is moved by another armature: choose '{rig.name}' in its Armature modifier")
+            raise SceneError(
+                "'{name}' is moved by another armature: choose '{rig}' in its Armature modifier",
+                name=obj.name,
+                rig=rig.name,
+            )
     for obj in others:
         if not (obj.is_editable and obj.data.is_editable):
-            raise SceneError(f"'{obj.name}' is linked: make it and its mesh local (Object > Relations > Make Local)")
+            raise SceneError(
+                "'{name}' is linked: make it and its mesh local (Object > Relations > Make Local)", name=obj.name
+            )
         if obj.dynamorph.targets and not replace:
-            raise SceneError(f"'{obj.name}' has a soft skin already: turn on Replace Soft Skins, or deselect it")
+            raise SceneError(
+                "'{name}' has a soft skin already: turn on Replace Soft Skins, or deselect it", name=obj.name
+            )
         basis = obj.data.shape_keys and obj.data.shape_keys.reference_key.name
         if basis in names:
-            raise SceneError(f"'{obj.name}': its Basis is called '{basis}' like a target: rename it")
+            raise SceneError(
+                "'{name}': its Basis is called '{basis}' like a target: rename it", name=obj.name, basis=basis
+            )
 
 
 def copy(source, obj) -> Copy:
@@ -96,7 +108,7 @@ def _at_rest(obj) -> tuple[np.ndarray, np.ndarray]:
     """Points (V, 3) of the Basis, local space, and the transform (4, 4) to the world now, metres. Raises SceneError."""
     world = rig_motion.world_now(obj)
     if determinant(world[:3, :3]) == 0:
-        raise SceneError(f"'{obj.name}' is scaled to zero: give it a size")
+        raise SceneError("'{name}' is scaled to zero: give it a size", name=obj.name)
     return mesh_data.rest_points(obj), world
 
 

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sentences for the artist that can still be translated after names and numbers were formatted into them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Self
+
+
+class Message(str):
+    """A sentence in English. It knows its template, which is what a language translates, and the values in that."""
+
+    template: str
+    values: dict[str, object]
+
+    def __new__(cls, template: str, /, **values: object) -> Self:
+        self = super().__new__(cls, template.format(**values))
+        self.template, self.values = template, values
+        return self
+
+
+def joined(separator: str, texts: Sequence[str]) -> Message:
+    """Sentences one after the other, each of which can still be translated."""
+    template = separator.join(f"{{text{k}}}" for k in range(len(texts)))
+    return Message(template, **{f"text{k}": text for k, text in enumerate(texts)})
+
+
+def translated(text: str, translate: Callable[[str], str]) -> str:
+    """A sentence in another language. translate(template): one of Blender's functions, such as `pgettext_iface`.
+
+    Values that are a Message are translated too; names and other texts stay as they are.
+    """
+    if not isinstance(text, Message):
+        return translate(text) if text else text
+    values = {
+        name: translated(value, translate) if isinstance(value, Message) else value
+        for name, value in text.values.items()
+    }
+    return translate(text.template).format(**values)
