@@ -197,7 +197,6 @@ void ReducedModel::blend(const VectorXd& w, Blend& out) const {
 }
 
 void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
-  constexpr double kNear = 0.03;  // of v
   const Eigen::Index r = layout_.r, rows = padded_pairs_;
   Blend::Orders &now = blend.now, &anchor = blend.anchor;
   now.v = z.head(r) - blend.centre;
@@ -216,7 +215,7 @@ void ReducedModel::expand(const Blend& blend, const VectorXd& z) const {
   const float* table = (blend.only >= 0 ? tables_[blend.only] : blend.table).data();
   // With forces blending v is the displacement from rest, of which even a small part hides the way to a target.
   const bool near = blending_ == Blending::even && blend.anchored;
-  if (!near || (now.v - anchor.v).norm() > kNear * now.v.norm()) {
+  if (!near || (now.v - anchor.v).norm() > blend.near * now.v.norm()) {
     now.linear.setZero(rows);
     now.quadratic.setZero(rows);
     add_single_product(table, rows, now.v.data(), r, now.linear.data());

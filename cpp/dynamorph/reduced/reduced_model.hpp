@@ -51,6 +51,7 @@ class ReducedModel {
     struct Orders {
       VectorXd v, pairs, linear, quadratic;
     };
+    double near = 0;  ///< changes of v, relative to it, that are summed in single precision; blending keeps it
     mutable bool anchored = false;  ///< whether `anchor` is of this pose
     mutable Orders anchor, now;
     mutable LaneVector<float> change, pair_changes;

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/step/simulation.hpp"
 
+#include <algorithm>
+#include <type_traits>
+
 #include "dynamorph/core/errors.hpp"
 #include "dynamorph/core/progress.hpp"
 #include "dynamorph/step/teleport.hpp"
@@ -210,6 +213,8 @@ StepReport Simulation<Model>::minimize(VectorXd& q, int max_iterations) {
   elastic_.model = model_.get();
   elastic_.blend = &blend_;
   elastic_.reference = quadratic_.origin.norm();
+  // Single precision loses 1e-7 of a change, which must stay well below the tolerance.
+  if constexpr (std::is_same_v<Model, ReducedModel>) blend_.near = std::min(0.03, 1e5 * options_.tolerance);
   Potential<Arithmetic, decltype(quadratic_), decltype(elastic_)> potential(quadratic_, elastic_);
   const auto ask = [&] {
     if (options_.keep_going && !options_.keep_going()) throw Cancelled();
