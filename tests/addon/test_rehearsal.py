@@ -107,16 +107,16 @@ def test_final_quality_takes_over_what_a_rehearsal_found(new_arm):
     limit(new_arm, 0.01)
     new_arm.dynamorph.model.solver, new_arm.dynamorph.model.cage_nodes = "FULL", 150
     said = "bake in Reduced first to keep"
-    assert said in " ".join(drawn(new_arm))
+    assert said in " ".join(drawn(new_arm, "DYNAMORPH_PT_physics"))
     job = bake(new_arm)
     assert not job.outcome.rehearsed and new_arm.dynamorph.targets[0].frequency == 3.5
     assert job.verdict.excess(job.input.limits) > 1.5 and verdict(new_arm)["remedy"] == "STIFFEN"
     new_arm.dynamorph.model.solver = "REDUCED"
-    assert said not in " ".join(drawn(new_arm))
+    assert said not in " ".join(drawn(new_arm, "DYNAMORPH_PT_physics"))
     reduced = bake(new_arm)
     assert reduced.outcome.rehearsed and reduced.input.can_rehearse
     new_arm.dynamorph.model.solver = "FULL"
-    assert said not in " ".join(drawn(new_arm))
+    assert said not in " ".join(drawn(new_arm, "DYNAMORPH_PT_physics"))
     final = bake(new_arm)
     assert final.character.targets[0].frequency == reduced.character.targets[0].frequency > 3.5
     assert final.verdict.displacement < 0.7 * job.verdict.displacement

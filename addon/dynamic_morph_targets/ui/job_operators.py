@@ -33,6 +33,9 @@ class DYNAMORPH_OT_free_bake(SoftSkinOperator, Operator):
 
     @classmethod
     def disabled_reason(cls, context):
+        reason = super().disabled_reason(context)
+        if reason:
+            return reason
         obj = mesh_in(context)
         if obj.dynamorph.targets:
             return "" if obj.dynamorph.bake.exists else "There is no bake yet"

@@ -361,7 +361,7 @@ def _before_load(*_args):
 
 
 @persistent
-def _edited(_scene, depsgraph):
+def _painted(_scene, depsgraph):
     """depsgraph_update_post."""
     if depsgraph.id_type_updated("MESH"):
         heat.edited()
@@ -375,7 +375,7 @@ def _undone(*_args):
 
 HANDLERS = {
     "load_pre": _before_load,
-    "depsgraph_update_post": _edited,
+    "depsgraph_update_post": _painted,
     "undo_post": _undone,
     "redo_post": _undone,
 }
