@@ -76,6 +76,10 @@ def until(condition, what: str, limit=20.0):
 # Hands ---------------------------------------------------------------------------------------------------------------
 
 
+NUMBERS = ("ZERO", "ONE", "TWO", "THREE", "FOUR", "FIVE", "SIX", "SEVEN", "EIGHT", "NINE")
+KEYS = {str(i): name for i, name in enumerate(NUMBERS)} | {".": "PERIOD", "-": "MINUS"}  # of a number's letters
+
+
 def send(kind: str, value: str, position, **details):
     x, y = position
     window().event_simulate(type=kind, value=value, x=int(x), y=int(y), **details)
@@ -435,9 +439,11 @@ class Region:
         global actions
         actions += 1
         position = yield from self.find(wanted)
+        yield from drawn()  # a list that has just closed would take the first key
         yield from tap("RET", position)
-        for letter in text:
-            send("A", "PRESS", position, unicode=letter)
+        yield 0.1
+        for letter in text:  # their own keys: A, if the field did not open, would close the panel
+            yield from tap(KEYS[letter], position, unicode=letter)
         yield from tap("RET", position)
         yield 0.1
 
