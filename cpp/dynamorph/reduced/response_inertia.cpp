@@ -77,7 +77,10 @@ void ResponseInertia::tabulate_mass(const MatrixXd& W, int s, Set& set) {
     const VectorXd mass = b.volumes(i, s) * W.middleRows<3>(3 * i).colwise().squaredNorm();
     for (SkinWeights::InnerIterator it(b.skin, i); it; ++it) parts.col(it.col()).head(count_) += it.value() * mass;
   }
-  if (!b.own_transforms) parts = MatrixXd(parts(Eigen::placeholders::all, bones_));
+  if (!b.own_transforms) {  // bones_ ascends
+    for (size_t c = 0; c < bones_.size(); ++c) parts.col(Index(c)) = parts.col(bones_[c]);
+    parts.conservativeResize(Eigen::NoChange, Index(bones_.size()));
+  }
   set.mass = parts.rowwise().sum().head(count_);
   for (Index k = 0; k < count_; ++k)
     if (set.mass(k) > 0) parts.row(k) /= set.mass(k);
