@@ -82,6 +82,7 @@ def side_by_side():
     """With plain skinning, and with the bake of the other settings."""
     beside = addon("write.beside")
     names = lambda: addon("ui.overlays").names_beside(skin(), beside.find(skin()))  # noqa: E731
+    yield from sidebar.unfold("DYNAMORPH_PT_trying")
     yield from driver.drawn()
     pictured = driver.pixels(viewport.box)
     yield from sidebar.press(BESIDE)
@@ -101,13 +102,14 @@ def side_by_side():
 @step("Two bakes side by side")
 def two_bakes():
     beside = addon("write.beside")
-    bpy.ops.dynamorph.swap_slot()  # its section is closed
+    yield from sidebar.press("dynamorph.swap_slot")
     yield from bake()
     assert addon("ui.overlays").names_beside(skin(), beside.find(skin())) == ("Bake B", "Bake A")
-    bpy.ops.dynamorph.swap_slot()
+    yield from sidebar.press("dynamorph.swap_slot")
     yield from bake()
     yield from sidebar.press(BESIDE)
     yield from until(lambda: not beside.find(skin()), "the copy to go")
+    yield from sidebar.fold("DYNAMORPH_PT_trying")
 
 
 # The verdict ---------------------------------------------------------------------------------------------------------
