@@ -32,7 +32,7 @@ ASIDE = 90  # pixels from the left: a header, and of a list neither the button n
 END = 500  # no buttons for so many pixels: there are none below
 AROUND = 350  # pixels: where of a button that which it opens is looked for
 OPENS = 1500  # pixels that change outside of a button when something opens
-COLUMNS = (0.45, 0.75, 0.86, 0.2, 0.6)  # across a region: buttons, fields, buttons beside a list, halves of a row
+COLUMNS = (0.45, 0.75, 0.86, 0.91, 0.2, 0.6)  # across a region: buttons, fields, beside a list (two), halves of a row
 
 result = {"ok": False, "steps": [], "measured": {}, "pictures": []}
 actions = 0  # clicks, keys and entries so far, as an artist counts them
