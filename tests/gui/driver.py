@@ -418,7 +418,8 @@ class Region:
                     continue
                 yield from self._click_header(header)
                 now = yield from self.panels()
-                if (panel in now) == wanted:
+                parent = getattr(bpy.types, panel).bl_parent_id
+                if (panel in now) == wanted and (parent in now) == (parent in before):
                     self.headers[panel] = header
                     return
                 if now != before:  # another section
