@@ -439,7 +439,9 @@ class Region:
         """Type a number into a field."""
         global actions
         actions += 1
-        position = yield from self.find(wanted)
+        x, row = yield from self.find(wanted)
+        left, _, width, _ = self.box
+        position = min(x, left + int(0.75 * width)), row  # not on the arrow at its right end
         yield from drawn()  # a list that has just closed would take the first key
         yield from tap("RET", position)
         yield 0.1

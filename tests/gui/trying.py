@@ -45,7 +45,8 @@ def bounce():
     assert 0.5 < target.bounce < 50.0
     wanted = round(0.6 * target.bounce, 2)
     yield from sidebar.enter("targets[2].bounce", str(wanted))
-    assert abs(target.bounce - wanted) < 0.02 and target.stiffness < 0.5 * before
+    found = f"{target.bounce} Hz of {wanted} at {target.stiffness} Pa, before {before}"
+    assert abs(target.bounce - wanted) < 0.02 and target.stiffness < 0.5 * before, found
     assert not addon("scene.staleness").model_age(skin()), "a new stiffness needs no new model"
 
 
