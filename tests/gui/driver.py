@@ -443,6 +443,7 @@ class Region:
         left, _, width, _ = self.box
         position = min(x, left + int(0.75 * width)), row  # not on the arrow at its right end
         yield from drawn()  # a list that has just closed would take the first key
+        assert is_button((yield from self.look(position)), wanted)
         yield from tap("RET", position)
         yield 0.1
         for letter in text:  # their own keys: A, if the field did not open, would close the panel
