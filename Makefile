@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
-.PHONY: help setup build test gui-test demo docs figures materials bench bench-docs robustness believable believable-docs \
+.PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
 	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel extension clean
 
 started := $(shell date +%s)
@@ -45,9 +45,10 @@ gui-test: build
 demo: build
 	@$(python) sample_blends/demo.py
 
-# The picture of the README.
-docs: build
-	@$(python) sample_blends/demo.py --docs
+# docs/gallery.md with its moving pictures, one of which is the README's; takes about 10 minutes. only="Husky" films
+# those that begin so.
+gallery: build
+	@$(python) tests/benchmarks/gallery.py --only "$(only)"
 
 # docs/results.md with its pictures; takes about 20 minutes.
 figures: build

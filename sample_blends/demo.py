@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`make demo`: bake the bulging cylinder, save it, and picture it beside plain skinning and a single material.
 
-Runs what the Bake button runs. Writes out/bulging_cylinder_baked.blend and out/bulging_cylinder.png; with --docs also
-the picture of the README.
+Runs what the Bake button runs. Writes out/bulging_cylinder_baked.blend and out/bulging_cylinder.png.
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ ROOT = Path(__file__).resolve().parents[1]
 SCENE = ROOT / "sample_blends" / "bulging_cylinder.blend"
 BAKED = ROOT / "out" / "bulging_cylinder_baked.blend"
 SHEET = ROOT / "out" / "bulging_cylinder.png"
-README_PICTURE = ROOT / "docs" / "images" / "bulging_cylinder.png"
 
 LIMB = "Limb"
 FRAMES = {
@@ -49,7 +47,7 @@ SWINGS = {
 CELL = (264, 204)
 
 
-def run(draft: bool, docs: bool) -> None:
+def run(draft: bool) -> None:
     print(f"opening {shown(SCENE)}")
     with quiet():
         bpy.ops.wm.open_mainfile(filepath=str(SCENE))
@@ -79,9 +77,6 @@ def run(draft: bool, docs: bool) -> None:
     sheet = compose("Bulging cylinder", "The same frames; under the pictures, the targets' weights", columns, rows)
     save(sheet, SHEET)
     print(f"saved {shown(SHEET)} (rendered in {rendering:.0f} s)")
-    if docs:
-        save(sheet, README_PICTURE, small=True)
-        print(f"saved {shown(README_PICTURE)}")
     print_table({"single material": single, "DMT": dmt})
 
 
@@ -146,12 +141,11 @@ def shown(path: Path) -> Path:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Bake the bulging cylinder and compare it with simpler methods.")
-    parser.add_argument("--docs", action="store_true", help="also write the picture of the README")
     parser.add_argument("--draft", action="store_true", help="render with Workbench: faster, plainer")
     args = parser.parse_args()
     dynamic_morph_targets.register()
     try:
-        run(args.draft, args.docs)
+        run(args.draft)
     except engine.expected_errors() as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1

@@ -27,7 +27,9 @@ try:
     from dynamic_morph_targets.core import compare
     from dynamic_morph_targets.core.settings import VARIANTS
     from dynamic_morph_targets.write.bake import free, write_keys
-    from subjects import SUBJECTS, Sheet, Shot, Subject, open_shot
+    from heat import draw_legend, paint
+    from PIL import ImageDraw
+    from subjects import SHAPE, SUBJECTS, SWING, Sheet, Shot, Subject, nearest, open_shot
 except ImportError as error:
     sys.exit(f"figures: {error}. `make figures` installs and builds everything first.")
 
@@ -46,8 +48,15 @@ ABOUT = {
     "single material": "the neutral target alone: the same softness in every pose",
     "pose-dependent shape": "after Capell et al. 2005: the shape follows the pose, the softness does not",
     "DMT reduced": "dynamic morph targets: shape and softness follow the pose; simulated in modes",
-    "DMT full": "dynamic morph targets, every node of the cage simulated",
+    "DMT full": "dynamic morph targets, every node of the cage simulated; colors: how far it is from reduced",
 }
+
+
+MEANS = {  # of the colors of a sheet
+    SHAPE: "how far the skin is from plain skinning: gray none, red {red}",
+    SWING: "how far the skin is from its pose's own shape: gray none, red {red}",
+}
+LEGEND = 500, 51  # pixels from the left and the top of a sheet
 
 
 class Work:
@@ -171,34 +180,59 @@ def tracked(work: Work) -> dict:
 # Pictures -------------------------------------------------------------------------------------------------------------
 
 
-def sheets(work: Work, engine: str, folder: Path) -> dict[str, str]:
-    """The subject's contact sheets: figure -> file name. Each method is baked into the open scene and rendered once."""
-    subject = work.subject
-    frames = sorted({frame for sheet in subject.sheets for frame in sheet.frames})
-    pictures = {claims.PLAIN: dict(zip(frames, photograph(work, None, frames, engine), strict=True))}
-    for name, parts in work.rows.items():
+def sheets(work: Work, folder: Path) -> dict[str, str]:
+    """The subject's contact sheets: figure -> file name. Each method is baked into the open scene and rendered once, in
+    Workbench, with the colors of `heat`."""
+    pictures = {}
+    for name, parts in {claims.PLAIN: [(work.shot, None)], **work.rows}.items():
         pictures[name] = {}
         for shot, run in parts:
-            seen = [frame for frame in frames if shot.settings.start <= frame <= shot.settings.end]
-            pictures[name] |= zip(seen, photograph(work, run, seen, engine), strict=True)
+            wear(work, run)
+            for sheet in work.subject.sheets:
+                seen = [frame for frame in sheet.frames if shot.settings.start <= frame <= shot.settings.end]
+                pictures[name] |= {frame: colored(work, sheet, frame, far(work, sheet, shot, run, frame, name == FULL))
+                                   for frame in seen}  # fmt: skip
     files = {}
-    for sheet in subject.sheets:
+    for sheet in work.subject.sheets:
         files[sheet.figure] = f"figure_{sheet.figure.replace('.', '_')}.png"
         save(lay_out(work, sheet, pictures), folder / files[sheet.figure], small=True)
     return files
 
 
-def photograph(work: Work, run: compare.Run | None, frames, engine: str) -> list:
-    """Renders frames of the open scene with a run's bake, or as the bones alone move it."""
+def wear(work: Work, run: compare.Run | None) -> None:
+    """The open scene with a run's bake, or as the bones alone move it."""
     obj = bpy.data.objects[work.subject.object]
     if run is None:
         free(obj)
     else:
         kept = slice(SHOWN_MODES)
-        bake = replace(run.bake, coordinates=run.bake.coordinates[:, kept], modes=run.bake.modes[kept])
-        write_keys(obj, bake)
-    focus = {frame: work.shot.middle(frame) for frame in frames}
-    return render(list(frames), CELL, engine, focus=focus, zoom=work.subject.zoom)
+        write_keys(obj, replace(run.bake, coordinates=run.bake.coordinates[:, kept], modes=run.bake.modes[kept]))
+
+
+def far(work: Work, sheet: Sheet, shot: Shot, run: compare.Run | None, frame: int, full: bool) -> np.ndarray:
+    """What the colors of a frame tell (V,), meters; of the full model, how far it is from the reduced one."""
+    if run is None:
+        return np.zeros(len(work.shot.rest))
+    k = shot.index(frame)
+    if full:
+        reference = work.shown["DMT reduced"].bake.displacement(work.shot.index(frame))
+    elif sheet.shows == SWING:
+        shapes = np.array([target.shape for target in run.character.by_method().targets])
+        reference = np.tensordot(run.bake.weights[k], shapes, 1)
+    else:
+        reference = 0.0
+    return np.linalg.norm(run.bake.displacement(k) - reference, axis=1)
+
+
+def colored(work: Work, sheet: Sheet, frame: int, lengths: np.ndarray):
+    """The open scene in a frame, colored by lengths (V,) in meters."""
+    paint(bpy.data.objects[work.subject.object].data, lengths / sheet.red)
+    shot, point = work.shot, sheet.around.get(frame)
+    if point is None:
+        middle = shot.middle(frame)
+    else:
+        middle = shot.world(np.zeros_like(shot.rest), frame)[nearest(point)(shot.rest)]
+    return render([frame], CELL, "BLENDER_WORKBENCH", focus={frame: middle}, zoom=sheet.zoom)[0]
 
 
 def lay_out(work: Work, sheet: Sheet, pictures: dict[str, dict]):
@@ -209,7 +243,10 @@ def lay_out(work: Work, sheet: Sheet, pictures: dict[str, dict]):
         for name, shots in pictures.items()
     ]  # fmt: skip
     columns = [f"{frame}: {event}" for frame, event in sheet.frames.items()]
-    return compose(f"Figure {sheet.figure}: {sheet.title}", work.subject.title, columns, rows)
+    made = compose(f"Figure {sheet.figure}: {sheet.title}", work.subject.title, columns, rows)
+    means = MEANS[sheet.shows].format(red=f"{1000 * sheet.red:g} mm")
+    draw_legend(ImageDraw.Draw(made), *LEGEND, means)
+    return made
 
 
 def acting(shot: Shot, run: compare.Run | None, frame: int) -> str:
@@ -228,7 +265,9 @@ def overview(works: list[Work], engine: str, folder: Path) -> str:
         subject = work.subject
         open_shot(subject)
         run = work.shown["DMT reduced"]
-        pictures = photograph(work, run, subject.overview, engine)
+        wear(work, run)
+        focus = {frame: work.shot.middle(frame) for frame in subject.overview}
+        pictures = render(list(subject.overview), CELL, engine, focus=focus, zoom=subject.zoom)
         rows.append(Row(subject.title, "", pictures, [acting(work.shot, run, frame) for frame in subject.overview]))
     sheet = compose("Figure 5.1: dynamic morph targets", "Reduced models", [""] * len(rows[0].pictures), rows)
     save(sheet, folder / "figure_5_1.png", small=True)
@@ -333,7 +372,7 @@ def make(args, folder: Path) -> None:
                 found[name][part] = timed(f"{name}: {part}", measure, work)
         draw_plots(name, found[name], images)
         if "sheets" in args.only:
-            pictures |= timed(f"{name}: contact sheets", sheets, work, engine, images)
+            pictures |= timed(f"{name}: contact sheets", sheets, work, images)
     if "sheets" in args.only:
         pictures["5.1"] = timed("overview", overview, works, engine, images)
     results_page.write(folder, compare.machine(), found, pictures)

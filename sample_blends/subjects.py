@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -19,15 +19,26 @@ from dynamic_morph_targets.core.settings import SimulationSettings
 from dynamic_morph_targets.scene import extract, rig_motion, run_settings
 
 FOLDER = Path(__file__).resolve().parent
+SHAPE, SWING = "SHAPE", "SWING"  # what the colors of a sheet tell
+ELBOW = (0.382, -0.019, 1.211)  # of the shoulder, bind space
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A contact sheet: figure of the thesis, title, frames and what happens there."""
+    """A contact sheet: figure of the thesis, title, frames and what happens there.
+
+    shows: what colors tell, the SHAPE, how far it is from plain skinning, or the SWING about the pose's sculpted shape;
+    red: from there on they are red, meters. zoom: part of the camera's picture, around the soft skin or, in frames of
+    `around`, a point of it in bind space.
+    """
 
     figure: str
     title: str
     frames: dict[int, str]
+    shows: str
+    red: float
+    zoom: float
+    around: dict[int, tuple[float, float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -37,8 +48,8 @@ class Subject:
     thesis: row of its table 5.1. overview: frames for figure 5.1. measured: the frames over which full and reduced
     models are timed and compared. ringing: frame before a stop, first and last frame in which the tracked vertex then
     swings freely; tracked(vertices (V, 3) in bind space) is its index, direction the unit vector, local space, along
-    which it is watched. zoom: part of the camera's picture that sheets show, around the soft skin. full: ranges around
-    the sheets' frames, for a scene whose unreduced model is too slow for more. also: further ranges in which the
+    which it is watched. zoom: part of the camera's picture that the overview shows, around the soft skin. full: ranges
+    around the sheets' frames, for a scene whose unreduced model is too slow for more. also: further ranges in which the
     scene's own reduced model is compared with the unreduced one.
     """
 
@@ -74,11 +85,17 @@ CYLINDER = Subject(
             "linear reduced": "93 → 89", "StVK reduced": "90 → 64", "precompute": "21.2"},
     overview=(16, 32, 44, 91),
     sheets=(
-        Sheet("5.3", "The limb bulges as it bends", {16: "bent back", 22: "bending", 32: "half bent", 44: "flexed"}),
+        Sheet(
+            "5.3",
+            "The limb bulges as it bends",
+            {16: "bent back", 22: "bending", 32: "half bent", 44: "flexed"},
+            shows=SHAPE, red=0.04, zoom=0.78,
+        ),
         Sheet(
             "5.4",
             "The same push and the same shake, flexed and straight",
             {55: "pushed flexed", 72: "shaken flexed", 123: "pushed straight", 142: "shaken straight"},
+            shows=SWING, red=0.012, zoom=0.78,
         ),
     ),
     measured=(1, 160),
@@ -100,6 +117,7 @@ SHOULDER = Subject(
             "5.7",
             "Two ways to fold one elbow, and the chest as the arm lowers",
             {36: "arm raised", 76: "folded, raised", 142: "arm lowered", 185: "folded, lowered"},
+            shows=SHAPE, red=0.03, zoom=0.36, around={76: ELBOW, 185: ELBOW},
         ),
     ),
     measured=(38, 104),
@@ -119,8 +137,18 @@ HERBERT = Subject(
             "linear reduced": "96 → 92", "StVK reduced": "90 → 58", "precompute": "16.8"},
     overview=(61, 73, 91, 178),
     sheets=(
-        Sheet("5.5", "The dive", {61: "lands on the board", 73: "throw", 91: "tucked", 103: "opens out"}),
-        Sheet("5.6", "The wall", {174: "running", 177: "hits the wall", 180: "squeezed", 184: "thrown back"}),
+        Sheet(
+            "5.5",
+            "The dive",
+            {61: "lands on the board", 73: "throw", 91: "tucked", 103: "opens out"},
+            shows=SWING, red=0.04, zoom=0.7,
+        ),
+        Sheet(
+            "5.6",
+            "The wall",
+            {174: "running", 177: "hits the wall", 180: "squeezed", 184: "thrown back"},
+            shows=SWING, red=0.06, zoom=0.6,
+        ),
     ),
     measured=(1, 104),
     ringing=(174, 177, 200),

@@ -28,6 +28,7 @@ PAGES = {
     "accuracy.md": (*ENGINE, *ADDON, "tests/benchmarks/accuracy_shots.py", "tests/benchmarks/motion_error.py",
                     "sample_blends/*.blend"),
     "believable.md": (*ENGINE, *ADDON, "tests/benchmarks/believable_bake.py", "tests/benchmarks/convergence.py"),
+    "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends"),
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "farm",
                 "tools/farm_demo.py"),
     "materials.md": ("addon/dynamic_morph_targets/core/material_presets.py",),

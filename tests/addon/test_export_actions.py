@@ -169,7 +169,7 @@ def test_the_clips_share_as_many_keys_as_are_asked_for(game_arm, tmp_path):
     obj.dynamorph.modes.add()
     obj.dynamorph.modes.add()
     (text,) = losses.losses(obj, "GLTF", "ACTIONS")
-    assert "'Arm': 9 keys move" in text and "set Keys to 8, or" in text
+    assert "'Arm': 9 keys move" in text and "set Key Limit to 8, or" in text
 
 
 def test_influence_counts(game_arm, tmp_path):

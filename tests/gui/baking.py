@@ -104,6 +104,10 @@ def bake_and_render():
     render = bpy.context.scene.render
     render.engine, render.resolution_x, render.resolution_y = "BLENDER_WORKBENCH", 160, 120  # no graphics card
     bpy.context.preferences.view.render_display_type = "NONE"
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.matrix_world = viewport.area.spaces.active.region_3d.view_matrix.inverted()
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
     rendered = []
     bpy.app.handlers.render_complete.append(lambda *_: rendered.append(True))
     task = Task("bake, render, delete the bake, bake again", 4)
@@ -118,6 +122,7 @@ def bake_and_render():
     yield from job_done()
     task.done()
     assert baked()
+    bpy.data.objects.remove(camera)
 
 
 @step("Live over the bake")

@@ -439,11 +439,13 @@ class Region:
         """Type a number into a field."""
         global actions
         actions += 1
-        x, row = yield from self.find(wanted)
+        _, row = yield from self.find(wanted)
         left, _, width, _ = self.box
-        position = min(x, left + int(0.75 * width)), row  # not on the arrow at its right end
         yield from drawn()  # a list that has just closed would take the first key
-        assert is_button((yield from self.look(position)), wanted)
+        for column in (0.7, *COLUMNS):  # first between the arrows at the ends of a number
+            position = left + int(column * width), row
+            if is_button((yield from self.look(position)), wanted):
+                break
         yield from tap("RET", position)
         yield 0.1
         for letter in text:  # their own keys: A, if the field did not open, would close the panel

@@ -12,7 +12,7 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 from driver import Region, click, tap, until
 
 ADDON = "bl_ext.user_default.dynamic_morph_targets"
-LIST_ROW = 20  # pixels
+LIST_ROW = 21  # pixels: a list's rows, the first of which has its middle as far below the list's top
 
 view = Region("VIEW_3D")
 viewport = Region("VIEW_3D", "WINDOW")
@@ -124,7 +124,7 @@ def select_target(index: int):
     wanted = "dynamorph.active_target_index"  # all rows are this button
     top = yield from sidebar.top_of(wanted)
     x, _ = sidebar.seen(wanted)
-    yield from click((x, top - LIST_ROW // 2 - index * LIST_ROW))
+    yield from click((x, top - (index + 1) * LIST_ROW))
     yield from until(lambda: settings().active_target_index == index, f"target {index} to be selected")
 
 

@@ -15,8 +15,8 @@ from editors import addon, baked, close, physics, properties, select_target, set
 browser = Region("FILE_BROWSER", "WINDOW")
 options = Region("FILE_BROWSER", "TOOL_PROPS")
 SETUP, GLB = WORK / "arm.json", WORK / "arm.glb"
-EXPORT = 28  # pixels: the middle of its menu, from the header
-PRESETS = 30  # pixels: the button of presets in a header, from the right
+EXPORT = 39  # pixels: the middle of its menu, from the top of the header
+PRESETS = {sidebar: 67, properties: 47}  # pixels: the button of presets in a header, from the right of the region
 OPTIONS = {"format": 15, "clips": 41}  # pixels: the middles of the export's drop-downs, from the top of their region
 
 
@@ -44,7 +44,7 @@ def open_presets(region, panel: str):
     yield from region.fold(panel)
     _, row = yield from region.unfold(panel)
     x, _, width, _ = region.box
-    button = (x + width - PRESETS, row - 4)  # a header is met near its top
+    button = (x + width - PRESETS[region], row - 4)  # a header is met near its top
     yield from driver.pop_up(button, f"{panel}_presets")
     return button
 
@@ -121,7 +121,7 @@ def export_check():
     loses = skin().modifiers.new("Smooth", "SMOOTH")  # not by hand
     yield from driver.drawn()
     with frames.timed(addon("ui.export_operators"), "draw_losses") as drawn:
-        yield from export_menu("dynamorph.export_check", 0.83)
+        yield from export_menu("dynamorph.export_check", 0.91)
         yield from until(lambda: drawn, "what the format leaves out")
     driver.opened.add("dynamorph.export_check")
     yield from driver.drawn()

@@ -200,6 +200,7 @@ def report_export(operator, obj, path: Path, clips=()):
 
 def draw_in_file_menu(menu, _context):
     """In File > Export, below Blender's own formats."""
+    menu.layout.operator_context = "INVOKE_DEFAULT"  # ask for the file also where a shortcut has called the menu
     menu.layout.operator("dynamorph.export", text="Soft Skin Clip")
 
 

@@ -89,7 +89,7 @@ def _key_losses(obj, key: str, planned: int | None) -> Iterator[str]:
     count = len(moving) if planned is None else len(others) + planned
     if count > MORPHS:
         room = MORPHS - len(others)
-        again = "bake to Shape Keys again with Keys" if planned is None else "set Keys to"
+        again = "bake to Shape Keys again with Key Limit" if planned is None else "set Key Limit to"
         remedy = f"{again} {room}, or use" if room > 0 else "use"
         yield Message(
             "'{name}': {count} keys move, many engines blend {most} at most: {remedy} {others}",

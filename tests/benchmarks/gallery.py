@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make gallery`: docs/gallery.md and its moving pictures, the sample scenes and some characters of ../shared. No
+number is typed here but what red stands for.
+
+    python tests/benchmarks/gallery.py --only "Husky bulging"
+
+Each is filmed by gallery_loop.py in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT / "tests/addon"), str(ROOT / "tools")]
+
+PAGE = ROOT / "docs" / "gallery.md"
+IMAGES = "images/gallery"
+FILMED = ROOT / "build" / "gallery"
+ASSETS = ROOT.parent / "shared" / "assets"
+LARGEST = 3e6  # bytes of a loop
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One moving picture. red: the motion that is red, in meters, or for characters in body sizes. A sample scene's
+    name, with the first and the last frame, or a character's file of ../shared/assets."""
+
+    name: str
+    title: str
+    red: float
+    scene: str = ""
+    frames: tuple[int, int] = (1, 1)
+    file: str = ""
+    about: str = ""
+
+
+LOOPS = {
+    loop.name: loop
+    for loop in (
+        Loop(
+            "bulging_cylinder", "Bulging cylinder", 0.012, scene="bulging_cylinder", frames=(28, 150),
+            about="Bent, the limb bulges as it was sculpted and is stiff; straight, it is as soft as before. It is "
+            "pushed and shaken in both poses.",
+        ),
+        Loop(
+            "shoulder", "Shoulder", 0.008, scene="shoulder", frames=(38, 104),
+            about="The elbow folds with the arm raised. A single material lets the biceps run into the forearm; the "
+            "target *Folded* does not.",
+        ),
+        Loop(
+            "herbert", "Herbert", 0.04, scene="herbert", frames=(56, 108),
+            about="The dive. In the tuck, Herbert's belly is skinny and stiff; upright, it swings.",
+        ),
+        Loop("Husky", "Husky", 0.03, file="zoo/Husky.glb"),
+        Loop("Velociraptor", "Velociraptor", 0.03, file="zoo/Velociraptor.glb"),
+        Loop("Dolphin", "Dolphin", 0.03, file="zoo/Dolphin.glb"),
+        Loop("Woman_Witch", "Woman, witch", 0.03, file="zoo/Woman_Witch.glb"),
+        Loop("Platformer_Enemy", "Platformer enemy", 0.03, file="zoo/Platformer_Enemy.glb"),
+    )
+}  # fmt: skip
+
+PAGE_TEXT = """# Gallery
+
+`make gallery` films these loops and writes this page. Colors show the soft tissue's own motion: how far the skin is
+from where the bones and the targets' sculpted shapes put it.
+
+{commit}.
+
+## Sample scenes
+
+A single material beside dynamic morph targets. The scenes are in `sample_blends`.
+
+{scenes}
+## Characters
+
+*Add Soft Skin* and *Bake*, with no other setting, beside plain skinning. The clips are the liveliest of their files.
+All characters that were tried, with their figures: [Believable](believable.md).
+
+{characters}
+## Attribution
+
+{attribution}
+- Sources and licenses: [Attribution](attribution.md).
+"""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--only", default="", help="loops, by the beginnings of their names; default: all")
+    parser.add_argument("--page", action="store_true", help="write the page from what was filmed before")
+    arguments = parser.parse_args()
+    beginnings = tuple(begin.lower() for begin in arguments.only.split()) or ("",)
+    chosen = [loop for loop in LOOPS.values() if loop.name.lower().startswith(beginnings)]
+    if not chosen:
+        parser.error(f"no loop's name begins with {arguments.only}")
+    if not arguments.page:
+        for loop in chosen:
+            if loop.scene or ASSETS.is_dir():
+                print(film(loop), flush=True)
+            else:
+                print(f"{loop.name}: skipped, there is no ../shared/assets")
+    missing = [name for name in LOOPS if not (FILMED / f"{name}.json").exists()]
+    if missing:
+        print(f"gallery: {', '.join(missing)} not filmed yet: no page is written")
+        return 0
+    PAGE.write_text(page(), encoding="utf-8")
+    print(f"written to {PAGE.relative_to(ROOT)}")
+    return 0
+
+
+def film(loop: Loop) -> str:
+    """One loop, and what is to be said of it."""
+    FILMED.mkdir(parents=True, exist_ok=True)
+    with (FILMED / f"{loop.name}.log").open("w") as output:
+        command = [sys.executable, Path(__file__).with_name("gallery_loop.py"), loop.name, FILMED]
+        subprocess.run(command, stdout=output, stderr=subprocess.STDOUT, check=True)
+    made = FILMED / f"{loop.name}.webp"
+    picture = PAGE.parent / IMAGES / made.name
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    picture.write_bytes(made.read_bytes())
+    size = made.stat().st_size
+    return f"{loop.name}: {size / 1e6:.2f} MB{', too large' if size > LARGEST else ''}"
+
+
+def page() -> str:
+    from characters import attribution
+    from measured import measured_at
+
+    found = {name: json.loads((FILMED / f"{name}.json").read_text(encoding="utf-8")) for name in LOOPS}
+    files = [each["file"] for each in found.values() if "file" in each]
+    return PAGE_TEXT.format(
+        commit=measured_at(PAGE.name),
+        scenes="\n".join(about(loop, found[loop.name]) for loop in LOOPS.values() if loop.scene),
+        characters="\n".join(about(loop, found[loop.name]) for loop in LOOPS.values() if not loop.scene),
+        attribution=attribution(files),
+    )
+
+
+def about(loop: Loop, found: dict) -> str:
+    """Of one loop: its title, its picture, and what it shows."""
+    first, last = found["frames"]
+    if loop.scene:
+        farthest = "; ".join(f"{title} {1000 * most:.3g} mm" for title, most in found["farthest"].items())
+    else:
+        farthest = f"{found['farthest']:.1%} of the body's size, in *{found['clip'].rpartition('|')[2]}*"
+    told = f"{loop.about} " if loop.about else ""
+    return (
+        f"### {loop.title}\n\n![{loop.title}]({IMAGES}/{loop.name}.webp)\n\n"
+        f"{told}Frames {first} to {last}; the tissue moves by at most: {farthest}.\n"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
