@@ -56,6 +56,7 @@ MEANS = {  # of the colors of a sheet
     SHAPE: "how far the skin is from plain skinning: gray none, red {red}",
     SWING: "how far the skin is from its pose's own shape: gray none, red {red}",
 }
+SHOW_SHAPES = (claims.PLAIN, "single material", "DMT reduced", FULL)  # the others have the shapes of DMT
 LEGEND = 500, 51  # pixels from the left and the top of a sheet
 
 
@@ -227,6 +228,7 @@ def far(work: Work, sheet: Sheet, shot: Shot, run: compare.Run | None, frame: in
 def colored(work: Work, sheet: Sheet, frame: int, lengths: np.ndarray):
     """The open scene in a frame, colored by lengths (V,) in meters."""
     paint(bpy.data.objects[work.subject.object].data, lengths / sheet.red)
+    bpy.context.scene.display.shading.show_shadows = False  # they have teeth on skin that bulges
     shot, point = work.shot, sheet.around.get(frame)
     if point is None:
         middle = shot.middle(frame)
@@ -240,7 +242,7 @@ def lay_out(work: Work, sheet: Sheet, pictures: dict[str, dict]):
     rows = [
         Row(name, ABOUT[name], [shots[frame] for frame in sheet.frames],
             [acting(work.shot, work.shown.get(name), frame) for frame in sheet.frames])
-        for name, shots in pictures.items()
+        for name, shots in pictures.items() if sheet.shows == SWING or name in SHOW_SHAPES
     ]  # fmt: skip
     columns = [f"{frame}: {event}" for frame, event in sheet.frames.items()]
     made = compose(f"Figure {sheet.figure}: {sheet.title}", work.subject.title, columns, rows)

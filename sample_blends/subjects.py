@@ -89,7 +89,7 @@ CYLINDER = Subject(
             "5.3",
             "The limb bulges as it bends",
             {16: "bent back", 22: "bending", 32: "half bent", 44: "flexed"},
-            shows=SHAPE, red=0.04, zoom=0.78,
+            shows=SHAPE, red=0.03, zoom=0.78,
         ),
         Sheet(
             "5.4",
@@ -117,7 +117,7 @@ SHOULDER = Subject(
             "5.7",
             "Two ways to fold one elbow, and the chest as the arm lowers",
             {36: "arm raised", 76: "folded, raised", 142: "arm lowered", 185: "folded, lowered"},
-            shows=SHAPE, red=0.03, zoom=0.36, around={76: ELBOW, 185: ELBOW},
+            shows=SHAPE, red=0.02, zoom=0.36, around={76: ELBOW, 185: ELBOW},
         ),
     ),
     measured=(38, 104),
@@ -141,7 +141,7 @@ HERBERT = Subject(
             "5.5",
             "The dive",
             {61: "lands on the board", 73: "throw", 91: "tucked", 103: "opens out"},
-            shows=SWING, red=0.04, zoom=0.7,
+            shows=SWING, red=0.04, zoom=0.58,
         ),
         Sheet(
             "5.6",

@@ -150,7 +150,8 @@ def points_in(frame: int, soft: Sequence[Soft]) -> np.ndarray:
 def film(soft: Sequence[Soft], frames: range, loop: Loop, zoom: float = 1.0) -> Iterator[Image.Image]:
     """Every frame through the scene's camera, as colored by the motion; zoom: the part of the picture around what is
     soft, which it follows without what shakes it."""
-    bpy.context.scene.display.shading.color_type = "VERTEX"
+    shading = bpy.context.scene.display.shading
+    shading.color_type, shading.show_shadows = "VERTEX", False  # shadows have teeth on skin that bulges
     middles = np.array([points_in(frame, soft).mean(axis=0) for frame in frames])
     for k, frame in enumerate(frames):
         bpy.context.scene.frame_set(frame)
