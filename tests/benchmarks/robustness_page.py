@@ -16,10 +16,12 @@ os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_robust
 ROOT = Path(__file__).resolve().parents[2]
 sys.path += [str(ROOT / folder) for folder in ("tests", "tests/addon", "tests/engine", "sample_blends", "tools")]
 
+import believable_bake  # noqa: E402
 import bpy  # noqa: E402
 import characters  # noqa: E402
 import dynamic_morph_targets  # noqa: E402
 import dynamorph  # noqa: E402
+import heat  # noqa: E402
 import numpy as np  # noqa: E402
 import test_defects  # noqa: E402
 from contact_sheet import Row, compose, quiet, render, save  # noqa: E402
@@ -29,12 +31,14 @@ from dynamic_morph_targets.scene import mesh_data  # noqa: E402
 from mathutils import Vector  # noqa: E402
 from measured import measured_at  # noqa: E402
 from performance_page import grid  # noqa: E402
+from PIL import ImageDraw  # noqa: E402
 from portrait import aim  # noqa: E402
 
 PAGE = ROOT / "docs" / "robustness.md"
 PICTURE = "images/robustness.png"
 MESHES = characters.ASSETS.parent / "meshes"
-CELL, ACROSS = (390, 300), 3  # pixels of a picture, pictures in a row
+CELL, ACROSS = (250, 210), 6  # pixels of a picture, pictures in a row
+RED = 0.1  # body sizes: bakes without limits swing far
 SURFACE_NODES = 600
 ABSENT = "-"
 DEFECTS = {
@@ -62,7 +66,7 @@ tries more of them.
 The largest skinned mesh of each file as it is opened or imported, made a soft skin of about {nodes} nodes, {substeps}
 substeps a frame. Where a file has shape keys some are targets; the others are simulated with a single material.
 
-![Each character at a frame of its bake]({picture})
+![Each character as the bones alone have it, and baked, colored by how far the skin has moved]({picture})
 
 {attribution}
 - Sources and licenses: [Attribution](attribution.md).
@@ -121,7 +125,7 @@ def write_page() -> None:
     for name, shot in characters.SHOTS.items():
         with quiet():
             baked = characters.bake(batch, characters.open_shot(shot))
-            pictures.append(picture(baked))
+            pictures += portraits(baked)
         defects.append((name, *mesh_row(baked)))
         cages.append((name, *cage_row(baked)))
         clip = shot.clip.rpartition("|")[2]
@@ -210,25 +214,39 @@ def dihedral_angles(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
 # The picture ----------------------------------------------------------------------------------------------------------
 
 
-def picture(baked: characters.Baked):
-    """The whole character at the frame where the skin is farthest."""
+def portraits(baked: characters.Baked) -> list:
+    """The whole character at the frame where the skin is farthest: as the bones alone have it, and baked, colored by
+    how far it is from there."""
     scene = bpy.context.scene
-    scene.frame_set(int(baked.job.result.frames[np.linalg.norm(baked.displacements, axis=2).max(axis=1).argmax()]))
+    lengths = np.linalg.norm(baked.displacements, axis=2)
+    farthest = int(lengths.max(axis=1).argmax())
+    scene.frame_set(int(baked.job.result.frames[farthest]))
     shown = [obj for obj in scene.objects if obj.type == "MESH" and obj.parent and obj.visible_get()]
     for obj in scene.objects:
         obj.hide_render = obj not in shown and obj.type != "LIGHT"
+        if obj in shown:
+            heat.paint(obj.data, np.zeros(len(obj.data.vertices)))
+    heat.paint(baked.body.data, lengths[farthest] / (RED * baked.size))
     aim(np.array([obj.matrix_world @ Vector(corner) for obj in shown for corner in obj.bound_box]), CELL)
-    return render([scene.frame_current], CELL, "BLENDER_WORKBENCH")[0]
+    pictures = []
+    for plain, color in ((True, "MATERIAL"), (False, "VERTEX")):
+        believable_bake.show(plain=plain)
+        scene.display.shading.color_type = color
+        pictures.append(render([scene.frame_current], CELL, "BLENDER_WORKBENCH")[0])
+    return pictures
 
 
 def draw(pictures: list) -> None:
-    names = list(characters.SHOTS)
+    """pictures: two of each character."""
+    names = [f"{name}, {what}" for name in characters.SHOTS for what in ("bones alone", "baked")]
     rows = [
         Row("", "", pictures[first : first + ACROSS], names[first : first + ACROSS])
         for first in range(0, len(names), ACROSS)
     ]
     about = "Each at the frame where its skin is farthest from where the bones alone put it"
-    save(compose("Nine characters, baked", about, [""] * ACROSS, rows), PAGE.parent / PICTURE, small=True)
+    sheet = compose("Nine characters, before and after", about, [""] * ACROSS, rows)
+    heat.draw_legend(ImageDraw.Draw(sheet), 720, 51, f"how far: gray none, red {RED:.0%} of the body's size")
+    save(sheet, PAGE.parent / PICTURE, small=True)
 
 
 # Surfaces -------------------------------------------------------------------------------------------------------------
