@@ -27,7 +27,6 @@ import numpy as np
 
 WORK = Path(sys.argv[sys.argv.index("--") + 1])
 ROW = 16  # less than a button's height: none is missed
-TALLEST = 130  # pixels: more than a list has
 HEADER = 24  # pixels, nearly: from one closed section's header to the next
 ASIDE = 90  # pixels from the left: a header, and of a list neither the button nor the handle at its bottom
 END = 500  # no buttons for so many pixels: there are none below
@@ -378,21 +377,6 @@ class Region:
             if condition():
                 return
         raise AssertionError(f"{what} not found in {self.editor}")
-
-    def top_of(self, wanted: str):
-        """The highest row of a button's pixels, to within two."""
-        x, inside = yield from self.find(wanted)
-        outside = inside + TALLEST
-        while outside - inside > 2:
-            middle = (inside + outside) // 2
-            yield from move(self.top)  # a button stays lit for a while when the mouse leaves it
-            yield from drawn(passes=1)
-            if is_button((yield from self.look((x, middle))), wanted):
-                inside = middle
-            else:
-                outside = middle
-        yield from self.look((x, inside - ROW // 2))  # where it is sure to be found
-        return inside
 
     def panels(self):
         """The names of the panels that are open, as openings.py notes them while they draw."""

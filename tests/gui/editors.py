@@ -9,10 +9,11 @@ import bpy
 import driver
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from driver import Region, click, tap, until
+from driver import Region, click, is_button, tap, until
 
 ADDON = "bl_ext.user_default.dynamic_morph_targets"
-LIST_ROW = 21  # pixels, of a list of targets
+LIST, LIST_ROW = 130, 21  # pixels: more than a list of targets has, and a row of it
+CHECKBOX = 0.7  # across the sidebar, in such a row
 
 view = Region("VIEW_3D")
 viewport = Region("VIEW_3D", "WINDOW")
@@ -121,17 +122,15 @@ def select_target(index: int):
     """Click a row of the list of targets."""
     yield from sidebar.unfold("DYNAMORPH_PT_targets")
     yield from sidebar.scroll("WHEELUPMOUSE", 40)
-    wanted = "dynamorph.active_target_index"  # all rows are this button
-    top = yield from sidebar.top_of(wanted)
-    x, _ = sidebar.seen(wanted)
-    actions = driver.actions + 1
-    for below in (LIST_ROW // 2, LIST_ROW):  # the list has a border, which is not always met
-        yield from click((x, top - below - index * LIST_ROW))
-        yield 0.6  # no double click
-        if settings().active_target_index == index:
+    _, row = yield from sidebar.find("dynamorph.active_target_index")  # all rows are this button
+    left, _, width, _ = sidebar.box
+    mute = left + int(CHECKBOX * width)  # of every target but the neutral ones, by which its row is known
+    for below in range(-LIST, LIST, LIST_ROW // 3):
+        if is_button((yield from sidebar.look((mute, row - below))), f"targets[{max(index, 1)}].mute"):
             break
-    driver.actions = actions
-    assert settings().active_target_index == index, f"target {index} is not selected"
+    y = row - below - LIST_ROW // 3 + (LIST_ROW if index == 0 else 0)
+    yield from click((left + width // 2, y))
+    yield from until(lambda: settings().active_target_index == index, f"target {index} to be selected")
 
 
 def from_menu(*arrows: str):
