@@ -263,7 +263,7 @@ def test_export_check_says_what_is_dropped(baked, words):
     assert list(losses.losses(obj, "ALEMBIC")) == []
 
 
-@pytest.mark.parametrize("smile, remedy", [(0.0, "with Key Limit 8, or use"), (0.5, "with Keys 7, or use")])
+@pytest.mark.parametrize("smile, remedy", [(0.0, "with Key Limit 8, or use"), (0.5, "with Key Limit 7, or use")])
 def test_export_check_counts_the_morphs_that_move(scene, smile, remedy):
     obj = make_soft(make_arm(scene))
     part("bake").write_keys(obj, hand_made_bake(obj, modes=9))
