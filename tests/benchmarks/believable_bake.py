@@ -30,6 +30,7 @@ from contact_sheet import quiet, render  # noqa: E402
 from dynamic_morph_targets.__main__ import leave  # noqa: E402
 from dynamic_morph_targets.run import job, preview  # noqa: E402
 from dynamic_morph_targets.ui import job_operators  # noqa: E402
+from heat import paint  # noqa: E402
 from mathutils import Matrix  # noqa: E402
 from portrait import aim  # noqa: E402
 
@@ -310,7 +311,7 @@ def photograph(rig, folder: Path) -> int:
     size = float(np.linalg.norm(np.ptp(np.concatenate([rest(obj) for obj in soft]), axis=0)))
     for obj in shown:
         lengths = soft[obj][worst] if obj in soft else np.zeros(len(obj.data.vertices))
-        paint(obj.data, lengths / size)
+        paint(obj.data, lengths / size, COLORS)
     show(plain=True)
     seen = [world_points(obj) for obj in shown]
     show(plain=False)
@@ -378,17 +379,6 @@ def show(plain: bool) -> None:
         for key in baked_keys(obj):
             key.mute = plain
     bpy.context.view_layer.update()
-
-
-def paint(mesh, lengths: np.ndarray) -> None:
-    """Colors of displacements (V,) in body sizes, as the color attribute that Workbench shows."""
-    stops = np.array(list(COLORS))
-    colors = np.ones((len(lengths), 4), np.float32)
-    for channel in range(3):
-        colors[:, channel] = np.interp(lengths, stops, [color[channel] for color in COLORS.values()])
-    attribute = mesh.color_attributes.new("Dynamorph Heat", "FLOAT_COLOR", "POINT")
-    attribute.data.foreach_set("color", colors.ravel())
-    mesh.color_attributes.active_color = attribute
 
 
 if __name__ == "__main__":
