@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_gallery_")  # before bpy is imported
@@ -119,14 +119,14 @@ def character_panes(loop: Loop) -> tuple[Panes, dict]:
     aim(np.concatenate([points_in(frame, soft) for frame in frames]), PANE)
     scene.display.shading.show_cavity = True
     scene.view_settings.view_transform = "Standard"
-    scaled = Loop(loop.name, loop.title, red=loop.red * size)
+    farthest = max(float(each.motion.max()) for each in soft)
+    scaled = replace(loop, red=farthest)
     panes = {}
     for title, plain in (("plain skinning", True), ("after one click", False)):
         believable_bake.show(plain=plain)
         moving = [Soft(each.obj, (not plain) * each.motion) for each in soft]
         panes[title] = list(film(moving, frames, scaled))
-    farthest = max(each.motion.max() for each in soft) / size
-    return panes, found | {"farthest": farthest, "red": f"{loop.red:.0%} of the body's size"}
+    return panes, found | {"farthest": farthest / size, "red": f"{farthest / size:.1%} of the body's size"}
 
 
 def show_alone(rig) -> None:
