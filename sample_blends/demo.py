@@ -21,6 +21,7 @@ try:
     from dynamic_morph_targets.core import engine
     from dynamic_morph_targets.run import batch, job
     from dynamic_morph_targets.write.bake import free
+    from measures import static_shapes
 except ImportError as error:
     sys.exit(f"demo: {error}. `make demo` installs and builds everything first; see README.md for doing it by hand.")
 
@@ -103,10 +104,9 @@ def weights_at(job: job.Job | None, frame: int) -> str:
 
 def swing(job: job.Job, first: int, last: int) -> float:
     """How far the skin leaves the pose's own static shape between two frames, at most; metres."""
-    shapes = np.array([target.shape for target in job.character.by_method().targets])
     apart = 0.0
     for k in range(first - job.settings.start, last - job.settings.start + 1):
-        static = np.tensordot(job.result.weights[k], shapes, 1)
+        static = static_shapes(job.character, job.result.weights[k])
         apart = max(apart, np.linalg.norm(job.result.displacement(k) - static, axis=1).max())
     return float(apart)
 

@@ -218,8 +218,7 @@ def far(work: Work, sheet: Sheet, shot: Shot, run: compare.Run | None, frame: in
     if full:
         reference = work.shown["DMT reduced"].bake.displacement(work.shot.index(frame))
     elif sheet.shows == SWING:
-        shapes = np.array([target.shape for target in run.character.by_method().targets])
-        reference = np.tensordot(run.bake.weights[k], shapes, 1)
+        reference = measures.static_shapes(run.character, run.bake.weights[k])
     else:
         reference = 0.0
     return np.linalg.norm(run.bake.displacement(k) - reference, axis=1)

@@ -27,6 +27,11 @@ def posed(vertices: np.ndarray, weights: np.ndarray, matrices: np.ndarray) -> np
     return np.einsum("vij,vj->vi", blended[:, :, :3], vertices) + blended[:, :, 3]
 
 
+def static_shapes(character, weights: np.ndarray) -> np.ndarray:
+    """The blended shapes of a character's targets (..., V, 3), local space, at weights (..., T)."""
+    return np.tensordot(weights, np.array([target.shape for target in character.by_method().targets]), 1)
+
+
 def patch_displacement(motion: np.ndarray, patch: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Mean displacement (F,) of a patch's vertices along a unit direction; motion (F, V, 3), patch: indices or mask."""
     return motion[:, patch].mean(axis=1) @ direction

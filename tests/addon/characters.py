@@ -20,7 +20,7 @@ CREDITS = {  # for the captions of their pictures, as their licenses ask
     "obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217.",
     "RobotExpressive.glb": "*RobotExpressive* by Tomás Laulhé (Quaternius) with modifications by Don McCurdy, CC0.",
 }
-OTHERS = "All others by Quaternius (quaternius.com), CC0, or by this project."
+OTHERS = "by Quaternius (quaternius.com), CC0, or by this project."
 CHANGED = "The pictures show them as simulated and rendered here."
 NODES, SUBSTEPS = 800, 2  # nodes of the cage, and steps per frame: enough to see what goes wrong, and quick
 
@@ -115,7 +115,8 @@ def attribution(files) -> str:
     """Who made these files, as a list in Markdown; files: their names."""
     names = list(files)
     lines = [text for begin, text in CREDITS.items() if any(name.startswith(begin) for name in names)]
-    return "\n".join(f"- {text}" for text in (*lines, OTHERS, CHANGED))
+    others = f"All others {OTHERS}" if lines else f"All {OTHERS}"
+    return "\n".join(f"- {text}" for text in (*lines, others, CHANGED))
 
 
 def play(rig, action):

@@ -306,9 +306,10 @@ def test_the_button_writes_what_the_format_is_called(baked, tmp_path):
 
 def file_menu() -> list[str]:
     """What the add-on adds to File > Export."""
-    out = []
-    part("export_operators").draw_in_file_menu(types.SimpleNamespace(layout=Layout(out)), bpy.context)
-    return out
+    layout = Layout([])
+    part("export_operators").draw_in_file_menu(types.SimpleNamespace(layout=layout), bpy.context)
+    assert layout.operator_context == "INVOKE_DEFAULT", "a shortcut to the menu would export to the last file"
+    return layout.drawn
 
 
 def test_the_file_menu_exports_a_soft_skin(scene, arm):

@@ -120,6 +120,9 @@ def test_in_blender(soft_arm, code, button):
         assert bpy.app.translations.pgettext_iface("Build Model", "Operator") == button
         tip = bpy.ops.dynamorph.build.get_rna_type().description
         assert bpy.app.translations.pgettext_tip(tip) == known(code[:2])[tip]
+        hold = soft_arm.dynamorph.model.bl_rna.properties["hold"]  # in Blender, Hold is to stop
+        for text in (hold.name, *(item.name for item in hold.enum_items)):
+            assert bpy.app.translations.pgettext_iface(text, hold.translation_context) == known(code[:2])[text]
         with pytest.raises(RuntimeError, match="„Arm“|«\u00a0Arm\u00a0»"):
             bpy.ops.dynamorph.add_soft_skin()
     finally:

@@ -13,7 +13,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_gallery_")  # before bpy is imported
@@ -31,6 +31,7 @@ from dynamic_morph_targets.run import batch  # noqa: E402
 from dynamic_morph_targets.run.job import Job  # noqa: E402
 from gallery import LOOPS, Loop  # noqa: E402
 from heat import draw_legend, paint  # noqa: E402
+from measures import static_shapes  # noqa: E402
 from PIL import Image, ImageDraw, ImageFont  # noqa: E402
 from portrait import aim  # noqa: E402
 from subjects import SUBJECTS  # noqa: E402
@@ -85,15 +86,14 @@ def scene_panes(loop: Loop) -> tuple[Panes, dict]:
             job = Job(obj, "BAKE")
             batch.run(job, lambda *_: True)
         motion = dynamic(job)[first - job.settings.start :][: last + 1 - first]
-        panes[title] = list(film([Soft(obj, motion)], range(first, last + 1), loop, zoom=subject.zoom))
+        panes[title] = list(film([Soft(obj, motion)], range(first, last + 1), loop.red, zoom=subject.zoom))
         farthest[title] = float(motion.max())
     return panes, {"farthest": farthest, "frames": [first, last], "red": f"{1000 * loop.red:.3g} mm"}
 
 
 def dynamic(job: Job) -> np.ndarray:
     """How far the skin is from the blended shapes of the targets (F, V), meters."""
-    shapes = np.array([target.shape for target in job.character.by_method().targets])
-    static = np.tensordot(job.result.weights, shapes, 1)
+    static = static_shapes(job.character, job.result.weights)
     return np.array([np.linalg.norm(job.result.displacement(k) - static[k], axis=1) for k in range(len(static))])
 
 
@@ -120,12 +120,11 @@ def character_panes(loop: Loop) -> tuple[Panes, dict]:
     scene.display.shading.show_cavity = True
     scene.view_settings.view_transform = "Standard"
     farthest = max(float(each.motion.max()) for each in soft)
-    scaled = replace(loop, red=farthest)
     panes = {}
     for title, plain in (("plain skinning", True), ("after one click", False)):
         believable_bake.show(plain=plain)
         moving = [Soft(each.obj, (not plain) * each.motion) for each in soft]
-        panes[title] = list(film(moving, frames, scaled))
+        panes[title] = list(film(moving, frames, farthest))
     return panes, found | {"farthest": farthest / size, "red": f"{farthest / size:.1%} of the body's size"}
 
 
@@ -147,16 +146,16 @@ def points_in(frame: int, soft: Sequence[Soft]) -> np.ndarray:
 # Pictures -------------------------------------------------------------------------------------------------------------
 
 
-def film(soft: Sequence[Soft], frames: range, loop: Loop, zoom: float = 1.0) -> Iterator[Image.Image]:
-    """Every frame through the scene's camera, as colored by the motion; zoom: the part of the picture around what is
-    soft, which it follows without what shakes it."""
+def film(soft: Sequence[Soft], frames: range, red: float, zoom: float = 1.0) -> Iterator[Image.Image]:
+    """Every frame through the scene's camera, colored by the motion. red: the motion that is red, meters; zoom: the
+    part of the picture around what is soft, which it follows without what shakes it."""
     shading = bpy.context.scene.display.shading
     shading.color_type, shading.show_shadows = "VERTEX", False  # shadows have teeth on skin that bulges
     middles = np.array([points_in(frame, soft).mean(axis=0) for frame in frames])
     for k, frame in enumerate(frames):
         bpy.context.scene.frame_set(frame)
         for each in soft:
-            paint(each.obj.data, each.motion[k] / loop.red)
+            paint(each.obj.data, each.motion[k] / red)
         focus = middles[max(k - FOLLOWS, 0) : k + FOLLOWS + 1].mean(axis=0)
         yield render([frame], PANE, "BLENDER_WORKBENCH", focus={frame: focus}, zoom=zoom)[0]
 

@@ -122,7 +122,7 @@ def bake_and_render():
     yield from job_done()
     task.done()
     assert baked()
-    bpy.data.objects.remove(camera)
+    bpy.data.cameras.remove(camera.data)  # with its object
 
 
 @step("Live over the bake")

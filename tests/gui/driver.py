@@ -293,12 +293,17 @@ class Region:
 
     def beside(self, wanted: str, neighbor: str):
         """Find a button in the row of another, which is quicker to find."""
-        x, _, width, _ = self.box
         _, row = yield from self.find(neighbor)
-        for column in COLUMNS:
-            if is_button((yield from self.look((x + int(width * column), row))), wanted):
-                return self.seen(wanted)
-        raise AssertionError(f"no button {wanted} beside {neighbor}")
+        return (yield from self.across(row, wanted))
+
+    def across(self, row: float, wanted: str, columns=COLUMNS):
+        """The position of a button in a row, in the first column that meets it."""
+        x, _, width, _ = self.box
+        for column in columns:
+            position = x + int(width * column), row
+            if is_button((yield from self.look(position)), wanted):
+                return position
+        raise AssertionError(f"no button {wanted} in row {row}")
 
     def near(self, wanted: str):
         """Look where the button was last, then as far from there as the one before it was, then below and above."""
@@ -432,12 +437,8 @@ class Region:
         global actions
         actions += 1
         _, row = yield from self.find(wanted)
-        left, _, width, _ = self.box
         yield from drawn()  # a list that has just closed would take the first key
-        for column in (0.7, *COLUMNS):  # first between the arrows at the ends of a number
-            position = left + int(column * width), row
-            if is_button((yield from self.look(position)), wanted):
-                break
+        position = yield from self.across(row, wanted, (0.7, *COLUMNS))  # not on the arrows at the ends of a number
         yield from tap("RET", position)
         yield 0.1
         for letter in text:  # their own keys: A, if the field did not open, would close the panel

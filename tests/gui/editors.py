@@ -124,12 +124,14 @@ def select_target(index: int):
     yield from sidebar.scroll("WHEELUPMOUSE", 40)
     _, row = yield from sidebar.find("dynamorph.active_target_index")  # all rows are this button
     left, _, width, _ = sidebar.box
-    mute = left + int(CHECKBOX * width)  # of every target but the neutral ones, by which its row is known
-    for below in range(-LIST, LIST, LIST_ROW // 3):
-        if is_button((yield from sidebar.look((mute, row - below))), f"targets[{max(index, 1)}].mute"):
+    checkbox = left + int(CHECKBOX * width)  # of every target but the neutral one, by which its row is known
+    for y in range(row + LIST, row - LIST, -LIST_ROW // 3):
+        if is_button((yield from sidebar.look((checkbox, y))), f"targets[{max(index, 1)}].mute"):
             break
-    y = row - below - LIST_ROW // 3 + (LIST_ROW if index == 0 else 0)
-    yield from click((left + width // 2, y))
+    else:
+        raise AssertionError(f"no row of target {index} in the sidebar")
+    middle = y - LIST_ROW // 3 + (LIST_ROW if index == 0 else 0)  # the neutral one is above the first
+    yield from click((left + width // 2, middle))
     yield from until(lambda: settings().active_target_index == index, f"target {index} to be selected")
 
 

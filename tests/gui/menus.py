@@ -150,6 +150,8 @@ def german():
     preferences.language = "de_DE"
     try:
         assert bpy.app.translations.pgettext_iface("Build Model", "Operator") == "Modell aufbauen"
+        hold = settings().model.bl_rna.properties["hold"]
+        assert bpy.app.translations.pgettext_iface(hold.name, hold.translation_context) == "Halt"
         yield from driver.drawn()
         driver.photograph("german", sidebar.box)
     finally:

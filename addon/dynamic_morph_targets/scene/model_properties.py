@@ -14,6 +14,8 @@ from . import events
 from .events import shown_changed
 from .references import OVERRIDE
 
+CONTEXT = "Dynamorph"  # of translations: words that mean something else in Blender, where Hold is to stop
+
 
 def _is_other_mesh(chosen, obj) -> bool:
     return obj.type == "MESH" and obj != chosen.id_data
@@ -182,7 +184,7 @@ class DynamorphModel(PropertyGroup):
         default=ModelSettings.separate, override=OVERRIDE,
     )  # fmt: skip
     hold: EnumProperty(
-        name="Hold",
+        name="Hold", translation_context=CONTEXT,
         description="What holds the soft tissue against the skeleton",
         items=(
             ("BONES", "Bones", "What is near a bone is fixed to it, as far as Bone Pinning says", 0),

@@ -12,8 +12,11 @@ from pathlib import Path
 
 import bpy
 
+from ..scene import model_properties
+
 FOLDER = Path(__file__).parents[1] / "translations"
-CONTEXTS = ("*", "Operator")  # of Blender's translations: the labels of buttons have one of their own
+# Of Blender's translations: the labels of buttons have one of their own.
+CONTEXTS = ("*", "Operator", model_properties.CONTEXT)
 
 
 def read(path: Path) -> dict[str, str]:
