@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -87,6 +88,19 @@ def quiet() -> Iterator[None]:
         for stream, copy in zip((1, 2), saved, strict=True):
             os.dup2(copy, stream)
             os.close(copy)
+
+
+@contextlib.contextmanager
+def only_python() -> Iterator[None]:
+    """Drop what Blender prints from C, and keep what Python does. Of an animated force field, as the bulging cylinder
+    has one, Blender says in ten lines again and again that it is no rigid body."""
+    outputs = sys.stdout, sys.stderr
+    with os.fdopen(os.dup(1), "w", buffering=1) as out, os.fdopen(os.dup(2), "w", buffering=1) as errors, quiet():
+        sys.stdout, sys.stderr = out, errors
+        try:
+            yield
+        finally:
+            sys.stdout, sys.stderr = outputs
 
 
 def compose(title: str, subtitle: str, columns: Sequence[str], rows: Sequence[Row]) -> Image.Image:

@@ -15,7 +15,7 @@ try:
     import bpy
     import dynamic_morph_targets
     import numpy as np
-    from contact_sheet import Row, compose, quiet, render, save
+    from contact_sheet import Row, compose, only_python, quiet, render, save
     from dynamic_morph_targets.__main__ import leave
     from dynamic_morph_targets.cli import record
     from dynamic_morph_targets.core import engine
@@ -145,7 +145,8 @@ def main() -> int:
     args = parser.parse_args()
     dynamic_morph_targets.register()
     try:
-        run(args.draft)
+        with only_python():
+            run(args.draft)
     except engine.expected_errors() as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
