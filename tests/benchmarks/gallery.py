@@ -19,6 +19,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "tests/addon"), str(ROOT / "tools")]
 
+from characters import attribution  # noqa: E402
+from measured import measured_at  # noqa: E402
+
 PAGE = ROOT / "docs" / "gallery.md"
 IMAGES = "images/gallery"
 FILMED = ROOT / "build" / "gallery"
@@ -120,6 +123,9 @@ def film(loop: Loop) -> str:
     with (FILMED / f"{loop.name}.log").open("w") as output:
         command = [sys.executable, Path(__file__).with_name("gallery_loop.py"), loop.name, FILMED]
         subprocess.run(command, stdout=output, stderr=subprocess.STDOUT, check=True)
+    facts = FILMED / f"{loop.name}.json"
+    found = json.loads(facts.read_text(encoding="utf-8")) | {"commit": measured_at(PAGE.name)}
+    facts.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     made = FILMED / f"{loop.name}.webp"
     picture = PAGE.parent / IMAGES / made.name
     picture.parent.mkdir(parents=True, exist_ok=True)
@@ -129,13 +135,10 @@ def film(loop: Loop) -> str:
 
 
 def page() -> str:
-    from characters import attribution
-    from measured import measured_at
-
     found = {name: json.loads((FILMED / f"{name}.json").read_text(encoding="utf-8")) for name in LOOPS}
     files = [each["file"] for each in found.values() if "file" in each]
     return PAGE_TEXT.format(
-        commit=measured_at(PAGE.name),
+        commit="; ".join(dict.fromkeys(each["commit"] for each in found.values())),
         scenes="\n".join(about(loop, found[loop.name]) for loop in LOOPS.values() if loop.scene),
         characters="\n".join(about(loop, found[loop.name]) for loop in LOOPS.values() if not loop.scene),
         attribution=attribution(files),
