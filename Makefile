@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel extension clean
+	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel wheels platforms extension clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -137,6 +137,19 @@ lint: build
 	else echo 'lint: types are not checked, which needs Python 3.11'; fi
 	@$(stubgen) -o build/stubs
 	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
+
+# Wheels of the engine for every system, and of the add-on, in dist/wheels; takes an hour the first time. platforms="linux-x64
+# windows-x64" makes those alone.
+platforms ?=
+wheels: setup
+	@tools/setup.sh wheels
+	@.venv/wheels/bin/python tools/wheels.py $(if $(platforms),--platforms $(platforms))
+
+# docs/platforms.md, from what `make wheels` made, with its C++ tests under Wine and QEMU; takes about an hour.
+platforms: build
+	@tools/setup.sh platforms bench
+	@.venv/wheels/bin/python tools/wheels.py --tests
+	@.venv/wheels/bin/python tests/benchmarks/platforms_page.py
 
 # The engine and the add-on as Python wheels in dist/.
 wheel: build

@@ -32,6 +32,7 @@ PAGES = {
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "farm",
                 "tools/farm_demo.py"),
     "materials.md": ("addon/dynamic_morph_targets/core/material_presets.py",),
+    "platforms.md": ("cpp", "CMakeLists.txt", "cmake", "tools/wheels.py", "tests/benchmarks/platforms_page.py"),
     "window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/gui", "tools/gui_test.py"),
 }  # fmt: skip
 # Pages that are written by hand.

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// The same motion with every compiler, on every system and processor, from the basis to the last step.
+#include <doctest/doctest.h>
+
+#include <cstdio>
+
+#include "dynamorph/step/simulation.hpp"
+#include "scenes.hpp"
+
+using namespace dynamorph;
+
+namespace {
+
+/// Where the bar's last node is displaced to in bind space, mm, while the second bone bends and stops.
+template <class Model>
+MatrixXd motion(std::shared_ptr<const Model> model) {
+  Simulation<Model> simulation(model, {1 / 120., Scheme::bdf2, Vector3d(0, 0, -1)});
+  VectorXd weights(3), u;
+  weights << 1, 0, 0;
+  MatrixXd tip(3, 4);
+  simulation.start(scenes::bent(0), scenes::bent(0), weights);
+  for (int i = 1; i <= 40; ++i) {
+    const double bend = std::min(i / 20., 1.);
+    weights << 1 - bend, 0.75 * bend, 0.25 * bend;
+    CHECK(simulation.step(scenes::bent(0.3 * bend), weights).converged);
+    if (i % 10) continue;
+    model->displacement(simulation.coordinates(), u);
+    tip.col(i / 10 - 1) = 1e3 * u.tail<3>();
+  }
+  return tip;
+}
+
+void compare(const char* name, const MatrixXd& found, const double (&golden)[12]) {
+  const MatrixXd expected = Eigen::Map<const MatrixXd>(golden, 3, 4);
+  const double difference = (found - expected).cwiseAbs().maxCoeff() / expected.cwiseAbs().maxCoeff();
+  std::printf("golden motion, %s: largest difference %.1e\n", name, difference);  // tools/wheels.py reads it
+  CHECK_MESSAGE(difference < 1e-5,
+                name << ":\n"
+                     << found.transpose().format(Eigen::IOFormat(Eigen::FullPrecision, 0, ", ", ",\n")));
+}
+
+}  // namespace
+
+TEST_CASE("golden motion") {
+  const auto body = scenes::two_bone_bar();
+  const auto targets = scenes::targets(*body);
+  compare("full", motion(std::make_shared<const FullModel>(body, targets, Law::stable_stvk, Blending::even)),
+          {4.2907784900, -4.1432353815, -10.5704437700, 2.0342396184, -14.1891218249, 23.0424371488, 6.1583872997,
+           -5.2701949233, -2.8805689556, 6.7380758993, 2.2699952010, -19.8078284228});
+  compare("reduced", motion(scenes::reduced_model(body, targets, Law::stable_stvk, Blending::even, 12)),
+          {3.8258928999, -3.5102558841, -5.6998408980, 1.4571716838, -13.2107248959, 24.5016644824, 6.7674225985,
+           -3.2465900831, -9.3447091312, 6.7074515960, 1.9153922736, -17.0582826787});
+  const scenes::ResponseScene responses(body, targets, Law::stable_stvk, Blending::even);
+  compare("responses", motion(responses.model),
+          {3.5733366147, -6.2153069355, -2.2105181376, 1.2998069957, -13.4252288484, 25.2248432396, 6.9104789296,
+           -0.6144369863, -13.2363885450, 6.7693420342, 0.4259516356, -13.4736912184});
+}
