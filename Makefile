@@ -39,6 +39,7 @@ test: build
 
 # The interface in a real Blender window, set up in build/gui on first use; skips where that cannot be done.
 gui-test: build
+	@tools/setup.sh wheels
 	@$(python) tools/gui_test.py
 
 # Bakes sample_blends/bulging_cylinder.blend, and renders it to out/.

@@ -8,7 +8,6 @@ installed there each time, and tests/gui/scenario.py clicks through it on a virt
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import measured
 import package
+import wheels
 from PIL import Image, ImageChops
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,13 +33,12 @@ CHARACTER = ROOT.parent / "shared/assets/mh_male_53bones.blend"  # the last part
 INSIDE = Path("/mnt/dynamorph")  # this repository, seen from the chroot
 SCREEN = (1920, 1080)
 MIRROR = "http://deb.debian.org/debian"
+PYTHON = "3.14"  # of Debian's Blender
+WHEEL_TOOLS = ROOT / ".venv/wheels/bin/python"
 PACKAGES = (
     "blender xvfb xauth imagemagick libgl1-mesa-dri "
-    "python3-numpy python3-cattr python3-requests python3-urllib3 python3-zstandard "  # what its extensions import
-    "g++ cmake ninja-build python3-dev python3-pip python3-scikit-build-core python3-pybind11 pybind11-dev "
-    "libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev"
+    "python3-numpy python3-cattr python3-requests python3-urllib3 python3-zstandard"  # what its extensions import
 )
-ENGINE_SOURCES = ("cpp", "cmake", "CMakeLists.txt", "pyproject.toml", "tools/tetgen.txt")
 # All that Blender may print: the steps, what operators report, the glTF exporter, presets, and what Debian's lacks.
 KNOWN = re.compile(
     r"STEP \w+|DROP FILE: .*|[\d:.]+ +operator +\| .*|[\d:.]+ +blend +\| Read blend: .*"
@@ -136,33 +135,15 @@ def run_here(*command: str | Path):
         raise CannotRun(f"{' '.join(map(str, command))} failed{hint}\n{tail('debootstrap.log')}") from error
 
 
-def build_wheel() -> Path:
-    """The engine for Debian's Python, compiled by Debian's tools unless its sources are those of the last time."""
-    if enter("python.log", "python3", "-c", "import sys; print(sys.implementation.cache_tag)"):
-        raise Failed(tail("python.log"))
-    digest = hashlib.sha256(tail("python.log").encode())
-    for source in ENGINE_SOURCES:
-        for path in sorted((ROOT / source).rglob("*")) or [ROOT / source]:
-            if path.is_file() and "__pycache__" not in path.parts:
-                digest.update(str(path.relative_to(ROOT)).encode() + path.read_bytes())
-    folder = WORK / "wheels" / digest.hexdigest()[:16]
-    if not folder.exists():
-        print("gui-test: building the engine for Debian's Blender, which takes some minutes", flush=True)
-        for old in (folder.parent, WORK / "new"):
-            shutil.rmtree(old, ignore_errors=True)
-        # Debian's scikit-build-core is older than the one pinned.
-        pip = "pip wheel --no-build-isolation --no-deps --config-settings=minimum-version=0.12 -w"
-        if enter("wheel.log", *pip.split(), inside(WORK / "new"), INSIDE):
-            raise Failed(f"the engine was not built\n{tail('wheel.log')}")
-        folder.parent.mkdir()
-        (WORK / "new").rename(folder)
-    return folder
-
-
 def pack_extension():
     """For a Blender without any user settings: a wheel of the same version would not replace what is there."""
+    wheel = wheels.wheel_path("linux-x64", PYTHON)
+    run = [WHEEL_TOOLS, ROOT / "tools/wheels.py", "--platforms", "linux-x64", "--pythons", PYTHON]
+    if subprocess.run(run, check=False).returncode:
+        raise Failed("the engine for Debian's Blender was not compiled")
     stage = package.stage_extension(WORK / "extension")
-    shutil.copytree(build_wheel(), stage / "wheels")
+    (stage / "wheels").mkdir()
+    shutil.copy2(wheel, stage / "wheels")
     package.pack_extension(stage, WORK)
     shutil.rmtree(WORK / "user", ignore_errors=True)
     (WORK / "user").mkdir()

@@ -20,8 +20,6 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import sbom
-
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build/wheels"
 DIST = ROOT / "dist/wheels"
@@ -166,15 +164,22 @@ def apt(root: Path, suite: str, processor: str, *command: str) -> Path:
     return files
 
 
-def import_library(python: str, headers: Path, platform: Platform, folder: Path) -> None:
-    """What a Windows module is linked to: the names that python311.dll exports, as its headers declare them."""
+def exported_names(headers: Path) -> list[str]:
+    """What Python's library exports, as its headers declare it, in the words of a .def file."""
     names = set()
-    for header in (headers / "windows").rglob("*.h"):
-        declared = re.findall(r"\bPyAPI_(FUNC|DATA)\([^;]*?\)\s*(\w+)\s*[(;\[]", header.read_text(encoding="utf-8"))
+    for header in headers.rglob("*.h"):
+        text = header.read_text(encoding="utf-8")
+        # Not the stand-ins for threads that Python has for a system without them.
+        declared = re.findall(r"\bPyAPI_(FUNC|DATA)\([^;]*?\)\s*(_?P[yY]\w+)\s*[(;\[]", text)
         names |= {name + (" DATA" if kind == "DATA" else "") for kind, name in declared}
+    return sorted(names)
+
+
+def import_library(python: str, headers: Path, platform: Platform, folder: Path) -> None:
+    """What a Windows module is linked to instead of python311.dll itself."""
     library = f"python{python.replace('.', '')}"
     definitions = folder / f"{library}.def"
-    definitions.write_text(f"LIBRARY {library}.dll\nEXPORTS\n" + "".join(f"{name}\n" for name in sorted(names)))
+    definitions.write_text("\n".join([f"LIBRARY {library}.dll", "EXPORTS", *exported_names(headers), ""]))
     machine = "arm64" if platform.processor == "ARM64" else "i386:x86-64"
     zig("dlltool", "-m", machine, "-d", definitions, "-l", folder / f"{library}.lib")
 
@@ -203,7 +208,7 @@ def compile_modules(name: str, pythons: list[str], tests: bool) -> Path:
     for python in pythons:
         headers = python_headers(python)
         if platform.system == "Windows":
-            import_library(python, headers, platform, folder)
+            import_library(python, headers / platform.debian, platform, folder)
         module = platform.module.format(python.replace(".", "")).removeprefix("_core")
         modules.append(f"{python}|{headers / platform.debian}|{module}")
     include = library_headers()
@@ -245,6 +250,8 @@ def template() -> Path:
 
 def pack(source: Path, build: Path, name: str, python: str) -> Path:
     """The wheel of a platform and a Python, with its list of components."""
+    import sbom  # needs packages that tests of this module do without
+
     platform, number = PLATFORMS[name], python.replace(".", "")
     stage = WORK / "stage" / source.name
     shutil.rmtree(stage, ignore_errors=True)
