@@ -19,11 +19,13 @@ from cyclonedx.validation.json import JsonStrictValidator
 from packageurl import PackageURL
 
 ROOT = Path(__file__).resolve().parent.parent
-DEBIAN = {  # a library of headers: its Debian package and license
-    "Eigen": ("libeigen3-dev", "MPL-2.0"), "Spectra": ("libspectra-dev", "MPL-2.0"),
-    "CGAL": ("libcgal-dev", "GPL-3.0-or-later"), "Boost": ("libboost1.74-dev", "BSL-1.0"),
-    "JSON for Modern C++": ("nlohmann-json3-dev", "MIT"),
-}  # fmt: skip
+DEBIAN = {  # a library of headers: one of them, and the license
+    "Eigen": ("/usr/include/eigen3/Eigen/Core", "MPL-2.0"),
+    "Spectra": ("/usr/include/Spectra/SymEigsSolver.h", "MPL-2.0"),
+    "CGAL": ("/usr/include/CGAL/alpha_wrap_3.h", "GPL-3.0-or-later"),
+    "Boost": ("/usr/include/boost/version.hpp", "BSL-1.0"),
+    "JSON for Modern C++": ("/usr/include/nlohmann/json.hpp", "MIT"),
+}
 
 
 def components(platform: str) -> list[tuple[str, str, str, PackageURL]]:

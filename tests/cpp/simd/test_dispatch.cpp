@@ -18,11 +18,19 @@ class Wanted {
   explicit Wanted(const char* word) {
     const char* before = std::getenv("DYNAMORPH_ISA");
     if (before != nullptr) before_ = before;
-    word != nullptr ? setenv("DYNAMORPH_ISA", word, 1) : unsetenv("DYNAMORPH_ISA");
+    set(word);
   }
-  ~Wanted() { before_.empty() ? unsetenv("DYNAMORPH_ISA") : setenv("DYNAMORPH_ISA", before_.c_str(), 1); }
+  ~Wanted() { set(before_.empty() ? nullptr : before_.c_str()); }
 
  private:
+  static void set(const char* word) {
+#ifdef _WIN32
+    _putenv_s("DYNAMORPH_ISA", word != nullptr ? word : "");
+#else
+    word != nullptr ? setenv("DYNAMORPH_ISA", word, 1) : unsetenv("DYNAMORPH_ISA");
+#endif
+  }
+
   std::string before_;
 };
 
