@@ -32,11 +32,10 @@ def components(platform: str) -> list[tuple[str, str, str, PackageURL]]:
     """Name, version, license and address of all that is compiled in."""
     pin = re.search(r"^tetgen==(\S+)", (ROOT / "tools/tetgen.txt").read_text(encoding="utf-8"), re.MULTILINE)[1]
     found = [("TetGen", pin, "AGPL-3.0-or-later", PackageURL("pypi", name="tetgen", version=pin))]
-    for name, (package, license_id) in DEBIAN.items():
-        shown = subprocess.run(
-            ["dpkg-query", "-W", "-f", "${Version}", package], capture_output=True, text=True, check=True
-        )
-        found.append((name, shown.stdout, license_id, PackageURL("deb", "debian", package, shown.stdout)))
+    for name, (header, license_id) in DEBIAN.items():
+        package = subprocess.check_output(["dpkg-query", "-S", header], text=True).split(":")[0]
+        version = subprocess.check_output(["dpkg-query", "-W", "-f", "${Version}", package], text=True)
+        found.append((name, version, license_id, PackageURL("deb", "debian", package, version)))
     for name, package, license_id in (
         ("pybind11", "pybind11", "BSD-3-Clause"),
         ("libc++ of Clang", "ziglang", "Apache-2.0 WITH LLVM-exception"),

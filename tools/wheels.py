@@ -124,11 +124,12 @@ def python_headers(python: str) -> Path:
         shutil.copytree(unpacked / f"usr/include/python{python}", new / processor)
         # Debian's own pyconfig.h only chooses among those of its processors.
         shutil.copy2(next(unpacked.glob(f"usr/include/*/python{python}/pyconfig.h")), new / processor)
-    sources = apt(new / "apt", SUITES[python], "amd64", "source", "--download-only", f"python{python}")
-    shutil.copytree(new / "amd64", new / "windows")
-    with tarfile.open(next(sources.glob("*.orig.tar.?z"))) as archive:
-        member = next(each for each in archive.getmembers() if re.search(r"/PC/pyconfig\.h(\.in)?$", each.name))
-        (new / "windows/pyconfig.h").write_bytes(archive.extractfile(member).read())
+    if python in pythons_of("windows-x64"):
+        sources = apt(new / "apt", SUITES[python], "amd64", "source", "--download-only", f"python{python}")
+        shutil.copytree(new / "amd64", new / "windows")
+        with tarfile.open(next(sources.glob("*.orig.tar.?z"))) as archive:
+            member = next(each for each in archive.getmembers() if re.search(r"/PC/pyconfig\.h(\.in)?$", each.name))
+            (new / "windows/pyconfig.h").write_bytes(archive.extractfile(member).read())
     shutil.rmtree(new / "apt")
     shutil.rmtree(new / "unpacked")
     new.rename(folder)
