@@ -9,6 +9,7 @@ as far as its influence says. In its place there may be a point cache: a Mesh Ca
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -373,7 +374,8 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
     modifier.cache_format = file.suffix[1:].upper()
     modifier.filepath = str(file)
     with suppress(ValueError):  # on another drive
-        modifier.filepath = bpy.path.relpath(str(file)) if bpy.data.filepath else str(file)
+        if bpy.data.filepath:  # with slashes that all systems take, because the .blend may be opened on another
+            modifier.filepath = bpy.path.relpath(str(file)).replace(os.sep, "/")
     modifier.frame_start = bake.frames[0] * samples  # the modifier scales first
     modifier.frame_scale = samples * render.frame_map_new / render.frame_map_old
     modifier.show_in_editmode = False
