@@ -59,8 +59,6 @@ OLD_OPTIONS = {
     "--patch": "--vertex-group",
 }
 OPTION_NAMES = {"every": "frame-step", "begin": "initial-state"}  # settings whose options have other names
-# What a scheduler sends to end a process: on Windows Ctrl-Break, where there is no other signal that can be caught.
-STOP = getattr(signal, "SIGBREAK", signal.SIGTERM)
 # 70 and 75 as EX_SOFTWARE and EX_TEMPFAIL of sysexits.h.
 DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70, 75, 130
 
@@ -71,12 +69,14 @@ def main(argv: Sequence[str], opens_file: bool = False) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         args = parser(opens_file).parse_args(with_new_names(argv))
-    except SystemExit as stop:  # argparse has printed why; Blender must not be ended by it
-        return stop.code if isinstance(stop.code, int) else BAD_INPUT
+    except SystemExit as end:  # argparse has printed why; Blender must not be ended by it
+        return end.code if isinstance(end.code, int) else BAD_INPUT
+    # Schedulers end a process by Ctrl-Break on Windows, where SIGTERM cannot be caught.
+    stop = getattr(signal, "SIGBREAK", signal.SIGTERM)
     # Blender swallows the first Ctrl-C unless Python's own handler is in place.
     handlers = {
         signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
-        STOP: signal.signal(STOP, _preempted),
+        stop: signal.signal(stop, _preempted),
     }
     try:
         return _run(args, opens_file)

@@ -116,7 +116,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         if not self.filepath:
             name = paths.clean_name(skin.mesh_in(context).name)
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
-        self.filepath = str(self._path())
+        self.filepath = str(self.path())
         return super().invoke(context, event)
 
     def draw(self, context):
@@ -129,7 +129,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
 
     def check(self, _context):
         """The file name follows the format."""
-        path = str(self._path())
+        path = str(self.path())
         changed, self.filepath = path != self.filepath, path
         return changed
 
@@ -138,7 +138,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         return self.clips if exports.FORMATS[self.format].skins else "SCENE"
 
     def apply(self, obj):
-        path = self._path()
+        path = self.path()
         if self.chosen_clips == "ACTIONS":  # it takes a while, so it is a job of its own
             return self._start_actions(path)
         scene = bpy.context.scene
@@ -146,7 +146,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         report_export(self, obj, path)
         return {"FINISHED"}
 
-    def _path(self) -> Path:
+    def path(self) -> Path:
         """Where the file goes. Without `abspath`, Windows would take // for the name of a server."""
         return exports.named(Path(bpy.path.abspath(self.filepath)), self.format)
 

@@ -263,14 +263,13 @@ def limit_resources(time_limit: float, memory_limit_gb: float) -> None:
 
 def _limit_on_windows(memory: int, cpu: int) -> None:
     """memory: bytes; cpu: seconds. In a job object, which ends with this process, the only one in it."""
-    assert sys.platform == "win32"
     import ctypes
 
     extended_limits, this_process = 9, ctypes.c_void_p(-1)
     limits = 0x2 | 0x100 | 0x400  # of the time, of the memory; an exception ends the process
     # JOBOBJECT_EXTENDED_LIMIT_INFORMATION: the time in units of 100 ns at 0, flags at 16, the memory at 112.
     values = struct.pack("<q8xI92xQ24x", cpu * 10**7, limits, memory)
-    kernel = ctypes.WinDLL("kernel32")
+    kernel = ctypes.CDLL("kernel32")
     kernel.CreateJobObjectW.restype = ctypes.c_void_p
     job = ctypes.c_void_p(kernel.CreateJobObjectW(None, None))
     kernel.SetInformationJobObject(job, extended_limits, values, len(values))
