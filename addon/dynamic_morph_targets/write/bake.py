@@ -373,9 +373,8 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
     render, samples = bpy.context.scene.render, baked.samples_per_frame(bake)
     modifier.cache_format = file.suffix[1:].upper()
     modifier.filepath = str(file)
-    with suppress(ValueError):  # on another drive
-        if bpy.data.filepath:  # with slashes that all systems take, because the .blend may be opened on another
-            modifier.filepath = bpy.path.relpath(str(file)).replace(os.sep, "/")
+    with suppress(ValueError):  # on another drive. All systems take /, and the .blend may be opened on another one
+        modifier.filepath = bpy.path.relpath(str(file)).replace(os.sep, "/") if bpy.data.filepath else str(file)
     modifier.frame_start = bake.frames[0] * samples  # the modifier scales first
     modifier.frame_scale = samples * render.frame_map_new / render.frame_map_old
     modifier.show_in_editmode = False
