@@ -223,6 +223,20 @@ def test_ctrl_break_is_how_windows_ends_a_process(shot, run, stand_in, monkeypat
     assert (signal.getsignal(signal.SIGUSR1), signal.getsignal(signal.SIGTERM)) == (before, others)
 
 
+@pytest.mark.parametrize(("name", "code"), [("FileInUseError", 75), ("SinkError", 2)])
+def test_a_report_that_cannot_be_written(shot, run, stand_in, monkeypatch, name, code):
+    """As on Windows: its file is in use for long, or has too long a path."""
+
+    def refuse(path, _content):
+        raise getattr(part("errors"), name)("'{path}' is not for us", path=path)
+
+    monkeypatch.setattr(part("disk"), "save", refuse)
+    found, _, errors = run("info", shot, "--object", "Arm")
+    assert found == 0, errors
+    found, _, errors = run("check", shot, "--object", "Arm", "--report", "a.json")
+    assert found == code and "error: 'a.json' is not for us" in errors
+
+
 def test_a_log_without_the_letters_of_a_name(shot, stand_in, monkeypatch):
     """As a pipe is on Windows."""
     bpy.data.objects["Arm"].name = "身体 ü"

@@ -134,6 +134,9 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
         except OSError as failure:
             print(f"dynamorph: error: {failure}: try again", file=sys.stderr)
             return code or TRY_AGAIN
+        except errors.SinkError as failure:  # its path is too long
+            print(f"dynamorph: error: {failure}", file=sys.stderr)
+            return code or BAD_INPUT
     return code
 
 
