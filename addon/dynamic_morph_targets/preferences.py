@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from importlib import metadata
 from pathlib import Path
 
 import bpy
@@ -11,7 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 from bpy.props import IntProperty, StringProperty
 from bpy.types import AddonPreferences
 
-from .core.engine import use_threads
+from .core.engine import installed_version, use_threads
 
 MODEL_FOLDER = "//dynamorph_models"  # beside the .blend
 
@@ -47,11 +46,8 @@ class DynamorphPreferences(AddonPreferences):
 
 
 def _engine_version() -> str:
-    try:
-        version = metadata.version("dynamorph")
-    except metadata.PackageNotFoundError:  # it runs from where it was compiled
-        return iface_("Engine: ready")
-    return iface_("Engine: version {version}").format(version=version)
+    version = installed_version()
+    return iface_("Engine: version {version}").format(version=version) if version else iface_("Engine: ready")
 
 
 def _chosen() -> DynamorphPreferences | None:

@@ -68,7 +68,7 @@ def test_a_bake_with_other_modes_starts_over(coarse, folder, monkeypatch):
     model_file = part("model_file")
     arrays, meta = model_file.unpack(built.read_bytes())
     arrays["basis"][:, 0] *= -1.0
-    model_file.save(built, model_file.pack(arrays, meta))
+    part("disk").save(built, model_file.pack(arrays, meta))
     assert not baked(coarse, folder).input.resumed
 
 
@@ -118,7 +118,7 @@ def test_a_probed_character_uses_the_nodes_of_the_shared_model(coarse, folder):
     model_file = part("model_file")
     arrays, meta = model_file.unpack(built.read_bytes())
     arrays["nodes"] = arrays["nodes"] + 1e-9
-    model_file.save(built, model_file.pack(arrays, meta))
+    part("disk").save(built, model_file.pack(arrays, meta))
     job = baked(coarse, folder)
     assert np.allclose(job.result.coordinates, shared.result.coordinates, atol=1e-4)
 

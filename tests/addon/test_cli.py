@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line: the same work as the buttons, exit codes, and nothing written unless everything succeeded."""
 
+import io
 import json
 import os
 import re
@@ -206,6 +207,47 @@ def interrupt(shot, run, stand_in):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+def test_ctrl_break_is_how_windows_ends_a_process(shot, run, stand_in, monkeypatch):
+    """Another signal stands in for the one that Windows alone has; SIGTERM keeps its handler there."""
+    monkeypatch.setattr(signal, "SIGBREAK", signal.SIGUSR1, raising=False)
+    before, others = signal.getsignal(signal.SIGUSR1), signal.getsignal(signal.SIGTERM)
+    stand_in.waits["Arm"] = threading.Event()
+
+    def press_ctrl_break():
+        assert stand_in.playing.wait(60.0)
+        os.kill(os.getpid(), signal.SIGUSR1)
+
+    threading.Thread(target=press_ctrl_break).start()
+    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+    assert code == 75 and "stopped by a signal" in errors
+    assert (signal.getsignal(signal.SIGUSR1), signal.getsignal(signal.SIGTERM)) == (before, others)
+
+
+@pytest.mark.parametrize(("name", "code"), [("FileInUseError", 75), ("SinkError", 2)])
+def test_a_report_that_cannot_be_written(shot, run, stand_in, monkeypatch, name, code):
+    """As on Windows: its file is in use for long, or has too long a path."""
+
+    def refuse(path, _content):
+        raise getattr(part("errors"), name)("'{path}' is not for us", path=path)
+
+    monkeypatch.setattr(part("disk"), "save", refuse)
+    found, _, errors = run("info", shot, "--object", "Arm")
+    assert found == 0, errors
+    found, _, errors = run("check", shot, "--object", "Arm", "--report", "a.json")
+    assert found == code and "error: 'a.json' is not for us" in errors
+
+
+def test_a_log_without_the_letters_of_a_name(shot, stand_in, monkeypatch):
+    """As a pipe is on Windows."""
+    bpy.data.objects["Arm"].name = "身体 ü"
+    bpy.ops.wm.save_mainfile()
+    log = io.TextIOWrapper(io.BytesIO(), encoding="cp1252")
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", log)
+        code = part("main").main(["info", str(shot)], opens_file=True)
+    assert code == 0 and "\\u8eab\\u4f53 ü: Neutral" in log.buffer.getvalue().decode("cp1252")
+
+
 def test_blenders_own_ctrl_c_handler(shot, run, monkeypatch):
     """A handler that was set in C is None to Python, which does not accept None in return."""
     install = signal.signal
@@ -341,7 +383,7 @@ def test_a_format_that_plays_in_blender(shot, run):
     assert len(bake_of(again, "Arm")) == 2 and len(bpy.data.objects["Arm"].modifiers) == 1
 
 
-def test_a_format_that_is_a_file_for_other_programs(shot, run):
+def test_a_format_that_is_a_file_for_other_programs(shot, run, monkeypatch):
     code, out, errors = run("bake", shot, "--object", "Arm", "--format", "raw")
     assert code == 0, errors
     assert (shot.parent / "Arm.npz").is_file() and "written to Arm.npz" in out
@@ -349,6 +391,10 @@ def test_a_format_that_is_a_file_for_other_programs(shot, run):
         "bake", shot, "--all", "--format", "mdd", "--output-file", shot.parent / "x.mdd", "-o", "y.blend"
     )
     assert code == 2 and "put {object} in its name" in errors
+    monkeypatch.setattr(part("paths"), "clean_name", lambda name: "x")
+    code, _, errors = run("bake", shot, "--all", "--format", "raw")
+    assert code == 2 and "several meshes would share it: give them names that differ more" in errors
+    monkeypatch.undo()
     files, saved = shot.parent / "{object}.mdd", shot.parent / "y.blend"
     code, _, errors = run("bake", shot, "--all", "--format", "mdd", "--output-file", files, "-o", saved)
     assert code == 0, errors

@@ -123,7 +123,7 @@ def test_reports_can_be_translated(soft_arm, monkeypatch, tmp_path, capfd):
 
 def test_labels_can_be_translated(addon, monkeypatch):
     translate(monkeypatch, "preferences", "iface_", {"Engine: version {version}": "Rechenkern {version}"})
-    monkeypatch.setattr(part("preferences").metadata, "version", lambda _name: "1.2.3")
+    monkeypatch.setattr(part("preferences"), "installed_version", lambda: "1.2.3")
     monkeypatch.setattr(part("engine"), "engine_problem", lambda: "")
     preferences, drawn = bpy.context.preferences.addons[MODULE].preferences, []
     shown = types.SimpleNamespace(layout=Layout(drawn), bl_rna=preferences.bl_rna)

@@ -111,7 +111,7 @@ def test_a_point_cache_is_exported_as_a_surface_only(baked, tmp_path, sink):
         part("export_actions"),
     )
     file = tmp_path / f"arm.{sink.lower()}"
-    part("model_file").save(file, point_cache.CACHES[sink](bake, key_positions(obj), bpy.context.scene.render.fps))
+    part("disk").save(file, point_cache.CACHES[sink](bake, key_positions(obj), bpy.context.scene.render.fps))
     part("bake").write_keys(obj, keys.targets_alone(bake), cache=file)
     exact = posed("Arm")
     for key in ("GLTF", "FBX", "RAW"):

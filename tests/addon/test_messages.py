@@ -39,7 +39,8 @@ def says(text: str, message: str) -> bool:
 
 
 def test_quoted_messages_exist():
-    texts = [text for path in (ROOT / "addon").rglob("*.py") for text in python_texts(path.read_text(encoding="utf-8"))]
+    modules = [path for folder in ("addon", "cpp") for path in (ROOT / folder).rglob("*.py")]
+    texts = [text for path in modules for text in python_texts(path.read_text(encoding="utf-8"))]
     texts += [text for path in (ROOT / "cpp").rglob("*.cpp") for text in cpp_texts(path.read_text(encoding="utf-8"))]
     messages = quoted()
     assert len(messages) > 60

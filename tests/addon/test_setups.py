@@ -743,7 +743,7 @@ def test_the_preferences_show_the_engine(chosen, monkeypatch):
 
     preferences = part("preferences")
     monkeypatch.setattr(part("engine"), "engine_problem", lambda: "")
-    monkeypatch.setattr(preferences.metadata, "version", lambda _name: "1.2.3")
+    monkeypatch.setattr(preferences, "installed_version", lambda: "1.2.3")
     assert drawn() == ["model_folder", "threads", "Engine: version 1.2.3"]
     monkeypatch.setattr(part("engine"), "engine_problem", lambda: "The engine cannot be loaded")
     assert drawn()[-1] == "The engine cannot be loaded"

@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From triangles to tetrahedra: what is accepted, what comes out, and that a crash or a hang stays in the child."""
 
+import ctypes
+import os
+import resource
 import subprocess
+import sys
 from pathlib import Path
+from unittest import mock
 
 import dynamorph
 import numpy as np
@@ -286,7 +291,9 @@ def test_another_cage_is_tried(monkeypatch, fault):
     assert abs(len(mesh.nodes) / 300 - 1) < 0.2
 
 
-@pytest.mark.parametrize(("code", "name"), [(-11, "SIGSEGV"), (0xC0000005, "0xc0000005"), (0xC00000FD, "0xc00000fd")])
+@pytest.mark.parametrize(
+    ("code", "name"), [(-11, "SIGSEGV"), (0xC0000005, "0xc0000005"), (0xC00000FD, "0xc00000fd"), (3, "0x3")]
+)
 def test_a_crash_is_known_by_its_exit_code(monkeypatch, children, code, name):
     """Of POSIX and of Windows: another resolution is tried after it."""
 
@@ -301,6 +308,66 @@ def test_a_crash_is_known_by_its_exit_code(monkeypatch, children, code, name):
     with pytest.raises(dynamorph.Error, match=rf"crashed on this mesh \({name}\)"):
         dynamorph.mesh_body(*box(), 300)
     assert len(children) == len(meshing.RESOLUTIONS)
+
+
+def test_reports_of_a_windows_child_are_understood(monkeypatch):
+    """Their lines end otherwise, and a message from a library may have letters of any encoding."""
+    code = f"import os; os.write(2, b'0.5\\r\\nThe cage \\x81 is \\xc3\\xbc\\r\\n'); os._exit({meshing.EXIT_ERROR})"
+
+    class Child(subprocess.Popen):
+        def __init__(self, command, **options):
+            super().__init__([command[0], "-c", code], **options)
+
+    monkeypatch.setattr(subprocess, "Popen", Child)
+    with pytest.raises(dynamorph.Error, match="^The cage \ufffd is ü$"):
+        dynamorph.mesh_body(*box(), 300)
+
+
+def test_the_child_says_everything_in_utf_8(children):
+    """Whatever the language of the system."""
+    dynamorph.mesh_body(*box(), 300)
+    (child,) = children
+    (option,) = (k for k, word in enumerate(child.args) if word == "-X")
+    asked = [*child.args[: option + 2], "-c", "import sys; print(sys.stderr.encoding)"]
+    environment = os.environ | {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
+    assert subprocess.run(asked, env=environment, capture_output=True, text=True).stdout.strip() == "utf-8"
+
+
+@pytest.mark.parametrize("python", ["/nowhere/python.exe", "", None])
+def test_a_python_that_does_not_start_is_named(monkeypatch, python):
+    monkeypatch.setattr(sys, "executable", python)
+    with pytest.raises(dynamorph.Error, match=f"not be started with '{python}'.*virus scanner.*reinstall Blender"):
+        dynamorph.mesh_body(*box(), 300)
+
+
+def test_windows_limits_the_child_by_a_job_object(monkeypatch):
+    """The layout of JOBOBJECT_EXTENDED_LIMIT_INFORMATION on 64 bits."""
+    kernel = mock.MagicMock()
+    kernel.CreateJobObjectW.return_value = 0x1234
+    monkeypatch.setattr(ctypes, "CDLL", {"kernel32": kernel}.get)
+    monkeypatch.setattr(sys, "platform", "win32")
+    meshing.limit_resources(29.5, 4.0)
+    (job, kind, limits, size), _ = kernel.SetInformationJobObject.call_args
+    assert (job.value, kind, size, len(limits)) == (0x1234, 9, 144, 144)
+    assert int.from_bytes(limits[:8], "little") == 40 * 10**7  # 100 ns
+    assert int.from_bytes(limits[16:20], "little") == 0x502
+    assert int.from_bytes(limits[112:120], "little") == 4 * 2**30
+    (joined, process), _ = kernel.AssignProcessToJobObject.call_args
+    assert joined.value == 0x1234 and process.value == 2**64 - 1  # this one
+
+
+def test_a_limit_that_the_system_refuses_is_left_out(monkeypatch):
+    """macOS refuses a limit of the memory, and nobody may raise a limit that is lower already."""
+    limited = {}
+
+    def refuse_memory(kind, limits):
+        if kind == resource.RLIMIT_AS:
+            raise ValueError("current limit exceeds maximum limit")
+        limited[kind] = limits
+
+    monkeypatch.setattr(resource, "setrlimit", refuse_memory)
+    meshing.limit_resources(29.5, 4.0)
+    assert limited == {resource.RLIMIT_CORE: (0, 0), resource.RLIMIT_CPU: (40, 40)}
 
 
 def test_an_own_cage_takes_the_place_of_the_wrap():

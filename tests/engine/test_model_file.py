@@ -3,14 +3,13 @@
 
 import hashlib
 import json
-import os
 
 import numpy as np
 import pytest
 from costs import cost
 from dynamic_morph_targets.core.errors import ModelFileError
 from dynamic_morph_targets.io import model_file
-from dynamic_morph_targets.io.model_file import pack, save, unpack
+from dynamic_morph_targets.io.model_file import pack, unpack
 
 ARRAYS = {
     "nodes": np.arange(12.0).reshape(4, 3),
@@ -251,35 +250,3 @@ def test_other_format_says_so():
 def test_only_numbers_and_json_are_stored(arrays, meta):
     with pytest.raises(ModelFileError):
         pack(arrays, meta)
-
-
-def test_save_replaces_whole_files_only(tmp_path, packed, monkeypatch):
-    path = tmp_path / "models" / "ü model.dynamorph"
-    save(path, b"old")
-    monkeypatch.setattr(model_file.os, "fsync", lambda _handle: (_ for _ in ()).throw(OSError("disk full")))
-    with pytest.raises(OSError):
-        save(path, packed)
-    assert path.read_bytes() == b"old"
-    monkeypatch.undo()
-    save(path, packed)
-    assert unpack(path.read_bytes())[1] == META
-    assert [p.name for p in path.parent.iterdir()] == [path.name]
-
-
-def test_a_file_has_the_rights_of_any_other(tmp_path):
-    """Whoever shares the folder may read it."""
-    (tmp_path / "other").touch()
-    save(tmp_path / "model", [b"a", b"b"])
-    assert (tmp_path / "model").stat().st_mode == (tmp_path / "other").stat().st_mode
-    assert (tmp_path / "model").read_bytes() == b"ab" and len(list(tmp_path.iterdir())) == 2
-
-
-def test_what_a_killed_process_left_is_cleared(tmp_path):
-    """An hour later: until then somebody may be writing it."""
-    old, new, other = (tmp_path / f"{name}.part" for name in ("model.1", "model.2", "other.1"))
-    for part in (old, new, other):
-        part.touch()
-    for part in (old, other):
-        os.utime(part, (0, 0))
-    save(tmp_path / "model", b"a")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["model", "model.2.part", "other.1.part"]

@@ -17,7 +17,7 @@ import numpy as np
 from ..core import engine, errors, material_fit, oscillation
 from ..core.errors import InputError
 from ..core.settings import VARIANTS, Material, ModelSettings
-from ..io import cache_dir, model_file, paths, point_cache, report_page
+from ..io import cache_dir, disk, paths, point_cache, report_page
 from ..run import batch, expected_error, export_actions, final_comparison
 from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, skin, staleness
@@ -55,7 +55,7 @@ def run_job(args: argparse.Namespace) -> None:
     """bake and build."""
     check_substeps(args)
     objects = chosen_objects(args)
-    folder = args.output.resolve().parent if args.output else Path(bpy.data.filepath).parent
+    folder = args.output.absolute().parent if args.output else Path(bpy.data.filepath).parent
     files = output_files(args, objects, folder)
     for obj in objects:  # everything that may be refused, before any work
         apply_settings(args, obj)
@@ -67,14 +67,14 @@ def run_job(args: argparse.Namespace) -> None:
     for job in (done.job for done in args.done):
         print_table(job, seconds)
         if job.input.kept:  # it is saved now
-            job.input.kept.unlink(missing_ok=True)
+            disk.discard(job.input.kept)
 
 
 def work_on(args: argparse.Namespace, obj: bpy.types.Object, folder: Path, files: dict[str, Path]) -> Done:
     """Build or bake one object, and write its file for other programs if that is asked for; folder, files: where what
     is written goes.
     """
-    caches = cache_dir.CacheDir(args.cache_dir.resolve()) if args.cache_dir else None
+    caches = cache_dir.CacheDir(args.cache_dir.absolute()) if args.cache_dir else None
     rebuild = args.goal == "BUILD" and caches is None
     goal = "BUILD" if args.clips == "actions" else args.goal  # clips are simulated while they are written
     frames = tuple(args.frames) if args.frames else None
@@ -149,8 +149,9 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
         raise InputError(f"--output-file {pattern}: a file of {args.format} ends in {suffix}")
     meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else skin.clothes_in(obj)))]
     files = {mesh.name: paths.file_path(pattern, mesh.name) for mesh in meshes}
-    if len(set(files.values())) < len(files):
-        raise InputError(f"--output-file {pattern}: several meshes would share it: put {paths.OBJECT} in its name")
+    if paths.is_shared(files.values()):
+        remedy = "give them names that differ more" if paths.OBJECT in pattern else f"put {paths.OBJECT} in its name"
+        raise InputError(f"--output-file {pattern}: several meshes would share it: {remedy}")
     for path in files.values():
         if not path.parent.is_dir():
             raise InputError(f"there is no folder '{path.parent}' to write '{path.name}' to")
@@ -187,8 +188,8 @@ def run_collect(args: argparse.Namespace) -> None:
     """Raises CollectError when a bake failed or is missing, after the page is written."""
     reports = report_page.read(args.folder)
     wrong = report_page.failures(reports, args.expect)
-    model_file.save(args.page, report_page.page(reports, wrong).encode())
-    model_file.save(args.page.with_suffix(".json"), json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
+    disk.save(args.page, report_page.page(reports, wrong).encode())
+    disk.save(args.page.with_suffix(".json"), json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
     print(f"{len(reports)} reports in {args.page}")
     if wrong:
         raise errors.CollectError("; ".join(wrong))
@@ -237,7 +238,7 @@ def run_report(args: argparse.Namespace) -> None:
     for name, compared in found.items():
         print(f"\n{name}\n{compare.table(compared)}")
     if args.json:
-        args.json.write_text(json.dumps(found, indent=1) + "\n")
+        disk.save(args.json, json.dumps(found, indent=1).encode() + b"\n")
         print(f"written to {args.json}")
 
 
@@ -333,7 +334,7 @@ def _reconciled(objects: list) -> list[bpy.types.Object]:
 def save(args: argparse.Namespace) -> float:
     """Save the .blend; returns the seconds it took."""
     began = time.perf_counter()
-    path = str(args.output.resolve()) if args.output else bpy.data.filepath
+    path = str(args.output.absolute()) if args.output else bpy.data.filepath
     try:
         bpy.ops.wm.save_as_mainfile(filepath=path, copy=args.output is not None)
     except RuntimeError as error:

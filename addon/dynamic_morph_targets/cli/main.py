@@ -14,6 +14,7 @@ again), 130 Ctrl-C.
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import signal
 import sys
@@ -28,7 +29,7 @@ import bpy
 from ..core import engine, errors
 from ..core.errors import InputError
 from ..core.settings import VARIANTS
-from ..io import model_file, paths
+from ..io import disk, paths
 from ..write import exports
 from .commands import (
     MODEL_SETTINGS,
@@ -64,14 +65,18 @@ DONE, BAD_INPUT, SELF_CHECK_FAILED, FAULT, TRY_AGAIN, INTERRUPTED = 0, 2, 3, 70,
 
 def main(argv: Sequence[str], opens_file: bool = False) -> int:
     """Run one command and return its exit code. opens_file: the .blend is an argument, not the one already open."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a log on Windows may not have all letters of all names
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         args = parser(opens_file).parse_args(with_new_names(argv))
-    except SystemExit as stop:  # argparse has printed why; Blender must not be ended by it
-        return stop.code if isinstance(stop.code, int) else BAD_INPUT
+    except SystemExit as end:  # argparse has printed why; Blender must not be ended by it
+        return end.code if isinstance(end.code, int) else BAD_INPUT
+    # Schedulers end a process by Ctrl-Break on Windows, where SIGTERM cannot be caught.
+    stop = getattr(signal, "SIGBREAK", signal.SIGTERM)
     # Blender swallows the first Ctrl-C unless Python's own handler is in place.
     handlers = {
         signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
-        signal.SIGTERM: signal.signal(signal.SIGTERM, _preempted),
+        stop: signal.signal(stop, _preempted),
     }
     try:
         return _run(args, opens_file)
@@ -125,10 +130,13 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
         print(f"dynamorph: {error}", file=sys.stderr)
     if getattr(args, "report", None):
         try:
-            model_file.save(args.report, json.dumps(record(args, code, error), indent=1).encode() + b"\n")
+            disk.save(args.report, json.dumps(record(args, code, error), indent=1).encode() + b"\n")
         except OSError as failure:
             print(f"dynamorph: error: {failure}: try again", file=sys.stderr)
             return code or TRY_AGAIN
+        except errors.SinkError as failure:  # its path is too long
+            print(f"dynamorph: error: {failure}", file=sys.stderr)
+            return code or BAD_INPUT
     return code
 
 
@@ -284,7 +292,7 @@ def open_file(args: argparse.Namespace, opens_file: bool) -> None:
         if not args.file.is_file():
             raise InputError(f"there is no file '{args.file}'")
         try:
-            bpy.ops.wm.open_mainfile(filepath=str(args.file.resolve()))
+            bpy.ops.wm.open_mainfile(filepath=str(args.file.absolute()))
         except RuntimeError as error:
             raise InputError(f"'{args.file}' cannot be opened: {error}") from error
     if not bpy.data.filepath:  # Blender goes on with an empty scene when its file is missing
@@ -292,7 +300,8 @@ def open_file(args: argparse.Namespace, opens_file: bool) -> None:
     output = getattr(args, "output", None)
     if output is None:
         return
-    if not output.resolve().parent.is_dir():
-        raise InputError(f"there is no folder '{output.resolve().parent}' to write '{output.name}' to")
-    if output.resolve() == Path(bpy.data.filepath).resolve():
+    folder = output.absolute().parent
+    if not folder.is_dir():
+        raise InputError(f"there is no folder '{folder}' to write '{output.name}' to")
+    if output.exists() and output.samefile(bpy.data.filepath):
         raise InputError(f"'{output}' is the file that is open: say --in-place to overwrite it")

@@ -3,12 +3,29 @@
 
 from __future__ import annotations
 
+import platform
+import re
 import sys
 from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
 from types import ModuleType
 
 from .errors import DynamorphError, EngineNotFoundError, sentence
+from .message import Message, joined
 
+INSTALL = (
+    "Install the Dynamorph extension made for this Blender and system from its .zip, or with pip the package "
+    "'dynamorph', and restart"
+)
+# What the loader of a system says -> what helps.
+REMEDIES = {
+    r"GLIBC|libc\.|ld-linux": "It needs a Linux with glibc 2.28 or newer, as Blender does",
+    r"code signature|quarantine|system policy": "macOS blocks it: choose Open Anyway in System Settings > Privacy & "
+    "Security, and restart",
+    r"DLL load failed": "Let the virus scanner allow it. If that does not help, install the Dynamorph extension made "
+    "for this processor, and restart",
+}
 _threads, _told = 0, True  # what the user wants, and whether the engine knows; 0 is its own choice
 
 
@@ -21,14 +38,44 @@ def engine() -> tuple[ModuleType, ModuleType]:
         import dynamorph  # noqa: F401
     except Exception as error:  # a wheel for another system fails in many ways
         raise EngineNotFoundError(
-            "The engine cannot be loaded ({error}). Install the Dynamorph extension made for this Blender and system "
-            "from its .zip, or with pip the package 'dynamorph', and restart",
+            "The engine cannot be loaded on {system} with Python {python} ({error}). {remedy}",
+            system=f"{platform.system()} {platform.machine()}",
+            python=f"{sys.version_info.major}.{sys.version_info.minor}",
             error=error,
+            remedy=_remedy(str(error)),
         ) from error
+    if not _is_installed_version():
+        raise EngineNotFoundError("The engine of an earlier version is still loaded: restart Blender")
     _tell_threads()
     from . import build, simulate
 
     return build, simulate
+
+
+def _remedy(error: str) -> Message:
+    """What helps against an error of the import, and what this extension has instead."""
+    remedy = next((found for pattern, found in REMEDIES.items() if re.search(pattern, error)), INSTALL)
+    wheels = (path.stem.split("-") for path in (Path(__file__).parents[1] / "wheels").glob("dynamorph-*.whl"))
+    held = sorted(f"{python} {system.partition('.')[0]}" for *_, python, _abi, system in wheels)
+    if not held or remedy != INSTALL:
+        return Message(remedy)
+    return joined(". ", [Message("This extension has it for {systems}", systems=", ".join(held)), Message(remedy)])
+
+
+@lru_cache(maxsize=1)
+def _is_installed_version() -> bool:
+    """Whether the engine in memory is the one on the disk: no update of an extension unloads a compiled module."""
+    import dynamorph
+
+    return getattr(dynamorph, "__version__", "") == installed_version()
+
+
+def installed_version() -> str:
+    """The version of the installed engine; empty when it runs from where it was compiled."""
+    try:
+        return metadata.version("dynamorph")
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 @lru_cache(maxsize=1)

@@ -58,6 +58,10 @@ class FitError(DynamorphError):
     """A material cannot be fitted to what was measured. The message says why."""
 
 
+class FileInUseError(DynamorphError, OSError):
+    """Windows does not let a file be replaced while a program has it open. Trying again later may help."""
+
+
 class RecordError(DynamorphError):
     """What an earlier build or bake has noted in the .blend cannot be read. The message says what to do."""
 

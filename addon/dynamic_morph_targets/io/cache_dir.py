@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core import errors
-from . import model_file
+from . import disk, model_file
 
 if TYPE_CHECKING:  # they need the engine
     from ..core.character import Character
@@ -41,7 +41,8 @@ class CacheDir:
         return model.Model.from_arrays(*found) if found else None
 
     def keep_model(self, model: Model) -> None:
-        model_file.save(self._model_path(model.dependencies), model_file.pack(*model.to_arrays()))
+        with suppress(errors.FileInUseError):  # another process reads it: it has kept the same model meanwhile
+            disk.save(self._model_path(model.dependencies), model_file.pack(*model.to_arrays()))
 
     def bake_path(
         self, name: str, inputs: dict, character: Character, files: list[Path], blender: tuple[int, int, int]
@@ -68,7 +69,7 @@ class CacheDir:
         before.
         """
         meta = {"model": _modes_hash(shot.player.model)}
-        model_file.save(path, model_file.pack(shot.kept() | {"pose": pose}, meta))
+        disk.save(path, model_file.pack(shot.kept() | {"pose": pose}, meta))
 
     def _model_path(self, dependencies: dict[str, str]) -> Path:
         return self.folder / f"{_hash(dependencies)}.dynamorph"

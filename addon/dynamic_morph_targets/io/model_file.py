@@ -14,15 +14,9 @@ exactly what `pack` would write: then no byte of the file can change unnoticed. 
 
 from __future__ import annotations
 
-import glob
 import hashlib
 import json
-import os
-import secrets
-import time
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
-from pathlib import Path
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +28,6 @@ if TYPE_CHECKING:  # for type checkers alone: Blender does not have it
 
 FORMAT = "dynamorph model"
 VERSION = 4  # 2: target sets; 3: of the tables of a reduced model, the distinct coefficients only; 4: stiffness
-ABANDONED = 3600.0  # seconds after which an incomplete file is abandoned
 TAGS = {
     "<f8": "F64", "<f4": "F32", "<i8": "I64", "<i4": "I32", "<i2": "I16", "|i1": "I8",
     "<u8": "U64", "<u4": "U32", "<u2": "U16", "|u1": "U8", "|b1": "BOOL",
@@ -79,26 +72,6 @@ def unpack(buffer: Buffer) -> tuple[dict[str, np.ndarray], dict]:
     except dynamorph.Error as error:
         raise ModelFileError(str(error)) from error
     return arrays, _parse(meta)
-
-
-def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None:
-    """Writes the file completely or not at all: a crash leaves the old file or the new one."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for left in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # left by a process that was killed
-        with suppress(OSError):
-            if time.time() - left.stat().st_mtime > ABANDONED:
-                left.unlink()
-    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the permissions of a new file
-    try:
-        with temporary.open("xb") as file:
-            file.writelines([content] if isinstance(content, bytes) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def content_id(packed: bytes) -> str:

@@ -4,23 +4,35 @@
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 CACHE_FOLDER = "dynamorph_caches"  # beside the .blend
 OBJECT = "{object}"  # in the name of a file that each mesh has one of
-
-
 UNSAFE = re.compile(r"[\x00-,./:-@[-^`{-\xfe]")  # in the names of files, as bpy.path.clean_name has them
+DEVICE = re.compile(r"con|prn|aux|nul|com\d|lpt\d", re.IGNORECASE)  # Windows would write to it, whatever the suffix
+LONGEST = 63  # characters: names in Blender 5 may be as long as the name of a file may be at all
 
 
 def clean_name(name: str) -> str:
-    """The result of `bpy.path.clean_name`, for threads, which must not call it."""
-    return UNSAFE.sub("_", name)
+    """A data-block's name as the name of a file, without a suffix, for all systems.
+
+    It is that of `bpy.path.clean_name`, which threads must not call, except for what no file can be named.
+    """
+    cleaned = UNSAFE.sub("_", name)[:LONGEST]
+    return f"{cleaned}_" if DEVICE.fullmatch(cleaned) else cleaned
 
 
 def file_path(file: str, name: str) -> Path:
     """The file of an object: a path in which `OBJECT` is replaced by the object's name."""
-    return Path(file.replace(OBJECT, clean_name(name))).resolve()
+    return Path(file.replace(OBJECT, clean_name(name))).absolute()
+
+
+def is_shared(files: Iterable[Path]) -> bool:
+    """Whether two of the paths name one file: all systems but Linux take upper and lower case for the same."""
+    names = [str(file) if sys.platform == "linux" else str(file).casefold() for file in files]
+    return len(set(names)) < len(names)
 
 
 def cache_path(folder: Path, name: str, content: str, sink: str) -> Path:

@@ -12,7 +12,7 @@ import bpy
 
 from ..core import baked, calibration, logger, records
 from ..core.errors import SceneError
-from ..io import model_file
+from ..io import disk
 from ..scene import skin, staleness, target_properties
 from ..scene.model_store import PACKED, blend_folder, index_in, stored_model
 from ..write import beside, comparison, live_key
@@ -99,9 +99,9 @@ class Writer:
         if self._file is None or self._packed is None:
             return
         if not self._file.exists():
-            undo.callback(self._file.unlink, missing_ok=True)
+            undo.callback(disk.discard, self._file)
         with self.progress.stage("store model"):
-            model_file.save(self._file, self._packed)
+            disk.save(self._file, self._packed)
 
     def keep(self, undo: ExitStack) -> None:
         """Remember what the next steps change."""
@@ -166,7 +166,7 @@ class Writer:
     def forget_point_caches(self) -> None:
         """Remove the files of point caches that nothing plays."""
         for file in self.outcome.new_files:
-            file.unlink(missing_ok=True)
+            disk.discard(file)
 
     def _pieces(self) -> list[bpy.types.Object]:
         return [handle.find() for handle in handles(self.given.followers)]

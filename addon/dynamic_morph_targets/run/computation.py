@@ -22,7 +22,7 @@ from ..core.keys import as_keys, splice
 from ..core.message import Message
 from ..core.rehearsal import Rehearsal
 from ..core.rig_samples import RigSamples
-from ..io import model_file, paths, point_cache
+from ..io import disk, model_file, paths, point_cache
 from .job_data import BakeInput, Outcome, Progress
 
 if TYPE_CHECKING:  # they need the engine
@@ -325,7 +325,7 @@ def _point_cache(given: BakeInput, outcome: Outcome, sink: str, name: str, point
     file = given.cache_files.get(name, default)
     if not file.exists():
         outcome.new_files.append(file)
-    model_file.save(file, point_cache.CACHES[sink](bake, points, fps))
+    disk.save(file, point_cache.CACHES[sink](bake, points, fps))
     return file
 
 

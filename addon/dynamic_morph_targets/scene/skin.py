@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -123,7 +124,7 @@ def cache_modifier(obj):
     """The modifier that plays the bake's point cache, or None. The artist may have renamed it, or moved the file."""
     file = obj.dynamorph.bake.cache
     caches = (modifier for modifier in obj.modifiers if modifier.type == "MESH_CACHE") if file else ()
-    return next((modifier for modifier in caches if bpy.path.basename(modifier.filepath) == file), None)
+    return next((modifier for modifier in caches if re.split(r"[/\\]", modifier.filepath)[-1] == file), None)
 
 
 def followers(obj) -> list:

@@ -15,6 +15,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..core import errors
 from ..core.message import translated
+from ..io import paths
 from ..run import export_actions
 from ..scene import events, skin
 from ..scene.registration import of_classes
@@ -113,9 +114,9 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         else:
             exports.check_bake(obj, self.format)
         if not self.filepath:
-            name = bpy.path.clean_name(skin.mesh_in(context).name)
+            name = paths.clean_name(skin.mesh_in(context).name)
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
-        self.filepath = str(exports.named(Path(self.filepath), self.format))
+        self.filepath = str(self.path())
         return super().invoke(context, event)
 
     def draw(self, context):
@@ -128,7 +129,7 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
 
     def check(self, _context):
         """The file name follows the format."""
-        path = str(exports.named(Path(self.filepath), self.format))
+        path = str(self.path())
         changed, self.filepath = path != self.filepath, path
         return changed
 
@@ -137,13 +138,17 @@ class DYNAMORPH_OT_export(SoftSkinOperator, ExportHelper, Operator):
         return self.clips if exports.FORMATS[self.format].skins else "SCENE"
 
     def apply(self, obj):
-        path = exports.named(Path(bpy.path.abspath(self.filepath)), self.format)
+        path = self.path()
         if self.chosen_clips == "ACTIONS":  # it takes a while, so it is a job of its own
             return self._start_actions(path)
         scene = bpy.context.scene
         export_actions.export(obj, self.format, path, (scene.frame_start, scene.frame_end))
         report_export(self, obj, path)
         return {"FINISHED"}
+
+    def path(self) -> Path:
+        """Where the file goes. Without `abspath`, Windows would take // for the name of a server."""
+        return exports.named(Path(bpy.path.abspath(self.filepath)), self.format)
 
     def _start_actions(self, path: Path):
         try:

@@ -11,6 +11,7 @@ from bpy.props import BoolProperty, StringProperty
 from bpy.types import FileHandler, Operator
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
+from ..io import paths
 from ..run.live import remove_soft_skin
 from ..scene import skin
 from ..scene.registration import of_classes
@@ -32,7 +33,7 @@ class DYNAMORPH_OT_save_setup(SoftSkinOperator, ExportHelper, Operator):
 
     def invoke(self, context, event):
         if not self.filepath:
-            name = f"{bpy.path.clean_name(skin.mesh_in(context).name)}{self.filename_ext}"
+            name = f"{paths.clean_name(skin.mesh_in(context).name)}{self.filename_ext}"
             self.filepath = str(Path(bpy.data.filepath).with_name(name)) if bpy.data.filepath else name
         return super().invoke(context, event)
 
@@ -60,11 +61,11 @@ class DYNAMORPH_OT_load_setup(SoftSkinOperator, ImportHelper, Operator):
         return super().invoke(context, event)
 
     def apply(self, obj):
-        lacking = setups.apply(obj, setups.read(Path(bpy.path.abspath(self.filepath))))
+        path = Path(bpy.path.abspath(self.filepath))
+        lacking = setups.apply(obj, setups.read(path))
         if obj.dynamorph.model.content_id:
             storage.show_stale(obj)
-        file = Path(self.filepath).name
-        self.report({"INFO"}, rpt_("Setup '{file}' applied to '{name}'").format(name=obj.name, file=file))
+        self.report({"INFO"}, rpt_("Setup '{file}' applied to '{name}'").format(name=obj.name, file=path.name))
         report_lacking(self, obj, lacking)  # last: the status bar shows the last alone
 
 

@@ -9,6 +9,7 @@ as far as its influence says. In its place there may be a point cache: a Mesh Ca
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -372,8 +373,8 @@ def _play_cache(obj, file: Path, bake: Bake, skin):
     render, samples = bpy.context.scene.render, baked.samples_per_frame(bake)
     modifier.cache_format = file.suffix[1:].upper()
     modifier.filepath = str(file)
-    with suppress(ValueError):  # on another drive
-        modifier.filepath = bpy.path.relpath(str(file)) if bpy.data.filepath else str(file)
+    with suppress(ValueError):  # on another drive. All systems take /, and the .blend may be opened on another one
+        modifier.filepath = bpy.path.relpath(str(file)).replace(os.sep, "/") if bpy.data.filepath else str(file)
     modifier.frame_start = bake.frames[0] * samples  # the modifier scales first
     modifier.frame_scale = samples * render.frame_map_new / render.frame_map_old
     modifier.show_in_editmode = False

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from ..core.errors import ExportError
-from ..io import glb, model_file, point_cache
+from ..io import disk, glb, point_cache
 from ..scene import animation, checks, skin
 from ..scene.references import key_points, rig_of
 from ..scene.skin import followers
@@ -69,11 +69,11 @@ def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), wit
             chosen.write(obj, collection, partial, frames, takes)
         if not partial.is_file():
             raise ExportError("Blender's {format} exporter wrote nothing: its report says why", format=chosen.label)
-        partial.replace(path)
+        disk.replace(partial, path)
     except RuntimeError as error:  # reported by the operator
         raise ExportError("'{name}' could not be exported: {error}", name=obj.name, error=str(error).strip()) from error
     finally:
-        partial.unlink(missing_ok=True)
+        disk.discard(partial)
 
 
 def check_bake(obj, key: str):
@@ -142,7 +142,7 @@ def _write_usd(_obj, collection: str, path: Path, frames, _takes):
 def _write_raw(obj, _collection: str, path: Path, _frames, _takes):
     """One row per frame, whatever the bake's samples are, because players count frames."""
     basis = key_points(obj.data.shape_keys.reference_key)
-    model_file.save(path, point_cache.raw(bake_reading.read_back(obj), basis, _fps()))
+    disk.save(path, point_cache.raw(bake_reading.read_back(obj), basis, _fps()))
 
 
 def _fps() -> float:

@@ -24,7 +24,7 @@ import numpy as np
 from ..core.errors import SetupError
 from ..core.geometry import determinant, turned
 from ..core.settings import LATER_SETTINGS, ModelSettings
-from ..io import model_file
+from ..io import disk
 from ..scene import checks, rig_motion
 from ..scene.bake_properties import DynamorphOutput, DynamorphSimulation
 from ..scene.model_properties import DynamorphMode, DynamorphModel, DynamorphPiece
@@ -204,7 +204,7 @@ def write(path: Path, setup: dict):
     text = json.dumps(setup, indent=1)
     # A line for each matrix. JSON escapes line breaks within texts, so that this never touches one.
     text = re.sub(r"\[\n[^\[\]{}\"]*\]", lambda numbers: " ".join(numbers[0].split()), text)
-    model_file.save(path, text.encode())
+    disk.save(path, text.encode())
 
 
 def read(path: Path) -> dict:

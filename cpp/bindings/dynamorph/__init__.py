@@ -1,6 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Dynamorph: the engine of dynamic morph targets, with NumPy arrays in and out."""
 
+from importlib import metadata
+
 from dynamorph._core import *  # noqa: F403
 from dynamorph.meshing import mesh_body as mesh_body
 from dynamorph.meshing import tet_quality as tet_quality
+
+try:
+    __version__ = metadata.version("dynamorph")
+except metadata.PackageNotFoundError:  # it runs from where it was compiled
+    __version__ = ""

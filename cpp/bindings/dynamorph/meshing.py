@@ -9,12 +9,14 @@ import itertools
 import math
 import os
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -23,8 +25,9 @@ import numpy as np
 from dynamorph._core import Cancelled, Error, TetMesh, closed_surface, make_cage, points_on_bones, tetrahedralize
 
 TRY_THIS = "Change the cage resolution a little, or clean the mesh (Mesh > Clean Up > Merge by Distance)."
-EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER = 2, 3, 4, 5
-WINDOWS_CRASH = 0xC0000000  # exit codes from here up are exceptions; elsewhere a signal gives a negative code
+EXIT_ERROR, EXIT_MEMORY, EXIT_CALLER, EXIT_MESHER = 10, 11, 12, 13  # 1 and 2 are Python's own
+# On Windows exit codes from here up are exceptions, and 3 is abort; elsewhere a signal gives a negative code.
+WINDOWS_CRASH, WINDOWS_ABORT = 0xC0000000, 3
 # TetGen fails, crashes or hangs unpredictably. A slightly coarser or finer cage usually works.
 RESOLUTIONS = (1.0, 0.9, 1.12, 0.75)
 # For tests only: makes the child crash, hang or allocate without end. "crash once" crashes at the first resolution
@@ -156,15 +159,19 @@ def _run_child(arguments: list[float], request: IO[bytes], answer: IO[bytes], pr
     # Blender's bundled Python.
     paths = [str(Path(file).absolute().parent.parent) for file in (__file__, np.__file__)]
     code = f"import sys; sys.path[:0] = {paths!r}; from dynamorph.meshing import _child; _child()"
-    command = [sys.executable, "-I", "-S", "-c", code, *map(str, arguments)]
+    command = [sys.executable or "", "-I", "-S", "-X", "utf8", "-c", code, *map(str, arguments)]
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves memory, and memory is limited
     try:
         child = subprocess.Popen(
-            command, stdin=request, stdout=answer, stderr=subprocess.PIPE, text=True, env=environment,
+            command, stdin=request, stdout=answer, stderr=subprocess.PIPE, env=environment,
+            encoding="utf-8", errors="replace",
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),  # or Windows would flash a console
         )  # fmt: skip
     except OSError as error:
-        raise Error(f"The mesher could not be started ({error}). Reinstall the add-on.") from error
+        raise Error(
+            f"The mesher could not be started with '{sys.executable}' ({error}). Let the virus scanner allow this "
+            "program, or reinstall Blender."
+        ) from error
     assert child.stderr is not None  # it is a pipe
     fraction = [0.0]
     message: list[str] = []
@@ -205,7 +212,7 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
         raise ValueError(message)
     if code == EXIT_MEMORY:
         raise Error(f"Meshing needed more than {memory_limit_gb:g} GB of memory. Lower the cage resolution.")
-    if code < 0 or code >= WINDOWS_CRASH:
+    if code < 0 or code == WINDOWS_ABORT or code >= WINDOWS_CRASH:
         name = signal.Signals(-code).name if code < 0 else f"{code:#x}"
         raise _MesherFailed(f"The mesher crashed on this mesh ({name}). {TRY_THIS}")
     last_line = message.rpartition("\n")[2]
@@ -216,7 +223,7 @@ def _child() -> None:
     """The child's main function: reads arrays from standard input and writes arrays to standard output."""
     target_nodes = int(sys.argv[1])
     time_limit, memory_limit_gb, pin_radius, thickness, resolution = map(float, sys.argv[2:])
-    _limit_resources(time_limit, memory_limit_gb)
+    limit_resources(time_limit, memory_limit_gb)
     try:
         _fault(os.environ.get(FAULT_VARIABLE, ""), resolution)
         body, (moved, bones), cage = _load_pair(), _load_pair(), _load_pair()
@@ -240,16 +247,33 @@ def _load_pair() -> tuple[np.ndarray, np.ndarray]:
     return np.load(sys.stdin.buffer, allow_pickle=False), np.load(sys.stdin.buffer, allow_pickle=False)
 
 
-def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
-    try:
-        import resource
-    except ImportError:  # Windows has only the parent's time limit
-        return
+def limit_resources(time_limit: float, memory_limit_gb: float) -> None:
+    """Memory and time, and no dump or dialog after a crash. macOS does not limit the memory."""
     memory = int(memory_limit_gb * 2**30)
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     cpu = math.ceil(time_limit) + 10  # longer than the parent's limit: it stops a child after the parent was killed
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
+    if sys.platform == "win32":
+        _limit_on_windows(memory, cpu)
+        return
+    import resource
+
+    for kind, limit in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0), (resource.RLIMIT_CPU, cpu)):
+        with suppress(ValueError, OSError):  # there is a lower limit already, or the system has none of this kind
+            resource.setrlimit(kind, (limit, limit))
+
+
+def _limit_on_windows(memory: int, cpu: int) -> None:
+    """memory: bytes; cpu: seconds. In a job object, which ends with this process, the only one in it."""
+    import ctypes
+
+    extended_limits, this_process = 9, ctypes.c_void_p(-1)
+    limits = 0x2 | 0x100 | 0x400  # of the time, of the memory; an exception ends the process
+    # JOBOBJECT_EXTENDED_LIMIT_INFORMATION: the time in units of 100 ns at 0, flags at 16, the memory at 112.
+    values = struct.pack("<q8xI92xQ24x", cpu * 10**7, limits, memory)
+    kernel = ctypes.CDLL("kernel32")
+    kernel.CreateJobObjectW.restype = ctypes.c_void_p
+    job = ctypes.c_void_p(kernel.CreateJobObjectW(None, None))
+    kernel.SetInformationJobObject(job, extended_limits, values, len(values))
+    kernel.AssignProcessToJobObject(job, this_process)
 
 
 def _wrapped(

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files that are written completely or not at all, also where a file that is open cannot be replaced. No bpy."""
+
+from __future__ import annotations
+
+import glob
+import os
+import secrets
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from ..core.errors import FileInUseError, SinkError
+
+ABANDONED = 3600.0  # seconds after which an incomplete file is abandoned
+PATIENCE = 1.0  # seconds for a virus scanner or an indexer to let go of a file
+IN_USE = (5, 32, 33)  # codes of Windows: access denied, and a file or a part of it is locked
+LONGEST_PATH = 259  # characters, on Windows as it is installed
+
+
+def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None:
+    """Writes the file completely or not at all: a crash leaves the old file or the new one. Raises OSError, SinkError
+    for a path that is too long.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for left in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # left by a process that was killed
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > ABANDONED:
+                left.unlink()
+    temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the permissions of a new file
+    try:
+        with temporary.open("xb") as file:
+            file.writelines([content] if isinstance(content, bytes) else content)
+            file.flush()
+            os.fsync(file.fileno())
+        replace(temporary, path)
+    except BaseException as error:
+        discard(temporary)
+        if isinstance(error, FileNotFoundError) and len(str(temporary)) > LONGEST_PATH:  # its folder is there
+            raise SinkError("The path '{path}' is too long: choose a folder with a shorter one", path=path) from error
+        raise
+
+
+def replace(new: Path, path: Path) -> None:
+    """Give a complete file the name `path`, in place of the file that has it. Raises OSError.
+
+    Windows refuses this while any program has one of the two open, if only for a moment.
+    """
+    ends = time.monotonic() + PATIENCE
+    while True:
+        try:
+            new.replace(path)
+            return
+        except PermissionError as error:
+            if getattr(error, "winerror", None) not in IN_USE:
+                raise
+            if time.monotonic() > ends:
+                raise FileInUseError(
+                    "'{path}' cannot be replaced: another program has it open, or it is read-only. Close it there and "
+                    "try again",
+                    path=path,
+                ) from error
+        time.sleep(0.05)
+
+
+def discard(path: Path) -> None:
+    """Delete a file that nobody needs, if it exists. One that another program has open stays."""
+    with suppress(OSError):
+        path.unlink()
