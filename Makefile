@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel wheels platforms extension clean
+	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel wheels platforms extension repository clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -10,6 +10,7 @@ tools = $(CURDIR)/$(dir $(python))
 pythons = $(shell ls -d $(CURDIR)/.venv/3.*/bin/python | paste -sd';')
 jobs ?= $(shell nproc)
 build = build/cmake
+before_packing = $(if $(filter native,$(platforms)),build,setup)
 c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
 # numpy.bool: the same stub with NumPy 1, which has no such name.
 stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
@@ -156,9 +157,15 @@ platforms: build
 wheel: build
 	@$(python) tools/package.py wheel
 
-# The Blender extension as a zip in dist/.
-extension: build
-	@$(python) tools/package.py extension
+# The Blender extension as zips in dist/: one for each platform of the wheels in dist/wheels, and one for all of them.
+# platforms=native packs what `make build` compiles, for this machine alone.
+extension: $(before_packing)
+	@$(python) tools/package.py extension $(platforms)
+
+# A folder dist/repository with such zips, one for each platform, and the index that Blender's Get Extensions reads: any
+# web server will do. platforms=native as above.
+repository: $(before_packing)
+	@$(python) tools/package.py repository $(platforms)
 
 # Removes what was built; .venv stays.
 clean:

@@ -141,10 +141,9 @@ def pack_extension():
     run = [WHEEL_TOOLS, ROOT / "tools/wheels.py", "--platforms", "linux-x64", "--pythons", PYTHON]
     if subprocess.run(run, check=False).returncode:
         raise Failed("the engine for Debian's Blender was not compiled")
-    stage = package.stage_extension(WORK / "extension")
-    (stage / "wheels").mkdir()
-    shutil.copy2(wheel, stage / "wheels")
-    package.pack_extension(stage, WORK)
+    for old in WORK.glob("*.zip"):
+        old.unlink()
+    package.pack_extension(package.stage_extension(WORK / "extension", [wheel]), WORK)
     shutil.rmtree(WORK / "user", ignore_errors=True)
     (WORK / "user").mkdir()
 

@@ -1,24 +1,49 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Packages into dist/: `wheel` (native wheels and the add-on's pure-Python wheel) or `extension` (Blender's zip)."""
+"""Packages into dist/: `wheel` (native wheels and the add-on's pure-Python wheel), `extension` (the zips that Blender
+installs from disk) or `repository` (the folder that Blender's *Get Extensions* installs and updates from). The last two
+pack the engine's wheels of dist/wheels; with `native`, what `make build` compiled for this machine."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import shutil
 import subprocess
 import sys
-import tomllib
+import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ADDON = ROOT / "addon" / "dynamic_morph_targets"
 DIST = ROOT / "dist"
-PLATFORMS = {"linux_x86_64": "linux-x64", "linux_aarch64": "linux-arm64"}  # a wheel's tag: Blender's name
+PLATFORMS = {  # Blender's name: how the name of a wheel ends
+    "linux-x64": "linux*_x86_64",
+    "linux-arm64": "linux*_aarch64",
+    "macos-x64": "macosx*_x86_64",
+    "macos-arm64": "macosx*_arm64",
+    "windows-x64": "win_amd64",
+    "windows-arm64": "win_arm64",
+}
 
 
 def pythons() -> list[Path]:
     return sorted(ROOT.glob(".venv/3.*/bin/python"))
+
+
+def version() -> str:
+    """The one version of the extension and of the wheels. Exits if the sources name several."""
+    sources = ADDON / "blender_manifest.toml", ROOT / "pyproject.toml", ADDON.parent / "pyproject.toml"
+    pattern = re.compile(r'(?:^version = "|"dynamorph==)(.+?)"', re.MULTILINE)
+    found = {path: set(pattern.findall(path.read_text())) for path in sources}
+    numbers = set().union(*found.values())
+    if len(numbers) > 1:
+        lines = "".join(f"\n  {path.relative_to(ROOT)}: {', '.join(found[path])}" for path in sources)
+        sys.exit(f"The extension and the wheels are not of one version. Raise it in each of these files:{lines}")
+    return numbers.pop()
+
+
+# Wheels --------------------------------------------------------------------------------------------------------------
 
 
 def build_wheel(python: Path, source: Path, folder: Path, *options: str) -> None:
@@ -36,42 +61,111 @@ def build_native_wheels(folder: Path) -> list[Path]:
 
 
 def make_wheels() -> None:
-    for wheel in build_native_wheels(ROOT / "build/wheels"):
+    DIST.mkdir(exist_ok=True)
+    for wheel in build_native_wheels(ROOT / "build/native_wheels"):
         shutil.copy2(wheel, DIST)
     build_wheel(pythons()[0], ROOT / "addon", DIST)
 
 
-def make_extension() -> None:
-    stage = stage_extension(ROOT / "build/extension")
-    build_native_wheels(stage / "wheels")
-    archive = pack_extension(stage, DIST)
-    print(f"{archive.relative_to(ROOT)} for {', '.join(python.parent.parent.name for python in pythons())}")
+def platform_of(wheel: Path) -> str:
+    """Blender's name of the platform that a wheel is for."""
+    for platform, ending in PLATFORMS.items():
+        if wheel.match(f"*{ending}.whl"):
+            return platform
+    sys.exit(f"{wheel.name} is for none of Blender's platforms: {', '.join(PLATFORMS)}")
 
 
-def stage_extension(stage: Path) -> Path:
-    """A copy of the add-on, still without wheels; those belong in `stage`/wheels."""
+def wheels_to_pack(native: bool) -> list[Path]:
+    """The engine's wheels of this version, one for each platform and Python. Exits if that is not what there is."""
+    folder = ROOT / "build/native_wheels" if native else DIST / "wheels"
+    if native:
+        build_native_wheels(folder)
+    if others := [wheel for wheel in sorted(folder.glob("*.whl")) if wheel.name.split("-")[1] != version()]:
+        sys.exit(f"This is version {version()}. Delete the wheels of another one:{listed(others)}")
+    wheels: dict[tuple[str, str], Path] = {}
+    for wheel in sorted(folder.glob("dynamorph-*.whl")):
+        same = wheels.setdefault((platform_of(wheel), wheel.name.split("-")[2]), wheel)
+        if same != wheel:
+            sys.exit(f"Both wheels are for one platform and Python. Delete one of them:{listed([same, wheel])}")
+    if not wheels:
+        sys.exit("There are no wheels in dist/wheels. Run `make wheels` first, or name this machine: platforms=native")
+    return list(wheels.values())
+
+
+def listed(paths: list[Path]) -> str:
+    return "".join(f"\n  {path.relative_to(ROOT)}" for path in paths)
+
+
+# Extension -----------------------------------------------------------------------------------------------------------
+
+
+def make_extension(native: bool) -> None:
+    """One zip for each platform, and one for all of them."""
+    stage = stage_extension(ROOT / "build/extension", wheels_to_pack(native))
+    DIST.mkdir(exist_ok=True)
+    archives = pack_platforms(stage, DIST)
+    if not native:
+        archives.append(pack_extension(stage, DIST))
+    print_table(archives)
+
+
+def make_repository(native: bool) -> None:
+    """A folder for any web server: one zip for each platform, index.json for Blender, index.html for people."""
+    stage = stage_extension(ROOT / "build/extension", wheels_to_pack(native))
+    folder = DIST / "repository"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    archives = pack_platforms(stage, folder)
+    blender_extension("server-generate", "--html", "--repo-dir", folder)
+    index = json.loads((folder / "index.json").read_text())
+    if {entry["archive_url"] for entry in index["data"]} != {f"./{archive.name}" for archive in archives}:
+        sys.exit(f"{folder.relative_to(ROOT)}/index.json does not list the zips beside it")
+    print_table(archives)
+
+
+def print_table(archives: list[Path]) -> None:
+    for archive in archives:
+        with zipfile.ZipFile(archive) as files:
+            pythons = sorted({Path(name).name.split("-")[2] for name in files.namelist() if name.endswith(".whl")})
+        size = archive.stat().st_size / 1e6
+        print(f"{archive.relative_to(ROOT)!s:60} {size:5.1f} MB  {' '.join(pythons)}")
+
+
+def stage_extension(stage: Path, wheels: list[Path]) -> Path:
+    """The add-on as it is packed, in the folder `stage`: its manifest names the wheels and their platforms."""
     shutil.rmtree(stage, ignore_errors=True)
     shutil.copytree(ADDON, stage, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("LICENSE", "LICENSES.md"):
-        shutil.copy2(ROOT / name, stage)
-    return stage
-
-
-def pack_extension(stage: Path, folder: Path) -> Path:
-    """The staged add-on, with its wheels named in the manifest, as a zip in `folder`; by Blender's own tool."""
-    wheels = sorted((stage / "wheels").glob("*.whl"))
+    (stage / "wheels").mkdir()
+    for path in (ROOT / "LICENSE", ROOT / "LICENSES.md"):
+        shutil.copy2(path, stage)
+    for wheel in wheels:
+        shutil.copy2(wheel, stage / "wheels")
     manifest = stage / "blender_manifest.toml"
-    platforms = sorted({PLATFORMS[wheel.stem.split("-")[-1]] for wheel in wheels})
+    platforms = sorted({platform_of(wheel) for wheel in wheels})
     lines = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in wheels)
     text = re.sub(r"^wheels *= *\[.*?\]\n", "", manifest.read_text(), flags=re.MULTILINE | re.DOTALL)
     # Before the first table: a key below one would belong to it.
     head, table, rest = text.partition("\n[")
     manifest.write_text(f"{head.rstrip()}\nplatforms = {json.dumps(platforms)}\nwheels = [\n{lines}]\n{table}{rest}")
+    return stage
 
-    archive = folder / f"dynamic_morph_targets-{tomllib.loads(manifest.read_text())['version']}.zip"
+
+def pack_extension(stage: Path, folder: Path) -> Path:
+    """One zip in `folder` for all platforms of the staged add-on."""
+    archive = folder / f"{ADDON.name}-{version()}.zip"
     blender_extension("build", "--source-dir", stage, "--output-filepath", archive)
     blender_extension("validate", archive)
     return archive
+
+
+def pack_platforms(stage: Path, folder: Path) -> list[Path]:
+    """One zip in `folder` for each platform of the staged add-on, with its wheels alone."""
+    blender_extension("build", "--split-platforms", "--source-dir", stage, "--output-dir", folder)
+    platforms = sorted({platform_of(wheel) for wheel in (stage / "wheels").iterdir()})
+    archives = [folder / f"{ADDON.name}-{version()}-{platform.replace('-', '_')}.zip" for platform in platforms]
+    for archive in archives:
+        blender_extension("validate", archive)
+    return archives
 
 
 def blender_extension(*arguments: str | Path) -> None:
@@ -85,5 +179,9 @@ def blender_extension(*arguments: str | Path) -> None:
 
 
 if __name__ == "__main__":
-    DIST.mkdir(exist_ok=True)
-    {"wheel": make_wheels, "extension": make_extension}[sys.argv[1]]()
+    makers = {"wheel": lambda _: make_wheels(), "extension": make_extension, "repository": make_repository}
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=makers)
+    parser.add_argument("platforms", nargs="?", choices=["native"], help="this machine alone")
+    arguments = parser.parse_args()
+    makers[arguments.what](arguments.platforms == "native")
