@@ -15,10 +15,11 @@ import shutil
 import subprocess
 import sys
 import tarfile
-import tomllib
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+
+from package import version
 
 ROOT = Path(__file__).resolve().parent.parent
 WORK = ROOT / "build/wheels"
@@ -83,10 +84,6 @@ def run(*command: str | Path, **options) -> str:
     if done.returncode:
         sys.exit(f"{done.stdout[-8000:]}\nwheels: failed: {' '.join(words)}")
     return done.stdout
-
-
-def version() -> str:
-    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 
 
 # Headers -------------------------------------------------------------------------------------------------------------

@@ -18,19 +18,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "tools"))
+
+import wheels  # noqa: E402
+
 SAMPLE = ROOT / "sample_blends" / "bulging_cylinder.blend"
 SOURCES = ("addon", "cpp/bindings/dynamorph", "tools", "CMakeLists.txt", "LICENSE", "LICENSES.md", "pyproject.toml")
 VERSIONED = ("addon/dynamic_morph_targets/blender_manifest.toml", "addon/pyproject.toml", "pyproject.toml")
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 NEXT = re.sub(r"\d+$", lambda patch: str(int(patch[0]) + 1), VERSION)
-TAGS = {
-    "linux-x64": "manylinux_2_28_x86_64",
-    "linux-arm64": "manylinux_2_28_aarch64",
-    "macos-x64": "macosx_11_0_x86_64",
-    "macos-arm64": "macosx_11_0_arm64",
-    "windows-x64": "win_amd64",
-    "windows-arm64": "win_arm64",
-}
+TAGS = {name: platform.tag for name, platform in wheels.PLATFORMS.items()}
 
 # Packing -------------------------------------------------------------------------------------------------------------
 
@@ -113,7 +110,7 @@ def platform(archive):
 
 
 @pytest.fixture
-def wheels(native):
+def built(native):
     """The engine's wheels for this machine, one for each Python."""
     return sorted(native.glob("build/native_wheels/*.whl"))
 
@@ -150,12 +147,12 @@ def test_there_is_a_zip_for_each_platform_and_one_for_all(everywhere):
     whole = f"dynamic_morph_targets-{VERSION}.zip"
     assert found == {whole, *split.values()}
     assert [Path(line.split()[0]).name for line in table.splitlines()] == [*map(split.get, sorted(split)), whole]
-    wheels = {path.name for path in everywhere.glob("dist/wheels/dynamorph-*.whl")}
-    assert wheels_in(everywhere / "dist" / whole) == wheels
+    packed = {path.name for path in everywhere.glob("dist/wheels/dynamorph-*.whl")}
+    assert wheels_in(everywhere / "dist" / whole) == packed
     assert manifest_of(everywhere / "dist" / whole)["platforms"] == sorted(TAGS)
     for name, tag in TAGS.items():
         archive = everywhere / "dist" / split[name]
-        assert wheels_in(archive) == {wheel for wheel in wheels if tag in wheel}
+        assert wheels_in(archive) == {wheel for wheel in packed if tag in wheel}
         generated = manifest_of(archive)["build"]["generated"]
         assert generated["platforms"] == [name]
         assert {Path(wheel).name for wheel in generated["wheels"]} == wheels_in(archive)
@@ -192,32 +189,32 @@ def test_without_wheels_it_says_what_makes_them(tmp_path):
     assert "Run `make wheels` first" in refusal(make_project(tmp_path))
 
 
-def test_wheels_of_another_version_are_refused(tmp_path, wheels):
+def test_wheels_of_another_version_are_refused(tmp_path, built):
     project = make_project(tmp_path)
-    shutil.copy2(wheels[0], project / "dist/wheels")
-    old = remake(wheels[0], project / "dist/wheels", VERSION, "0.0.0")
+    shutil.copy2(built[0], project / "dist/wheels")
+    old = remake(built[0], project / "dist/wheels", VERSION, "0.0.0")
     told = refusal(project)
-    assert f"This is version {VERSION}" in told and f"dist/wheels/{old.name}" in told and wheels[0].name not in told
+    assert f"This is version {VERSION}" in told and f"dist/wheels/{old.name}" in told and built[0].name not in told
 
 
-def test_two_wheels_for_one_platform_are_refused(tmp_path, wheels, platform):
+def test_two_wheels_for_one_platform_are_refused(tmp_path, built, platform):
     project = make_project(tmp_path)
-    shutil.copy2(wheels[0], project / "dist/wheels")
-    other = remake(wheels[0], project / "dist/wheels", tag_of(wheels[0]), TAGS[platform])
+    shutil.copy2(built[0], project / "dist/wheels")
+    other = remake(built[0], project / "dist/wheels", tag_of(built[0]), TAGS[platform])
     told = refusal(project)
-    assert "Delete one of them" in told and all(f"dist/wheels/{wheel.name}" in told for wheel in (wheels[0], other))
+    assert "Delete one of them" in told and all(f"dist/wheels/{wheel.name}" in told for wheel in (built[0], other))
 
 
-def test_wheels_for_no_platform_of_blender_are_refused(tmp_path, wheels):
+def test_wheels_for_no_platform_of_blender_are_refused(tmp_path, built):
     project = make_project(tmp_path)
-    remake(wheels[0], project / "dist/wheels", tag_of(wheels[0]), "freebsd_14_0_amd64")
+    remake(built[0], project / "dist/wheels", tag_of(built[0]), "freebsd_14_0_amd64")
     assert "freebsd_14_0_amd64.whl is for none of Blender's platforms" in refusal(project)
 
 
 @pytest.mark.parametrize("name", VERSIONED)
-def test_versions_rise_together(tmp_path, wheels, name):
+def test_versions_rise_together(tmp_path, built, name):
     project = make_project(tmp_path)
-    shutil.copy2(wheels[0], project / "dist/wheels")
+    shutil.copy2(built[0], project / "dist/wheels")
     raise_version(project / name, NEXT)
     told = refusal(project)
     assert "not of one version" in told and f"{name}: {NEXT}" in told
@@ -340,11 +337,11 @@ assert not left(), left()
 """
 
 
-def test_installs_updates_and_uninstalls_from_a_repository(repository, wheels, served, tmp_path):
+def test_installs_updates_and_uninstalls_from_a_repository(repository, built, served, tmp_path):
     folder, url = served
     folder.symlink_to(repository)
     newer = make_project(tmp_path / "newer", NEXT)
-    for wheel in wheels:
+    for wheel in built:
         remake(wheel, newer / "dist/wheels", VERSION, NEXT)
     package(newer, "repository")
     arguments = (url, SAMPLE, folder, newer / "dist/repository", VERSION, NEXT)
@@ -360,11 +357,11 @@ assert not left(), left()
 """
 
 
-def test_zip_for_another_platform_is_refused(wheels, platform, served, tmp_path):
+def test_zip_for_another_platform_is_refused(built, platform, served, tmp_path):
     folder, url = served
     project = make_project(tmp_path / "other")
     other = "windows-x64" if platform != "windows-x64" else "linux-x64"
-    for wheel in wheels:
+    for wheel in built:
         remake(wheel, project / "dist/wheels", tag_of(wheel), TAGS[other])
     package(project, "repository")
     (archive,) = project.glob("dist/repository/*.zip")
