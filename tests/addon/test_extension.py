@@ -313,7 +313,7 @@ def served(tmp_path):
         server.shutdown()
 
 
-FROM_INSTALLING_TO_REMOVING = """
+INSTALL_AND_UPDATE = """
 url, sample, served, newer, old_version, new_version = arguments
 add_repository(url)
 install()
@@ -329,8 +329,20 @@ sync()
 assert bpy.ops.extensions.package_upgrade_all() == {"FINISHED"}
 assert installed() == (new_version, new_version), installed()
 assert Path(dynamorph.__file__).stat().st_mtime_ns > written
-bake(sample)
+try:
+    bake(sample)
+except RuntimeError as error:
+    assert "restart Blender" in str(error), error
+else:
+    raise AssertionError("baked with the engine that was replaced")
+bpy.ops.wm.save_userpref()
+"""
 
+BAKE_AND_UNINSTALL = """
+sample, new_version = arguments
+bpy.ops.wm.read_userpref()  # which Blender does as it starts, and the bpy wheel does not
+assert installed() == (new_version, new_version), installed()
+bake(sample)
 bpy.ops.extensions.package_uninstall(repo_index=0, pkg_id="dynamic_morph_targets")
 assert "bl_ext.served.dynamic_morph_targets" not in bpy.context.preferences.addons
 assert not left(), left()
@@ -344,8 +356,9 @@ def test_installs_updates_and_uninstalls_from_a_repository(repository, built, se
     for wheel in built:
         remake(wheel, newer / "dist/wheels", VERSION, NEXT)
     package(newer, "repository")
-    arguments = (url, SAMPLE, folder, newer / "dist/repository", VERSION, NEXT)
-    in_blender(FROM_INSTALLING_TO_REMOVING, tmp_path / "user", *arguments)
+    user = tmp_path / "user"
+    in_blender(INSTALL_AND_UPDATE, user, url, SAMPLE, folder, newer / "dist/repository", VERSION, NEXT)
+    assert "baked with" in in_blender(BAKE_AND_UNINSTALL, user, SAMPLE, NEXT)
 
 
 REFUSED = """
