@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel wheels platforms extension clean
+	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel wheels platforms extension sdist version clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -11,6 +11,7 @@ pythons = $(shell ls -d $(CURDIR)/.venv/3.*/bin/python | paste -sd';')
 jobs ?= $(shell nproc)
 build = build/cmake
 c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
+workflows = $(wildcard .github/workflows/*.yml) farm/github_actions.yml
 # numpy.bool: the same stub with NumPy 1, which has no such name.
 stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
 	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool'
@@ -129,13 +130,15 @@ format: setup
 	@$(tools)ruff format --quiet .
 	@$(tools)clang-format -i $(c_sources)
 
-# Style, formatting, types, and whether the stubs fit the compiled module.
+# Style, formatting, types, workflows, and whether the stubs fit the compiled module.
 lint: build
 	@$(tools)ruff check --quiet .
 	@$(tools)ruff format --quiet --check .
 	@$(tools)clang-format --dry-run -Werror $(c_sources)
 	@if [ -x .venv/3.11/bin/mypy ]; then .venv/3.11/bin/mypy --no-error-summary; \
 	else echo 'lint: types are not checked, which needs Python 3.11'; fi
+	@$(tools)check-jsonschema --quiet --builtin-schema vendor.github-workflows $(workflows)
+	@$(tools)zizmor --quiet --no-progress --offline $(workflows)
 	@$(stubgen) -o build/stubs
 	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
 
@@ -159,6 +162,17 @@ wheel: build
 # The Blender extension as a zip in dist/.
 extension: build
 	@$(python) tools/package.py extension
+
+# The engine's sources in dist/, with TetGen's, for pip install on any system.
+sdist: setup
+	@mkdir -p build dist
+	@$(python) -c 'from scikit_build_core.build import build_sdist; build_sdist("dist")' >build/sdist.log 2>&1 || \
+		{ cat build/sdist.log; exit 1; }
+
+# The version. new=0.2.0 opens that version in CHANGELOG.md, or dates it if it is open; then it is ready to be tagged.
+new ?=
+version:
+	@python3 tools/version.py $(new)
 
 # Removes what was built; .venv stays.
 clean:
