@@ -138,7 +138,7 @@ lint: build
 	@if [ -x .venv/3.11/bin/mypy ]; then .venv/3.11/bin/mypy --no-error-summary; \
 	else echo 'lint: types are not checked, which needs Python 3.11'; fi
 	@$(tools)check-jsonschema --quiet --builtin-schema vendor.github-workflows $(workflows)
-	@$(tools)zizmor --quiet --no-progress --offline $(workflows)
+	@$(tools)zizmor --quiet --no-progress --offline $(workflows) >build/zizmor.log || { cat build/zizmor.log; exit 1; }
 	@$(stubgen) -o build/stubs
 	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
 
