@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel wheels platforms extension repository clean
+	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel wheels platforms extension repository \
+	sdist version clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -12,6 +13,7 @@ jobs ?= $(shell nproc)
 build = build/cmake
 before_packing = $(if $(filter native,$(platforms)),build,setup)
 c_sources = $(shell find cpp tests/cpp tests/benchmarks -name '*.[ch]pp')
+workflows = $(wildcard .github/workflows/*.yml) farm/github_actions.yml
 # numpy.bool: the same stub with NumPy 1, which has no such name.
 stubgen = $(python) -W ignore -m pybind11_stubgen dynamorph._core --exit-code \
 	--enum-class-locations '.*:dynamorph._core' --ignore-unresolved-names 'numpy\.bool'
@@ -130,13 +132,15 @@ format: setup
 	@$(tools)ruff format --quiet .
 	@$(tools)clang-format -i $(c_sources)
 
-# Style, formatting, types, and whether the stubs fit the compiled module.
+# Style, formatting, types, workflows, and whether the stubs fit the compiled module.
 lint: build
 	@$(tools)ruff check --quiet .
 	@$(tools)ruff format --quiet --check .
 	@$(tools)clang-format --dry-run -Werror $(c_sources)
 	@if [ -x .venv/3.11/bin/mypy ]; then .venv/3.11/bin/mypy --no-error-summary; \
 	else echo 'lint: types are not checked, which needs Python 3.11'; fi
+	@$(tools)check-jsonschema --quiet --builtin-schema vendor.github-workflows $(workflows)
+	@$(tools)zizmor --quiet --no-progress --offline $(workflows) >build/zizmor.log || { cat build/zizmor.log; exit 1; }
 	@$(stubgen) -o build/stubs
 	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
 
@@ -166,6 +170,17 @@ extension: $(before_packing)
 # web server will do. platforms=native as above.
 repository: $(before_packing)
 	@$(python) tools/package.py repository $(platforms)
+
+# The engine's sources in dist/, with TetGen's, for pip install on any system.
+sdist: setup
+	@mkdir -p build dist
+	@$(python) -c 'from scikit_build_core.build import build_sdist; build_sdist("dist")' >build/sdist.log 2>&1 || \
+		{ cat build/sdist.log; exit 1; }
+
+# The version. new=0.2.0 opens that version in CHANGELOG.md, or dates it if it is open; then it is ready to be tagged.
+new ?=
+version:
+	@python3 tools/version.py $(new)
 
 # Removes what was built; .venv stays.
 clean:

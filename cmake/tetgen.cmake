@@ -14,7 +14,10 @@ if(NOT EXISTS ${archive})
             --no-build-isolation --require-hashes -r ${PROJECT_SOURCE_DIR}/tools/tetgen.txt -d ${tetgen_cache})
 endif()
 if(NOT EXISTS ${archive})
-  message(FATAL_ERROR "TetGen could not be downloaded. Without a network, put the sdist that tools/tetgen.txt names into build/tetgen.")
+  message(FATAL_ERROR
+          "TetGen's sources could not be downloaded. Without a network, take tetgen-${tetgen_version}.tar.gz "
+          "from https://pypi.org/project/tetgen/${tetgen_version}/#files to ${tetgen_cache}: "
+          "its SHA-256 is ${tetgen_sha256}.")
 endif()
 file(SHA256 ${archive} sha256)
 if(NOT sha256 STREQUAL tetgen_sha256)
