@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheel wheels platforms extension repository \
+	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheels platforms extension repository \
 	sdist version clean
 
 started := $(shell date +%s)
@@ -145,21 +145,21 @@ lint: build
 	@diff -u cpp/bindings/dynamorph/_core.pyi build/stubs/dynamorph/_core.pyi || { echo 'Run make stubs.'; exit 1; }
 
 # Wheels of the engine for every system, and of the add-on, in dist/wheels; takes an hour the first time. platforms="linux-x64
-# windows-x64" makes those alone.
+# windows-x64" makes those alone; platforms=native packs what `make build` compiles, for this machine alone, into dist/.
 platforms ?=
-wheels: setup
+wheels: $(before_packing)
+ifeq ($(platforms),native)
+	@$(python) tools/package.py wheel
+else
 	@tools/setup.sh wheels
 	@.venv/wheels/bin/python tools/wheels.py $(if $(platforms),--platforms $(platforms))
+endif
 
 # docs/platforms.md, from what `make wheels` made, with its C++ tests under Wine and QEMU; takes about an hour.
 platforms: build
 	@tools/setup.sh platforms bench
 	@.venv/wheels/bin/python tools/wheels.py --tests
 	@.venv/wheels/bin/python tests/benchmarks/platforms_page.py
-
-# The engine and the add-on as Python wheels in dist/.
-wheel: build
-	@$(python) tools/package.py wheel
 
 # The Blender extension as zips in dist/: one for each platform of the wheels in dist/wheels, and one for all of them.
 # platforms=native packs what `make build` compiles, for this machine alone.

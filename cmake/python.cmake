@@ -16,9 +16,14 @@ endforeach()
 include(CheckLinkerFlag)
 check_linker_flag(CXX LINKER:--exclude-libs,ALL exclude_libs) # zig's linker does not know it, nor need it
 
+set(kind MODULE)
+if(APPLE AND CMAKE_CROSSCOMPILING)
+  set(kind SHARED) # zig makes no bundles; Python loads both
+endif()
+
 function(add_module version include suffix libraries)
   set(target core_${version})
-  add_library(${target} MODULE ${binding_sources})
+  add_library(${target} ${kind} ${binding_sources})
   target_compile_options(${target} PRIVATE ${options})
   target_include_directories(${target} SYSTEM PRIVATE ${include} ${python_pybind11_include})
   if(WIN32)
