@@ -298,6 +298,7 @@ def check(wheel: Path, name: str, python: str) -> str:
     """What a wheel's module is and loads, in one line. Ends the program if it would load what not everybody has."""
     import lief
 
+    lief.logging.disable()  # it complains of details that no loader reads
     platform = PLATFORMS[name]
     module = platform.module.format(python.replace(".", ""))
     with zipfile.ZipFile(wheel) as archive:
