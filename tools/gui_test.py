@@ -143,7 +143,9 @@ def pack_extension():
         raise Failed("the engine for Debian's Blender was not compiled")
     for old in WORK.glob("*.zip"):
         old.unlink()
-    package.pack_extension(package.stage_extension(WORK / "extension", [wheel]), WORK)
+    stage = package.stage_extension(WORK / "extension", [wheel])
+    package.pack_extension(stage, WORK)
+    package.fill_repository(stage, WORK / "repository")
     shutil.rmtree(WORK / "user", ignore_errors=True)
     (WORK / "user").mkdir()
 

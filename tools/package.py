@@ -112,7 +112,11 @@ def make_extension(native: bool) -> None:
 def make_repository(native: bool) -> None:
     """A folder for any web server: one zip for each platform, index.json for Blender, index.html for people."""
     stage = stage_extension(ROOT / "build/extension", wheels_to_pack(native))
-    folder = DIST / "repository"
+    print_table(fill_repository(stage, DIST / "repository"))
+
+
+def fill_repository(stage: Path, folder: Path) -> list[Path]:
+    """Empties a folder and makes a repository of the staged add-on there. Returns its zips."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     archives = pack_platforms(stage, folder)
@@ -120,7 +124,7 @@ def make_repository(native: bool) -> None:
     index = json.loads((folder / "index.json").read_text())
     if {entry["archive_url"] for entry in index["data"]} != {f"./{archive.name}" for archive in archives}:
         sys.exit(f"{folder.relative_to(ROOT)}/index.json does not list the zips beside it")
-    print_table(archives)
+    return archives
 
 
 def print_table(archives: list[Path]) -> None:

@@ -13,7 +13,7 @@ sys.path[:0] = [str(TESTS), str(TESTS / "gui"), str(TESTS / "addon")]
 import driver  # noqa: E402
 import openings  # noqa: E402
 
-parts = ["first_bake", "judging", "authoring", "trying", "baking", "files", "menus"]
+parts = ["repository", "first_bake", "judging", "authoring", "trying", "baking", "files", "menus"]
 if (driver.WORK / "character.blend").exists():
     parts.append("character")
 else:
