@@ -46,7 +46,8 @@ KNOWN = re.compile(
     r"|[\d:.]+ +\| WARNING: Armature must be the parent of skinned mesh.*|Armature is selected by its name.*"
     r"|Writing Preset: '.*'|Repository data: .* not found, sync required!"
     r"|.*(Draco|MeshOptimizer) is not available because library could not be found.*"
-    r"|.*WARNING Could not get a list of mounted file-systems.*"
+    r"|.*WARNING Could not get a list of mounted file-systems.*|Info: Added Remote Repository .*"
+    r"|Blender is no longer running, shutting down the downloader process"
 )
 LONGEST = 1800  # seconds that the window may take, on a busy machine
 
