@@ -158,7 +158,9 @@ endif
 # docs/platforms.md, from what `make wheels` made, with its C++ tests under Wine and QEMU; takes about an hour.
 platforms: build
 	@tools/setup.sh platforms bench
-	@.venv/wheels/bin/python tools/wheels.py --tests
+	@.venv/wheels/bin/python tools/wheels.py
+	@.venv/wheels/bin/python tools/wheels.py --tests --platforms linux-x64 linux-arm64 windows-x64
+	@$(python) tools/package.py extension
 	@.venv/wheels/bin/python tests/benchmarks/platforms_page.py
 
 # The Blender extension as zips in dist/: one for each platform of the wheels in dist/wheels, and one for all of them.

@@ -298,7 +298,7 @@ def measure() -> dict:
         for python in wheels.pythons_of(name):
             wheel = wheels.wheel_path(name, python)
             wheels.check(wheel, name, python)
-            archive = next(ROOT.glob(f"dist/*-{name.replace('-', '[-_]')}.zip"), None)
+            archive = next(ROOT.glob(f"dist/*-{wheels.version()}-{name.replace('-', '_')}.zip"), None)
             row = {"platform": name, "python": python, "MB": wheel.stat().st_size / 1e6,
                    "zip": f"{archive.stat().st_size / 1e6:.1f}" if archive else "-"}  # fmt: skip
             if cpp:
