@@ -25,8 +25,7 @@ def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    name = glob.escape(path.name)
-    for left in path.parent.glob(f"{name}.{'[0-9a-f]' * 16}.part"):  # left by a process that was killed
+    for left in path.parent.glob(f"{glob.escape(path.name)}.*.part"):  # left by a process that was killed
         with suppress(OSError):
             if time.time() - left.stat().st_mtime > ABANDONED:
                 left.unlink()
