@@ -17,11 +17,11 @@ import numpy as np
 from ..core import engine, errors, material_fit, oscillation
 from ..core.errors import InputError
 from ..core.settings import VARIANTS, Material, ModelSettings
-from ..io import cache_dir, disk, paths, point_cache, report_page
+from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
 from ..run import batch, expected_error, export_actions, final_comparison
 from ..run.job import Job
 from ..scene import checks, extract, mesh_data, model_store, skin, staleness
-from ..write import bake, exports, losses
+from ..write import bake, blend_file, exports, losses
 from ..write.reconcile import reconcile
 from .record import Done, Progress, print_table
 
@@ -153,11 +153,17 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
         remedy = "give them names that differ more" if paths.OBJECT in pattern else f"put {paths.OBJECT} in its name"
         raise InputError(f"--output-file {pattern}: several meshes would share it: {remedy}")
     for path in files.values():
-        if not path.parent.is_dir():
-            raise InputError(f"there is no folder '{path.parent}' to write '{path.name}' to")
+        check_folder(path)
+        outputs.try_file(path)
+    frames = tuple(args.frames or (bpy.context.scene.frame_start, bpy.context.scene.frame_end))
     for obj in objects if chosen else ():
-        exports.check_place(obj, chosen_format, files[obj.name])
+        exports.check_place(obj, chosen_format, files[obj.name], frames)
     return files
+
+
+def check_folder(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise InputError(f"there is no folder '{path.parent}' to write '{path.name}' to")
 
 
 def export(args: argparse.Namespace, obj: bpy.types.Object, path: Path, frames: tuple[int, int]) -> list[str]:
@@ -334,10 +340,6 @@ def _reconciled(objects: list) -> list[bpy.types.Object]:
 def save(args: argparse.Namespace) -> float:
     """Save the .blend; returns the seconds it took."""
     began = time.perf_counter()
-    path = str(args.output.absolute()) if args.output else bpy.data.filepath
-    try:
-        bpy.ops.wm.save_as_mainfile(filepath=path, copy=args.output is not None)
-    except RuntimeError as error:
-        raise OSError(f"'{path}' cannot be saved: {str(error).strip()}") from error
+    blend_file.save(args.output.absolute() if args.output else Path(bpy.data.filepath))
     print(f"saved {args.output or bpy.data.filepath}")
     return time.perf_counter() - began

@@ -6,7 +6,8 @@
 
 Exit codes: 0 done, 2 bad input (trying again will not help), 3 the engine's result failed its check, 70 a bug in this
 program, 75 a file could not be read or written, or memory was short (a full disk, a lost network, another process: try
-again), 130 Ctrl-C.
+again), 130 Ctrl-C. A file that can never be written (no such folder, no permission) is bad input, and found before the
+work.
 
 --report writes the outcome of a command as JSON, even after a failure. Its keys: docs/file_format.md.
 """
@@ -29,13 +30,14 @@ import bpy
 from ..core import engine, errors
 from ..core.errors import InputError
 from ..core.settings import VARIANTS
-from ..io import disk, paths
+from ..io import disk, outputs, paths
 from ..write import exports
 from .commands import (
     MODEL_SETTINGS,
     OUTPUT_SETTINGS,
     SIMULATION_SETTINGS,
     bake_formats,
+    check_folder,
     number,
     run_check,
     run_collect,
@@ -120,7 +122,7 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
     except errors.SelfCheckError as failure:
         code, error = SELF_CHECK_FAILED, f"error: {failure}"
     except (OSError, MemoryError) as failure:
-        code, error = TRY_AGAIN, f"error: {errors.sentence(failure)}: try again"
+        code, error = outcome(failure)
     except engine.expected_errors() as failure:
         code, error = BAD_INPUT, f"error: {errors.sentence(failure)}"
     except Exception as fault:  # a bug: the report is written nevertheless
@@ -131,13 +133,19 @@ def _run(args: argparse.Namespace, opens_file: bool) -> int:
     if getattr(args, "report", None):
         try:
             disk.save(args.report, json.dumps(record(args, code, error), indent=1).encode() + b"\n")
-        except OSError as failure:
-            print(f"dynamorph: error: {failure}: try again", file=sys.stderr)
-            return code or TRY_AGAIN
-        except errors.SinkError as failure:  # its path is too long
-            print(f"dynamorph: error: {failure}", file=sys.stderr)
-            return code or BAD_INPUT
+        except (OSError, errors.SinkError) as failure:  # the second for a path that is too long
+            unwritten, text = outcome(failure)
+            if text != error:
+                print(f"dynamorph: {text}", file=sys.stderr)
+            return code or unwritten
     return code
+
+
+def outcome(failure: OSError | MemoryError | errors.SinkError) -> tuple[int, str]:
+    """The exit code and the message when the system refuses something."""
+    if errors.is_transient(failure):
+        return TRY_AGAIN, f"error: {errors.sentence(failure)}: try again"
+    return BAD_INPUT, f"error: {errors.sentence(failure)}"
 
 
 def parser(opens_file: bool) -> argparse.ArgumentParser:
@@ -286,6 +294,7 @@ def add_settings(sub: argparse.ArgumentParser, part: str, names: Sequence[str]) 
 
 def open_file(args: argparse.Namespace, opens_file: bool) -> None:
     """Make sure, before any work, that the .blend is open and that the result can be written."""
+    try_outputs(args)
     if args.run == run_collect:
         return
     if opens_file:
@@ -298,10 +307,23 @@ def open_file(args: argparse.Namespace, opens_file: bool) -> None:
     if not bpy.data.filepath:  # Blender goes on with an empty scene when its file is missing
         raise InputError("no .blend is open: name one that exists before -c")
     output = getattr(args, "output", None)
-    if output is None:
-        return
-    folder = output.absolute().parent
-    if not folder.is_dir():
-        raise InputError(f"there is no folder '{folder}' to write '{output.name}' to")
-    if output.exists() and output.samefile(bpy.data.filepath):
+    if output and output.exists() and output.samefile(bpy.data.filepath):
         raise InputError(f"'{output}' is the file that is open: say --in-place to overwrite it")
+    if getattr(args, "in_place", False):
+        outputs.try_file(Path(bpy.data.filepath))
+
+
+def try_outputs(args: argparse.Namespace) -> None:
+    """Try all files and folders that the command line names for results. Raises InputError, OSError."""
+    for name in ("report", "page", "output", "json"):
+        path = getattr(args, name, None)
+        if path is None:
+            continue
+        if name in ("report", "page"):
+            path.absolute().parent.mkdir(parents=True, exist_ok=True)
+        check_folder(path.absolute())
+        outputs.try_file(path.absolute())
+    if getattr(args, "page", None):
+        outputs.try_file(args.page.absolute().with_suffix(".json"))
+    if getattr(args, "cache_dir", None):
+        outputs.try_folder(args.cache_dir.absolute())

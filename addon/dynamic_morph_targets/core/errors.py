@@ -3,9 +3,26 @@
 
 from __future__ import annotations
 
+import errno
+
 from .message import Message
 
 NO_MEMORY = "There is not enough memory for this. Close other programs, bake fewer frames, or lower Cage Nodes or Modes"
+
+# What no repetition mends. Anything else may pass: a full disk, a lost network, another process.
+PERMANENT = {
+    errno.EACCES, errno.EEXIST, errno.EFBIG, errno.EINVAL, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENODEV,
+    errno.ENOENT, errno.ENOSYS, errno.ENOTDIR, errno.ENXIO, errno.EOPNOTSUPP, errno.EPERM, errno.EROFS,
+}  # fmt: skip
+FULL = "Free some space, or choose another folder"
+PROTECTED = "Choose a folder and a file that can be written to"
+REMEDIES = {
+    errno.ENOSPC: FULL, errno.EDQUOT: FULL, errno.EROFS: PROTECTED, errno.EACCES: PROTECTED, errno.EPERM: PROTECTED,
+    errno.ENOENT: "Check the path, or make that folder first", errno.ENAMETOOLONG: "Choose a shorter name",
+    errno.EISDIR: "It is a folder: add the name of a file", errno.ENOTDIR: "A part of it is a file: choose another",
+    errno.EINVAL: "Choose another name",
+}  # fmt: skip
+CHECK_DISK = "Check the disk or the network"
 
 
 class DynamorphError(Exception):
@@ -78,4 +95,14 @@ def sentence(error: BaseException) -> str:
     """What the artist is told of an error that is expected (see `engine.expected_errors`), for `message.translated`."""
     if isinstance(error, MemoryError):
         return NO_MEMORY
-    return error.args[0] if isinstance(error, DynamorphError) else str(error)
+    if isinstance(error, OSError) and error.strerror:
+        remedy = Message(REMEDIES.get(error.errno or 0, CHECK_DISK))
+        text = "'{file}': {reason}. {remedy}" if error.filename else "{reason}. {remedy}"
+        return Message(text, file=error.filename, reason=error.strerror, remedy=remedy)
+    first = error.args[0] if error.args else ""
+    return first if isinstance(first, str) else str(error)  # first: perhaps a Message
+
+
+def is_transient(error: BaseException) -> bool:
+    """Whether the same may succeed at another time: the fault is the machine's, not of what was asked for."""
+    return isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno not in PERMANENT)

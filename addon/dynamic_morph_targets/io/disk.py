@@ -7,8 +7,8 @@ import glob
 import os
 import secrets
 import time
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..core.errors import FileInUseError, SinkError
@@ -30,21 +30,38 @@ def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None
             if time.time() - left.stat().st_mtime > ABANDONED:
                 left.unlink()
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")  # with the permissions of a new file
+    with named(path, temporary):
+        try:
+            with temporary.open("xb") as file:
+                file.writelines([content] if isinstance(content, bytes) else content)
+                file.flush()
+                os.fsync(file.fileno())
+            replace(temporary, path)
+        except BaseException:
+            discard(temporary)
+            raise
+
+
+@contextmanager
+def named(path: Path, temporary: Path) -> Iterator[None]:
+    """Makes errors of a file that is written to another path, in a folder that is there, name the path that the user
+    knows. Raises SinkError for one that is too long.
+    """
     try:
-        with temporary.open("xb") as file:
-            file.writelines([content] if isinstance(content, bytes) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        replace(temporary, path)
-    except BaseException as error:
-        discard(temporary)
-        if isinstance(error, FileNotFoundError) and len(str(temporary)) > LONGEST_PATH:  # its folder is there
+        yield
+    except FileInUseError:
+        raise
+    except OSError as error:
+        if isinstance(error, FileNotFoundError) and len(str(temporary)) > LONGEST_PATH:
             raise SinkError("The path '{path}' is too long: choose a folder with a shorter one", path=path) from error
+        if error.errno and (not error.filename or str(error.filename).startswith(str(temporary))):
+            error.filename, error.filename2 = str(path), None
         raise
 
 
 def replace(new: Path, path: Path) -> None:
-    """Give a complete file the name `path`, in place of the file that has it. Raises OSError.
+    """Give a complete file the name `path`, in place of the file that has it, also after a power failure. Raises
+    OSError.
 
     Windows refuses this while any program has one of the two open, if only for a moment.
     """
@@ -52,7 +69,7 @@ def replace(new: Path, path: Path) -> None:
     while True:
         try:
             new.replace(path)
-            return
+            return _sync(path.parent)
         except PermissionError as error:
             if getattr(error, "winerror", None) not in IN_USE:
                 raise
@@ -63,6 +80,18 @@ def replace(new: Path, path: Path) -> None:
                     path=path,
                 ) from error
         time.sleep(0.05)
+
+
+def _sync(folder: Path) -> None:
+    """Make renames in a folder last, where the system can."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    with suppress(OSError):  # some file systems cannot
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def discard(path: Path) -> None:

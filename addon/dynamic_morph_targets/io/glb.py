@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -68,6 +69,19 @@ def split_animation(data: bytes, parts: Mapping[str, tuple[int, int]], fps: floa
         document["animations"].append({**whole, "name": name, "samplers": samplers})
     document["buffers"][0]["byteLength"] = len(binary)
     return _joined(document, binary)
+
+
+def is_whole(path: Path) -> bool:
+    """Whether the file is as long as it says, and its chunks fill it. Raises OSError."""
+    with path.open("rb") as file:
+        size, at = file.seek(0, 2), struct.calcsize(HEADER)
+        file.seek(0)
+        magic, _, length = struct.unpack(HEADER, file.read(at).ljust(at, b"\0"))
+        while at < size:
+            file.seek(at)
+            head = file.read(struct.calcsize(CHUNK))
+            at += len(head) + (struct.unpack(CHUNK, head)[0] if len(head) == struct.calcsize(CHUNK) else 0)
+    return magic == b"glTF" and size == length == at
 
 
 def _chunks(data: bytes) -> tuple[dict, bytearray]:

@@ -5,6 +5,7 @@ chunks. All of it in the main thread.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,7 @@ from ..core.character import Follower
 from ..core.errors import SceneError
 from ..core.keys import united
 from ..core.message import Message, joined
-from ..io import point_cache
+from ..io import outputs, paths, point_cache
 from ..io.cache_dir import CacheDir
 from ..scene import animation, extract, probe, rig_motion, run_settings, staleness
 from ..scene.model_store import blend_folder, load_model, stale_reasons
@@ -84,6 +85,8 @@ def read(request: Request) -> BakeInput:
     fits = _read_model(given, obj, request)
     if given.is_bake or (fits and not given.only_cage):
         _read_shot(given, obj, request, fits)
+    if given.output and given.output.sink in point_cache.CACHES:
+        _try_caches(given)
     return given
 
 
@@ -109,6 +112,20 @@ def _read_output(given: BakeInput, obj: bpy.types.Object, folder: Path | None) -
                     "The point cache of '{name}' plays over shape keys that move too: {lost}", name=mesh.name, lost=lost
                 )
             )
+
+
+def _try_caches(given: BakeInput) -> None:
+    """Find out whether the point caches can be written. Raises OSError."""
+    surfaces = {given.name: given.character.vertices[given.character.own]}
+    surfaces |= {follower.name: follower.vertices for follower in given.followers}
+    sizes: Counter[Path] = Counter()
+    for name, vertices in surfaces.items():
+        file = given.cache_files.get(name)
+        folder = file.parent if file else given.caches / paths.CACHE_FOLDER
+        sizes[folder] += 12 * len(given.settings.frames) * len(vertices)
+    for folder, size in sizes.items():
+        outputs.try_folder(folder)
+        outputs.check_space(folder, size)
 
 
 def _read_model(given: BakeInput, obj: bpy.types.Object, request: Request) -> bool:

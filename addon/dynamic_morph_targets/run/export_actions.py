@@ -87,7 +87,7 @@ def export(
         batch = ActionsExport(obj, key, path)
         run_all(batch, tick)
         return batch.warnings
-    check_place(obj, key, path)
+    check_place(obj, key, path, frames)
     check_bake(obj, key)
     with live_key.left_out(obj):
         write_file(obj, key, path, frames)
@@ -103,7 +103,6 @@ class ActionsExport(batch.Batch):
     """
 
     def __init__(self, obj: bpy.types.Object, key: str, path: Path):
-        check_place(obj, key, path)
         if not FORMATS[key].skins:
             raise ExportError(
                 "{format} has one animation only: choose glTF or FBX for one for each Action", format=FORMATS[key].label
@@ -116,6 +115,7 @@ class ActionsExport(batch.Batch):
             )
         self.key, self.path = key, path
         self.clips = actions.clips_of(obj)
+        check_place(obj, key, path, (self.clips[0].first, self.clips[-1].last))
         super().__init__([ClipJob(obj, clip, self.clips) for clip in self.clips], "EXPORT_ACTIONS")
 
     @property

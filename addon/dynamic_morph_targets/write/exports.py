@@ -16,18 +16,19 @@ import bpy
 import numpy as np
 
 from ..core.errors import ExportError
-from ..io import disk, glb, point_cache
+from ..io import disk, glb, outputs, point_cache, whole
 from ..scene import animation, checks, skin
 from ..scene.references import key_points, rig_of
 from ..scene.skin import followers
-from . import actions, bake, bake_reading
+from . import actions, bake, bake_reading, export_process
 
 
 @dataclass(frozen=True)
 class Format:
     """suffix: of its files; write(obj, collection, path, frames, takes), collection: the name of the one that holds the
-    character; skins: whether it contains armature and keys, and so a clip for each Action; surface: whether it contains
-    the resulting surface; option: of bpy.app.build_options that it needs.
+    character, raises RuntimeError, OSError, MemoryError; skins: whether it contains armature and keys, and so a clip
+    for each Action; surface: whether it contains the resulting surface; has_parts: whether other files belong to it;
+    option: of bpy.app.build_options that it needs.
     """
 
     label: str
@@ -36,6 +37,7 @@ class Format:
     write: Callable
     skins: bool = False
     surface: bool = False
+    has_parts: bool = False
     option: str = ""
 
     @property
@@ -43,8 +45,8 @@ class Format:
         return not self.option or getattr(bpy.app.build_options, self.option)
 
 
-def check_place(obj, key: str, path: Path):
-    """Refuse, before any work, what cannot be written. Raises ExportError, sinks.SinkError."""
+def check_place(obj, key: str, path: Path, frames: tuple[int, int]):
+    """Refuse, before any work, what cannot be written. Raises ExportError, SinkError, OSError."""
     chosen = FORMATS[key]
     if not chosen.is_available:
         raise ExportError("This Blender was built without {format}: choose another format", format=chosen.label)
@@ -56,24 +58,62 @@ def check_place(obj, key: str, path: Path):
         raise ExportError(
             "There is no folder '{folder}' to write '{name}' to: choose another", folder=path.parent, name=path.name
         )
+    outputs.try_file(path)
+    outputs.check_space(path, _size(obj, chosen, frames))
 
 
 def write_file(obj, key: str, path: Path, frames: tuple[int, int], takes=(), without=()):
     """Write the character of `obj` as it shows; takes: the clips that are laid out, if each becomes an animation;
-    without: meshes that others replace. Raises ExportError, OSError.
+    without: meshes that others replace. The earlier file stands until the new one is complete. Raises ExportError,
+    OSError, MemoryError.
     """
     chosen = FORMATS[key]
-    partial = path.with_name(f"{path.stem}.part{path.suffix}")  # exporters check the suffix
-    try:
-        with frames_kept(), _collected(obj, without) as collection:
+    outputs.check_space(path, _size(obj, chosen, frames, without))
+    with (
+        frames_kept(),
+        _collected(obj, without) as collection,
+        outputs.replacing(path, chosen.has_parts) as partial,
+    ):
+        try:
             chosen.write(obj, collection, partial, frames, takes)
-        if not partial.is_file():
-            raise ExportError("Blender's {format} exporter wrote nothing: its report says why", format=chosen.label)
-        disk.replace(partial, path)
-    except RuntimeError as error:  # reported by the operator
-        raise ExportError("'{name}' could not be exported: {error}", name=obj.name, error=str(error).strip()) from error
-    finally:
-        disk.discard(partial)
+            if not partial.is_file() or not partial.stat().st_size:
+                raise RuntimeError("Blender's exporter wrote nothing")
+            if path.suffix.lower() in whole.CHECKS and not whole.is_whole(partial):
+                raise RuntimeError(outputs.UNREADABLE)
+        except RuntimeError as error:  # of the operator, with what it reported
+            text = str(error)
+            if fault := outputs.why_not(path, text):  # asked while what was written still takes its room
+                raise fault from error
+            raise ExportError(
+                "'{name}' could not be exported to '{file}' ({error}): try again, or choose another format",
+                name=obj.name,
+                file=path,
+                error=_last_line(text),
+            ) from error
+
+
+def _last_line(text: str) -> str:
+    """What an operator's report says, without the traceback before it."""
+    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("Location:")]
+    return lines[-1].removeprefix("Error: ") if lines else ""
+
+
+def _size(obj, chosen: Format, frames: tuple[int, int], without=()) -> int:
+    """About how many bytes the file has at least: those of positions, single precision, and of the keys' values."""
+    count, size = frames[1] - frames[0] + 1, 0
+    moving = obj, *followers(obj)
+    for mesh in meshes_together(obj):
+        point = 12 * len(mesh.data.vertices)
+        if mesh in without:
+            continue
+        if chosen.surface:
+            size += point * (count if mesh in moving else 1)
+            continue
+        size += point
+        for key in mesh.data.shape_keys.key_blocks[1:] if mesh.data.shape_keys else ():
+            shift = key_points(key) != key_points(key.relative_key)
+            size += 12 * int(shift.any(axis=1).sum()) + 4 * count
+    return size
 
 
 def check_bake(obj, key: str):
@@ -124,8 +164,8 @@ def _write_fbx(obj, collection: str, path: Path, frames, takes):
 
 
 def _write_alembic(_obj, collection: str, path: Path, frames, _takes):
-    bpy.ops.wm.alembic_export(
-        filepath=str(path), collection=collection, start=frames[0], end=frames[1], uvs=True, normals=False,
+    export_process.export(
+        "alembic", collection, path, frames, start=frames[0], end=frames[1], uvs=True, normals=False,
         as_background_job=False, export_custom_properties=False,  # Blender crashes on bytes such as a model's
     )  # fmt: skip
 
@@ -133,8 +173,8 @@ def _write_alembic(_obj, collection: str, path: Path, frames, _takes):
 def _write_usd(_obj, collection: str, path: Path, frames, _takes):
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = frames  # until `frames_kept`
-    bpy.ops.wm.usd_export(
-        filepath=str(path), collection=collection, export_animation=True, export_armatures=False,
+    export_process.export(
+        "usd", collection, path, frames, export_animation=True, export_armatures=False,
         export_shapekeys=False, export_normals=False, export_custom_properties=False,
     )  # fmt: skip
 
@@ -157,7 +197,7 @@ FORMATS = {
     "ALEMBIC": Format("Alembic", ".abc", "The posed surface at every frame", _write_alembic,
                       surface=True, option="alembic"),
     "USD": Format("USD", ".usdc", "The posed surface at every frame", _write_usd, surface=True,
-                  option="usd"),
+                  has_parts=True, option="usd"),
     "RAW": Format("Raw Clip", ".npz", "Modes and their values, for NumPy and runtime/dynamorph.h", _write_raw),
 }  # fmt: skip
 

@@ -26,6 +26,13 @@ def losses(obj, key: str, takes="SCENE") -> Iterator[str]:
             if mesh in moved or skinning.armature_modifiers(mesh):
                 yield from _skinning_losses(mesh, key)
             yield from _key_losses(mesh, key, planned if mesh in moved else None)
+    if key == "USD":  # the others write no pictures, or those that are in memory
+        for name in _unsaved_images(obj):
+            yield Message(
+                "Image '{name}' has changes that are not saved: {format} is written without them. Save the image first",
+                name=name,
+                format=FORMATS[key].label,
+            )
     if key != "RAW":
         for mesh in left_out(obj):
             yield Message("'{name}' is hidden, so Blender exports nothing of it: show it", name=mesh.name)
@@ -125,3 +132,10 @@ def _crowded_vertices(obj) -> int:
         sum(element.group in groups and element.weight > 0.0 for element in vertex.groups) > MOST_BONES
         for vertex in obj.data.vertices
     )
+
+
+def _unsaved_images(obj) -> list[str]:
+    slots = [slot for mesh in meshes_together(obj) for slot in mesh.material_slots]
+    trees = [slot.material.node_tree for slot in slots if slot.material and slot.material.node_tree]
+    images = [getattr(node, "image", None) for tree in trees for node in tree.nodes]
+    return sorted({image.name for image in images if image and image.is_dirty})

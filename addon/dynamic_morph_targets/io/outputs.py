@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files that other code writes, such as Blender's exporters: tried before the work, and put in place when complete.
+
+Never touches bpy. `disk.save` does the same for bytes of our own.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from . import disk
+
+BLOCK = 4096  # bytes that a trial writes: a full disk still takes empty files
+# Faults that the messages of other programs name in words. "No such file" is not one: Blender says it of a full disk.
+NAMED = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ESTALE, errno.EROFS, errno.EACCES, errno.EFBIG)
+UNREADABLE = "what was written cannot be read back"  # of ours, when nothing else was noticed
+WORDS = {os.strerror(number): number for number in NAMED}
+WORDS |= {"iostream error": errno.EIO, UNREADABLE: errno.EIO}  # the first is of Alembic
+
+
+def try_file(path: Path, size: int = BLOCK) -> None:
+    """Find out whether a file of so many bytes can be written in the place of `path`, by writing one beside it; nothing
+    of that stays. Raises OSError as writing the file would.
+    """
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), str(path))
+    partial = _partial(path)
+    with disk.named(path, partial):
+        try:
+            if path.exists():
+                path.open("r+b").close()  # a folder, or a file that is protected or in use
+                if not path.is_file():  # a device
+                    raise OSError(errno.EINVAL, "Not a file")
+            with partial.open("xb") as file:
+                for start in range(0, size, 2**20):
+                    file.write(bytes(min(2**20, size - start)))
+                file.flush()
+                os.fsync(file.fileno())
+        finally:
+            disk.discard(partial)
+
+
+def try_folder(folder: Path) -> None:
+    """`try_file` for any file in a folder, which is made if it is missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    try_file(folder / "dynamorph")
+
+
+def check_space(path: Path, size: int) -> None:
+    """Raises OSError when so many bytes, an estimate, do not fit into a folder or beside the file that is at `path`."""
+    free = shutil.disk_usage(path if path.is_dir() else path.parent).free
+    if size > free:
+        needed = f"about {size / 1e6:.1f} MB are needed, {free / 1e6:.1f} MB are free"
+        raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}, {needed}", str(path))
+
+
+@contextmanager
+def replacing(path: Path, in_folder: bool = False) -> Iterator[Path]:
+    """Gives a path to write to, with a random name that nobody can have prepared. When the block ends, what is there
+    takes the place of `path`; when it raises, nothing is left of it. Until then the earlier file stands.
+
+    in_folder: it is in a folder of its own. Other files that are written there, such as textures, come along to the
+    folder of `path`, except those that it has already. Raises OSError.
+    """
+    _remove_abandoned(path)
+    partial = _partial(path)
+    written = partial / path.name if in_folder else partial
+    with disk.named(path, partial):
+        try:
+            if in_folder:
+                partial.mkdir(mode=0o700)
+            else:
+                partial.open("xb").close()
+            yield written
+            _sync(written)
+            if in_folder:
+                _move_others(written, path.parent)
+            disk.replace(written, path)
+        finally:
+            _remove(partial)
+
+
+def why_not(path: Path, text: str, size: int = BLOCK) -> OSError | None:
+    """The fault of the disk, if it is one, that kept other code from writing `path`: what a trial with so many bytes
+    raises, or what the code says in `text`.
+    """
+    try:
+        try_file(path, size)
+    except OSError as error:
+        return error
+    named = [(number, words) for words, number in WORDS.items() if words in text]
+    return OSError(*named[0], str(path)) if named else None
+
+
+def _partial(path: Path) -> Path:
+    """Exporters check the suffix."""
+    return path.with_name(f"{path.stem}.{secrets.token_hex(8)}.part{path.suffix}")
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove what processes that were killed have left of `path`."""
+    ours = re.compile(rf"{re.escape(path.stem)}\.[0-9a-f]{{16}}\.part{re.escape(path.suffix)}")
+    with suppress(OSError):
+        for left in [each for each in path.parent.iterdir() if ours.fullmatch(each.name)]:
+            if time.time() - left.stat().st_mtime > disk.ABANDONED:
+                _remove(left)
+
+
+def _remove(partial: Path) -> None:
+    if partial.is_dir() and not partial.is_symlink():
+        shutil.rmtree(partial, ignore_errors=True)
+    else:
+        disk.discard(partial)
+
+
+def _sync(path: Path) -> None:
+    with path.open("r+b") as file:
+        os.fsync(file.fileno())
+
+
+def _move_others(written: Path, folder: Path) -> None:
+    """Move all other files beside `written` to the same place in `folder`; if one cannot be moved, none is."""
+    moved: list[Path] = []
+    try:
+        for part in sorted(written.parent.rglob("*")):
+            target = folder / part.relative_to(written.parent)
+            if part.is_dir():
+                target.mkdir(exist_ok=True)
+            elif part != written and not target.exists():
+                disk.replace(part, target)
+                moved.append(target)
+    except OSError:
+        for target in moved:
+            disk.discard(target)
+        raise
