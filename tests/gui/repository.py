@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import bpy
+import driver
 from driver import WORK, measure, step, until
 from editors import viewport
 
@@ -36,6 +37,7 @@ def install_from_it():
         bpy.ops.extensions.repo_sync(repo_index=repository())  # waits, or the list would still be locked
         bpy.ops.extensions.package_install("INVOKE_DEFAULT", repo_index=repository(), pkg_id=ID, enable_on_install=True)
     yield from until(lambda: ADDON in bpy.context.preferences.addons, "the extension to be installed and enabled", 60)
+    yield from until(lambda: not driver.window().modal_operators, "the end of the operator")
     measure("Installed from a repository", f"{time.monotonic() - began:.0f} s")
 
 
@@ -45,5 +47,7 @@ def uninstall():
         bpy.ops.extensions.package_uninstall("INVOKE_DEFAULT", repo_index=repository(), pkg_id=ID)
     yield from until(lambda: ADDON not in bpy.context.preferences.addons, "the extension to be gone")
     assert not hasattr(bpy.types.Object, "dynamorph")
-    folder = Path(bpy.context.preferences.extensions.repos[repository()].directory, ID)
-    yield from until(lambda: not folder.exists(), "its files to be gone")
+    repos = bpy.context.preferences.extensions.repos
+    yield from until(lambda: not Path(repos[repository()].directory, ID).exists(), "its files to be gone")
+    yield from until(lambda: not driver.window().modal_operators, "the end of the operator")
+    repos.remove(repos[repository()])  # the zip is for another one
