@@ -50,6 +50,7 @@ def report(digest, most: int):
     print(found, len(list(Path("/proc/self/task").iterdir())))
 
 
+@pytest.mark.fault("S02")
 @pytest.mark.skipif(len(CORES) < 2, reason="one core, or a system that does not pin threads")
 @pytest.mark.parametrize("module", ["test_threads", "test_responses"])
 def test_one_core_and_all_make_the_same_bytes(module):
