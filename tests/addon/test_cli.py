@@ -187,27 +187,27 @@ def test_the_engines_errors_name_the_object(shot, run, stand_in):
 
 
 @pytest.mark.fault("C02")
-def test_ctrl_c(shot, run, stand_in):
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
-    try:
-        interrupt(shot, run, stand_in)
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def interrupt(shot, run, stand_in):
+@pytest.mark.parametrize(
+    "number, code, words",
+    [(signal.SIGINT, 130, "interrupted, nothing was saved"), (signal.SIGTERM, 75, "nothing was saved: run it again")],
+)
+def test_ctrl_c_and_a_scheduler_s_signal(shot, run, stand_in, number, code, words):
+    before = signal.signal(number, signal.default_int_handler)  # ignored where the tests run in the background
     stand_in.waits["Arm"] = threading.Event()
 
-    def press_ctrl_c():
+    def interrupt():
         assert stand_in.playing.wait(60.0)
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
 
-    threading.Thread(target=press_ctrl_c).start()
-    before = shot.read_bytes()
-    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
-    assert code == 130 and "interrupted" in errors
-    assert shot.read_bytes() == before
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    threading.Thread(target=interrupt).start()
+    content = shot.read_bytes()
+    try:
+        found, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, before)
+    assert found == code and words in errors
+    assert shot.read_bytes() == content
 
 
 def test_ctrl_break_is_how_windows_ends_a_process(shot, run, stand_in, monkeypatch):
