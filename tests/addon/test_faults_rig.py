@@ -4,7 +4,8 @@
 import bpy
 import numpy as np
 import pytest
-from builders import assert_shows, part, refused, rig_of
+import scenes
+from builders import activate, assert_shows, make_mesh, part, refused, rig_of
 from mathutils import Quaternion
 from robustness import OPS, bake, coarse, motion
 
@@ -57,6 +58,47 @@ def test_far_from_the_origin_the_tissue_is_as_calm(scene, skin):
     root.location = 1e5, -1e5, 1e5
     bpy.context.view_layer.update()
     assert np.abs(displaced(bake(skin)) - near).max() < 1e-4 * SIZE
+
+
+def chained(scene, count, deforming):
+    """A soft skin on a chain of `count` bones that bend together, of which each `deforming`-th carries it."""
+    rig = bpy.data.objects.new("Chain Rig", bpy.data.armatures.new("Chain Rig"))
+    scene.collection.objects.link(rig)
+    activate(rig)
+    bpy.ops.object.mode_set(mode="EDIT")
+    for i in range(count):
+        bone = rig.data.edit_bones.new(f"{i}")
+        bone.head, bone.tail = (0.0, 0.0, SIZE * i / count), (0.0, 0.0, SIZE * (i + 1) / count)
+        bone.parent, bone.use_deform = rig.data.edit_bones.get(f"{i - 1}"), i % deforming == 0
+    bpy.ops.object.mode_set(mode="OBJECT")
+    vertices, faces = scenes.tube()
+    obj = make_mesh(scene, "Chain", vertices, faces)
+    for vertex in range(len(vertices)):  # which go upward
+        name = f"{count * vertex // len(vertices) // deforming * deforming}"
+        group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+        group.add([vertex], 1.0, "REPLACE")
+    obj.modifiers.new("Armature", "ARMATURE").object = rig
+    for frame, angle in ((1, 0.0), (5, 1.0 / count)):
+        for bone in rig.pose.bones:
+            bone.rotation_mode, bone.rotation_euler.x = "XYZ", angle
+            bone.keyframe_insert("rotation_euler", index=0, frame=frame)
+    scene.frame_start, scene.frame_end = 1, 5
+    scene.frame_set(1)
+    activate(obj)
+    OPS.add_soft_skin()
+    return coarse(obj)
+
+
+@pytest.mark.fault("R06")
+@pytest.mark.parametrize("deforming", [1, 20])
+@pytest.mark.parametrize("basis", ["MODES", "RESPONSES"])
+def test_a_thousand_bones(scene, basis, deforming):
+    obj = chained(scene, 1000, deforming)
+    obj.dynamorph.model.basis, obj.dynamorph.model.modes = basis, 12
+    job = bake(obj, substeps=1)
+    assert len(job.character.skeleton.names) == 1000
+    assert_shows(obj, job.result)
+    assert np.abs(displaced(job)).max() > 1e-4
 
 
 # Animation ---------------------------------------------------------------------------------------------------------
@@ -129,7 +171,6 @@ def test_a_driven_material(scene, skin):
 
 @pytest.mark.fault("P06")
 def test_targets_that_are_a_million_million_times_stiffer(skin):
-    """The softest material is stiffer than that of the limits of the panel by as much."""
     targets = skin.dynamorph.targets
     targets[0].stiffness, targets[1].stiffness = 1.0, 1e12
     job = bake(skin)
