@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -50,8 +51,8 @@ def test_any_name_of_an_object_names_its_files(shot, tmp_path, name):
     assert run("bake", bpy.data.filepath, "--object", name, "--format", "pc2", "--in-place") == 0
     bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
     obj = bpy.data.objects[name]
-    cache = bpy.path.abspath(obj.modifiers[0].filepath)
-    assert os.path.isfile(cache) and os.path.dirname(os.path.dirname(cache)) == str(folder)
+    cache = Path(bpy.path.abspath(obj.modifiers[0].filepath))
+    assert cache.is_file() and cache.parent.parent == folder
     bpy.context.scene.frame_set(1)
     first = evaluated_points(obj)
     bpy.context.scene.frame_set(12)

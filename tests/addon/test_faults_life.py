@@ -173,7 +173,9 @@ def bend(walk):
 
 
 def stiffen(walk):
-    next(obj for obj in bpy.data.objects if obj.type == "MESH").dynamorph.model.cage_nodes = walk.choice([150, 200, 250])
+    next(obj for obj in bpy.data.objects if obj.type == "MESH").dynamorph.model.cage_nodes = walk.choice(
+        [150, 200, 250]
+    )
 
 
 @pytest.mark.fault("S01")

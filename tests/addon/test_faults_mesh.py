@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Faults of meshes and shape keys that nothing else here is about: see tests/faults.toml."""
 
+import os
+
 import bpy
 import numpy as np
 import pytest
@@ -9,6 +11,8 @@ from layout import drawn
 from robustness import OPS, bake, coarse, motion
 
 pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+
+FACES = int(os.environ.get("DYNAMORPH_FACES", "20000"))
 
 
 def limb(scene, name, vertices, faces, edges=()):
@@ -49,8 +53,24 @@ def test_concave_ngons_and_what_is_loose(scene):
 
 
 @pytest.mark.fault("M13")
-def test_two_million_faces(scene):
-    pytest.skip("to be written")
+def test_very_many_faces(scene):
+    """As many as DYNAMORPH_FACES says; `make reliability` says two million."""
+    resource = pytest.importorskip("resource", reason="needs a system that counts the memory of a process")
+    around = round(np.sqrt(FACES / 2.0))
+    turn, height = np.meshgrid(np.arange(around) * 2.0 * np.pi / around, np.linspace(0.0, 2.0, around))
+    radius = 0.3 * np.sqrt(np.maximum(1.0 - (height - 1.0) ** 2, 1e-4))
+    vertices = np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=-1).reshape(-1, 3)
+    index = np.arange(around * around).reshape(around, around)
+    corners = (index[:-1], np.roll(index, -1, axis=1)[:-1], np.roll(index, -1, axis=1)[1:], index[1:])
+    a, b, c, d = (corner.ravel() for corner in corners)
+    triangles = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    obj = limb(scene, "Large", vertices, triangles.tolist())
+    scene.frame_end = 5
+    job = bake(obj, substeps=1)
+    assert np.isfinite(job.result.coordinates).all() and len(obj.dynamorph.bake.keys) > 0
+    used = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    assert used < 2**28 + 3000 * len(triangles)
 
 
 @pytest.mark.fault("K02")
