@@ -73,6 +73,13 @@ def test_very_many_faces(scene):
     assert used < 2**28 + 3000 * len(triangles)
 
 
+@pytest.mark.fault("M20")
+def test_a_weight_that_is_not_a_number(soft_arm):
+    soft_arm.vertex_groups["upper"].add([3], float("nan"), "REPLACE")
+    refused(OPS.bake, "'Arm': vertex group 'upper' has weights that are not numbers")
+    assert not soft_arm.dynamorph.bake.exists
+
+
 @pytest.mark.fault("K02")
 def test_a_key_with_another_number_of_vertices(soft_arm):
     """Scripts and importers can make such a mesh; Blender itself makes its keys anew when Edit Mode is left."""

@@ -122,6 +122,15 @@ def test_stepped_keys(scene, skin):
     assert steps[-20:].max() < 0.05 * steps[:20].max()
 
 
+@pytest.mark.fault("A08")
+def test_what_is_for_rendering_alone_changes_no_bake(scene, skin):
+    plain = bake(skin).result
+    scene.frame_step, scene.render.use_simplify, scene.render.simplify_subdivision = 3, True, 0
+    again = bake(skin).result
+    np.testing.assert_array_equal(again.frames, plain.frames)
+    np.testing.assert_array_equal(again.coordinates, plain.coordinates)
+
+
 @pytest.mark.fault("A03")
 @pytest.mark.parametrize("turns", ["signs", "degrees"])
 def test_the_same_rotation_written_otherwise(skin, turns):

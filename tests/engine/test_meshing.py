@@ -221,7 +221,7 @@ def children(monkeypatch):
     return started
 
 
-@pytest.mark.fault("M01", "M02", "M03")
+@pytest.mark.fault("M01", "M02", "M03", "M04")
 @pytest.mark.parametrize(
     ("body", "message"),
     [
