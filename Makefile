@@ -2,7 +2,7 @@
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
 	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheels platforms extension repository \
-	sdist version clean
+	sdist version reliability clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -77,6 +77,11 @@ bench-docs: build
 # docs/robustness.md with its picture, from the characters of ../shared; takes about a minute.
 robustness: build
 	@$(python) tests/benchmarks/robustness_page.py
+
+# docs/reliability.md: what comes of each fault of tests/faults.toml, by the tests that are marked with it; takes about 5
+# minutes.
+reliability: build
+	@$(python) tests/benchmarks/reliability_page.py
 
 # docs/believable.md with its pictures, from every character of ../shared after one click; takes about 5 minutes.
 # only="Cow Fox" measures those again, at_once=1 one character at a time, which its seconds are best for.

@@ -33,6 +33,7 @@ PAGES = {
                 "tools/farm_demo.py"),
     "materials.md": ("addon/dynamic_morph_targets/core/material_presets.py",),
     "platforms.md": ("cpp", "CMakeLists.txt", "cmake", "tools/wheels.py", "tests/benchmarks/platforms_page.py"),
+    "reliability.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/faults.toml"),
     "window_test.md": (*ENGINE, "addon/dynamic_morph_targets", "tests/gui", "tools/gui_test.py"),
 }  # fmt: skip
 # Pages that are written by hand.

@@ -28,17 +28,22 @@ def run_engine_tests() -> Counter:
     return Counter(passed=int(found[2]), failed=int(found[3]))
 
 
-def run_pytest(python: Path, suite: str) -> Counter:
-    """One folder of tests under one Python; prints what they say when they are done."""
-    report = ROOT / "build" / "reports" / f"{python.parent.parent.name}-{Path(suite).name}.xml"
+def report_of(version: str, suite: str, name: str = "tests") -> Path:
+    """Where pytest says what came of each test. name: of the run, of which the last one counts."""
+    return ROOT / "build" / "reports" / f"{name}-{version}-{Path(suite).name}.xml"
+
+
+def run_pytest(version: str, suite: str, *arguments: str, name: str = "tests") -> Counter:
+    """One folder of tests under one Python; prints what they say when they are done. name: as in `report_of`."""
+    report = report_of(version, suite, name)
     report.parent.mkdir(parents=True, exist_ok=True)
     report.unlink(missing_ok=True)
     run = subprocess.run(
-        [python, "-m", "pytest", "-rs", f"--junitxml={report}", suite],
+        [python_of(version), "-m", "pytest", "-rs", f"--junitxml={report}", *arguments, suite],
         cwd=ROOT, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
     )  # fmt: skip
     code = run.returncode
-    print(f"\n{python.parent.parent.name}, {suite}\n{run.stdout}", flush=True)
+    print(f"\n{version}, {suite}\n{run.stdout}", flush=True)
     if not report.exists():
         print(f"{suite}: pytest died with exit code {code}")
         return Counter(failed=1)
@@ -56,16 +61,19 @@ def describe(counts: Counter) -> str:
     return ", ".join(f"{counts[kind]} {kind}" for kind in ("failed", "passed", "skipped") if counts[kind]) or "no tests"
 
 
+def python_of(version: str) -> Path:
+    return ROOT / ".venv" / version / "bin" / "python"
+
+
 def run_python(version: str) -> dict[str, Counter]:
     """Every suite under one Python, by name."""
-    python = ROOT / ".venv" / version / "bin" / "python"
-    return {f"Python {version} ({SUPPORTED[version]}) {suite}": run_pytest(python, suite) for suite in SUITES}
+    return {f"Python {version} ({SUPPORTED[version]}) {suite}": run_pytest(version, suite) for suite in SUITES}
 
 
 def main() -> int:
     start = time.monotonic()
     results = {"C++ engine": run_engine_tests()}
-    found = [version for version in SUPPORTED if (ROOT / ".venv" / version / "bin" / "python").exists()]
+    found = [version for version in SUPPORTED if python_of(version).exists()]
     missing = [
         f"Python {version} ({blender}): not run, no Python {version} was found by make setup"
         for version, blender in SUPPORTED.items()

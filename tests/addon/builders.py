@@ -41,9 +41,9 @@ def make_rig(scene, name="Rig", bones=2):
     return rig
 
 
-def make_mesh(scene, name, vertices, faces):
+def make_mesh(scene, name, vertices, faces, edges=()):
     mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(np.asarray(vertices).tolist(), [], faces)
+    mesh.from_pydata(np.asarray(vertices).tolist(), edges, faces)
     obj = bpy.data.objects.new(name, mesh)
     scene.collection.objects.link(obj)
     return obj

@@ -60,6 +60,7 @@ def test_a_stopped_bake_is_resumed(coarse, folder, monkeypatch, basis):
     assert job.report["steps"] == whole.report["steps"]
 
 
+@pytest.mark.fault("F05")
 def test_a_bake_with_other_modes_starts_over(coarse, folder, monkeypatch):
     """Models that are built elsewhere from the same scene may have modes with other signs."""
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
@@ -72,6 +73,7 @@ def test_a_bake_with_other_modes_starts_over(coarse, folder, monkeypatch):
     assert not baked(coarse, folder).input.resumed
 
 
+@pytest.mark.fault("F05")
 def test_a_changed_file_starts_over(coarse, folder, monkeypatch):
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
     stopped(coarse, folder, monkeypatch, stretches=1)

@@ -68,6 +68,7 @@ SCENE = [
 ]
 
 
+@pytest.mark.fault("A06")
 @pytest.mark.parametrize("path, value, sentence", SCENE)
 def test_the_scene_counts(scene, baked, path, value, sentence):
     owner, _, name = path.rpartition(".")
@@ -181,6 +182,7 @@ def looked(obj):
     return outdated(obj)
 
 
+@pytest.mark.fault("A10")
 def test_the_rig_s_animation_is_named_until_it_is_as_before(baked):
     rig = rig_of(baked)
     point = curve_of(rig).keyframe_points[1]

@@ -58,6 +58,7 @@ def test_a_second_bake_equals_the_first_and_delete_bake_restores(baked_from):
     assert fingerprint(baked.body) == before
 
 
+@pytest.mark.fault("M04")
 @pytest.mark.parametrize("name", ["Fox", "T-rex"])
 def test_a_body_of_no_likely_size_is_baked_all_the_same(addon, name):
     """It is tens of meters long as imported, and far too soft for that: there is a warning, and the bake is finite."""

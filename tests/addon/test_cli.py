@@ -116,6 +116,7 @@ def test_large_models_follow_the_output(shot, run, stand_in, tmp_path, monkeypat
     assert stand_in.built == 1
 
 
+@pytest.mark.fault("B02")
 @pytest.mark.parametrize(
     "arguments, words",
     [
@@ -169,6 +170,7 @@ def test_failed_self_check(shot, run, stand_in):
     assert bake_of(shot, "Arm") == []
 
 
+@pytest.mark.fault("F12")
 def test_a_full_disk_may_be_tried_again(shot, run, stand_in):
     stand_in.fail = OSError(28, "No space left on device")
     code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
@@ -184,27 +186,28 @@ def test_the_engines_errors_name_the_object(shot, run, stand_in):
     assert run("bake", shot, "--object", "Arm", "--in-place")[2].count("'Arm'") == 1
 
 
-def test_ctrl_c(shot, run, stand_in):
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
-    try:
-        interrupt(shot, run, stand_in)
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def interrupt(shot, run, stand_in):
+@pytest.mark.fault("C02")
+@pytest.mark.parametrize(
+    "number, code, words",
+    [(signal.SIGINT, 130, "interrupted, nothing was saved"), (signal.SIGTERM, 75, "nothing was saved: run it again")],
+)
+def test_ctrl_c_and_a_scheduler_s_signal(shot, run, stand_in, number, code, words):
+    before = signal.signal(number, signal.default_int_handler)  # ignored where the tests run in the background
     stand_in.waits["Arm"] = threading.Event()
 
-    def press_ctrl_c():
+    def interrupt():
         assert stand_in.playing.wait(60.0)
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
 
-    threading.Thread(target=press_ctrl_c).start()
-    before = shot.read_bytes()
-    code, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
-    assert code == 130 and "interrupted" in errors
-    assert shot.read_bytes() == before
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    threading.Thread(target=interrupt).start()
+    content = shot.read_bytes()
+    try:
+        found, _, errors = run("bake", shot, "--object", "Arm", "--in-place")
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, before)
+    assert found == code and words in errors
+    assert shot.read_bytes() == content
 
 
 def test_ctrl_break_is_how_windows_ends_a_process(shot, run, stand_in, monkeypatch):
@@ -321,6 +324,7 @@ def test_wrong_wedges_are_refused(shot, run, change, words):
     assert code == 2 and words in errors
 
 
+@pytest.mark.fault("B01")
 def test_reports(shot, run, stand_in):
     path = shot.parent / "report.json"
     bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend", "--report", path)
@@ -339,6 +343,7 @@ def test_reports(shot, run, stand_in):
     assert found["exit_code"] == 2 and "it went wrong" in found["error"] and found["characters"] == []
 
 
+@pytest.mark.fault("B05")
 def test_collect_makes_one_page_of_many_bakes(shot, run, stand_in, tmp_path):
     folder = tmp_path / "reports"
     folder.mkdir()
@@ -475,6 +480,7 @@ def test_what_one_of_many_refuses_is_found_before_any_work(shot, run, stand_in):
     assert stand_in.built == 0
 
 
+@pytest.mark.fault("B01")
 def test_a_bug_is_reported(shot, run, stand_in):
     stand_in.fail = ZeroDivisionError("a bug")
     report = shot.parent / "report.json"
@@ -483,6 +489,7 @@ def test_a_bug_is_reported(shot, run, stand_in):
     assert json.loads(report.read_text())["exit_code"] == 70
 
 
+@pytest.mark.fault("B01", "C08")
 def test_exit_codes_tell_bugs_from_what_is_expected(shot, run, stand_in):
     bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
     for failure, code, words in (

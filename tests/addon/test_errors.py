@@ -49,6 +49,7 @@ def test_a_bug_in_a_button_is_logged_and_told(soft_arm, stand_in, caplog, bug):
     assert bugs(caplog) == [type(bug)] and fingerprint(soft_arm) == before
 
 
+@pytest.mark.fault("C08")
 def test_what_is_expected_is_told_and_not_logged(soft_arm, stand_in, caplog):
     stand_in.fail = part("errors").SceneError("'Arm': the tissue is too soft")
     refused(bpy.ops.dynamorph.bake, "^Error: 'Arm': the tissue is too soft")

@@ -349,6 +349,7 @@ assert not left(), left()
 """
 
 
+@pytest.mark.fault("V02")
 def test_installs_updates_and_uninstalls_from_a_repository(repository, built, served, tmp_path):
     folder, url = served
     folder.symlink_to(repository)

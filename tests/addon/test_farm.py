@@ -80,11 +80,13 @@ def test_a_task_that_is_done_is_done(try_task, tmp_path):
     assert log.startswith("on node7\n") and f"--tasks file://{tmp_path}/Bake/3.json" in log
 
 
+@pytest.mark.fault("B02")
 @pytest.mark.parametrize("code", [2, 3])
 def test_a_task_that_would_fail_again_fails(try_task, code):
     assert try_task(code) == (code, "")
 
 
+@pytest.mark.fault("B03")
 @pytest.mark.parametrize("code", [1, 75, 130, -9])
 def test_other_tasks_are_tried_again(try_task, code, tmp_path):
     assert try_task(code) == (75, "requeue 17\n")

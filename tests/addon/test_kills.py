@@ -70,6 +70,7 @@ def killed(shot, report, caches, moments):
         return process.wait() != 0
 
 
+@pytest.mark.fault("B03", "C01")
 def test_killed_at_any_moment_nothing_is_lost(shot, tmp_path):
     """The bake is killed with kill -9 at random moments, as often as DYNAMORPH_KILLS says; then it finishes with the
     bytes of an undisturbed bake.

@@ -187,6 +187,7 @@ def test_scrubbing_reads_no_rig_until_the_mouse_is_up(playing, monkeypatch):
     assert not np.array_equal(surface(playing), shown[4])
 
 
+@pytest.mark.fault("A04")
 def test_scrubbing_back_shows_what_was(playing):
     whole = play(playing, range(1, 13))
     assert apart(play(playing, [7, 3, 9]), whole[[6, 2, 8]]) == 0.0
@@ -707,6 +708,7 @@ def test_what_else_stops_it_says_so(playing):
     assert "Dynamorph Live" not in playing.data.shape_keys.key_blocks
 
 
+@pytest.mark.fault("M14")
 def test_a_mesh_with_other_vertices_stops_it(playing):
     play(playing, range(1, 4))
     bpy.ops.object.mode_set(mode="EDIT")
@@ -718,6 +720,7 @@ def test_a_mesh_with_other_vertices_stops_it(playing):
     stopped(playing, "vertices, its model")
 
 
+@pytest.mark.fault("G03", "G08")
 def test_deleted_objects_and_other_scenes_are_left_alone(playing):
     play(playing, range(1, 4))
     other = bpy.data.scenes.new("Other")

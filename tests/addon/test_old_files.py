@@ -130,6 +130,7 @@ def test_old_presets_give_a_new_soft_skin_the_modes_that_they_meant(version, arm
         assert (model.basis, model.modes) == expected
 
 
+@pytest.mark.fault("F06", "V05")
 def test_an_old_file_bakes_as_it_was_baked(old_arm):
     """It is baked with the stored model, not with a new one, and agrees to 1e-6 of the body's size."""
     before = played(old_arm)

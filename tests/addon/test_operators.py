@@ -144,6 +144,7 @@ def test_a_second_build_replaces_the_first(soft_arm, stand_in):
         assert model_store.stale_reasons(soft_arm, extract.character(soft_arm)) == []
 
 
+@pytest.mark.fault("F14", "F15")
 def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypatch):
     model_store = part("model_store")
     monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
@@ -167,6 +168,7 @@ def test_large_models_go_beside_the_blend(soft_arm, stand_in, tmp_path, monkeypa
     assert "is missing" in reasons[0]
 
 
+@pytest.mark.fault("F09")
 @pytest.mark.parametrize("content_id", ["../../etc/passwd", "/etc/passwd", "0" * 31, "x" * 32])
 def test_a_model_id_cannot_lead_out_of_its_folder(soft_arm, stand_in, tmp_path, content_id):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
@@ -175,6 +177,7 @@ def test_a_model_id_cannot_lead_out_of_its_folder(soft_arm, stand_in, tmp_path, 
         part("model_store").stored_model(soft_arm)
 
 
+@pytest.mark.fault("F01", "F02")
 @pytest.mark.parametrize(
     "damage",
     [lambda n: n[:-1], lambda n: [7, *n[1:]], lambda n: [n[0], 7, *n[2:]], lambda n: "text", lambda n: 7, lambda n: {}],
@@ -256,6 +259,7 @@ def test_ctrl_c_stops_the_thread(soft_arm, stand_in):
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("dynamorph")]
 
 
+@pytest.mark.fault("G01")
 def test_undo_while_a_job_runs(soft_arm, stand_in):
     """Undo replaces every object in memory; the job finds its own again."""
     bpy.ops.ed.undo_push(message="before")
@@ -273,6 +277,7 @@ def test_undo_while_a_job_runs(soft_arm, stand_in):
     assert bpy.data.objects["Renamed"].dynamorph.bake.keys
 
 
+@pytest.mark.fault("G03")
 def test_object_deleted_or_edited_while_a_job_runs(soft_arm, stand_in):
     errors = part("errors")
     job = part("job").Job(soft_arm, goal="BAKE")
@@ -348,6 +353,7 @@ def test_reading_the_rig_does_not_hold_the_window(soft_arm, stand_in, slow_rig):
     assert list(fractions) == sorted(fractions) and any(text.startswith("Reading frame ") for text in messages)
 
 
+@pytest.mark.fault("G01", "G02")
 @pytest.mark.parametrize("ending", ["escape", "undo", "load", "an error"])
 def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, ending):
     bpy.ops.ed.undo_push(message="before")
@@ -376,6 +382,7 @@ def test_reading_the_rig_ends_without_a_trace(soft_arm, stand_in, slow_rig, endi
     assert fingerprint(bpy.data.objects["Arm"]) == before
 
 
+@pytest.mark.fault("G07")
 def test_a_bake_waits_until_edit_mode_is_left(soft_arm, stand_in):
     """Nothing can be written there; a long simulation must not be lost for that."""
     waited, stand_in.waits["Arm"] = [], threading.Event()
@@ -419,6 +426,7 @@ def test_modal_bake_reports_errors(soft_arm, stand_in):
     assert pressed.result == {"CANCELLED"} and "no Armature modifier" in pressed.reports[0][1]
 
 
+@pytest.mark.fault("C09")
 def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
     stand_in.fail = KeyError("bug")
     pressed = Pressed(soft_arm)
@@ -426,6 +434,7 @@ def test_a_bug_in_the_engine_does_not_block_the_buttons(soft_arm, stand_in):
     assert part("batch").running is None and bpy.ops.dynamorph.bake.poll()
 
 
+@pytest.mark.fault("G05")
 def test_disabling_the_addon_stops_the_job(soft_arm, stand_in):
     stand_in.waits["Arm"] = threading.Event()
     batch = part("batch")
@@ -544,6 +553,7 @@ def test_the_range_is_checked(scene, soft_arm, stand_in):
 # A missing engine --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fault("V01")
 def test_without_the_engine_the_addon_says_so(soft_arm, monkeypatch):
     engine = part("engine")
     monkeypatch.setitem(sys.modules, "dynamorph", None)

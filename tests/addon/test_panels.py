@@ -179,6 +179,7 @@ def test_many_bones_are_folded_away(soft_arm):
     assert "bone 3" not in drawn(soft_arm, unfolded=False)
 
 
+@pytest.mark.fault("V01")
 def test_a_missing_engine_is_shown(soft_arm, monkeypatch):
     monkeypatch.setattr(part("engine"), "engine_problem", lambda: "The engine cannot be loaded (no wheel). Install it")
     assert "The engine cannot be loaded (no wheel)." in " ".join(drawn(soft_arm))

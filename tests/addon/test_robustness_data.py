@@ -48,6 +48,7 @@ def rename_everything(obj):
     bpy.context.view_layer.update()
 
 
+@pytest.mark.fault("R02")
 def test_everything_is_renamed_after_a_bake(skin):
     add_group(skin, "Soft", -1.0, 1.0)
     add_group(skin, "Stiff", 0.0, 2.0)
@@ -131,6 +132,7 @@ def make_single_user(obj):
     bpy.ops.object.make_single_user(object=True, obdata=True)
 
 
+@pytest.mark.fault("M18")
 @pytest.mark.parametrize("when", ["before the bake", "after the bake"])
 def test_alt_d(skin, when):
     """Two objects on one mesh cannot move apart: they are refused with the remedy, and it works."""
@@ -160,6 +162,7 @@ def test_alt_d(skin, when):
     assert names(twin) == before
 
 
+@pytest.mark.fault("F17")
 def test_shift_d_of_the_whole_character(skin):
     """The copy has its own rig, which moves differently, and a model that is still valid."""
     bake(skin)
@@ -274,6 +277,7 @@ def apply_transform(obj):
 EDITS = [tip_deleted, loop_cut, vertices_sorted, scale_applied, rotation_applied]
 
 
+@pytest.mark.fault("M14", "M15")
 @pytest.mark.parametrize("change", EDITS)
 def test_mesh_edited_after_the_bake(skin, change):
     """It still plays; the model says what changed; Delete Bake works; baking again builds first, and shows."""
@@ -325,6 +329,7 @@ def test_parts_separated_and_joined_after_the_bake(skin):
     assert names(skin) == ["Basis", "flexed", "smile"]
 
 
+@pytest.mark.fault("M01")
 def test_a_refused_bake_after_an_edit_keeps_model_and_bake(skin):
     bake(skin)
     model = part("model_store").stored_model(skin)
@@ -401,6 +406,7 @@ def animate_keys(obj):
     return time * shape(obj, "brow") + (1.0 - time) * shape(obj, "smile")
 
 
+@pytest.mark.fault("K04")
 def test_driver_nla_and_action_on_the_keys(scene, skin):
     own = animate_keys(skin)
     scene.frame_set(1)

@@ -134,6 +134,7 @@ def reload(tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
 
 
+@pytest.mark.fault("F16")
 def test_an_appended_character_plays_and_is_freed(asset, tmp_path):
     saved = asset("bake")
     obj = open_shot(saved, link=False)
@@ -153,6 +154,7 @@ def test_an_appended_model_needs_no_new_build(asset):
     assert_shows(bpy.data.objects["Arm"], job.result)
 
 
+@pytest.mark.fault("F15", "F16")
 def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypatch):
     """Its file lies beside the .blend that it came from."""
     monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)
@@ -168,6 +170,7 @@ def test_a_large_model_stays_behind_and_is_built_again(asset, tmp_path, monkeypa
     assert "is missing" in bake(obj).reasons[0]
 
 
+@pytest.mark.fault("R08")
 def test_a_linked_character_plays_and_cannot_be_changed(asset):
     saved = asset("bake")
     obj = open_shot(saved, link=True)
@@ -211,6 +214,7 @@ def test_a_local_object_with_a_linked_mesh_is_refused(asset):
     assert state() == before
 
 
+@pytest.mark.fault("R08")
 def test_an_override_keeps_materials_alone(asset, tmp_path):
     saved = asset("build")
     obj = open_override(saved)
@@ -248,6 +252,7 @@ def test_a_mesh_of_its_own_does_not_make_an_override_safe(asset):
     assert fingerprint(obj) == before
 
 
+@pytest.mark.fault("R08")
 def test_the_remedy_for_overrides_works(asset, tmp_path):
     obj = open_override(asset("build"))
     for each in bpy.context.scene.objects:
@@ -277,6 +282,7 @@ def handlers():
     return sorted(f"{name} {each.__module__}.{each.__qualname__}" for name, each in ours)
 
 
+@pytest.mark.fault("G06")
 def test_add_on_off_and_on_again_with_a_bake(scene, skin, tmp_path):
     before, installed = fingerprint(skin), handlers()
     job = bake(skin)
@@ -298,6 +304,7 @@ def test_add_on_off_and_on_again_with_a_bake(scene, skin, tmp_path):
     assert fingerprint(obj) == before
 
 
+@pytest.mark.fault("G06")
 def test_opening_files_does_not_add_handlers(scene, skin, tmp_path):
     installed = handlers()
     assert len(installed) == len(set(installed)) > 0

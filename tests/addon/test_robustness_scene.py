@@ -72,6 +72,7 @@ def turned_and_mirrored_mesh(obj):
 PLACES = [travelling, in_centimetres, stretched, mirrored, mirrored_rig_alone, turned_and_mirrored_mesh]
 
 
+@pytest.mark.fault("M16")
 @pytest.mark.parametrize("place", PLACES)
 def test_placed_rigs(skin, place):
     """Blender shows the engine's surface, skinned by our own arithmetic."""
@@ -83,6 +84,7 @@ def test_placed_rigs(skin, place):
     assert_shows(skin, job.result)
 
 
+@pytest.mark.fault("M16")
 def test_a_mirrored_character_moves_as_its_mirror_image(skin):
     bake(skin)
     shown = motion(skin)
@@ -140,6 +142,7 @@ def envelope_multiply(obj):
     rig_of(obj).data.bones["lower"].use_envelope_multiply = True
 
 
+@pytest.mark.fault("R01")
 @pytest.mark.parametrize(
     "change, words",
     [
@@ -176,6 +179,7 @@ def corrective_smooth(obj):
     obj.modifiers.new("After", "CORRECTIVE_SMOOTH")
 
 
+@pytest.mark.fault("M17")
 @pytest.mark.parametrize("add", [subdivision, mask, corrective_smooth])
 def test_modifiers_after_the_armature(scene, skin, add):
     plain = bake(skin).result
@@ -223,6 +227,7 @@ def test_frame_rates(scene, skin, fps, base):
     assert_shows(skin, bake(skin).result)
 
 
+@pytest.mark.fault("A08")
 @pytest.mark.parametrize("old, new", [(100, 200), (100, 50), (100, 97)])
 def test_remapped_time(scene, skin, old, new):
     """Blender plays animation, and so the bake's curves, at another frame than the scene's."""
@@ -256,6 +261,7 @@ def test_time_remapped_after_the_bake_keeps_rig_and_tissue_together(scene, skin)
         assert np.abs(evaluated_points(skin) - expected).max() < 2e-5
 
 
+@pytest.mark.fault("A07")
 @pytest.mark.parametrize("frames", [(-10, 5), (-3, -3), (7, 7), (0, 1)])
 def test_ranges(skin, frames):
     job = bake(skin, frames=frames)
@@ -263,6 +269,7 @@ def test_ranges(skin, frames):
     assert_shows(skin, job.result)
 
 
+@pytest.mark.fault("A07")
 def test_a_range_that_ends_before_it_begins(skin):
     bake(skin)
     keys = fingerprint(skin)["keys"]
@@ -272,6 +279,7 @@ def test_a_range_that_ends_before_it_begins(skin):
     assert fingerprint(skin)["keys"] == keys
 
 
+@pytest.mark.fault("A05")
 def test_sub_frames_lie_in_between(scene, skin):
     job = bake(skin)
     character, samples = part("extract").character(skin), part("rig_motion").sample_rig(skin, 1, 20, 4)
@@ -324,6 +332,7 @@ def bake_fast(obj):
     return bake(obj)
 
 
+@pytest.mark.fault("A05")
 def test_motion_blur(scene, skin, film):
     """Cycles asks for sub-frames out of order; the bake has no memory that they could spoil."""
     job = bake_fast(skin)
@@ -339,6 +348,7 @@ def test_motion_blur(scene, skin, film):
     assert_shows(skin, job.result)
 
 
+@pytest.mark.fault("A04", "G04")
 def test_playing_while_rendering(scene, skin, film):
     """Scripts that change the frame before and after each rendered one do not change what is rendered."""
     job = bake_fast(skin)

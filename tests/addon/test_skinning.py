@@ -292,6 +292,7 @@ def run(obj, **options):
     return job
 
 
+@pytest.mark.fault("R01")
 @pytest.mark.parametrize(
     "change", [twisting, growing, hybrid, two_armatures, bendy, both(twisting, scaled_and_travelling)],
     ids=lambda change: change.__name__,

@@ -196,6 +196,7 @@ PLACED_WITH_OTHER_AXES = {
 }
 
 
+@pytest.mark.fault("M04")
 @pytest.mark.parametrize("name", PLACED)
 def test_the_same_motion(scene, name):
     """The character is built and baked again, including the cage."""

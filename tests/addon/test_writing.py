@@ -96,6 +96,7 @@ def test_a_point_cache_that_nothing_plays_is_removed(soft_arm, leg, stand_in, tm
     assert not list(tmp_path.rglob("*.pc2"))
 
 
+@pytest.mark.fault("F11")
 def test_a_folder_that_takes_no_model_is_seen_before_anything_is_written(
     soft_arm, leg, stand_in, tmp_path, monkeypatch
 ):
@@ -122,6 +123,7 @@ def test_a_bake_takes_the_place_of_live_on_all_meshes(soft_arm, stand_in):
 # While Blender renders -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fault("G04")
 @pytest.mark.parametrize("goal", ["BUILD", "BAKE"])
 def test_nothing_is_written_while_blender_renders(soft_arm, stand_in, monkeypatch, goal):
     batch, before, messages = baking(soft_arm, goal=goal), state(soft_arm), []
@@ -152,6 +154,7 @@ def times(obj) -> list[float]:
     return [round(time, 3) for time in obj.dynamorph.bake.action.frame_range]
 
 
+@pytest.mark.fault("G08")
 @pytest.mark.parametrize("when", ["read", "sampled", "computed"])
 def test_a_job_stays_in_the_scene_that_it_began_in(scene, soft_arm, other, stand_in, when):
     batch = baking(soft_arm)
@@ -173,6 +176,7 @@ def test_a_job_stays_in_the_scene_that_it_began_in(scene, soft_arm, other, stand
     assert part("staleness").outdated(soft_arm) == []
 
 
+@pytest.mark.fault("G03")
 def test_the_scene_of_a_job_is_deleted(scene, soft_arm, other, stand_in):
     batch = baking(soft_arm)
     list(batch.read())

@@ -66,6 +66,7 @@ def test_a_sound_surface_stays_as_it_is():
     assert defects == SOUND
 
 
+@pytest.mark.fault("M09", "M10")
 def test_each_defect_is_counted():
     body = sphere()
     triangles = body[1].copy()
@@ -81,6 +82,7 @@ def test_each_defect_is_counted():
     }  # fmt: skip
 
 
+@pytest.mark.fault("M11")
 @pytest.mark.parametrize("turn", [slice(None), slice(0, 400), slice(None, None, 2)])
 def test_faces_turn_outward(turn):
     vertices, triangles = sphere()
@@ -91,6 +93,7 @@ def test_faces_turn_outward(turn):
     assert volume(*closed[:2]) == pytest.approx(volume(vertices, triangles))
 
 
+@pytest.mark.fault("M08")
 def test_every_piece_turns_outward_even_inside_another():
     shell, core = sphere(), box()
     vertices, triangles, defects = dynamorph.closed_surface(*join(shell, (core[0], core[1][:, ::-1])))
@@ -98,6 +101,7 @@ def test_every_piece_turns_outward_even_inside_another():
     assert defects["flipped_faces"] == 12
 
 
+@pytest.mark.fault("M05")
 def test_holes_are_capped_straight():
     body = sphere()
     middle = body[0][body[1]].mean(axis=1)
@@ -119,6 +123,7 @@ def test_a_hair_card_stays_thin():
     assert abs(volume(vertices, triangles)) < 2e-3
 
 
+@pytest.mark.fault("M06")
 @pytest.mark.parametrize("extra", [[0, 1, 7], [0, 1, 8]], ids=["wall inside", "fin outside"])
 def test_faces_too_many_leave_the_body(extra):
     corners = np.vstack([box()[0], [[0, -1, -1]]])

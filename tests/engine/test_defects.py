@@ -356,6 +356,7 @@ def assert_survives(body: Body, cage_nodes: int = 120) -> bool:
 MAY_BE_REFUSED = {"not_numbers", "wild_faces", "hardly_a_body", "stretched", "flattened", "bones_outside"}
 
 
+@pytest.mark.fault("M03", "M05", "M07", "M09", "M10")
 @pytest.mark.filterwarnings("ignore:invalid value encountered")  # of infinity, before it is refused
 @pytest.mark.parametrize(("name", "defect"), list(zip(itertools.cycle(BODIES), DEFECTS, strict=False)))
 def test_each_defect_alone(name, defect):

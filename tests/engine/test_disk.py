@@ -12,6 +12,7 @@ from dynamic_morph_targets.io import disk
 SHARING_VIOLATION = 32
 
 
+@pytest.mark.fault("C06", "F12")
 def test_save_replaces_whole_files_only(tmp_path, monkeypatch):
     path = tmp_path / "models" / "ü model.dynamorph"
     disk.save(path, b"old")
@@ -33,6 +34,7 @@ def test_a_file_has_the_rights_of_any_other(tmp_path):
     assert (tmp_path / "model").read_bytes() == b"ab" and len(list(tmp_path.iterdir())) == 2
 
 
+@pytest.mark.fault("C05")
 def test_what_a_killed_process_left_is_cleared(tmp_path):
     """An hour later: until then somebody may be writing it."""
     old, new, other = (tmp_path / f"{name}.part" for name in ("model.1", "model.2", "other.1"))
@@ -116,6 +118,7 @@ def test_discard_leaves_what_is_in_use(tmp_path, refuse):
     disk.discard(path)
 
 
+@pytest.mark.fault("F08")
 def test_a_path_too_long_for_windows_is_named(tmp_path, monkeypatch):
     folder = tmp_path / ("deep" * 30) / ("deeper" * 20)
 

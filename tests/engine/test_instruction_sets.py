@@ -148,6 +148,7 @@ def save_motion(path: str) -> None:
     np.savez(path, **found)
 
 
+@pytest.mark.fault("S02")
 def test_instruction_sets_move_alike_and_each_makes_the_same_bytes(tmp_path):
     def motion(instruction_set, name):
         code = f"import test_instruction_sets; test_instruction_sets.save_motion({str(tmp_path / name)!r})"

@@ -71,6 +71,7 @@ BODIES = {
 }
 
 
+@pytest.mark.fault("M05", "M08")
 @pytest.mark.parametrize("name", BODIES)
 def test_any_soup_gives_tets_around_it(name):
     vertices, triangles = BODIES[name]
@@ -99,6 +100,7 @@ def test_stored_meshes_are_read_back(name):
     assert (mesh.volumes > 0).all()
 
 
+@pytest.mark.fault("M11")
 @pytest.mark.parametrize("turned", [slice(0), slice(None, None, 2), slice(None)])
 def test_filled_volume_is_the_bodys_whichever_way_its_faces_look(turned):
     vertices, triangles = sphere()
@@ -219,6 +221,7 @@ def children(monkeypatch):
     return started
 
 
+@pytest.mark.fault("M01", "M02", "M03", "M04")
 @pytest.mark.parametrize(
     ("body", "message"),
     [
@@ -257,6 +260,7 @@ def test_callers_mistakes_name_the_parameter(call, message):
         call(*box())
 
 
+@pytest.mark.fault("M07")
 def test_self_intersecting_cage_is_refused_with_advice(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(dynamorph.Error, match="intersects itself.*Remove"):
@@ -272,6 +276,7 @@ def test_open_cage_is_refused_with_advice():
 # --- The child process -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fault("C03", "C07", "C08")
 @pytest.mark.parametrize(
     ("fault", "message"),
     [("crash", "crashed.*SIGSEGV.*resolution"), ("hang", "too long"), ("memory", "more than 1 GB.*Lower")],
@@ -284,6 +289,7 @@ def test_a_failing_mesher_becomes_an_error(monkeypatch, children, fault, message
     assert all(child.returncode is not None for child in children)  # none is left running
 
 
+@pytest.mark.fault("C03", "C07")
 @pytest.mark.parametrize("fault", ["crash once", "hang once"])
 def test_another_cage_is_tried(monkeypatch, fault):
     monkeypatch.setenv("DYNAMORPH_MESHER_FAULT", fault)
@@ -379,6 +385,7 @@ def test_an_own_cage_takes_the_place_of_the_wrap():
     assert abs(len(mesh.nodes) / 300 - 1) < 0.2
 
 
+@pytest.mark.fault("M07")
 @pytest.mark.parametrize(
     ("cage", "message"),
     [

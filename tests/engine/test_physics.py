@@ -423,6 +423,7 @@ def test_state_resumes_bit_for_bit():
     assert np.array_equal(resumed.coordinates, simulation.coordinates)
 
 
+@pytest.mark.fault("A01")
 def test_a_cut_in_the_root_motion_carries_the_past_along():
     """The rig jumps 50 m and turns; with the teleport rule the tissue swings on as if nothing had happened."""
     model, _, size = sculpted(dynamorph.Law.STABLE_STVK, dynamorph.Blending.EVEN, True)

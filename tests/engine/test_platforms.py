@@ -17,6 +17,7 @@ from dynamic_morph_targets.io import paths
 # Names of files -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fault("F08")
 @pytest.mark.parametrize(
     ("name", "cleaned"),
     [
@@ -103,6 +104,7 @@ def test_a_missing_engine_says_for_which_systems_it_is_there(told):
     assert bare.startswith(f"The engine cannot be loaded on Windows AMD64 with Python {PYTHON} (No module")
 
 
+@pytest.mark.fault("V01")
 @pytest.mark.parametrize(
     ("system", "error", "remedy"),
     [
@@ -126,6 +128,7 @@ def test_each_loader_is_told_with_its_remedy(told, system, error, remedy):
     assert re.search(remedy, advice), text
 
 
+@pytest.mark.fault("V02")
 def test_an_engine_from_before_an_update_asks_for_a_restart(monkeypatch):
     """Blender replaces the extension's modules and the files of the engine, but a compiled module stays in memory."""
     dynamorph = pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
@@ -134,4 +137,19 @@ def test_an_engine_from_before_an_update_asks_for_a_restart(monkeypatch):
         patch.setattr(metadata, "version", lambda _name: "0.2.0")
         with pytest.raises(EngineNotFoundError, match="earlier version is still loaded: restart Blender"):
             importlib.reload(engine).engine()
+    importlib.reload(engine).engine()
+
+
+@pytest.mark.fault("V03")
+def test_an_engine_that_another_add_on_has_brought(monkeypatch):
+    """Blender has one folder for the wheels of all extensions."""
+    dynamorph = pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    with monkeypatch.context() as patch:
+        patch.setattr(dynamorph, "__version__", "7.0.0")
+        patch.setattr(metadata, "version", lambda _name: "7.0.0")
+        ours = importlib.reload(engine).addon_version()
+        with pytest.raises(
+            EngineNotFoundError, match=f"version 7.0.0 and this extension of {ours}: disable the add-on"
+        ):
+            engine.engine()
     importlib.reload(engine).engine()

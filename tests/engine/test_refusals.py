@@ -32,6 +32,7 @@ def rest(full, **changed):
     return dynamorph.MorphTarget("rest", **(known | changed))
 
 
+@pytest.mark.fault("P02")
 @pytest.mark.parametrize("stepper", ["full", "reduced", "crowd"])
 @pytest.mark.parametrize(
     ("option", "value"),
@@ -61,6 +62,7 @@ def test_options_that_no_step_can_be_taken_with(stepper, option, value):
 # Models ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fault("P01")
 @pytest.mark.parametrize("solver", ["full", "reduced"])
 @pytest.mark.parametrize(
     ("changed", "message"),

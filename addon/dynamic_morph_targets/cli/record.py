@@ -6,13 +6,12 @@ from __future__ import annotations
 import argparse
 import platform
 import time
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
-from ..core import baked
+from ..core import baked, engine
 from ..core.time_left import TimeLeft, clock
 from ..run.batch import Batch
 from ..run.job import Job
@@ -38,9 +37,8 @@ def record(args: argparse.Namespace, code: int, error: str) -> dict:
 
 
 def versions() -> dict:
-    manifest = tomllib.loads((Path(__file__).parents[1] / "blender_manifest.toml").read_text(encoding="utf-8"))
     return {
-        "dynamorph": manifest["version"],
+        "dynamorph": engine.addon_version(),
         "blender": bpy.app.version_string,
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",

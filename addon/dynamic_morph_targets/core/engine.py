@@ -6,6 +6,7 @@ from __future__ import annotations
 import platform
 import re
 import sys
+import tomllib
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -46,6 +47,13 @@ def engine() -> tuple[ModuleType, ModuleType]:
         ) from error
     if not _is_installed_version():
         raise EngineNotFoundError("The engine of an earlier version is still loaded: restart Blender")
+    if installed_version() not in ("", addon_version()):
+        raise EngineNotFoundError(
+            "The engine is of version {engine} and this extension of {addon}: disable the add-on that brings the "
+            "other one, install the Dynamorph extension again, and restart Blender",
+            engine=installed_version(),
+            addon=addon_version(),
+        )
     _tell_threads()
     from . import build, simulate
 
@@ -76,6 +84,13 @@ def installed_version() -> str:
         return metadata.version("dynamorph")
     except metadata.PackageNotFoundError:
         return ""
+
+
+@lru_cache(maxsize=1)
+def addon_version() -> str:
+    """The version of this extension, which is made for the engine of the same."""
+    manifest = Path(__file__).parents[1] / "blender_manifest.toml"
+    return str(tomllib.loads(manifest.read_text(encoding="utf-8"))["version"])
 
 
 @lru_cache(maxsize=1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import isfinite
 
 import bpy
 
@@ -110,6 +111,15 @@ def notes(obj) -> Iterator[Problem]:
             reason=reason,
         )
     yield from shared_mesh(obj)
+    keys = obj.data.shape_keys
+    for block in keys.key_blocks if keys else ():
+        if not isfinite(block.value) and not block.mute:
+            yield Problem(
+                "'{name}': the value of shape key '{key}' is not a number, so Blender cannot show the mesh: set it "
+                "again",
+                name=obj.name,
+                key=block.name,
+            )
     sculpting = obj.dynamorph.sculpt.active and obj.mode != "OBJECT"  # which shows that key alone on purpose
     if obj.show_only_shape_key and not sculpting:
         yield Problem(
@@ -335,6 +345,18 @@ def _keys(obj):
             "RELATIVE_KEYS",
             name=obj.name,
         )
+    count = len(obj.data.vertices)
+    for block in keys.key_blocks:
+        if len(block.points) != count:  # by a script: Blender itself keeps them alike
+            yield Problem(
+                "'{name}': shape key '{key}' has {points} points and the mesh {count} vertices: enter Edit Mode and "
+                "leave it, or delete the key",
+                name=obj.name,
+                key=block.name,
+                points=len(block.points),
+                count=count,
+            )
+            break
     for target in targets[1:]:
         if target.name not in keys.key_blocks:
             yield Problem(

@@ -30,9 +30,16 @@ def rig_of(obj):
 
 def rest_skeleton(armature) -> Skeleton:
     """The armature's bones at rest, parents before children."""
-    bones = sorted(armature.bones, key=lambda bone: len(bone.parent_recursive))  # stable: siblings keep their order
+    depths: dict[str, int] = {}
+    level = [bone for bone in armature.bones if bone.parent is None]
+    while level:
+        depth = depths[level[0].parent.name] + 1 if level[0].parent else 0
+        depths |= {bone.name: depth for bone in level}
+        level = [child for bone in level for child in bone.children]
+    bones = sorted(armature.bones, key=lambda bone: depths[bone.name])  # stable: siblings keep their order
     names = tuple(bone.name for bone in bones)
-    parents = np.array([names.index(bone.parent.name) if bone.parent else -1 for bone in bones], dtype=np.int64)
+    places = {name: place for place, name in enumerate(names)}
+    parents = np.array([places[bone.parent.name] if bone.parent else -1 for bone in bones], dtype=np.int64)
     rest = np.array([bone.matrix_local for bone in bones], dtype=np.float64).reshape(-1, 4, 4)
     return Skeleton(names, parents, rest)
 

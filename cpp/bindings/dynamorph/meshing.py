@@ -63,7 +63,7 @@ def mesh_body(
     surface to fill instead of a wrap. thickness: the least distance between wrap and body, meters. grading: 0 for tets
     of one size .. 1 for much finer tets where the body moves. moved (V,): how much it moves, 0..1. bones (B, 2, 3):
     heads and tails of the bones along which to place nodes, meters. pin_radius: the part of the way from bone to
-    skin within which the bones pin nodes. time_limit: seconds in total; None depends on the number of nodes. progress:
+    skin within which the bones pin nodes. time_limit: seconds in total; None depends on the size of both. progress:
     called with 0..1 every 50 ms, returns False to cancel.
     Returns the cage's vertices (C, 3) and outward triangles (D, 3), and the TetMesh. Raises ValueError on wrong shapes
     or indices. Raises Error, which says what to do, when the mesh cannot be used, or when the mesher crashes, hangs or
@@ -76,7 +76,7 @@ def mesh_body(
     if moved.shape != (len(vertices),):
         raise ValueError(f"moved: expected one number per vertex, got shape {moved.shape}")
     arrays = [*_checked(vertices, triangles), moved, bones, *_closed(cage)]
-    deadline = time.monotonic() + (time_limit or 40.0 + target_nodes / 100)
+    deadline = time.monotonic() + (time_limit or 40.0 + target_nodes / 100 + len(arrays[1]) / 20_000)
     resolutions = RESOLUTIONS if cage is None else RESOLUTIONS[:1]
     failure = None
     for resolution in resolutions:

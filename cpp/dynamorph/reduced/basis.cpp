@@ -102,9 +102,8 @@ MatrixXd bone_loads(const SoftBody& body) {
   });
   SparseMatrix loads(3 * nodes, 6 * bones);
   loads.setFromTriplets(entries.begin(), entries.end());
-  const SparseMatrix scaled = mass.cwiseSqrt().cwiseInverse().asDiagonal() * loads;
-  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(MatrixXd(scaled.transpose() * scaled));
-  return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
+  const VectorXd root = mass.cwiseSqrt();
+  return root.asDiagonal() * strongest(RowMajor(root.cwiseInverse().asDiagonal() * loads), kLoads);
 }
 
 /// Adds target j's part of `force_curvatures`.

@@ -13,7 +13,7 @@ MatrixXd gram(const RowMajor& A);
 MatrixXd orthonormal(const MatrixXd& columns);
 
 /// The `most` strongest orthogonal combinations of the columns, strongest first, as long as they are strong; fewer
-/// where the columns have fewer beyond a relative 1e-7.
+/// where the columns have fewer beyond a relative 1e-7. Of very many columns they are approximate.
 MatrixXd strongest(const RowMajor& columns, Eigen::Index most);
 
 }  // namespace dynamorph

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Faults while Blender goes on: undo, other files, the add-on switched off, random work. See tests/faults.toml."""
+
+import random
+import threading
+import time
+
+import addon_utils
+import bpy
+import numpy as np
+import pytest
+from builders import MODULE, evaluated_points, fingerprint, part
+from pressed import Pressed
+from robustness import CALLS, OPS, coarse
+from test_robustness_files import handlers
+from test_robustness_states import press
+
+SOON = 2.0  # seconds in which a bake ends that is not wanted any more
+
+
+def ours():
+    """The threads of the add-on."""
+    return [thread for thread in threading.enumerate() if thread.name.startswith("dynamorph")]
+
+
+@pytest.fixture
+def at_frame(stand_in):
+    """at_frame(act): to be given to Pressed; calls act(batch) once, while a thread computes, which then may go on."""
+
+    def at_frame(act):
+        going_on = stand_in.waits["Arm"] = threading.Event()
+
+        def look(batch):
+            if batch.message.startswith("Frame") and not going_on.is_set():
+                act(batch)
+                going_on.set()
+
+        return look
+
+    return at_frame
+
+
+# Undo --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fault("G01")
+@pytest.mark.parametrize("keys", [["undo"], ["undo", "redo"], ["undo", "undo", "redo"]])
+def test_undo_and_redo_while_a_bake_computes(soft_arm, at_frame, keys):
+    """They replace every object in memory: the bake goes onto the one that is there then, and is one step."""
+    for x in (1.0, 2.0):
+        bpy.ops.ed.undo_push(message=f"before {x}")
+        soft_arm.location.x = x
+    bpy.ops.ed.undo_push(message="moved")
+
+    def undo(_batch):
+        for key in keys:
+            getattr(bpy.ops.ed, key)()
+
+    pressed = Pressed(soft_arm, before_tick=at_frame(undo))
+    obj = bpy.data.objects["Arm"]
+    assert pressed.result == {"FINISHED"} and len(obj.dynamorph.bake.keys) == 3
+    part("bake").free(obj)
+    assert obj.data.shape_keys.key_blocks.keys() == ["Basis", "flexed", "smile"]
+
+
+# Other files -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fault("G02")
+@pytest.mark.parametrize("other", ["new", "another", "the same again"])
+def test_another_file_while_a_bake_computes(soft_arm, stand_in, tmp_path, other):
+    for name in ("another", "shot"):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{name}.blend"))
+    before = fingerprint(soft_arm)
+    stand_in.waits["Arm"] = threading.Event()  # it is cancelled before it is told to go on
+    seconds = []
+
+    def load(batch):
+        if not batch.message.startswith("Frame"):
+            return
+        began = time.monotonic()
+        if other == "new":
+            bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+        else:
+            path = tmp_path / "another.blend" if other == "another" else bpy.data.filepath
+            bpy.ops.wm.open_mainfile(filepath=str(path))
+        seconds.append(time.monotonic() - began)
+
+    assert Pressed(soft_arm, before_tick=load).result is None
+    assert len(seconds) == 1 and seconds[0] < SOON and ours() == []
+    if other == "new":
+        assert not bpy.data.objects and not bpy.data.actions
+    else:
+        assert fingerprint(bpy.data.objects["Arm"]) == before
+
+
+@pytest.mark.fault("G02")
+def test_another_file_while_live_plays(soft_arm, tmp_path):
+    """The file that is opened again has no frozen skin, and plays on."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    coarse(soft_arm)
+    OPS.build()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    OPS.live()
+    bpy.context.scene.frame_set(5)
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
+    bpy.context.scene.frame_set(6)
+    assert not part("live").sessions
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+    obj = bpy.data.objects["Arm"]
+    assert obj.data.shape_keys.key_blocks.keys() == ["Basis", "flexed", "smile"]
+    OPS.live()
+    for frame in (2, 3, 4):
+        bpy.context.scene.frame_set(frame)
+    assert part("live").problem(obj) == "" and np.isfinite(evaluated_points(obj)).all()
+
+
+# The add-on switched off -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fault("G05", "G06")
+def test_switched_off_and_on_during_a_bake_twenty_times(soft_arm, stand_in):
+    before, installed = fingerprint(soft_arm), handlers()
+    for _ in range(20):
+        stand_in.waits["Arm"] = threading.Event()
+        batch = part("batch")
+        batch.running = batch.Batch([part("job").Job(soft_arm, goal="BAKE")], "BAKE")
+        steps = batch.running.steps()
+        while not batch.running.message.startswith("Frame"):
+            next(steps)
+        began = time.monotonic()
+        addon_utils.disable(MODULE)
+        assert time.monotonic() - began < SOON
+        assert ours() == [] and handlers() == [] and batch.running is None
+        addon_utils.enable(MODULE)
+        assert handlers() == installed
+    assert fingerprint(soft_arm) == before
+    stand_in.waits.clear()
+    assert OPS.bake() == {"FINISHED"}
+
+
+# Random work -------------------------------------------------------------------------------------------------------
+
+
+def scenery():
+    """What a step may not leave behind: handlers, threads, scenes, and data of names that are temporary."""
+    temporary = [data.name for kind in (bpy.data.objects, bpy.data.meshes) for data in kind if "Sampling" in data.name]
+    return handlers(), ours(), [scene.name for scene in bpy.data.scenes], temporary
+
+
+def jump(walk):
+    bpy.context.scene.frame_set(walk.randint(-5, 30), subframe=walk.random())
+
+
+def undo(_walk):
+    if bpy.ops.ed.undo.poll():
+        bpy.ops.ed.undo()
+
+
+def redo(_walk):
+    if bpy.ops.ed.redo.poll():
+        bpy.ops.ed.redo()
+
+
+def rename(walk):
+    walk.choice([*bpy.data.objects, *bpy.data.meshes, *bpy.data.armatures]).name = f"Renamed {walk.randint(0, 9)}"
+
+
+def bend(walk):
+    rig = next(obj for obj in bpy.data.objects if obj.type == "ARMATURE")
+    rig.pose.bones["lower"].rotation_euler.x = walk.uniform(-1.0, 1.0)
+    rig.pose.bones["lower"].keyframe_insert("rotation_euler", frame=walk.randint(1, 20))
+
+
+def stiffen(walk):
+    next(obj for obj in bpy.data.objects if obj.type == "MESH").dynamorph.model.cage_nodes = walk.choice(
+        [150, 200, 250]
+    )
+
+
+@pytest.mark.fault("S01")
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_random_work(soft_arm, tmp_path, seed):
+    """Any buttons in any order, between them edits, undo, and saving: each answers, and nothing is left behind."""
+    pytest.importorskip("dynamorph", reason="needs the compiled engine: make build")
+    walk, path = random.Random(seed), str(tmp_path / "walk.blend")
+    coarse(soft_arm)
+    soft_arm.dynamorph.simulation.substeps = 1
+    OPS.build()
+    bpy.ops.ed.undo_push(message="begin")
+
+    def reopen(_walk):
+        bpy.ops.wm.save_as_mainfile(filepath=path)
+        bpy.ops.wm.open_mainfile(filepath=path)
+
+    def button(walk):
+        name = walk.choice([*sorted(CALLS), *["bake", "build", "live", "free_bake"] * 8])
+        assert "This is a bug" not in press(name), name
+        bpy.ops.ed.undo_push(message=name)
+
+    before = scenery()
+    for _ in range(60):
+        act = walk.choices([button, jump, undo, redo, rename, bend, stiffen, reopen], [12, 4, 3, 2, 1, 2, 1, 1])[0]
+        act(walk)
+        assert scenery() == before, act.__name__
+    assert part("batch").running is None
