@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheels platforms extension repository \
+	convergence accuracy bakes farm-demo fuzz soak sanitize stubs format lint wheels platforms extension repository
 	sdist version clean
 
 started := $(shell date +%s)
@@ -117,6 +117,14 @@ farm-demo: build
 examples ?= 2000
 fuzz: build
 	@DYNAMORPH_FUZZ=$(examples) $(python) -m pytest --hypothesis-show-statistics tests/engine/test_defects.py
+
+# Random walks over all that an artist can press and change, in one process of Blender: no bug, nothing left, memory flat.
+# minutes=60 walks so long, seed=7 that walk; steps=240 takes the first 240 steps of it again.
+minutes ?= 5
+seed ?=
+steps ?=
+soak: build
+	@$(python) tests/addon/soak.py $(if $(seed),--seed $(seed)) $(if $(steps),--steps $(steps),--minutes $(minutes))
 
 # The engine's tests under gcc's sanitizers, with asserts; takes about 15 minutes, most of it the first build.
 sanitize: setup
