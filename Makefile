@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz soak sanitize stubs format lint wheels platforms extension repository
-	sdist version clean
+	convergence accuracy bakes farm-demo fuzz soak faults sanitize stubs format lint wheels platforms extension \
+	repository sdist version clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -125,6 +125,11 @@ seed ?=
 steps ?=
 soak: build
 	@$(python) tests/addon/soak.py $(if $(seed),--seed $(seed)) $(if $(steps),--steps $(steps),--minutes $(minutes))
+
+# Every write, fsync, rename and open of each command fails once, and every allocation of the engine, of which `make test`
+# tries a few: nothing is lost, nothing partial is left, and the message is right. Takes about 15 minutes.
+faults: build
+	@DYNAMORPH_FAULTS=all $(python) -m pytest -rA tests/engine/test_allocations.py tests/addon/test_failing_calls.py
 
 # The engine's tests under gcc's sanitizers, with asserts; takes about 15 minutes, most of it the first build.
 sanitize: setup

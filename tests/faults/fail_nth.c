@@ -3,9 +3,9 @@
  * Preloaded (LD_PRELOAD), fails the n-th call of one kind, as a full disk, a lost network or a lack of memory would.
  *
  * Files: by the environment. FAIL_FOLDER: only what lies below it counts, so that Blender's own files are left alone.
- * FAIL_CALL: write, fsync, rename, open (for writing) or read. FAIL_NTH: which of them, from 1; 0 fails none.
- * FAIL_ERRNO: with which error. FAIL_ONCE: the later ones succeed again. FAIL_COUNTER: a file of eight bytes in which
- * the calls are counted, those of child processes too. A process that has changed its environment calls fail_files().
+ * FAIL_CALL: write, fsync, rename, open (for writing) or read. FAIL_NTH: which of them, from 1. FAIL_ERRNO: with which
+ * error. FAIL_ONCE: the later ones succeed again. FAIL_COUNTER: a file of five numbers, in which the calls of each kind
+ * are counted, those of child processes too. A process that has changed its environment calls fail_files().
  *
  * Memory: fail_malloc(n) fails the n-th allocation that the engine's module makes from then on, 0 none, and returns how
  * many it has made since the last call. Those of Python, NumPy and Blender do not count.
@@ -26,10 +26,13 @@
 
 /* Files ---------------------------------------------------------------------------------------------------------- */
 
+enum { WRITE, FSYNC, RENAME, OPEN, READ, KINDS };
+static const char* const names[KINDS] = {"write", "fsync", "rename", "open", "read"};
+
 static const char *folder, *kind;
 static long nth;
 static int code, once;
-static atomic_long* counter;
+static atomic_long* counters; /* of each kind; NULL: nothing counts and nothing fails */
 
 __attribute__((constructor)) void fail_files(void) {
   folder = getenv("FAIL_FOLDER");
@@ -38,27 +41,27 @@ __attribute__((constructor)) void fail_files(void) {
   nth = n ? atol(n) : 0;
   code = error ? atoi(error) : EIO;
   once = getenv("FAIL_ONCE") != NULL;
-  if (counter) munmap(counter, sizeof *counter);
-  counter = NULL;
+  if (counters) munmap(counters, KINDS * sizeof *counters);
+  counters = NULL;
   const int fd = folder && kind && file ? open(file, O_RDWR | O_CLOEXEC) : -1;
   if (fd < 0) return;
-  void* shared = mmap(NULL, sizeof *counter, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
-  if (shared != MAP_FAILED) counter = shared;
+  void* shared = mmap(NULL, KINDS * sizeof *counters, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+  if (shared != MAP_FAILED) counters = shared;
   close(fd);
 }
 
-/* Whether this call is to fail: it is of that kind, on that path. */
-static int fails(const char* call, const char* path) {
-  if (!counter || strcmp(call, kind) || strncmp(path, folder, strlen(folder))) return 0;
-  const long count = atomic_fetch_add(counter, 1) + 1;
-  if (!nth || (once ? count != nth : count < nth)) return 0;
+/* Whether this call is to fail, on that path. */
+static int fails(int call, const char* path) {
+  if (strncmp(path, folder, strlen(folder))) return 0;
+  const long count = atomic_fetch_add(&counters[call], 1) + 1;
+  if (strcmp(names[call], kind) || !nth || (once ? count != nth : count < nth)) return 0;
   errno = code;
   return 1;
 }
 
-static int fails_fd(const char* call, int fd) {
+static int fails_fd(int call, int fd) {
   char link[64], path[4096];
-  if (!counter || strcmp(call, kind)) return 0;
+  if (!counters) return 0;
   const int before = errno;
   snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
   const ssize_t length = readlink(link, path, sizeof path - 1);
@@ -69,9 +72,9 @@ static int fails_fd(const char* call, int fd) {
 }
 
 /* A path relative to the working directory is below the folder where that is. */
-static int fails_at(const char* call, const char* path) {
+static int fails_at(int call, const char* path) {
   char whole[8192], here[4096];
-  if (!counter || strcmp(call, kind)) return 0;
+  if (!counters) return 0;
   if (path[0] == '/') return fails(call, path);
   if (!getcwd(here, sizeof here)) return 0;
   snprintf(whole, sizeof whole, "%s/%s", here, path);
@@ -86,46 +89,46 @@ static int fails_at(const char* call, const char* path) {
     return NEXT(name)(__VA_ARGS__);              \
   }
 
-ON_FD("write", ssize_t, write, (int fd, const void* bytes, size_t size), fd, bytes, size)
-ON_FD("write", ssize_t, pwrite, (int fd, const void* bytes, size_t size, off_t at), fd, bytes, size, at)
-ON_FD("write", ssize_t, pwrite64, (int fd, const void* bytes, size_t size, off64_t at), fd, bytes, size, at)
-ON_FD("write", ssize_t, writev, (int fd, const struct iovec* parts, int count), fd, parts, count)
-ON_FD("read", ssize_t, read, (int fd, void* bytes, size_t size), fd, bytes, size)
-ON_FD("fsync", int, fsync, (int fd), fd)
-ON_FD("fsync", int, fdatasync, (int fd), fd)
+ON_FD(WRITE, ssize_t, write, (int fd, const void* bytes, size_t size), fd, bytes, size)
+ON_FD(WRITE, ssize_t, pwrite, (int fd, const void* bytes, size_t size, off_t at), fd, bytes, size, at)
+ON_FD(WRITE, ssize_t, pwrite64, (int fd, const void* bytes, size_t size, off64_t at), fd, bytes, size, at)
+ON_FD(WRITE, ssize_t, writev, (int fd, const struct iovec* parts, int count), fd, parts, count)
+ON_FD(READ, ssize_t, read, (int fd, void* bytes, size_t size), fd, bytes, size)
+ON_FD(FSYNC, int, fsync, (int fd), fd)
+ON_FD(FSYNC, int, fdatasync, (int fd), fd)
 
 size_t fwrite(const void* bytes, size_t size, size_t count, FILE* file) {
-  if (fails_fd("write", fileno(file))) return 0;
+  if (fails_fd(WRITE, fileno(file))) return 0;
   return NEXT(fwrite)(bytes, size, count, file);
 }
 
-int rename(const char* from, const char* to) { return fails_at("rename", to) ? -1 : NEXT(rename)(from, to); }
+int rename(const char* from, const char* to) { return fails_at(RENAME, to) ? -1 : NEXT(rename)(from, to); }
 
 /* Of os.rename and os.replace. */
 int renameat(int from_folder, const char* from, int to_folder, const char* to) {
-  return fails_at("rename", to) ? -1 : NEXT(renameat)(from_folder, from, to_folder, to);
+  return fails_at(RENAME, to) ? -1 : NEXT(renameat)(from_folder, from, to_folder, to);
 }
 
-#define OPEN(name)                                                                                    \
-  int name(const char* path, int flags, ...) {                                                        \
-    va_list more;                                                                                     \
-    va_start(more, flags);                                                                            \
-    const int mode = flags & (O_CREAT | O_TMPFILE) ? va_arg(more, int) : 0;                           \
-    va_end(more);                                                                                     \
-    if ((flags & O_ACCMODE) != O_RDONLY && fails_at("open", path)) return -1;                         \
-    return NEXT(name)(path, flags, mode);                                                             \
+#define OPENS(name)                                                         \
+  int name(const char* path, int flags, ...) {                              \
+    va_list more;                                                           \
+    va_start(more, flags);                                                  \
+    const int mode = flags & (O_CREAT | O_TMPFILE) ? va_arg(more, int) : 0; \
+    va_end(more);                                                           \
+    if ((flags & O_ACCMODE) != O_RDONLY && fails_at(OPEN, path)) return -1; \
+    return NEXT(name)(path, flags, mode);                                   \
   }
 
-OPEN(open)
-OPEN(open64)
+OPENS(open)
+OPENS(open64)
 
-#define FOPEN(name)                                                           \
-  FILE* name(const char* path, const char* mode) {                            \
-    return mode[0] != 'r' && fails_at("open", path) ? NULL : NEXT(name)(path, mode); \
+#define FOPENS(name)                                                               \
+  FILE* name(const char* path, const char* mode) {                                 \
+    return mode[0] != 'r' && fails_at(OPEN, path) ? NULL : NEXT(name)(path, mode); \
   }
 
-FOPEN(fopen)
-FOPEN(fopen64)
+FOPENS(fopen)
+FOPENS(fopen64)
 
 /* Memory --------------------------------------------------------------------------------------------------------- */
 

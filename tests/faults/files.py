@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fails the n-th write, fsync, rename, open or read of a command; tests/addon/test_faults.py runs it.
 
-    LD_PRELOAD=fail_nth.so python tests/faults/files.py COMMAND SAMPLES      of each kind of call; 0: every n
+    LD_PRELOAD=fail_nth.so python tests/faults/files.py COMMAND SAMPLES      of each kind of call; 0: all
 
 The result of an earlier run is there before. After a failure it is as it was, no other file is left, and the exit code
 and the message say why; the same command works again then. Or the command succeeds all the same, with its whole result.
@@ -13,9 +13,12 @@ import ctypes
 import errno
 import json
 import os
+import re
 import sys
 import tempfile
+import traceback
 from pathlib import Path
+from random import Random
 
 os.environ["BLENDER_USER_RESOURCES"] = tempfile.mkdtemp(prefix="dynamorph_faults_")  # before bpy is imported
 
@@ -32,9 +35,12 @@ from dynamic_morph_targets.cli import main as command_line  # noqa: E402
 
 shim = ctypes.CDLL(os.environ["LD_PRELOAD"])
 TRY_AGAIN = 75
-KINDS = {"write": errno.ENOSPC, "fsync": errno.EIO, "rename": errno.ESTALE, "open": errno.ENOSPC}
-OF_CACHES = {**KINDS, "read": errno.ESTALE}
+# In the order of fail_nth.c; reading fails for the cache folder alone, which others may have on another machine.
+KINDS = {
+    "write": errno.ENOSPC, "fsync": errno.EIO, "rename": errno.ESTALE, "open": errno.ENOSPC, "read": errno.ESTALE
+}  # fmt: skip
 EXPORTS = {"gltf": ".glb", "fbx": ".fbx", "alembic": ".abc", "usd": ".usdc", "raw": ".npz"}
+RESULTS = (".blend", ".pc2", ".dynamorph", *EXPORTS.values())
 # Name -> arguments; {folder} is where all that they write goes.
 COMMANDS = {
     "build": ("build", "{shot}", "--all", "-o", "{folder}/out.blend"),
@@ -55,14 +61,14 @@ class Attack:
     def __init__(self, name: str, folder: Path):
         self.folder, self.said = folder / "work", folder / "said.txt"
         self.counter = folder / "counter"
-        self.counter.write_bytes(bytes(8))
+        self.counter.write_bytes(bytes(8 * len(KINDS)))
         self.folder.mkdir()
         shot = folder / "shot.blend"
         save_shot(shot)
         self.arguments = [each.format(shot=shot, folder=self.folder) for each in COMMANDS[name]]
         if name == "save":
             (self.folder / "own.blend").write_bytes(shot.read_bytes())
-        self.kinds = OF_CACHES if name == "cache" else KINDS
+        self.kinds = [kind for kind in KINDS if kind != "read" or name == "cache"]
         assert self.run() == 0, self.said.read_text()
         self.run()  # from now on there is an earlier result each time
         self.before = self.files()
@@ -82,49 +88,57 @@ class Attack:
                     os.dup2(fd, to)
                     os.close(fd)
 
-    def failing(self, kind: str, n: int, code: int, once: bool) -> tuple[int, int]:
-        """The exit code when the n-th such call fails, 0 for none; how many there were."""
-        self.counter.write_bytes(bytes(8))
-        os.environ.update(
-            FAIL_FOLDER=str(self.folder), FAIL_CALL=kind, FAIL_NTH=str(n), FAIL_ERRNO=str(code),
-            FAIL_COUNTER=str(self.counter),
-        )  # fmt: skip
-        os.environ.update({"FAIL_ONCE": "1"} if once else {})
+    def failing(self, kind: str, n: int, once: bool) -> int:
+        """The exit code when the n-th such call fails, or all from it on; 0: none."""
+        self.counter.write_bytes(bytes(8 * len(KINDS)))
+        given = {
+            "FAIL_FOLDER": str(self.folder), "FAIL_CALL": kind, "FAIL_NTH": str(n), "FAIL_ERRNO": str(KINDS[kind]),
+            "FAIL_COUNTER": str(self.counter), **({"FAIL_ONCE": "1"} if once else {}),
+        }  # fmt: skip
+        os.environ.update(given)
         shim.fail_files()
         try:
-            return self.run(), int.from_bytes(self.counter.read_bytes(), "little")
+            return self.run()
         finally:
-            for each in ("FOLDER", "CALL", "NTH", "ERRNO", "COUNTER", "ONCE"):
-                os.environ.pop(f"FAIL_{each}", None)
+            for name in given:
+                del os.environ[name]
             shim.fail_files()
+
+    def counted(self) -> dict[str, int]:
+        """How many calls of each kind the command has."""
+        assert self.failing("write", 0, once=True) == 0, self.said.read_text()
+        counts = np.frombuffer(self.counter.read_bytes(), np.int64)
+        self.put_back()
+        return {kind: int(count) for kind, count in zip(KINDS, counts, strict=True) if kind in self.kinds}
 
     def files(self) -> dict[str, bytes]:
         files = (path for path in self.folder.rglob("*") if path.is_file())
         return {path.relative_to(self.folder).as_posix(): path.read_bytes() for path in files}
 
     def put_back(self) -> None:
-        """All files as before."""
-        for name in self.files().keys() - self.before.keys():
+        """All files as before; each anew, as two may have become one (a link)."""
+        for name in self.files():
             (self.folder / name).unlink()
         for name, content in self.before.items():
             (self.folder / name).write_bytes(content)
 
-    def wrong(self, code: int, why: int) -> list[str]:
-        """What is wrong after a failure, from the exit code and the files that are there."""
-        said, files = self.said.read_text(errors="replace"), self.files()
+    def wrong(self, code: int, kind: str) -> list[str]:
+        """What is wrong after a failure, from the exit code, the message and the files that are there."""
+        said, files, why = self.said.read_text(errors="replace"), self.files(), os.strerror(KINDS[kind])
         new = sorted(files.keys() - self.before.keys())
         found = [f"left behind: {name}" for name in new if ".part" in name or name.endswith("@")]
-        if "Traceback" in said:
+        if re.search(r'File ".*dynamic_morph_targets', said):  # Blender's own exporters print some of theirs
             found.append("a traceback")
         if code == 0:
             return found + [f"success, but {text}" for text in self.incomplete(files)]
-        changed = [name for name in self.before if files.get(name) != self.before[name]]
-        found += [f"the earlier file is lost: {name}" for name in changed if name != "report.json"]
-        told = [line for line in said.splitlines() if line.startswith("dynamorph: ")]
+        # A report says what went wrong, and a backup may be of the last but one already.
+        results = [name for name in self.before if name.endswith(RESULTS)]
+        found += [f"the earlier file is lost: {name}" for name in results if files.get(name) != self.before[name]]
+        told = re.findall("dynamorph: (.*)", said)
         if code != TRY_AGAIN:
             found.append(f"exit code {code}: {told}")
-        if not told or os.strerror(why).lower() not in told[-1].lower():
-            found.append(f"the message does not say '{os.strerror(why)}': {told}")
+        if not told or why.lower() not in told[-1].lower():
+            found.append(f"the message does not say '{why}': {told}")
         return found
 
     def incomplete(self, files: dict[str, bytes]) -> list[str]:
@@ -152,6 +166,7 @@ def save_shot(path: Path) -> None:
 
 
 def opens(path: Path) -> bool:
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)  # what is open cannot be looked into
     try:
         with bpy.data.libraries.load(str(path)) as (found, _):
             return "Arm" in found.objects
@@ -164,15 +179,18 @@ def main(name: str, samples: int) -> None:
     tally, wrong = {}, []
     with tempfile.TemporaryDirectory(prefix="dynamorph_faults_") as folder:
         attack = Attack(name, Path(folder))
-        for kind, code in attack.kinds.items():
-            _, count = attack.failing(kind, 0, code, once=True)
-            attack.put_back()
-            every = range(1, count + 1) if not samples else np.unique(np.linspace(1, count, samples).astype(int))
-            tally[kind] = [count, len(every) if count else 0]
-            for n, once in ((int(n), once) for n in every for once in (True, False) if count):
-                print(f"{name}: {kind} {n}{'' if once else ' and later'}", flush=True)  # the last one may have crashed
-                result, _ = attack.failing(kind, n, code, once)
-                wrong += [f"{name}: {kind} {n}{'' if once else ' and later'}: {w}" for w in attack.wrong(result, code)]
+        for kind, count in attack.counted().items():
+            cases = [(n, once) for n in range(1, count + 1) for once in (True, False)]
+            if samples:
+                cases = Random(f"{name} {kind}").sample(cases, min(samples, len(cases)))
+            tally[kind] = [count, len(cases)]
+            for n, once in cases:
+                case = f"{name}: {kind} {n}{'' if once else ' and all later ones'}"
+                print(case, flush=True)  # the last one is where it crashed
+                found = attack.wrong(attack.failing(kind, n, once), kind)
+                if found:
+                    print(attack.said.read_text(errors="replace"))
+                wrong += [f"{case}: {each}" for each in found]
                 attack.put_back()
         if attack.run():
             wrong.append(f"{name}: it fails afterwards: {attack.said.read_text()}")
@@ -180,5 +198,10 @@ def main(name: str, samples: int) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
-    leave(0)
+    result = 1
+    try:
+        main(sys.argv[1], int(sys.argv[2]))
+        result = 0
+    except BaseException:
+        traceback.print_exc()
+    leave(result)
