@@ -113,14 +113,17 @@ farm-demo: build
 	@tools/setup.sh farm || :
 	@$(python) tools/farm_demo.py
 
-# More spoiled meshes than `make test` tries: examples=2000 takes about 15 minutes. What fails is tried first next time.
-examples ?= 2000
+# Random input for all that reads a file, a command line or a mesh, for so many minutes in all: minutes=60. examples=2000
+# tries so many spoiled meshes instead, which takes about 15 minutes. What fails is tried first next time.
+examples ?=
+minutes ?= 5
 fuzz: build
-	@DYNAMORPH_FUZZ=$(examples) $(python) -m pytest --hypothesis-show-statistics tests/engine/test_defects.py
+	@$(if $(examples),DYNAMORPH_FUZZ=$(examples),DYNAMORPH_FUZZ_MINUTES=$(minutes)) $(python) -m pytest \
+		--hypothesis-show-statistics tests/engine/test_defects.py \
+		$(if $(examples),,tests/engine/test_fuzz.py tests/addon/test_fuzz_commands.py)
 
 # Random walks over all that an artist can press and change, in one process of Blender: no bug, nothing left, memory flat.
 # minutes=60 walks so long, seed=7 that walk; steps=240 takes the first 240 steps of it again.
-minutes ?= 5
 seed ?=
 steps ?=
 soak: build
