@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz sanitize stubs format lint wheels platforms extension repository \
-	sdist version reliability clean
+	convergence accuracy bakes farm-demo fuzz soak faults sanitize stubs format lint wheels platforms extension \
+	repository sdist version reliability clean
 
 started := $(shell date +%s)
 # Evaluated when a recipe runs, after `setup`.
@@ -118,10 +118,26 @@ farm-demo: build
 	@tools/setup.sh farm || :
 	@$(python) tools/farm_demo.py
 
-# More spoiled meshes than `make test` tries: examples=2000 takes about 15 minutes. What fails is tried first next time.
-examples ?= 2000
+# Random input for all that reads a file, a command line or a mesh, for so many minutes in all: minutes=60. examples=2000
+# tries so many spoiled meshes instead, which takes about 15 minutes. What fails is tried first next time.
+examples ?=
+minutes ?= 5
 fuzz: build
-	@DYNAMORPH_FUZZ=$(examples) $(python) -m pytest --hypothesis-show-statistics tests/engine/test_defects.py
+	@$(if $(examples),DYNAMORPH_FUZZ=$(examples),DYNAMORPH_FUZZ_MINUTES=$(minutes)) $(python) -m pytest \
+		--hypothesis-show-statistics tests/engine/test_defects.py \
+		$(if $(examples),,tests/engine/test_fuzz.py tests/addon/test_fuzz_commands.py)
+
+# Random walks over all that an artist can press and change, in one process of Blender: no bug, nothing left, memory flat.
+# minutes=60 walks so long, seed=7 that walk; steps=240 takes the first 240 steps of it again.
+seed ?=
+steps ?=
+soak: build
+	@$(python) tests/addon/soak.py $(if $(seed),--seed $(seed)) $(if $(steps),--steps $(steps),--minutes $(minutes))
+
+# Every write, fsync, rename and open of each command fails once, and every allocation of the engine, of which `make test`
+# tries a few: nothing is lost, nothing partial is left, and the message is right. Takes about 15 minutes.
+faults: build
+	@DYNAMORPH_FAULTS=all $(python) -m pytest -rA tests/engine/test_allocations.py tests/addon/test_failing_calls.py
 
 # The engine's tests under gcc's sanitizers, with asserts; takes about 15 minutes, most of it the first build.
 sanitize: setup

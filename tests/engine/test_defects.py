@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clean bodies spoiled in every way that artists' meshes are: built and baked, or refused with advice; never worse.
-
-DYNAMORPH_FUZZ is how many random bodies are tried (`make fuzz`), beyond those that are the same in each run.
-"""
+"""Clean bodies spoiled in every way that artists' meshes are: built and baked, or refused with advice; never worse."""
 
 from __future__ import annotations
 
 import itertools
-import os
 import re
 import time
 from dataclasses import dataclass, replace
@@ -22,13 +18,11 @@ from dynamic_morph_targets.core.build import build
 from dynamic_morph_targets.core.character import Character, Skeleton, Target, TargetSet
 from dynamic_morph_targets.core.rig_samples import RigSamples
 from dynamic_morph_targets.core.settings import Material, ModelSettings, SimulationSettings
-from hypothesis import HealthCheck, Phase, event, given, settings
+from fuzzing import target
+from hypothesis import event
 from hypothesis import strategies as st
-from hypothesis.database import DirectoryBasedExampleDatabase
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
-EXAMPLES = int(os.environ.get("DYNAMORPH_FUZZ", 0))
-FOUND = Path(__file__).resolve().parents[2] / "build" / "fuzz"  # what failed is tried first the next time
 LONGEST = 60.0  # seconds for a build and a bake: the mesher gives up earlier
 FRAMES, SUBSTEPS = 5, 2
 ADVICE = re.compile(
@@ -372,15 +366,11 @@ DEFECT = st.tuples(st.sampled_from(sorted(DEFECTS)), st.sampled_from([0.02, 0.1,
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered")  # of infinity, before it is refused
-@given(st.sampled_from(sorted(BODIES)), st.lists(DEFECT, min_size=1, max_size=4), st.sampled_from([60, 120, 300]))
-@settings(
-    max_examples=EXAMPLES or 40,
-    derandomize=not EXAMPLES,
-    database=DirectoryBasedExampleDatabase(FOUND) if EXAMPLES else None,
-    deadline=None,
-    phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],  # to explain takes minutes
-    suppress_health_check=list(HealthCheck),
-    print_blob=True,
+@target(
+    st.sampled_from(sorted(BODIES)),
+    st.lists(DEFECT, min_size=1, max_size=4),
+    st.sampled_from([60, 120, 300]),
+    examples=40,
 )
 def test_any_mix_of_defects_is_built_or_refused_with_advice(name, defects, cage_nodes):
     event("built" if assert_survives(spoiled(BODIES[name](), defects), cage_nodes) else "refused with advice")

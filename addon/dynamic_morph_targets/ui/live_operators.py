@@ -218,7 +218,7 @@ class DYNAMORPH_OT_shake_test(PreviewOperator, Operator):
         options={"SKIP_SAVE"},
     )  # fmt: skip
     seconds: FloatProperty(
-        name="Seconds", description="Duration of the test", default=SECONDS, min=0.1, options={"SKIP_SAVE"}
+        name="Seconds", description="Duration of the test", default=SECONDS, min=0.1, max=60.0, options={"SKIP_SAVE"}
     )
 
     @property
