@@ -154,7 +154,7 @@ def _read_shot(given: BakeInput, obj: bpy.types.Object, request: Request, fits: 
         files = animation.source_files()
         given.kept = given.cache_dir.bake_path(given.name, given.inputs, given.character, files, bpy.app.version)
         model = given.model or given.cached_model
-        given.resumed = given.cache_dir.unfinished(given.kept, model) if model else {}
+        given.resumed = given.cache_dir.unfinished(given.kept, model, len(given.settings.times)) if model else {}
     if given.resumed:
         first = given.settings.first
         given.first = rig_motion.sample_rig(obj, first, first, 1)
