@@ -144,7 +144,7 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
     if not (args.output_file or chosen):
         return {}
     suffix = chosen.suffix if chosen else f".{chosen_format.lower()}"
-    pattern = args.output_file or str(folder / f"{paths.OBJECT}{suffix}")
+    pattern = str(args.output_file or folder / f"{paths.OBJECT}{suffix}")
     if Path(pattern).suffix.lower() != suffix:
         raise InputError(f"--output-file {pattern}: a file of {args.format} ends in {suffix}")
     meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else skin.clothes_in(obj)))]
@@ -187,7 +187,7 @@ def run_collect(args: argparse.Namespace) -> None:
     """Raises CollectError when a bake failed or is missing, after the page is written."""
     reports = report_page.read(args.folder)
     wrong = report_page.failures(reports, args.expect)
-    model_file.save(args.page, report_page.page(reports, wrong).encode())
+    model_file.save(args.page, report_page.page(reports, wrong).encode(errors="backslashreplace"))
     model_file.save(args.page.with_suffix(".json"), json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
     print(f"{len(reports)} reports in {args.page}")
     if wrong:

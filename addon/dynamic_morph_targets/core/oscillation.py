@@ -139,13 +139,13 @@ def _jacobian(times: np.ndarray, along: np.ndarray, decay: float, omega: float) 
 
 def read_columns(path: Path, counts: tuple[int, ...]) -> np.ndarray:
     """Numbers (n, c) of a CSV file, c one of `counts`; a first line of names is skipped. Raises FitError, OSError."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = [row for row in csv.reader(file) if row]
-    if rows and not re.match(r"\s*[-+.\d]", rows[0][0]):
-        del rows[0]
     try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+        if rows and not re.match(r"\s*[-+.\d]", rows[0][0]):
+            del rows[0]
         table = np.array(rows, float)
-    except ValueError:
+    except (ValueError, csv.Error):
         table = np.empty(0)
     if table.ndim != 2 or table.shape[1] not in counts:
         wanted = " or ".join(map(str, counts))
