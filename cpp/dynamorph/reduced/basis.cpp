@@ -103,6 +103,7 @@ MatrixXd bone_loads(const SoftBody& body) {
   SparseMatrix loads(3 * nodes, 6 * bones);
   loads.setFromTriplets(entries.begin(), entries.end());
   const SparseMatrix scaled = mass.cwiseSqrt().cwiseInverse().asDiagonal() * loads;
+  if (loads.cols() > kManyColumns) return loads * strongest_combinations(scaled, kLoads);
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(MatrixXd(scaled.transpose() * scaled));
   return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }

@@ -1,13 +1,36 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/mass_pca.hpp"
 
+#include <Spectra/SymEigsSolver.h>
+
 #include <Eigen/Eigenvalues>
 #include <Eigen/SVD>
 #include <algorithm>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/reduced/gram_accumulator.hpp"
 
 namespace dynamorph {
+
+namespace {
+
+/// x -> A^T A x, which Spectra iterates with.
+class GramOperator {
+ public:
+  using Scalar = double;
+  explicit GramOperator(const SparseMatrix& A) : A_(A) {}
+  Eigen::Index rows() const { return A_.cols(); }
+  Eigen::Index cols() const { return A_.cols(); }
+  void perform_op(const double* x, double* y) const {
+    const VectorXd image = A_ * Eigen::Map<const VectorXd>(x, cols());
+    Eigen::Map<VectorXd>(y, rows()) = A_.transpose() * image;
+  }
+
+ private:
+  const SparseMatrix& A_;
+};
+
+}  // namespace
 
 MatrixXd gram(const RowMajor& A) {
   GramAccumulator products(A.cols());
@@ -33,6 +56,19 @@ MatrixXd strongest(const RowMajor& columns, Eigen::Index most) {
   const VectorXd& squares = eigen.eigenvalues();
   const Eigen::Index strong = (squares.array() > 1e-14 * squares.maxCoeff()).count();
   return columns * eigen.eigenvectors().rightCols(std::min(most, strong)).rowwise().reverse();
+}
+
+MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most) {
+  const Eigen::Index k = std::min({most, A.rows(), A.cols() - 1}), search = std::min(A.cols(), 2 * k + 20);
+  GramOperator op(A);
+  Spectra::SymEigsSolver<GramOperator> solver(op, k, search);
+  solver.init();
+  solver.compute(Spectra::SortRule::LargestAlge, 1000, 1e-10);
+  if (solver.info() != Spectra::CompInfo::Successful)
+    throw Error("The loads of " + std::to_string(A.cols()) +
+                " columns were not decomposed. Ask for fewer modes, or let fewer bones deform the mesh.");
+  const VectorXd squares = solver.eigenvalues();
+  return solver.eigenvectors().leftCols((squares.array() > 1e-14 * squares.maxCoeff()).count());
 }
 
 }  // namespace dynamorph

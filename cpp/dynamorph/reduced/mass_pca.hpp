@@ -16,4 +16,11 @@ MatrixXd orthonormal(const MatrixXd& columns);
 /// where the columns have fewer beyond a relative 1e-7.
 MatrixXd strongest(const RowMajor& columns, Eigen::Index most);
 
+/// Columns up to which `strongest` is fast. A rig of hundreds of bones has more loads, each with few entries.
+constexpr Eigen::Index kManyColumns = 1200;
+
+/// The combinations (columns, at most `most`) of sparse columns that are strongest, strongest first: orthonormal
+/// eigenvectors of A^T A. It takes time in proportion to the entries of A.
+MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most);
+
 }  // namespace dynamorph
