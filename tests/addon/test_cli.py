@@ -525,6 +525,32 @@ def test_exit_codes_tell_bugs_from_what_is_expected(shot, run, stand_in):
         assert found == code and re.search(words, told), told
 
 
+def test_too_little_memory_is_found_before_any_work(shot, run, stand_in, monkeypatch):
+    memory, sampled = part("memory"), []
+    monkeypatch.setattr(part("rig_motion"), "RigSampling", lambda *_: sampled.append(True))
+    bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
+    for most, code, words in ((2.0**20, 2, "GB at most: lower Cage Nodes"), (2.0**40, 75, "are free: close other")):
+        monkeypatch.setattr(memory, "room", lambda most=most: memory.Room(most, 2.0**20))
+        found, _out, told = run(*bake)
+        assert found == code and "'Arm' needs about" in told and words in told
+        assert stand_in.built == 0 and not sampled
+
+
+def test_a_frame_of_a_week_is_refused(shot, run, stand_in):
+    """Its time steps would fill the memory."""
+    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = 1, 1e6
+    bpy.ops.wm.save_mainfile()
+    bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
+    code, _, told = run(*bake)
+    assert code == 2 and "'Arm': a frame of 1e+06 s takes 120000000 time steps, and 1000 are the most" in told
+    assert stand_in.built == 0
+    assert run(*bake, "--substeps", 1)[0] == 0
+    for substeps in (0, 1001, 10**12):
+        code, _, told = run(*bake, "--substeps", substeps)
+        assert code == 2 and f"--substeps is {substeps}: give 1 to 1000" in told
+
+
 def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):
     """No bake deletes such files: the .blend as it was last saved may still use the previous one."""
     monkeypatch.setattr(part("storage"), "PACK_LIMIT", 100)

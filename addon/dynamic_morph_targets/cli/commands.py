@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core import engine, errors, material_fit, oscillation
 from ..core.errors import InputError
-from ..core.settings import VARIANTS, Material, ModelSettings
+from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, model_file, paths, point_cache, report_page
 from ..run import batch, expected_error, export_actions, final_comparison
 from ..run.job import Job
@@ -47,8 +47,8 @@ def number(setting: bpy.types.Property) -> Callable[[str], float]:
 
 
 def check_substeps(args: argparse.Namespace) -> None:
-    if args.substeps is not None and args.substeps < 1:
-        raise InputError(f"--substeps is {args.substeps}: give 1 or more")
+    if args.substeps is not None and not 1 <= args.substeps <= MOST_SUBSTEPS:
+        raise InputError(f"--substeps is {args.substeps}: give 1 to {MOST_SUBSTEPS}")
 
 
 def run_job(args: argparse.Namespace) -> None:

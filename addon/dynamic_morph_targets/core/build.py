@@ -23,10 +23,6 @@ from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS, TABULATED, ModelSet
 
 Rehearsal = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which a rehearsal for fitted modes is unreduced
-REHEARSAL_MODES = (
-    40,
-    60,
-)  # larger models rehearse with twice as many modes as requested, within these limits; tables grow as r^4
 FEW = 1e-3  # fraction of the tetrahedra that may fall back without a warning
 CAGE_SHARE = 0.35  # of the time of a build
 
@@ -157,7 +153,7 @@ def _fitted_basis(
     wanted = character.settings.modes
     in_full = full.dofs <= REHEARSED_IN_FULL
     with stages("Modes", 0.05 if in_full else 0.15) as report:
-        more = 0 if in_full else min(int(np.clip(2 * wanted, *REHEARSAL_MODES)), full.dofs // 3)
+        more = 0 if in_full else min(character.settings.rehearsed_modes, full.dofs // 3)
         usual = dynamorph.make_basis(full, max(wanted, more), report).U
     with stages("Rehearsal", 0.30 if in_full else 0.20) as report:
         building = 0.0 if in_full else 0.8  # of the time, by polynomials in many modes

@@ -5,6 +5,7 @@ chunks. All of it in the main thread.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from ..core import engine, errors, judge, records
+from ..core import engine, errors, judge, memory, records
 from ..core.character import Follower
 from ..core.errors import SceneError
 from ..core.keys import united
@@ -84,7 +85,28 @@ def read(request: Request) -> BakeInput:
     fits = _read_model(given, obj, request)
     if given.is_bake or (fits and not given.only_cage):
         _read_shot(given, obj, request, fits)
+    _check_memory(given)
     return given
+
+
+def _check_memory(given: BakeInput) -> None:
+    """Refuse, before any work, what there is not enough memory for. Raises SceneError, MemoryShortError."""
+    character, model = given.character.by_method(), given.model or given.cached_model
+    settings = character.settings
+    nodes = len(model.nodes) if model is not None else settings.cage_nodes
+    size = memory.Size(len(character.vertices), len(character.targets), len(character.skeleton.names), nodes)
+    if given.reasons and model is None:
+        changes = {"solver": "FULL"} if given.only_cage else {"modes": settings.rehearsed_modes}
+        memory.check(given.name, memory.build_bytes(size, replace(settings, **changes), os.cpu_count() or 1))
+    if given.has_shot:
+        memory.check(given.name, memory.bake_bytes(size, settings, given.settings, given.output, _chunk(given)))
+
+
+def _chunk(given: BakeInput) -> int:
+    """How many frames of the rig are read at once."""
+    if given.whole:
+        return given.settings.end - given.settings.first
+    return SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
 
 
 def handles(followers: Sequence[Follower]) -> list[ObjectHandle]:
@@ -225,9 +247,7 @@ class RigReader:
             return
         settings = given.settings
         first = settings.reached(done)
-        chunk = SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
-        frames = settings.end - first if given.whole else chunk
-        end = min(first + frames, settings.end)
+        end = min(first + _chunk(given), settings.end)
         self.sampling = rig_motion.RigSampling(self._object.find(), first, end, settings.substeps)
         self.sampling.probe = self._probe
 

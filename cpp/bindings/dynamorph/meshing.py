@@ -204,7 +204,10 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
     if code == EXIT_CALLER:
         raise ValueError(message)
     if code == EXIT_MEMORY:
-        raise Error(f"Meshing needed more than {memory_limit_gb:g} GB of memory. Lower the cage resolution.")
+        raise Error(
+            f"Meshing needed more than {memory_limit_gb:g} GB of memory, or than this process may take. Lower the cage "
+            "resolution."
+        )
     if code < 0 or code >= WINDOWS_CRASH:
         name = signal.Signals(-code).name if code < 0 else f"{code:#x}"
         raise _MesherFailed(f"The mesher crashed on this mesh ({name}). {TRY_THIS}")
@@ -245,11 +248,12 @@ def _limit_resources(time_limit: float, memory_limit_gb: float) -> None:
         import resource
     except ImportError:  # Windows has only the parent's time limit
         return
-    memory = int(memory_limit_gb * 2**30)
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     cpu = math.ceil(time_limit) + 10  # longer than the parent's limit: it stops a child after the parent was killed
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
+    for kind, most in ((resource.RLIMIT_AS, int(memory_limit_gb * 2**30)), (resource.RLIMIT_CPU, cpu)):
+        given, _ = resource.getrlimit(kind)  # only a privileged process may raise it
+        least = most if given == resource.RLIM_INFINITY else min(most, given)
+        resource.setrlimit(kind, (least, least))
 
 
 def _wrapped(
