@@ -73,6 +73,60 @@ def test_a_bake_with_other_modes_starts_over(coarse, folder, monkeypatch):
     assert not baked(coarse, folder).input.resumed
 
 
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("coordinates", lambda found: found[:, :-1]),
+        ("weights", lambda found: found[:0]),
+        ("steps", lambda found: found.astype(np.float32)),
+        ("past", lambda found: np.nan * found),
+        ("bones", lambda found: found.reshape(-1)),
+        ("pose", lambda found: found[:1]),
+        (None, lambda found: np.concatenate([found] * 9)),
+    ],
+)
+def test_an_unfinished_bake_that_does_not_fit_starts_over(coarse, folder, monkeypatch, name, wrong):
+    """Somebody wrote it with the right hashes."""
+    monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)
+    stopped(coarse, folder, monkeypatch, stretches=1)
+    (kept,) = folder.glob("*.unfinished")
+    model_file = part("model_file")
+    arrays, meta = model_file.unpack(kept.read_bytes())
+    changed = (name,) if name else ("coordinates", "weights", "steps")  # None: more frames than the shot has
+    part("disk").save(kept, model_file.pack(arrays | {each: wrong(arrays[each]) for each in changed}, meta))
+    assert not baked(coarse, folder).input.resumed
+
+
+def test_a_shared_model_that_does_not_fit_is_built_again(coarse, folder):
+    baked(coarse, folder, goal="BUILD")
+    part("storage").forget_model(coarse)
+    (built,) = folder.glob("*.dynamorph")
+    model_file, right = part("model_file"), built.read_bytes()
+    arrays, meta = model_file.unpack(right)
+    part("disk").save(built, model_file.pack(arrays | {"fill": arrays["fill"][:-1]}, meta))
+    baked(coarse, folder, goal="BUILD")
+    assert built.read_bytes() == right
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_model_that_does_not_fit_is_named(coarse, folder, monkeypatch, beside):
+    """The mesh or the file, and what to do."""
+    if beside:
+        monkeypatch.setattr(part("preferences"), "model_folders", lambda _blend: [folder])
+    baked(coarse, goal="BUILD")
+    model_file, model_store, storage = part("model_file"), part("model_store"), part("storage")
+    arrays, meta = model_file.unpack(model_store.stored_model(coarse))
+    packed = model_file.pack(arrays | {"fill": arrays["fill"][:-1]}, meta)
+    model_store.forget()
+    file = folder / f"{model_file.content_id(packed)}.dynamorph" if beside else None
+    if file:
+        part("disk").save(file, packed)
+    storage.keep_model(coarse, packed, file)
+    where = rf"'Arm', file '{file.name}'" if beside else "'Arm'"
+    with pytest.raises(part("errors").ModelFileError, match=f"^{where}: .*array 'fill' .*: build it again$"):
+        model_store.load_model(coarse)
+
+
 @pytest.mark.fault("F05")
 def test_a_changed_file_starts_over(coarse, folder, monkeypatch):
     monkeypatch.setattr(part("bake_input"), "SHORT_CHUNK_FRAMES", 5)

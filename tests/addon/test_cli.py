@@ -368,6 +368,79 @@ def test_collect_makes_one_page_of_many_bakes(shot, run, stand_in, tmp_path):
     assert run("collect", tmp_path, "-o", tmp_path / "none" / "page.html")[0] == 2
 
 
+@pytest.fixture
+def reports(shot, run, tmp_path):
+    """The folder with the report of a bake, and what it holds."""
+    path = tmp_path / "reports" / "arm.json"
+    path.parent.mkdir()
+    assert run("bake", shot, "--object", "Arm", "-o", tmp_path / "baked.blend", "--report", path)[0] == 0
+    return path.parent, json.loads(path.read_text())
+
+
+def ways_into(value, way=()):
+    """The keys that lead to each part of JSON data, but not into the contents of `versions` and `summary`."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part_of_it in parts:
+        yield (*way, key)
+        if key not in ("versions", "summary"):
+            yield from ways_into(part_of_it, (*way, key))
+
+
+def test_reports_that_lack_something_are_refused_or_of_no_matter(run, reports, tmp_path):
+    folder, report = reports
+    (folder / "arm.json").unlink()
+    page, read = tmp_path / "page.html", part("report_page").read
+    refused = set()
+    for way in ways_into(report):
+        for value in (None, "gone", "\ud800", [], {}, [None], 10**400, True, ...):
+            changed = json.loads(json.dumps(report))
+            holder = changed
+            for key in way[:-1]:
+                holder = holder[key]
+            if value is ...:
+                del holder[way[-1]]
+            else:
+                holder[way[-1]] = value
+            (folder / "changed.json").write_text(json.dumps(changed))
+            try:
+                found = read(folder)
+                part("report_page").page(found, part("report_page").failures(found))
+            except part("errors").CollectError:
+                refused.add(way[-1])
+    assert {"characters", "exit_code", "error", "versions", "name", "seconds", "bake", "frames", "hash"} <= refused
+    (folder / "changed.json").write_text(json.dumps({**report, "characters": [{}]}))
+    code, _, told = run("collect", folder, "-o", page)
+    assert code == 2 and "'changed.json' is no report (something in it is missing or of another kind)" in told
+    (folder / "changed.json").write_text(json.dumps({**report, "error": "\ud800"}))
+    assert run("collect", folder, "-o", page)[0] == 0 and "\\ud800" in page.read_text()
+
+
+@pytest.mark.parametrize("depth", [200, 900, 990, 1000, 3000, 10**5])
+def test_reports_of_any_depth_are_refused_or_collected(run, reports, tmp_path, depth):
+    folder, report = reports
+    text = json.dumps({**report, "more": "deep"}).replace('"deep"', "[" * depth + "]" * depth)
+    (folder / "arm.json").write_text(text)
+    code, _, told = run("collect", folder, "-o", tmp_path / "page.html")
+    assert code == 0 if depth == 200 else code in (0, 2) and "fault" not in told
+
+
+@pytest.mark.parametrize("name", ["", "a\0b", "\ud800"])
+@pytest.mark.parametrize("option", ["--report", "--output", "--cache-dir", "--output-file"])
+def test_what_cannot_be_the_name_of_a_file(shot, run, stand_in, option, name):
+    arguments = ("bake", shot, "--object", "Arm", "--in-place", "--format", "pc2", option, name)
+    code, _, told = run(*arguments)
+    assert code == 2 and f"argument {option if option != '--output' else '-o/--output'}: " in told
+    assert "cannot be the name of a file" in told and stand_in.built == 0
+
+
+@pytest.mark.parametrize("content", [b"1," + b"9" * 200_000 + b",0", b"1,\x00,2", b"\xff\xfe1,2", b'"1\n' * 50_000])
+def test_a_table_that_no_reader_takes(shot, run, tmp_path, content):
+    (tmp_path / "track.csv").write_bytes(content)
+    arguments = ("fit", shot, "--all", "--in-place", "--target", "flexed", "--oscillation", tmp_path / "track.csv")
+    code, _, told = run(*arguments)
+    assert code == 2 and "'track.csv': expected 2 or 3 or 4 numbers with commas between them in every line" in told
+
+
 # What a bake becomes ------------------------------------------------------------------------------------------------
 
 
@@ -503,6 +576,32 @@ def test_exit_codes_tell_bugs_from_what_is_expected(shot, run, stand_in):
         stand_in.fail = failure
         found, _out, told = run(*bake)
         assert found == code and re.search(words, told), told
+
+
+def test_too_little_memory_is_found_before_any_work(shot, run, stand_in, monkeypatch):
+    memory, sampled = part("memory"), []
+    monkeypatch.setattr(part("rig_motion"), "RigSampling", lambda *_: sampled.append(True))
+    bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
+    for most, code, words in ((2.0**20, 2, "GB at most: lower Cage Nodes"), (2.0**40, 75, "are free: close other")):
+        monkeypatch.setattr(memory, "room", lambda most=most: memory.Room(most, 2.0**20))
+        found, _out, told = run(*bake)
+        assert found == code and "'Arm' needs about" in told and words in told
+        assert stand_in.built == 0 and not sampled
+
+
+def test_a_frame_of_a_week_is_refused(shot, run, stand_in):
+    """Its time steps would fill the memory."""
+    bpy.ops.wm.open_mainfile(filepath=str(shot))
+    bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = 1, 1e6
+    bpy.ops.wm.save_mainfile()
+    bake = ("bake", shot, "--object", "Arm", "-o", shot.parent / "baked.blend")
+    code, _, told = run(*bake)
+    assert code == 2 and "'Arm': a frame of 1e+06 s takes 120000000 time steps, and 1000 are the most" in told
+    assert stand_in.built == 0
+    assert run(*bake, "--substeps", 1)[0] == 0
+    for substeps in (0, 1001, 10**12):
+        code, _, told = run(*bake, "--substeps", substeps)
+        assert code == 2 and f"--substeps is {substeps}: give 1 to 1000" in told
 
 
 def test_info_lists_the_files_that_a_scene_needs(shot, run, monkeypatch):

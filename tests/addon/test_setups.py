@@ -274,6 +274,8 @@ FLAT = [0.0] * 16
         (changed("targets", 0, "rig_world", to=FLAT), "'Neutral': rig_world is a transform that flattens"),
         (changed("model", "law", to="JELLY"), "law is 'JELLY', but must be one of LINEAR, STVK, STABLE_STVK"),
         (changed("model", "law", to=["STVK"]), "law is"),
+        (changed("model", "law", to="\ud800"), "law is"),
+        (changed("model", "law", to="\0"), "law is"),
         (changed("model", "modes", to=2.5), "modes is 2.5, but must be a whole number from 1 to 400"),
         (changed("model", "content_id", to="0" * 32), "'content_id' that this add-on does not know"),
         (changed("model", to=[]), "Model must have properties by name"),
@@ -302,6 +304,17 @@ def test_other_files_are_refused(rich, tmp_path, content):
     path.write_bytes(content)
     refused(OPS.load_setup, "'other.json': This is not a Dynamorph setup", filepath=str(path))
     refused(OPS.load_setup, "No such file", filepath=str(tmp_path / "none.json"))
+
+
+def test_many_names_are_looked_up_soon(rich, tmp_path):
+    """A hundred thousand of them cost about as much as reading the file."""
+    setup = setup_of(rich)
+    setup["targets"][1]["bones"] = [f"bone {k}" for k in range(100_000)]
+    setup["targets"] += [{"name": f"target {k}"} for k in range(10_000)]
+    path = tmp_path / "many.json"
+    path.write_text(json.dumps(setup))
+    parsed = cost(lambda: json.loads(path.read_text()))
+    assert cost(lambda: OPS.load_setup(filepath=str(path))) < 50 * parsed
 
 
 def test_what_no_file_may_hold_is_not_saved(rich, tmp_path):

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..core import engine, errors, material_fit, oscillation
 from ..core.errors import InputError
-from ..core.settings import VARIANTS, Material, ModelSettings
+from ..core.settings import MOST_SUBSTEPS, VARIANTS, Material, ModelSettings
 from ..io import cache_dir, disk, outputs, paths, point_cache, report_page
 from ..run import batch, expected_error, export_actions, final_comparison
 from ..run.job import Job
@@ -47,8 +47,8 @@ def number(setting: bpy.types.Property) -> Callable[[str], float]:
 
 
 def check_substeps(args: argparse.Namespace) -> None:
-    if args.substeps is not None and args.substeps < 1:
-        raise InputError(f"--substeps is {args.substeps}: give 1 or more")
+    if args.substeps is not None and not 1 <= args.substeps <= MOST_SUBSTEPS:
+        raise InputError(f"--substeps is {args.substeps}: give 1 to {MOST_SUBSTEPS}")
 
 
 def run_job(args: argparse.Namespace) -> None:
@@ -144,7 +144,7 @@ def output_files(args: argparse.Namespace, objects: list[bpy.types.Object], fold
     if not (args.output_file or chosen):
         return {}
     suffix = chosen.suffix if chosen else f".{chosen_format.lower()}"
-    pattern = args.output_file or str(folder / f"{paths.OBJECT}{suffix}")
+    pattern = str(args.output_file or folder / f"{paths.OBJECT}{suffix}")
     if Path(pattern).suffix.lower() != suffix:
         raise InputError(f"--output-file {pattern}: a file of {args.format} ends in {suffix}")
     meshes = [mesh for obj in objects for mesh in (obj, *(() if chosen else skin.clothes_in(obj)))]
@@ -194,7 +194,7 @@ def run_collect(args: argparse.Namespace) -> None:
     """Raises CollectError when a bake failed or is missing, after the page is written."""
     reports = report_page.read(args.folder)
     wrong = report_page.failures(reports, args.expect)
-    disk.save(args.page, report_page.page(reports, wrong).encode())
+    disk.save(args.page, report_page.page(reports, wrong).encode(errors="backslashreplace"))
     disk.save(args.page.with_suffix(".json"), json.dumps({"reports": reports, "wrong": wrong}, indent=1).encode())
     print(f"{len(reports)} reports in {args.page}")
     if wrong:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import os
 import signal
 import sys
 import traceback
@@ -178,13 +179,13 @@ def add_command(
     sub = commands.add_parser(name, help=text, description=text)
     sub.set_defaults(run=run)
     if opens_file:
-        sub.add_argument("file", type=Path, help="the .blend to open")
+        sub.add_argument("file", type=path_of, help="the .blend to open")
     chosen = sub.add_mutually_exclusive_group(required=writes)
     chosen.add_argument("--object", action="append", metavar="NAME", help="a soft skin; may be repeated")
     chosen.add_argument("--all", action="store_true", help="every soft skin of the file")
     if writes:
         target = sub.add_mutually_exclusive_group(required=name not in ("build", "bake"))
-        target.add_argument("-o", "--output", type=Path, metavar="FILE", help="the .blend to write")
+        target.add_argument("-o", "--output", type=path_of, metavar="FILE", help="the .blend to write")
         target.add_argument("--in-place", action="store_true", help="overwrite the .blend that was opened")
     return sub
 
@@ -197,7 +198,7 @@ def add_bake(command: Callable[..., argparse.ArgumentParser]) -> None:
     bake.add_argument("--format", choices=[name.lower() for name in (*bake_formats(), *exports.FORMATS)],
                       help="the form of the bake: Blender plays modes, frames, pc2 and mdd, the others are files for "
                       "other programs; default: the object's own setting")  # fmt: skip
-    bake.add_argument("--output-file", metavar="FILE",
+    bake.add_argument("--output-file", type=path_of, metavar="FILE",
                       help=f"the file of such a format; {paths.OBJECT} in it stands for the object's name; default: "
                       "that name, beside the .blend")  # fmt: skip
     bake.add_argument("--clips", choices=("scene", "actions"), default="scene",
@@ -220,7 +221,7 @@ def add_report(command: Callable[..., argparse.ArgumentParser]) -> None:
     report = command("report", run_report, "simulate by several methods and compare them", writes=False)
     report.add_argument("--methods", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="METHOD",
                         help=f"which to compare, each in quotes; all by default: {', '.join(VARIANTS)}")  # fmt: skip
-    report.add_argument("--json", type=Path, metavar="FILE", help="also write all figures, in meters and seconds")
+    report.add_argument("--json", type=path_of, metavar="FILE", help="also write all figures, in meters and seconds")
     add_shot(report)
 
 
@@ -228,9 +229,9 @@ def add_fit(command: Callable[..., argparse.ArgumentParser]) -> None:
     fit = command("fit", run_fit, "fit a target's stiffness and damping to a measurement; its model must be up to date")
     fit.add_argument("--target", required=True, metavar="NAME", help="the target's name")
     measured = fit.add_mutually_exclusive_group(required=True)
-    measured.add_argument("--oscillation", type=Path, metavar="CSV",
+    measured.add_argument("--oscillation", type=path_of, metavar="CSV",
                           help="a point that swings after its release: seconds, x, y, z")  # fmt: skip
-    measured.add_argument("--force-displacement", type=Path, metavar="CSV",
+    measured.add_argument("--force-displacement", type=path_of, metavar="CSV",
                           help="pushes: newtons x, y, z, meters x, y, z, in the mesh's axes")  # fmt: skip
     fit.add_argument("--vertex-group", metavar="GROUP",
                      help="vertices observed or pushed; default: the target's region")  # fmt: skip
@@ -240,9 +241,9 @@ def add_collect(commands: argparse._SubParsersAction) -> None:
     """The command that reads reports instead of a .blend."""
     collected = commands.add_parser("collect", help=COLLECT, description=COLLECT)
     collected.set_defaults(run=run_collect)
-    collected.add_argument("folder", type=Path, help="the folder with the files of --report")
+    collected.add_argument("folder", type=path_of, help="the folder with the files of --report")
     collected.add_argument("--expect", type=int, metavar="N", help="how many reports there should be")
-    collected.add_argument("-o", "--page", type=Path, metavar="FILE", required=True,
+    collected.add_argument("-o", "--page", type=path_of, metavar="FILE", required=True,
                            help="the HTML to write, with a .json of the same name beside it")  # fmt: skip
 
 
@@ -252,7 +253,7 @@ def add_model(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--set", action="append", default=[], metavar="TARGET.PROPERTY=VALUE", dest="changes",
                      help="set a target's property first, for example Flexed.stiffness=5e4; may be "
                      "repeated")  # fmt: skip
-    sub.add_argument("--cache-dir", type=Path, metavar="FOLDER",
+    sub.add_argument("--cache-dir", type=path_of, metavar="FOLDER",
                      help="keep models and unfinished bakes in this folder, and continue from those that it "
                      "has")  # fmt: skip
     sub.add_argument("--progress", choices=("text", "openjd"), default="text", help="how to print progress")
@@ -260,7 +261,17 @@ def add_model(sub: argparse.ArgumentParser) -> None:
 
 
 def add_report_file(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--report", type=Path, metavar="FILE", help="write the outcome as JSON, even after a failure")
+    sub.add_argument("--report", type=path_of, metavar="FILE", help="write the outcome as JSON, even after a failure")
+
+
+def path_of(text: str) -> Path:
+    """A parser that refuses what no system takes as the name of a file."""
+    try:
+        if text and b"\0" not in os.fsencode(text):
+            return Path(text)
+    except UnicodeEncodeError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} cannot be the name of a file")
 
 
 def add_shot(sub: argparse.ArgumentParser) -> None:

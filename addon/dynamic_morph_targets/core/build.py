@@ -18,23 +18,12 @@ from . import cage
 from .cage import Progress, Report, Stages
 from .character import Character, Target
 from .errors import SceneError
-from .model import Model, array_hash, engine_hash, morph_targets
+from .model import CAGE_DEPENDENCIES, MESH_DEPENDENCIES, Model, array_hash, engine_hash, morph_targets
 from .settings import ENGINE, FREE_SETTINGS, LATER_SETTINGS, TABULATED, ModelSettings
 
 Rehearsal = Callable[[Model, Report], tuple[np.ndarray, np.ndarray]]
 REHEARSED_IN_FULL = 1500  # degrees of freedom up to which a rehearsal for fitted modes is unreduced
-REHEARSAL_MODES = (
-    40,
-    60,
-)  # larger models rehearse with twice as many modes as requested, within these limits; tables grow as r^4
 FEW = 1e-3  # fraction of the tetrahedra that may fall back without a warning
-# Of the tetrahedra:
-MESH_DEPENDENCIES = (
-    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
-    "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
-)  # fmt: skip
-# Of the tetrahedra and of what holds them:
-CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
 CAGE_SHARE = 0.35  # of the time of a build
 
 
@@ -164,7 +153,7 @@ def _fitted_basis(
     wanted = character.settings.modes
     in_full = full.dofs <= REHEARSED_IN_FULL
     with stages("Modes", 0.05 if in_full else 0.15) as report:
-        more = 0 if in_full else min(int(np.clip(2 * wanted, *REHEARSAL_MODES)), full.dofs // 3)
+        more = 0 if in_full else min(character.settings.rehearsed_modes, full.dofs // 3)
         usual = dynamorph.make_basis(full, max(wanted, more), report).U
     with stages("Rehearsal", 0.30 if in_full else 0.20) as report:
         building = 0.0 if in_full else 0.8  # of the time, by polynomials in many modes
@@ -316,15 +305,14 @@ def stale_reasons(model: Model, character: Character) -> list[str]:
     if vertices != before:  # then everything else differs too
         return [f"the mesh has {vertices} vertices instead of {before}"]
     now, then = dependencies(character), model.dependencies
-    only_cage = set(then) <= set(CAGE_DEPENDENCIES)
-    considered = CAGE_DEPENDENCIES if only_cage else {**now, **then}
+    considered = CAGE_DEPENDENCIES if model.only_cage else {**now, **then}
     changed = [name for name in considered if now.get(name) != then.get(name)]
     if model.settings.solver == "REDUCED" and "solver" in changed:  # it serves unreduced simulations too
         changed.remove("solver")
     names = {f"shape {j}": f"shape of '{target.name}'" for j, target in enumerate(character.targets)}
     if "number of targets" in changed:
         changed = [name for name in changed if not name.startswith("shape ")]
-    return ["only the cage is built"] * only_cage + [f"{names.get(name, name)} changed" for name in changed]
+    return ["only the cage is built"] * model.only_cage + [f"{names.get(name, name)} changed" for name in changed]
 
 
 def has_cage(model: Model, character: Character) -> bool:

@@ -55,6 +55,10 @@ class SceneError(DynamorphError):
     """The scene cannot be simulated as it is. The message names the object and what to do."""
 
 
+class MemoryShortError(DynamorphError, MemoryError):
+    """Too little memory is free now. The message says how much is needed, and what to lower."""
+
+
 class Cancelled(DynamorphError):
     """The user stopped the job."""
 
@@ -93,6 +97,8 @@ class SinkError(DynamorphError):
 
 def sentence(error: BaseException) -> str:
     """What the artist is told of an error that is expected (see `engine.expected_errors`), for `message.translated`."""
+    if isinstance(error, DynamorphError):
+        return error.args[0]
     if isinstance(error, MemoryError):
         return NO_MEMORY
     if isinstance(error, OSError) and error.strerror:

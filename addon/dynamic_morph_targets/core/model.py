@@ -6,15 +6,24 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 import dynamorph
 import numpy as np
 
+from . import model_schema
 from .character import Character, Skeleton
 from .errors import ModelFileError, SceneError
-from .settings import ModelSettings
+from .settings import Material, ModelSettings
 
 RESPONSE_ARRAYS = ("responses", "response_lambda", "response_mu", "coupling_lambda", "coupling_mu", "reach")
+# Of the tetrahedra depends a model on these, by the names in `Model.dependencies`,
+MESH_DEPENDENCIES = (
+    "mesh", "object scale", "bones at rest", "cage nodes", "cage thickness", "cage grading", "how far targets move",
+    "cage object", "pin radius", "pieces", "engine", "hold", "one cage",
+)  # fmt: skip
+# and of the tetrahedra and what holds them on these:
+CAGE_DEPENDENCIES = (*MESH_DEPENDENCIES, "separate", "Soft vertex group", "what is rigid")
 # The names in model files of the fields that were renamed since.
 STORED_NAMES = {"residual_shapes": "details", "region_weights": "shares", "hold_strength": "held"}
 
@@ -84,22 +93,49 @@ class Model:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray], meta: dict) -> Model:
-        """The inverse of `to_arrays`. Raises ModelFileError when something is missing."""
+        """The inverse of `to_arrays`. Raises ModelFileError when something is missing, or does not fit together."""
         none, no_table = np.zeros(0), np.zeros((0, 0))  # older models have none
         later = dict.fromkeys(("held", "hold", "thickness"), none) | dict.fromkeys(RESPONSE_ARRAYS, no_table)
         if "coupling_lambda" not in arrays and "response_lambda" in arrays:  # it is part of response_lambda
-            later |= dict.fromkeys(("coupling_lambda", "coupling_mu"), np.zeros((len(arrays["response_lambda"]), 0)))
+            none_beside = np.zeros((*arrays["response_lambda"].shape[:1], 0))
+            later |= dict.fromkeys(("coupling_lambda", "coupling_mu"), none_beside)
         arrays = later | arrays
         try:
-            return cls(
-                **{name: arrays[STORED_NAMES.get(name, name)] for name in cls.array_names()},
-                bone_names=tuple(meta["bone_names"]),
-                settings=ModelSettings(**meta["settings"]),
-                dependencies={"engine": engine_hash(1), **meta["dependencies"]},  # the first models had no number
-                summary={"seconds": {}, **meta["summary"]},
-            )
+            known: dict[str, Any] = {name: arrays[STORED_NAMES.get(name, name)] for name in cls.array_names()}
+            settings = ModelSettings(**meta["settings"])
+            described: dict[str, Any] = {
+                "bone_names": meta["bone_names"],
+                "dependencies": {"engine": engine_hash(1), **meta["dependencies"]},  # the first models had no number
+                "summary": {"seconds": {}, **meta["summary"]},
+            }
         except (KeyError, TypeError) as error:
             raise ModelFileError("The stored model is incomplete ({error}): build it again", error=error) from error
+        model_schema.check(known, settings, described, set(described["dependencies"]) <= set(CAGE_DEPENDENCIES))
+        described["bone_names"] = tuple(described["bone_names"])
+        model = cls(**known, **described, settings=settings)
+        try:
+            model._check_with_engine()
+        except (ValueError, KeyError, dynamorph.Error) as error:
+            raise model_schema.damaged(str(error)) from error
+        return model
+
+    def _check_with_engine(self) -> None:
+        """Make, with any material, what would be simulated; raises what the engine does."""
+        if not len(self.tets):
+            return
+        body = self.soft_body()
+        if self.settings.solver == "REDUCED" and not self.only_cage:
+            lame_lambda, lame_mu = Material().lame()
+            targets = [
+                dynamorph.MorphTarget("", shape, lame_lambda=lame_lambda, lame_mu=lame_mu, density=Material.density)
+                for shape in self.displacements
+            ]
+            dynamorph.ReducedModel(body, targets, self._tables(), dynamorph.Blending.EVEN)
+
+    @property
+    def only_cage(self) -> bool:
+        """Whether only its tetrahedra are built, and what holds them."""
+        return set(self.dependencies) <= set(CAGE_DEPENDENCIES)
 
     @property
     def skeleton(self) -> Skeleton:
@@ -113,7 +149,7 @@ class Model:
     def soft_body(self, probed: bool = False) -> dynamorph.SoftBody:
         """The engine's body. probed: every free node has a transform of its own."""
         mesh, weights = dynamorph.TetMesh(self.nodes, self.tets), None if probed else self.node_weights
-        strength, pinned = self.hold_strength if len(self.hold_strength) else None, (~self.free).tolist()
+        strength, pinned = self.hold_strength if self.hold_strength.size else None, (~self.free).tolist()
         return dynamorph.SoftBody(mesh, self.fill, self.stiffness, self.region_weights, pinned, weights, strength)
 
     def at_nodes(self, values: np.ndarray) -> np.ndarray:
@@ -130,16 +166,18 @@ class Model:
             raise SceneError("'{name}' has other targets than its model: build it again", name=character.name)
         targets = morph_targets(character, self.displacements)
         blending = dynamorph.Blending.__members__[character.settings.blending]
-        law = dynamorph.Law.__members__[self.settings.law]
         if self.settings.solver == "FULL":
+            law = dynamorph.Law.__members__[self.settings.law]
             return dynamorph.FullModel(self.soft_body(probed), targets, law, blending)
+        return dynamorph.ReducedModel(self.soft_body(probed), targets, self._tables(), blending)
+
+    def _tables(self) -> dynamorph.ReducedTables:
         lame_lambda = np.hstack([self.response_lambda, self.coupling_lambda])
         lame_mu = np.hstack([self.response_mu, self.coupling_mu])
-        tables = dynamorph.ReducedTables(
-            law, self.basis, list(self.table_lambda), list(self.table_mu), self.responses, list(lame_lambda),
-            list(lame_mu), self.reach.reshape(-1),
+        return dynamorph.ReducedTables(
+            dynamorph.Law.__members__[self.settings.law], self.basis, list(self.table_lambda), list(self.table_mu),
+            self.responses, list(lame_lambda), list(lame_mu), self.reach.reshape(-1),
         )  # fmt: skip
-        return dynamorph.ReducedModel(self.soft_body(probed), targets, tables, blending)
 
     def with_settings(self, settings: ModelSettings) -> Model:
         """The same model, to be simulated with another `solver`. One that was built as FULL has no modes for a reduced

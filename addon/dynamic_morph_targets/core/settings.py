@@ -59,6 +59,8 @@ LATER_SETTINGS = {
 
 
 TABULATED = 8, 30  # fewest and most modes with energy tables beside responses
+REHEARSED = 40, 60  # fewest and most modes of a large model's rehearsal; tables grow as r^4
+MOST_SUBSTEPS = 1000  # per frame
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,12 @@ class ModelSettings:
         fitted to a shot, which are all tabulated, are not as accurate.
         """
         return self.fit_to_shot and self.basis == "MODES" and self.solver == "REDUCED" and self.method != "STATIC"
+
+    @property
+    def rehearsed_modes(self) -> int:
+        """How many modes a large model is built with at most: to be fitted to a shot it is rehearsed with more."""
+        least, most = REHEARSED
+        return max(self.modes, min(max(2 * self.modes, least), most)) if self.fits_shot else self.modes
 
     @property
     def tabulated(self) -> int:

@@ -38,7 +38,9 @@ class CacheDir:
         from ..core import build, model
 
         found = self._read(self._model_path(build.dependencies(character)))
-        return model.Model.from_arrays(*found) if found else None
+        with suppress(errors.ModelFileError):
+            return model.Model.from_arrays(*found) if found else None
+        return None
 
     def keep_model(self, model: Model) -> None:
         with suppress(errors.FileInUseError):  # another process reads it: it has kept the same model meanwhile
@@ -57,12 +59,14 @@ class CacheDir:
         depends_on = [name, inputs, build.dependencies(character), [_file_hash(file) for file in files]]
         return self.folder / f"{_hash([VERSION, blender, *depends_on])}.unfinished"
 
-    def unfinished(self, path: Path, model: Model) -> dict[str, np.ndarray]:
-        """The arguments of `simulate.Shot.resume`, and the last `pose`, of a bake with this model; empty without
-        one.
+    def unfinished(self, path: Path, model: Model, states: int) -> dict[str, np.ndarray]:
+        """The arguments of `simulate.Shot.resume`, and the last `pose`, of a bake of so many states with this model;
+        empty without one.
         """
         found = self._read(path)
-        return found[0] if found and found[1].get("model") == _modes_hash(model) else {}
+        if not found or found[1].get("model") != _modes_hash(model):
+            return {}
+        return found[0] if _fits(found[0], model, states) else {}
 
     def keep(self, path: Path, shot: Shot, pose: np.ndarray) -> None:
         """Store the finished part of a `simulate.Shot` up to this pose (B, 4, 4), in place of the part stored
@@ -84,6 +88,28 @@ class CacheDir:
 
 def _hash(what: object) -> str:
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _fits(kept: dict[str, np.ndarray], model: Model, states: int) -> bool:
+    """Whether these arrays are what `keep` stores of a bake of so many states with this model."""
+    from ..core.player import STEP  # which needs the engine
+
+    done, bones = len(kept.get("weights", ())), len(model.rest)
+    dofs = 3 * int(model.free.sum()) if model.settings.solver == "FULL" else model.modes.shape[1]
+    shapes = {
+        "coordinates": (done, dofs),
+        "weights": (done, len(model.residual_shapes)),
+        "steps": (done, len(STEP)),
+        "past": (4, dofs),
+        "bones": (4, bones + 1, 12),
+        "pose": (bones, 4, 4),
+    }
+    if model.settings.method == "STATIC":  # nothing moves
+        shapes |= {"coordinates": (done, 0), "past": (0,), "bones": (0,)}
+    return 0 < done <= states and all(
+        name in kept and kept[name].shape == shape and kept[name].dtype == np.float64 and np.isfinite(kept[name]).all()
+        for name, shape in shapes.items()
+    )
 
 
 def _modes_hash(model: Model) -> str:

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from ..core.errors import CollectError
 
+Check = Callable[[object], bool]
+
 # Title -> what a cell shows of (character, bake), where there is a bake.
 COLUMNS: dict[str, Callable[[dict, dict], str]] = {
     "Frames": lambda _, bake: f"{bake['frames'][0]}\u2013{bake['frames'][1]}",
@@ -24,16 +26,66 @@ COLUMNS: dict[str, Callable[[dict, dict], str]] = {
 }
 
 
+def _is_number(value: object) -> bool:
+    """Whether it is a number that a float can hold, or NaN, of which `failures` tells."""
+    return type(value) is float or (type(value) is int and abs(value) < 10**300)
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _are_texts(values: object) -> bool:
+    return isinstance(values, list) and all(map(_is_text, values))
+
+
+def _has(**needed: Check) -> Check:
+    """A check for dictionaries with at least these entries."""
+    return lambda found: (
+        isinstance(found, dict) and all(key in found and fits(found[key]) for key, fits in needed.items())
+    )
+
+
+def _are_numbers(values: object) -> bool:
+    return isinstance(values, dict) and all(map(_is_number, values.values()))
+
+
+# Of a report, what is read here; docs/file_format.md has the rest.
+IS_BAKE = _has(
+    frames=lambda found: isinstance(found, list) and len(found) == 2 and all(map(_is_number, found)),
+    max_displacement=_is_number,
+    steps_per_second=_is_number,
+    residual=_is_number,
+    energy=_is_number,
+    inverted=_is_number,
+    hash=_is_text,
+)
+IS_CHARACTER = _has(name=_is_text, seconds=_are_numbers, warnings=_are_texts)
+IS_REPORT = _has(
+    exit_code=lambda code: type(code) is int,
+    error=_is_text,
+    versions=lambda found: isinstance(found, dict),
+    characters=lambda found: (
+        isinstance(found, list)
+        and all(IS_CHARACTER(each) and ("bake" not in each or IS_BAKE(each["bake"])) for each in found)
+    ),
+)
+
+
 def read(folder: Path) -> dict[str, dict]:
     """The reports (*.json of `--report`) in a folder, by name. Raises CollectError."""
     reports = {}
     for path in sorted(folder.glob("*.json")):
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
+            json.dumps([[[[found]]]], indent=1)  # as deep as it is written again
+            if not isinstance(found, dict) or "characters" not in found:
+                continue
+            if not IS_REPORT(found):
+                raise ValueError("something in it is missing or of another kind")
+        except (ValueError, RecursionError) as error:
             raise CollectError(f"'{path.name}' is no report ({error}): delete it, or run its task again") from error
-        if isinstance(found, dict) and "characters" in found:
-            reports[path.stem] = found
+        reports[path.stem] = found
     if not reports:
         raise CollectError(f"There are no reports in '{folder}': bake with --report first")
     return reports

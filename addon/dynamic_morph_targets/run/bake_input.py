@@ -5,6 +5,7 @@ chunks. All of it in the main thread.
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 import numpy as np
 
-from ..core import engine, errors, judge, records
+from ..core import engine, errors, judge, memory, records
 from ..core.character import Follower
 from ..core.errors import SceneError
 from ..core.keys import united
@@ -87,7 +88,28 @@ def read(request: Request) -> BakeInput:
         _read_shot(given, obj, request, fits)
     if given.output and given.output.sink in point_cache.CACHES:
         _try_caches(given)
+    _check_memory(given)
     return given
+
+
+def _check_memory(given: BakeInput) -> None:
+    """Refuse, before any work, what there is not enough memory for. Raises SceneError, MemoryShortError."""
+    character, model = given.character.by_method(), given.model or given.cached_model
+    settings = character.settings
+    nodes = len(model.nodes) if model is not None else settings.cage_nodes
+    size = memory.Size(len(character.vertices), len(character.targets), len(character.skeleton.names), nodes)
+    if given.reasons and model is None:
+        changes = {"solver": "FULL"} if given.only_cage else {"modes": settings.rehearsed_modes}
+        memory.check(given.name, memory.build_bytes(size, replace(settings, **changes), os.cpu_count() or 1))
+    if given.has_shot:
+        memory.check(given.name, memory.bake_bytes(size, settings, given.settings, given.output, _chunk(given)))
+
+
+def _chunk(given: BakeInput) -> int:
+    """How many frames of the rig are read at once."""
+    if given.whole:
+        return given.settings.end - given.settings.first
+    return SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
 
 
 def handles(followers: Sequence[Follower]) -> list[ObjectHandle]:
@@ -171,7 +193,7 @@ def _read_shot(given: BakeInput, obj: bpy.types.Object, request: Request, fits: 
         files = animation.source_files()
         given.kept = given.cache_dir.bake_path(given.name, given.inputs, given.character, files, bpy.app.version)
         model = given.model or given.cached_model
-        given.resumed = given.cache_dir.unfinished(given.kept, model) if model else {}
+        given.resumed = given.cache_dir.unfinished(given.kept, model, len(given.settings.times)) if model else {}
     if given.resumed:
         first = given.settings.first
         given.first = rig_motion.sample_rig(obj, first, first, 1)
@@ -242,9 +264,7 @@ class RigReader:
             return
         settings = given.settings
         first = settings.reached(done)
-        chunk = SHORT_CHUNK_FRAMES if given.kept or given.character.probed else CHUNK_FRAMES
-        frames = settings.end - first if given.whole else chunk
-        end = min(first + frames, settings.end)
+        end = min(first + _chunk(given), settings.end)
         self.sampling = rig_motion.RigSampling(self._object.find(), first, end, settings.substeps)
         self.sampling.probe = self._probe
 

@@ -19,7 +19,7 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
-from ..core.settings import OutputSettings
+from ..core.settings import MOST_SUBSTEPS, OutputSettings
 from .events import shown_changed
 from .references import OVERRIDE
 from .target_properties import DynamorphKey
@@ -65,7 +65,7 @@ class DynamorphSimulation(PropertyGroup):
         name="Substeps Per Frame",
         description="How many time steps the simulation takes per frame. 0 takes as many as keep a step below 1/120 s. "
         "Raise it where steps do not converge",
-        default=0, min=0, max=1000, soft_max=20, override=OVERRIDE,
+        default=0, min=0, max=MOST_SUBSTEPS, soft_max=20, override=OVERRIDE,
     )  # fmt: skip
     samples: IntProperty(
         name="Samples Per Frame",

@@ -66,7 +66,15 @@ def load_model(obj):
 @lru_cache(maxsize=4)
 def _load(session_uid: int, _content_id: str):
     build, _ = engine.engine()
-    return build.Model.from_arrays(*model_file.unpack(stored_model(find(session_uid))))
+    obj = find(session_uid)
+    try:
+        return build.Model.from_arrays(*model_file.unpack(stored_model(obj)))
+    except errors.ModelFileError as error:
+        if PACKED in obj:
+            raise errors.ModelFileError("'{name}': {error}", name=obj.name, error=errors.sentence(error)) from error
+        file = f"{obj.dynamorph.model.content_id}.dynamorph"
+        text = "'{name}', file '{file}': {error}"
+        raise errors.ModelFileError(text, name=obj.name, file=file, error=errors.sentence(error)) from error
 
 
 def forget():

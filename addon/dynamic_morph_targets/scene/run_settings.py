@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..core.errors import SceneError
-from ..core.settings import OutputSettings, SimulationSettings
+from ..core.settings import MOST_SUBSTEPS, OutputSettings, SimulationSettings
 from .skin import unit_scale
 
 
@@ -37,6 +37,15 @@ def simulation_settings(obj, scene, frames=None, substeps=None) -> SimulationSet
             start=start,
         )
     substeps = substeps or chosen.steps_per_frame(fps)
+    if substeps > MOST_SUBSTEPS:
+        raise SceneError(
+            "'{name}': a frame of {seconds:.3g} s takes {count} time steps, and {most} are the most: raise the Frame "
+            "Rate, or set Substeps Per Frame",
+            name=obj.name,
+            seconds=1.0 / fps,
+            count=substeps,
+            most=MOST_SUBSTEPS,
+        )
     gravity = np.array(scene.gravity) * (chosen.gravity if scene.use_gravity else 0.0)
     gains = tuple(mode.gain for mode in obj.dynamorph.modes)
     return SimulationSettings(

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from dataclasses import fields
 from pathlib import Path
 
@@ -179,14 +180,18 @@ class _Lacking:
 
     def __init__(self, obj):
         self.obj = obj
-        self.names: dict[str, list[str]] = {}
+        self._names: dict[str, dict[str, None]] = {}
+
+    @property
+    def names(self) -> dict[str, list[str]]:
+        return {kind: list(names) for kind, names in self._names.items()}
 
     def present(self, kind: str, names, existing) -> list[str]:
-        """Those of `names` that exist; the others are recorded."""
-        for name in names:
-            if name not in existing and name not in self.names.get(kind, []):
-                self.names.setdefault(kind, []).append(name)
-        return [name for name in names if name in existing]
+        """Those of `names` that exist; the others are recorded. existing: names, or what Blender has by name."""
+        known = set(existing.keys() if hasattr(existing, "keys") else existing)
+        if lost := dict.fromkeys(name for name in names if name not in known):
+            self._names.setdefault(kind, {}).update(lost)
+        return [name for name in names if name in known]
 
     def without_lost_groups(self, values: dict, fields) -> dict:
         """`values`, where `fields` hold the names of vertex groups, without the names of groups that do not exist."""
@@ -237,10 +242,10 @@ def check(setup):
         raise SetupError("The setup has no list of targets")
     for target in targets:
         _check_target(target)
-    names = [target["name"] for target in targets[1:]]
-    doubles = [name for name in names if names.count(name) > 1]
-    if doubles:
-        raise SetupError("Two targets are called '{name}'", name=doubles[0])
+    names = Counter(target["name"] for target in targets[1:])
+    for name, count in names.items():
+        if count > 1:
+            raise SetupError("Two targets are called '{name}'", name=name)
     for i, mode in enumerate(modes):
         _check_values(f"Mode {i + 1}", DynamorphMode, mode)
     for i, piece in enumerate(pieces):
@@ -311,7 +316,7 @@ def fits(prop, value) -> bool:
     if prop.type == "BOOLEAN":
         return type(value) is bool
     if prop.type == "ENUM":
-        return isinstance(value, str) and value in prop.enum_items
+        return _is_text(value) and value in prop.enum_items
     if prop.type == "STRING":
         return _is_text(value)
     # Comparing refuses NaN, infinity and integers too long for a float as well.
@@ -320,7 +325,10 @@ def fits(prop, value) -> bool:
 
 def _is_text(value) -> bool:
     """Whether Blender can store it: text without lone surrogates and zeros."""
-    return isinstance(value, str) and "\0" not in value and not any("\ud800" <= char <= "\udfff" for char in value)
+    try:
+        return isinstance(value, str) and b"\0" not in value.encode()
+    except UnicodeEncodeError:
+        return False
 
 
 def _wanted(prop, count: int) -> str:

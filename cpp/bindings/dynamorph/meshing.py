@@ -211,7 +211,10 @@ def _raise_failure(code: int, message: str, memory_limit_gb: float) -> None:
     if code == EXIT_CALLER:
         raise ValueError(message)
     if code == EXIT_MEMORY:
-        raise Error(f"Meshing needed more than {memory_limit_gb:g} GB of memory. Lower the cage resolution.")
+        raise Error(
+            f"Meshing needed more than {memory_limit_gb:g} GB of memory, or than this process may take. Lower the cage "
+            "resolution."
+        )
     if code < 0 or code == WINDOWS_ABORT or code >= WINDOWS_CRASH:
         name = signal.Signals(-code).name if code < 0 else f"{code:#x}"
         raise _MesherFailed(f"The mesher crashed on this mesh ({name}). {TRY_THIS}")
@@ -257,8 +260,10 @@ def limit_resources(time_limit: float, memory_limit_gb: float) -> None:
     import resource
 
     for kind, limit in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CORE, 0), (resource.RLIMIT_CPU, cpu)):
-        with suppress(ValueError, OSError):  # there is a lower limit already, or the system has none of this kind
-            resource.setrlimit(kind, (limit, limit))
+        with suppress(ValueError, OSError):  # the system has no limit of this kind
+            given, _ = resource.getrlimit(kind)  # only a privileged process may raise it
+            least = limit if given == resource.RLIM_INFINITY else min(limit, given)
+            resource.setrlimit(kind, (least, least))
 
 
 def _limit_on_windows(memory: int, cpu: int) -> None:

@@ -117,9 +117,9 @@ bool are_counts(const Json& value) {
 }
 
 /// The array that a header entry describes, without its bytes. Sets `size` to their number. They must start at `begin`
-/// and fit in the `available` bytes.
+/// and fit in the `available` bytes of a file of `file_size`.
 Array described(const std::string& name, const Json& entry, std::uint64_t begin, std::uint64_t available,
-                std::uint64_t& size) {
+                std::uint64_t file_size, std::uint64_t& size) {
   const Error wrong = damaged("the table entry of array '" + name + "' is wrong");
   if (!entry.is_object() || entry.size() != 3) throw wrong;
   for (const char* key : {"dtype", "shape", "data_offsets"})
@@ -136,6 +136,7 @@ Array described(const std::string& name, const Json& entry, std::uint64_t begin,
   for (const Json& value : shape) {
     const auto count = value.get<std::uint64_t>();
     empty |= count == 0;
+    impossible |= count > file_size;  // of an empty array: somebody might allocate, or count, as many of something
     impossible |= count > std::uint64_t(std::numeric_limits<std::int64_t>::max()) / product;
     if (!impossible) product *= std::max<std::uint64_t>(count, 1);
     array.shape.push_back(std::int64_t(count));
@@ -225,7 +226,7 @@ Content unpack(const unsigned char* bytes, std::size_t size) {
   Content content{{}, text_of(header.metadata["meta"])};
   std::uint64_t begin = 0, count = 0;
   for (const auto& entry : header.arrays.items()) {
-    Array array = described(entry.key(), entry.value(), begin, available, count);
+    Array array = described(entry.key(), entry.value(), begin, available, size, count);
     array.bytes.assign(data + begin, data + begin + count);
     if (hashes.value(entry.key(), Json()) != sha256(array.bytes.data(), array.bytes.size()))
       throw damaged("array '" + entry.key() + "' has changed");

@@ -102,8 +102,10 @@ MatrixXd bone_loads(const SoftBody& body) {
   });
   SparseMatrix loads(3 * nodes, 6 * bones);
   loads.setFromTriplets(entries.begin(), entries.end());
-  const VectorXd root = mass.cwiseSqrt();
-  return root.asDiagonal() * strongest(RowMajor(root.cwiseInverse().asDiagonal() * loads), kLoads);
+  const SparseMatrix scaled = mass.cwiseSqrt().cwiseInverse().asDiagonal() * loads;
+  if (loads.cols() > kManyColumns) return loads * strongest_combinations(scaled, kLoads);
+  const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(MatrixXd(scaled.transpose() * scaled));
+  return loads * eigen.eigenvectors().rightCols(std::min(kLoads, loads.cols()));
 }
 
 /// Adds target j's part of `force_curvatures`.

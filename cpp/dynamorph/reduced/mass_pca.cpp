@@ -1,14 +1,36 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "dynamorph/reduced/mass_pca.hpp"
 
+#include <Spectra/SymEigsSolver.h>
+
 #include <Eigen/Eigenvalues>
 #include <Eigen/SVD>
 #include <algorithm>
-#include <random>
 
+#include "dynamorph/core/errors.hpp"
 #include "dynamorph/reduced/gram_accumulator.hpp"
 
 namespace dynamorph {
+
+namespace {
+
+/// x -> A^T A x, which Spectra iterates with.
+class GramOperator {
+ public:
+  using Scalar = double;
+  explicit GramOperator(const SparseMatrix& A) : A_(A) {}
+  Eigen::Index rows() const { return A_.cols(); }
+  Eigen::Index cols() const { return A_.cols(); }
+  void perform_op(const double* x, double* y) const {
+    const VectorXd image = A_ * Eigen::Map<const VectorXd>(x, cols());
+    Eigen::Map<VectorXd>(y, rows()) = A_.transpose() * image;
+  }
+
+ private:
+  const SparseMatrix& A_;
+};
+
+}  // namespace
 
 MatrixXd gram(const RowMajor& A) {
   GramAccumulator products(A.cols());
@@ -29,43 +51,24 @@ MatrixXd orthonormal(const MatrixXd& columns) {
   return svd.matrixU().leftCols(rank);
 }
 
-namespace {
-
-/// An orthonormal basis (rows, `count`) of nearly what the columns do most, by iteration of a block that always begins
-/// alike.
-MatrixXd subspace(const RowMajor& columns, Eigen::Index count) {
-  constexpr int kRounds = 4;  // what is a third as strong as the weakest that counts is left to 1e-4
-  std::mt19937 random;        // the same numbers on every system, unlike a distribution of the library
-  MatrixXd block(columns.cols(), count);
-  for (double& number : block.reshaped()) number = double(random()) / (1u << 31) - 1;
-  block = columns * block;
-  const auto normalize = [&] {
-    block = Eigen::HouseholderQR<MatrixXd>(block).householderQ() * MatrixXd::Identity(block.rows(), count);
-  };
-  for (int round = 0; round < kRounds; ++round) {
-    normalize();
-    block = columns * (columns.transpose() * block);
-  }
-  normalize();
-  return block;
-}
-
-}  // namespace
-
 MatrixXd strongest(const RowMajor& columns, Eigen::Index most) {
-  constexpr Eigen::Index kMany = 1000;  // the time of the eigensolver grows with the third power
-  if (columns.cols() > std::max(kMany, 4 * most)) {
-    const MatrixXd basis = subspace(columns, std::min(most + most / 4 + 10, columns.rows()));
-    const RowMajor across = columns.transpose() * basis;  // its rows' combinations are those of the columns
-    const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(across));
-    const VectorXd sizes = eigen.eigenvalues().cwiseMax(0).cwiseSqrt();
-    const Eigen::Index strong = std::min(most, (sizes.array() > 1e-7 * sizes.maxCoeff()).count());
-    return basis * (eigen.eigenvectors() * sizes.asDiagonal()).rightCols(strong).rowwise().reverse();
-  }
   const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(gram(columns));
   const VectorXd& squares = eigen.eigenvalues();
   const Eigen::Index strong = (squares.array() > 1e-14 * squares.maxCoeff()).count();
   return columns * eigen.eigenvectors().rightCols(std::min(most, strong)).rowwise().reverse();
+}
+
+MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most) {
+  const Eigen::Index k = std::min({most, A.rows(), A.cols() - 1}), search = std::min(A.cols(), 2 * k + 20);
+  GramOperator op(A);
+  Spectra::SymEigsSolver<GramOperator> solver(op, k, search);
+  solver.init();
+  solver.compute(Spectra::SortRule::LargestAlge, 1000, 1e-10);
+  if (solver.info() != Spectra::CompInfo::Successful)
+    throw Error("The loads of " + std::to_string(A.cols()) +
+                " columns were not decomposed. Ask for fewer modes, or let fewer bones deform the mesh.");
+  const VectorXd squares = solver.eigenvalues();
+  return solver.eigenvectors().leftCols((squares.array() > 1e-14 * squares.maxCoeff()).count());
 }
 
 }  // namespace dynamorph

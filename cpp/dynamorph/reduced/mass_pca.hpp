@@ -13,7 +13,14 @@ MatrixXd gram(const RowMajor& A);
 MatrixXd orthonormal(const MatrixXd& columns);
 
 /// The `most` strongest orthogonal combinations of the columns, strongest first, as long as they are strong; fewer
-/// where the columns have fewer beyond a relative 1e-7. Of very many columns they are approximate.
+/// where the columns have fewer beyond a relative 1e-7.
 MatrixXd strongest(const RowMajor& columns, Eigen::Index most);
+
+/// Columns up to which `strongest` is fast. A rig of hundreds of bones has more loads, each with few entries.
+constexpr Eigen::Index kManyColumns = 1200;
+
+/// The combinations (columns, at most `most`) of sparse columns that are strongest, strongest first: orthonormal
+/// eigenvectors of A^T A. It takes time in proportion to the entries of A.
+MatrixXd strongest_combinations(const SparseMatrix& A, Eigen::Index most);
 
 }  // namespace dynamorph

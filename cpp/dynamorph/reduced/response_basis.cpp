@@ -35,20 +35,25 @@ RowMajor bone_loads(const SoftBody& body, Index most) {
   for (Index i = 0; i < nodes; ++i)
     for (SkinWeights::InnerIterator it(body.skin, i); it; ++it) weights(i, bones > 1 ? it.col() : 0) += it.value();
   const MatrixXd X = body.rest.reshaped<Eigen::RowMajor>(nodes, 3);
-  const VectorXd moved = weights.transpose() * volumes;  // many bones of a rig move nothing of this body
-  RowMajor loads = RowMajor::Zero(3 * nodes, 12 * (moved.array() > 0).count());
-  Index first = 0;
+  std::vector<Eigen::Triplet<double>> entries;
+  Index columns = 0;  // many bones of a rig move nothing of this body
   for (Index b = 0; b < bones; ++b) {
-    if (!(moved(b) > 0)) continue;
-    const Eigen::RowVector3d centre = weights.col(b).cwiseProduct(volumes).transpose() * X / moved(b);
+    const VectorXd part = weights.col(b).cwiseProduct(volumes);
+    const double volume = part.sum();
+    if (!(volume > 0)) continue;
+    const Eigen::RowVector3d centre = part.transpose() * X / volume;
     for (Index i = 0; i < nodes; ++i)
-      for (int axis = 0; axis < 3; ++axis)
+      for (int axis = 0; axis < 3 && weights(i, b) != 0; ++axis)
         for (int c = 0; c < 4; ++c)
-          loads(3 * i + axis, first + 4 * axis + c) =
-              std::sqrt(volumes(i)) * weights(i, b) * (c < 3 ? (X(i, c) - centre(c)) / (kRadius * body.size) : 1);
-    first += 12;
+          entries.emplace_back(
+              int(3 * i + axis), int(columns + 4 * axis + c),
+              std::sqrt(volumes(i)) * weights(i, b) * (c < 3 ? (X(i, c) - centre(c)) / (kRadius * body.size) : 1));
+    columns += 12;
   }
-  return strongest(loads, most);
+  SparseMatrix loads(3 * nodes, columns);
+  loads.setFromTriplets(entries.begin(), entries.end());
+  if (loads.cols() > kManyColumns) return loads * strongest_combinations(loads, most);
+  return strongest(RowMajor(loads), most);
 }
 
 /// What one target answers to loads. Columns are y = M^1/2 u.
