@@ -47,7 +47,7 @@ KNOWN = re.compile(
     r"|Writing Preset: '.*'|Repository data: .* not found, sync required!"
     r"|.*(Draco|MeshOptimizer) is not available because library could not be found.*"
     r"|.*WARNING Could not get a list of mounted file-systems.*|Info: Added Remote Repository .*"
-    r"|Blender is no longer running, shutting down the downloader process"
+    r'|Blender is no longer running, shutting down the downloader process|Warning: locking ".*" failed: lock exists.*'
 )
 LONGEST = 1800  # seconds that the window may take, on a busy machine
 

@@ -23,7 +23,6 @@ def repository() -> int:
 @step("Add the remote repository")
 def add_repository():
     """What Repositories > + > Add Remote Repository does with the URL; the dialog is Blender's own."""
-    bpy.context.preferences.system.use_online_access = True
     url = (WORK / "repository/index.json").as_uri()
     with viewport.context():
         bpy.ops.preferences.extension_repo_add("EXEC_DEFAULT", type="REMOTE", remote_url=url, name=MODULE)
