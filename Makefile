@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # Every chore; each sets up what it needs first. `make help` lists them.
 .PHONY: help setup build test gui-test demo gallery figures materials bench bench-docs robustness believable believable-docs \
-	convergence accuracy bakes farm-demo fuzz soak faults sanitize stubs format lint wheels platforms extension \
+	convergence accuracy bakes farm-demo fuzz soak faults coverage sanitize stubs format lint wheels platforms extension \
 	repository sdist version reliability clean
 
 started := $(shell date +%s)
@@ -138,6 +138,13 @@ soak: build
 # tries a few: nothing is lost, nothing partial is left, and the message is right. Takes about 15 minutes.
 faults: build
 	@DYNAMORPH_FAULTS=all $(python) -m pytest -rA tests/engine/test_allocations.py tests/addon/test_failing_calls.py
+
+# docs/coverage.md: which lines and branches the tests run, C++ and Python; takes about an hour. tests="tests/engine
+# tests/addon/test_cli.py" runs those alone, and writes to build/coverage.
+tests ?=
+coverage: setup
+	@tools/setup.sh coverage
+	@.venv/coverage/bin/python tools/coverage_page.py $(python) $(tests)
 
 # The engine's tests under gcc's sanitizers, with asserts; takes about 15 minutes, most of it the first build.
 sanitize: setup

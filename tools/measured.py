@@ -29,6 +29,8 @@ PAGES = {
                     "sample_blends/*.blend"),
     "believable.md": (*ENGINE, *ADDON, "tests/benchmarks/believable_bake.py", "tests/benchmarks/convergence.py"),
     "gallery.md": (*ENGINE, *ADDON, "tests/benchmarks/gallery_loop.py", "sample_blends"),
+    "coverage.md": ("cpp", "addon/dynamic_morph_targets", "tests/engine", "tests/addon", "tests/cpp",
+                    "tools/coverage_page.py"),
     "farm.md": ("addon/dynamic_morph_targets/cli", "addon/dynamic_morph_targets/io/cache_dir.py", "farm",
                 "tools/farm_demo.py"),
     "materials.md": ("addon/dynamic_morph_targets/core/material_presets.py",),

@@ -4,6 +4,7 @@
 # no time when there is nothing to do. What few people need is in groups, which are installed when they are named, as
 # in `setup.sh emulate farm`:
 #   bench     the benchmarks
+#   coverage  what measures which lines the tests run (tools/coverage_page.py)
 #   emulate   the tests with another processor than this one (tests/engine/test_instruction_sets.py)
 #   farm      the demo of a render farm; contains openjd
 #   openjd    the tests of farm/ with the tools of Open Job Description (tests/addon/test_farm.py)
@@ -15,16 +16,18 @@ cd "$(dirname "$0")/.."
 supported=(3.11 3.13) # Blender 4.5 LTS, Blender 5.2 LTS
 packages=(g++ make python3-dev python3-venv libeigen3-dev libspectra-dev libcgal-dev nlohmann-json3-dev doctest-dev
           libsm6 libxi6 libxfixes3 libxrender1 libxkbcommon0 libgl1 libegl1 libgl1-mesa-dri) # second line: bpy
-needs_openjd= needs_wheels=
+needs_coverage= needs_openjd= needs_wheels=
 for group in "$@"; do
   case $group in
     bench) packages+=(libbenchmark-dev) ;;
+    coverage) needs_coverage=yes ;;
     emulate) packages+=(qemu-user) ;;
     farm) packages+=(slurmctld slurmd slurm-client munge) needs_openjd=yes ;;
     openjd) needs_openjd=yes ;;
     platforms) packages+=(qemu-user wine wine64) needs_wheels=yes ;;
     wheels) needs_wheels=yes ;;
-    *) echo "setup: there is no group '$group': there are bench, emulate, farm, openjd, platforms and wheels" >&2 && exit 2 ;;
+    *) echo "setup: there is no group '$group': there are bench, coverage, emulate, farm, openjd, platforms and wheels" >&2
+       exit 2 ;;
   esac
 done
 openjd=openjd-cli==0.8.0
@@ -91,13 +94,13 @@ make_openjd_environment() { # a separate one: it shares no package with Dynamorp
   echo $openjd >$environment/requirements.txt
 }
 
-make_wheels_environment() {
-  local environment=.venv/wheels pythons=(.venv/3.*/bin/python)
-  ! cmp -s tools/wheels_requirements.txt $environment/requirements.txt || return 0
-  echo "setup: installing tools/wheels_requirements.txt"
-  "${pythons[0]}" -m venv $environment
-  $environment/bin/python -m pip install --quiet --disable-pip-version-check -r tools/wheels_requirements.txt
-  cp tools/wheels_requirements.txt $environment/requirements.txt
+make_tools_environment() { # name, of tools/NAME_requirements.txt
+  local environment=.venv/$1 requirements=tools/$1_requirements.txt pythons=(.venv/3.*/bin/python)
+  ! cmp -s "$requirements" "$environment/requirements.txt" || return 0
+  echo "setup: installing $requirements"
+  "${pythons[0]}" -m venv "$environment"
+  "$environment/bin/python" -m pip install --quiet --disable-pip-version-check -r "$requirements"
+  cp "$requirements" "$environment/requirements.txt"
 }
 
 install_packages
@@ -109,4 +112,5 @@ if ! compgen -G '.venv/3.*/bin/python' >/dev/null; then
   exit 1
 fi
 [[ -z $needs_openjd ]] || make_openjd_environment
-[[ -z $needs_wheels ]] || make_wheels_environment
+[[ -z $needs_coverage ]] || make_tools_environment coverage
+[[ -z $needs_wheels ]] || make_tools_environment wheels

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the tests run of the sources, lines and branches: docs/coverage.md, by `make coverage`.
+
+    .venv/coverage/bin/python tools/coverage_page.py PYTHON [TESTS...]
+
+PYTHON runs the tests. With TESTS, such as tests/engine, those alone are run, and the page goes to build/coverage.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+from measured import ROOT, measured_at
+
+OUT = ROOT / "build" / "coverage"
+PAGE = ROOT / "docs" / "coverage.md"
+CPP, PYTHON = ("cpp/dynamorph", "cpp/bindings"), ("addon/dynamic_morph_targets", "cpp/bindings/dynamorph")
+LOW = 0.8  # files below it are listed
+TESTS = ("tests/engine", "tests/addon")
+# Data at the end of the processes that the tests start, and of those that end at once, too.
+SETTINGS = f"""
+[run]
+branch = true
+parallel = true
+patch = subprocess, _exit
+source = {",".join(str(ROOT / folder) for folder in PYTHON)}
+data_file = {OUT / "python" / "data"}
+"""
+
+
+@dataclass
+class Covered:
+    """How much of a file, or of several, the tests have run."""
+
+    lines: int = 0
+    lines_run: int = 0
+    branches: int = 0
+    branches_run: int = 0
+
+    def __add__(self, other: Covered) -> Covered:
+        return Covered(
+            self.lines + other.lines,
+            self.lines_run + other.lines_run,
+            self.branches + other.branches,
+            self.branches_run + other.branches_run,
+        )
+
+    @property
+    def is_low(self) -> bool:
+        return bool(self.lines) and self.lines_run < LOW * self.lines
+
+    def cells(self) -> str:
+        return f"{self.lines} | {share(self.lines_run, self.lines)} | {share(self.branches_run, self.branches)}"
+
+
+def share(run: int, of: int) -> str:
+    return f"{100 * run / of:.0f} %" if of else ""
+
+
+def run(*command, **environment) -> int:
+    return subprocess.run([*map(str, command)], cwd=ROOT, env=os.environ | environment, check=False).returncode
+
+
+def build(python: Path) -> None:
+    """The engine with counters, in a folder of its own."""
+    tools = python.parent
+    version = subprocess.check_output(
+        [python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"], text=True
+    ).strip()
+    # Threads count too; a line that is never reached must not be optimized away.
+    flags = "-O1 -g1 -fno-inline --coverage -fprofile-update=atomic -Wno-error"
+    configured = run(
+        tools / "cmake", "-S", ".", "-B", OUT / "cpp", "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={tools / 'ninja'}",
+        "-DDYNAMORPH_TESTS=ON", f"-DDYNAMORPH_PYTHONS={python}", "-DCMAKE_BUILD_TYPE=None",
+        f"-DCMAKE_CXX_FLAGS={flags}", "--log-level=WARNING",
+    )  # fmt: skip
+    targets = ("--target", "engine_tests", f"core_{version}")
+    if configured or run(tools / "cmake", "--build", OUT / "cpp", "-j", os.cpu_count(), *targets, "--", "--quiet"):
+        sys.exit("coverage: the engine cannot be built")
+
+
+def test(python: Path, tests: list[str]) -> None:
+    """Run the C++ tests and each folder of the others; what fails is seen there, but covers what it ran."""
+    for counts in (OUT / "cpp").rglob("*.gcda"):
+        counts.unlink()
+    shutil.rmtree(OUT / "python", ignore_errors=True)
+    (OUT / "python").mkdir(parents=True)
+    settings = OUT / "settings"
+    settings.write_text(SETTINGS)
+    run(OUT / "cpp" / "engine_tests", "--no-version")
+    paths = os.pathsep.join(map(str, (OUT / "cpp/python", ROOT / "addon", sysconfig.get_path("purelib"))))
+    for each in tests:
+        run(python, "-m", "coverage", "run", f"--rcfile={settings}", "-m", "pytest", each, PYTHONPATH=paths)
+
+
+def of_cpp() -> dict[str, Covered]:
+    """By file. Branches that only an exception takes do not count: nearly each call has one."""
+    report = OUT / "cpp.json"
+    filters = [word for folder in CPP for word in ("--filter", f"{folder}/")]
+    options = ("--exclude-throw-branches", "--json-summary", report)
+    if run(sys.executable, "-m", "gcovr", "--root", ".", *filters, *options, OUT / "cpp"):
+        sys.exit("coverage: gcovr failed")
+    names = ("line_total", "line_covered", "branch_total", "branch_covered")
+    found = json.loads(report.read_text())["files"]
+    return {file["filename"]: Covered(*(file[name] for name in names)) for file in found}
+
+
+def of_python() -> dict[str, Covered]:
+    report, settings = OUT / "python.json", f"--rcfile={OUT / 'settings'}"
+    for command in (("combine", "--quiet"), ("json", "--quiet", "-o", report)):
+        if run(sys.executable, "-m", "coverage", command[0], settings, *command[1:]):
+            sys.exit(f"coverage: coverage {command[0]} failed")
+    names = ("num_statements", "covered_lines", "num_branches", "covered_branches")
+    found = json.loads(report.read_text())["files"]
+    return {name: Covered(*(file["summary"][key] for key in names)) for name, file in found.items()}
+
+
+def table(title: str, found: dict[str, Covered]) -> str:
+    """A row for each folder, and the files that are low."""
+    folders: dict[str, Covered] = defaultdict(Covered)
+    for name, covered in found.items():
+        folders[str(Path(name).parent)] += covered
+    rows = [f"| `{folder}` | {covered.cells()} |" for folder, covered in sorted(folders.items())]
+    rows.append(f"| all | {sum(found.values(), Covered()).cells()} |")
+    head = "| | lines | run | branches taken |\n|---|---:|---:|---:|"
+    low = [f"| `{name}` | {covered.cells()} |" for name, covered in sorted(found.items()) if covered.is_low]
+    below = "\n".join(
+        [f"Files below {LOW:.0%} of their lines:\n", head, *low] if low else [f"No file is below {LOW:.0%}."]
+    )
+    return f"## {title}\n\n{head}\n" + "\n".join(rows) + f"\n\n{below}\n"
+
+
+def page(tests: list[str]) -> str:
+    stamp = measured_at(PAGE.name)
+    origin = f"Generated by `make coverage`. {stamp}".rstrip() + "." * bool(stamp)
+    ran = " and ".join(f"`{each}`" for each in tests)
+    return f"""# Coverage
+
+How much of the sources runs while the C++ tests and {ran} do. {origin}
+
+Of C++, branches that only an exception takes do not count. What the window test, the wheels and the benchmarks run is
+not counted; nor is the engine's C++ in processes that Blender 4.5 cannot end regularly, among them all of
+`tests/addon`.
+
+{table("Engine, C++", of_cpp())}
+{table("Extension and bindings, Python", of_python())}"""
+
+
+def main() -> int:
+    python, *tests = sys.argv[1:]
+    build(ROOT / python)
+    test(ROOT / python, tests or list(TESTS))
+    path = OUT / PAGE.name if tests else PAGE
+    path.write_text(page(tests or list(TESTS)), encoding="utf-8")
+    print(f"written to {path.relative_to(ROOT)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
