@@ -4,6 +4,7 @@
 import hashlib
 import json
 import os
+import stat
 
 import numpy as np
 import pytest
@@ -264,6 +265,20 @@ def test_save_replaces_whole_files_only(tmp_path, packed, monkeypatch):
     save(path, packed)
     assert unpack(path.read_bytes())[1] == META
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows keeps names in order itself")
+def test_the_folder_is_written_after_the_file_has_its_name(tmp_path, monkeypatch):
+    """Else a power failure may leave the old name."""
+    path, seen, fsync = tmp_path / "model", [], os.fsync
+
+    def spy(handle):
+        seen.append((stat.S_ISDIR(os.fstat(handle).st_mode), path.exists()))
+        fsync(handle)
+
+    monkeypatch.setattr(model_file.os, "fsync", spy)
+    save(path, b"a")
+    assert seen == [(False, False), (True, True)]
 
 
 def test_a_file_has_the_rights_of_any_other(tmp_path):

@@ -99,6 +99,19 @@ def save(path: str | os.PathLike[str], content: bytes | Iterable[bytes]) -> None
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """The new name outlives a power failure too. Windows has no such call, and neither have some shares."""
+    if os.name != "posix":
+        return
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def content_id(packed: bytes) -> str:
